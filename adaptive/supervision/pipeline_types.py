@@ -46,6 +46,7 @@ class ResponseRecord:
     foreign : for how many more responses under the gains in force something else than the tuning won here than lost.
     excitation : what the region's model rests on.
     at : the scheduling values at its end. entered_s : since when the loop was in the region at its end.
+    passed_over : responses to a led setpoint since that was last said.
     """
 
     region: int
@@ -59,6 +60,7 @@ class ResponseRecord:
     excitation: Excitation = field(default_factory=Excitation)
     at: tuple[float, float] = (0.0, 0.0)
     entered_s: float = -math.inf
+    passed_over: int = 0
 
     @property
     def own(self) -> Sequence[LoopSample]:
@@ -157,12 +159,20 @@ Ended = Mapping[int, TrialEvent]
 NOBODY: Ended = {}
 
 
+class Led(NamedTuple):
+    """That the setpoint is led: when it was said last, and how many responses were passed over since."""
+
+    said_s: float = -math.inf
+    passed_over: int = 0
+
+
 class RetunerState(NamedTuple):
     """Where a retuner stands; with its table and region models, all that later decisions depend on."""
 
     finder: FinderState
     decisions: int
     samples: int
+    led: Led = Led()
 
 
 class OpenQuestion(NamedTuple):
