@@ -46,8 +46,7 @@ from retuner.adaptive.supervision.guard_request import (
     tuning_of,
     unproved_request,
 )
-from retuner.adaptive.supervision.led_setpoint import admitted
-from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
+from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings

@@ -185,12 +185,11 @@ class ResponseFinder:
             self._region = now
             if now[0] != region[0]:
                 self._adopt_time_scale()
-        band = self._per_median * self._hear(pv)
         heard = self._setpoint
         if not sp == heard.last == heard.before or heard.median > self._clean:
             self._setpoint = noise_at_least(heard, sp, self._clean)
         samples.append(sample)
-        band = self._of_error(band if band > self._floor else self._floor)
+        band = self._of_error(max(self._floor, self._per_median * self._hear(pv)))
         new = step(self._law, state, t_s, sp, sp - pv, band)
         if new is state:
             return None

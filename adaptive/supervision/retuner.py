@@ -35,7 +35,6 @@ from retuner.adaptive.supervision.decision import (
     staying,
 )
 from retuner.adaptive.supervision.guard_request import known_of, promise_of, seen_of
-from retuner.adaptive.supervision.led_setpoint import passed_over, said
 from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
@@ -53,6 +52,8 @@ from retuner.adaptive.supervision.pipeline_types import (
     Step,
     held,
     overtaken_by,
+    passed_over,
+    said,
 )
 from retuner.adaptive.supervision.response_finder import Completed, Left, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -138,10 +139,9 @@ class Retuner:
         ValueError
             A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
-        step = self.step(sample)
-        if step.question is None:
-            return step.decision
-        return self.enter(step.question, decide(step.question), self.sample_number)
+        asked = self.step(sample)
+        question = asked.question
+        return self.enter(question, decide(question), self.sample_number) if question else asked.decision
 
     def step(self, sample: LoopSample) -> Step:
         """Take one sample, and make what needs no fit of it; errors as `observe`.
