@@ -63,3 +63,13 @@ def noise_start(sigma: float) -> float:
 def noise_step(median: float, d: float) -> float:
     """The next median; d : second difference, pv - 2 last + before. Scalars, because a tuple a sample is dear."""
     return median * ADAPT_FACTOR if d > median or -d > median else median / ADAPT_FACTOR
+
+
+def noise_at_least(state: NoiseState, value: float, least: float) -> NoiseState:
+    """The next state for a signal that mostly stands still, as a setpoint does: its median never falls below `least`.
+
+    At every value that repeats the ones before the median would shrink, for hours, and noise that came later would be
+    seen only after as long a climb.
+    """
+    median = noise_step(state.median, value - 2.0 * state.last + state.before)
+    return NoiseState(max(median, least), value, state.last)

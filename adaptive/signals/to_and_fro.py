@@ -41,6 +41,12 @@ SAMPLES_OFF = 2
 """Samples by which two times may differ however short they are."""
 OVERDUE = 1.5
 """Times from one step to the next after which the next will not come."""
+STANDS = 5
+"""Samples for which a setpoint stands at least between steps: one that moves faster is noise, or led."""
+LED_MOVES = 2
+LED_REACH = 2.5
+"""So many moves within so many times the time between two steps, before the first: the setpoint is led, and does not
+step."""
 QUIET_SHARE = 0.2
 """Share of the time between two steps for which the joined loop must keep to its band to be at rest."""
 
@@ -88,8 +94,15 @@ def to_and_fro(samples: Sequence[LoopSample]) -> ToAndFro | None:
     for i in range(len(moves) - 1):
         found = _taken_for(moves[i:], samples)
         if found is not None:
-            return found
+            return None if _led_before(moves[: i + 1], found) else found
     return None
+
+
+def _led_before(moves: Sequence[SetpointMove], found: ToAndFro) -> bool:
+    """Whether the setpoint moved on and on before the first of the steps, which is the last of these moves."""
+    if len(moves) <= LED_MOVES:
+        return False
+    return found.opened - moves[-1 - LED_MOVES].at <= LED_REACH * (found.whole[0] - found.opened)
 
 
 def _moves(samples: Sequence[LoopSample]) -> list[SetpointMove]:
@@ -118,7 +131,7 @@ def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> 
         else:
             return None
     apart = [b - a for a, b in pairwise([move.at for move in moves])]
-    if not whole or max(apart) - min(apart) > max(EVEN * min(apart), SAMPLES_OFF):
+    if not whole or min(apart) < STANDS or max(apart) - min(apart) > max(EVEN * min(apart), SAMPLES_OFF):
         return None
     overdue = len(samples) - moves[-1].at > OVERDUE * max(apart)
     if overdue and closed is None and len(whole) < WHOLE_STEPS:

@@ -122,6 +122,9 @@ class AdmissionSettings:
             source="a ramp is one movement, and shorter than the response",
         ),
     ] = 0.3
+    led_again_s: Annotated[
+        float, Setting("Time until it is said again that the setpoint is led; such responses are counted", 0, unit="s")
+    ] = 21600.0
     still_share: Annotated[float, Setting("A setpoint that moves by less of the noise band stands still")] = 0.01
     changes_most: Annotated[int, Setting("Most changes of the active gains during a response")] = 0
     excitation_bands: Annotated[
@@ -145,8 +148,8 @@ class AdmissionNumbers(Numbers):
     kept : samples that are kept. manual : of them in manual. lost_share, uneven_share, repeated_share, outside_share :
     of the samples. changes : of the gains. moves, moving_share : of the setpoint. limited_share : of the response, with
     the output at a limit. pv_worst : pv farthest outside its range, pv_low to pv_high. stuck : samples for
-    which pv stood still, at stuck_at. peak_bands : height in noise bands. limit, limit_share : of the rule that
-    refused it.
+    which pv stood still, at stuck_at. peak_bands : height in noise bands. passed_over : responses to a led
+    setpoint since that was last said. limit, limit_share : of the rule that refused it.
     """
 
     kept: float | None = None
@@ -165,6 +168,7 @@ class AdmissionNumbers(Numbers):
     stuck: float | None = None
     stuck_at: float | None = None
     peak_bands: float | None = None
+    passed_over: float | None = None
     limit: float | None = None
     limit_share: float | None = None
 
@@ -360,15 +364,27 @@ def _same_gains(seen: _Seen) -> _Counted:
     return _Counted(AdmissionNumbers(changes=changes, limit=float(limit)), Ground.GAINS_CHANGED)
 
 
-def _own_setpoint(seen: _Seen) -> _Counted:
-    """Not the slave of a cascade: its setpoint is the master's output, so it moves all the time."""
-    steps = np.abs(np.diff(seen.window.sp))
-    moving = steps > seen.settings.still_share * seen.response.band
+def setpoint_led(window: Window, response: Response, settings: AdmissionSettings) -> bool:
+    """Whether something else than a person moves the setpoint, in a window with its response."""
+    return _moved(window, response, settings)[1]
+
+
+def _moved(window: Window, response: Response, settings: AdmissionSettings) -> tuple[AdmissionNumbers, bool]:
+    """How the setpoint moved, and whether it is led."""
+    steps = np.abs(np.diff(window.sp))
+    moving = steps > settings.still_share * response.band
     began = moving & ~np.concatenate(([False], moving[:-1]))
     moves, share = float(np.sum(began)), float(np.mean(moving))
+    few = moves <= settings.moves_most and share <= settings.moving_share
+    led = not few and float(np.sum(steps)) > response.band
+    return AdmissionNumbers(moves=moves, moving_share=share), led
+
+
+def _own_setpoint(seen: _Seen) -> _Counted:
+    """Not the slave of a cascade: its setpoint is the master's output, so it moves all the time."""
+    numbers, led = _moved(seen.window, seen.response, seen.settings)
     most, most_share = float(seen.settings.moves_most), seen.settings.moving_share
-    numbers = AdmissionNumbers(moves=moves, moving_share=share)
-    if (moves <= most and share <= most_share) or float(np.sum(steps)) <= seen.response.band:
+    if not led:
         return _Counted(numbers)
     return _Counted(replace(numbers, limit=most, limit_share=most_share), Ground.SETPOINT_LED)
 

@@ -20,7 +20,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, update_region_model
 from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.sample import LoopMode
-from retuner.adaptive.supervision.admission import Ground, admit, inside_region
+from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.causes import (
     FOREIGN,
     SWINGING,
@@ -46,14 +46,13 @@ from retuner.adaptive.supervision.guard_request import (
     tuning_of,
     unproved_request,
 )
-from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
+from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import decay_seen
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.weighed import NO_NUMBERS
-from retuner.schedule.table import Lookup
 
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""
@@ -83,15 +82,16 @@ def action(found: Findings) -> None:
 
 
 def admission(found: Findings) -> None:
-    """May this response teach its region? The gains of an interpolated table move with it; the fit allows it."""
-    record, rules = found.record, found.settings.admission
-    if record.table.lookup is Lookup.INTERPOLATED or record.crossed:
-        rules = replace(rules, changes_most=len(record.samples))
-    inside = None if record.crossed else inside_region(record.table.regions, record.region)
-    admitted = admit(record.window, record.samples, record.response, rules, inside, found.settings.pv_range)
-    if not admitted.admitted:
-        found.diagnosis, found.numbers = admitted.diagnosis(), admitted.numbers
-        found.stop(admitted.ground.name.lower(), admitted.sentence)
+    """May this response teach its region?"""
+    record = found.record
+    refused = admitted(record, found.settings)
+    if refused.admitted:
+        return
+    found.diagnosis, found.numbers, reason = refused.diagnosis(), refused.numbers, refused.sentence
+    if refused.ground is Ground.SETPOINT_LED and record.passed_over:
+        found.numbers = replace(refused.numbers, passed_over=float(record.passed_over))
+        reason = f"{reason}; {record.passed_over} responses to it were passed over since this was last said"
+    found.stop(refused.ground.name.lower(), reason)
 
 
 def swing(found: Findings) -> None:

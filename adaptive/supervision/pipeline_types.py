@@ -19,6 +19,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region, setpoint_led
 from retuner.adaptive.supervision.decision import Basis, Decision
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.response_finder import FinderState
@@ -46,6 +47,7 @@ class ResponseRecord:
     foreign : for how many more responses under the gains in force something else than the tuning won here than lost.
     excitation : what the region's model rests on.
     at : the scheduling values at its end. entered_s : since when the loop was in the region at its end.
+    passed_over : responses to a led setpoint since that was last said.
     """
 
     region: int
@@ -59,6 +61,7 @@ class ResponseRecord:
     excitation: Excitation = field(default_factory=Excitation)
     at: tuple[float, float] = (0.0, 0.0)
     entered_s: float = -math.inf
+    passed_over: int = 0
 
     @property
     def own(self) -> Sequence[LoopSample]:
@@ -157,12 +160,20 @@ Ended = Mapping[int, TrialEvent]
 NOBODY: Ended = {}
 
 
+class Led(NamedTuple):
+    """That the setpoint is led: when it was said last, and how many responses were passed over since."""
+
+    said_s: float = -math.inf
+    passed_over: int = 0
+
+
 class RetunerState(NamedTuple):
     """Where a retuner stands; with its table and region models, all that later decisions depend on."""
 
     finder: FinderState
     decisions: int
     samples: int
+    led: Led = Led()
 
 
 class OpenQuestion(NamedTuple):
@@ -342,3 +353,36 @@ def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
     elif trial.phase == TrialPhase.IDLE:
         words = "a change in another region is being written"
     return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"no change now: {words}")
+
+
+# A setpoint that another loop leads. The slave of a cascade completes a response every few samples, and none of them
+# may teach. One verdict said two thousand times a day hides every other row of a ledger. So such a response raises no
+# question until `led_again_s` has passed; it is counted. What else is wrong with a response (telemetry, the sensor, a
+# controller that acts the wrong way) is said as ever.
+
+
+def admitted(record: ResponseRecord, settings: RetunerSettings) -> Admission:
+    """Whether a response may teach; the gains of an interpolated table move with it, and the fit allows that."""
+    rules = settings.admission
+    if record.table.lookup is Lookup.INTERPOLATED or record.crossed:
+        rules = replace(rules, changes_most=len(record.samples))
+    inside = None if record.crossed else inside_region(record.table.regions, record.region)
+    return admit(record.window, record.samples, record.response, rules, inside, settings.pv_range)
+
+
+def passed_over(led: Led, record: ResponseRecord, settings: RetunerSettings) -> bool:
+    """Whether a response says nothing but what was said lately, that the setpoint is led.
+
+    One that ends with the output at a limit is asked: that is how a controller ends that acts the wrong way.
+    """
+    newest, rules = record.samples[-1], settings.admission
+    if newest.t_s - led.said_s >= rules.led_again_s or newest.limited:
+        return False
+    if not setpoint_led(record.window, record.response, rules):
+        return False
+    return admitted(record, settings).ground is Ground.SETPOINT_LED
+
+
+def said(led: Led, record: ResponseRecord, code: str) -> Led:
+    """What is kept after a decision of that code on a response."""
+    return Led(record.samples[-1].t_s) if code == Ground.SETPOINT_LED.name.lower() else led

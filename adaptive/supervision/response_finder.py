@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from itertools import islice
 from typing import NamedTuple
 
-from retuner.adaptive.signals.noise import MEDIAN_TO_SIGMA, NoiseState, noise_start, noise_step
+from retuner.adaptive.signals.noise import MEDIAN_TO_SIGMA, NoiseState, noise_at_least, noise_start, noise_step
 from retuner.adaptive.signals.recogniser import (
     RecogniserLaw,
     RecogniserPhase,
@@ -32,15 +32,21 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions, RegionState, choose, enter, values
 
 AUTO = LoopMode.AUTO
+CLEAN_SHARE = 0.5
+"""Share of the smallest band that a setpoint without noise counts for: a few steps do not lift it to the band."""
 
 
 class FinderState(NamedTuple):
-    """Where a finder stands in its record; with the gains in force, all that its later responses depend on."""
+    """Where a finder stands in its record; with the gains in force, all that its later responses depend on.
+
+    noise : of pv. setpoint : noise of the setpoint; None for one of which nothing is known.
+    """
 
     region: RegionState | None
     recogniser: RecogniserState | None
     noise: NoiseState
     samples: tuple[LoopSample, ...]
+    setpoint: NoiseState | None = None
 
 
 class Completed(NamedTuple):
@@ -83,6 +89,8 @@ class ResponseFinder:
         self._floor = settings.band or settings.band_min_share * settings.pv_span
         self._per_median = 0.0 if settings.band else settings.band_sigmas * MEDIAN_TO_SIGMA
         self._gap_s = settings.gap_samples * settings.sample_time_s
+        self._clean = noise_start(CLEAN_SHARE * self._floor / settings.band_sigmas)
+        self._setpoint = NoiseState(self._clean, 0.0, 0.0)
 
     @property
     def region(self) -> int | None:
@@ -115,8 +123,8 @@ class ResponseFinder:
 
     @property
     def band(self) -> float:
-        """Noise band in pv units."""
-        return max(self._floor, self._per_median * self._median)
+        """Noise band of the error in pv units: of pv, and of a setpoint that has noise of its own."""
+        return self._of_error(max(self._floor, self._per_median * self._median))
 
     @property
     def samples(self) -> Sequence[LoopSample]:
@@ -138,11 +146,12 @@ class ResponseFinder:
     def state(self) -> FinderState:
         """Where it stands: see memory.py, which turns it into plain values."""
         noise = NoiseState(self._median, self._last, self._before)
-        return FinderState(self._region, self._state, noise, tuple(self._samples))
+        return FinderState(self._region, self._state, noise, tuple(self._samples), self._setpoint)
 
     def resume(self, state: FinderState) -> None:
         """Go on from there."""
-        self._region, self._state, noise, samples = state
+        self._region, self._state, noise, samples, setpoint = state
+        self._setpoint = setpoint or NoiseState(self._clean, 0.0, 0.0)
         self._median, self._last, self._before = noise
         self._samples.clear()
         self._samples.extend(samples)
@@ -176,9 +185,12 @@ class ResponseFinder:
             self._region = now
             if now[0] != region[0]:
                 self._adopt_time_scale()
-        band = self._per_median * self._hear(pv)
+        heard = self._setpoint
+        if not sp == heard.last == heard.before or heard.median > self._clean:
+            self._setpoint = noise_at_least(heard, sp, self._clean)
         samples.append(sample)
-        new = step(self._law, state, t_s, sp, sp - pv, band if band > self._floor else self._floor)
+        band = self._of_error(max(self._floor, self._per_median * self._hear(pv)))
+        new = step(self._law, state, t_s, sp, sp - pv, band)
         if new is state:
             return None
         self._state = new
@@ -207,6 +219,7 @@ class ResponseFinder:
         if self._state is None:
             self._median = noise_start(self._floor / self.settings.band_sigmas)
         self._last = self._before = sample.pv
+        self._setpoint = NoiseState(self._setpoint.median, sample.sp, sample.sp)
         region = self._region
         if region is not None and sample.t_s - self._samples[-1].t_s <= self._gap_s:
             self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
@@ -238,6 +251,7 @@ class ResponseFinder:
         assert region is not None
         self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
         self._hear(sample.pv)
+        self._setpoint = noise_at_least(self._setpoint, sample.sp, self._clean)
         self._forget(sample)
         return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT)
 
@@ -247,6 +261,11 @@ class ResponseFinder:
         self._median = median = noise_step(self._median, pv - 2.0 * last + self._before)
         self._last, self._before = pv, last
         return median
+
+    def _of_error(self, band: float) -> float:
+        """Noise band of sp - pv, from that of pv: independent noises add by their squares."""
+        own = self._per_median * self._setpoint.median
+        return math.hypot(band, own) if own > self._floor else band
 
     def _forget(self, sample: LoopSample) -> None:
         """Drop the samples and let the recogniser settle."""

@@ -43,6 +43,7 @@ from retuner.adaptive.supervision.pipeline_types import (
     NOTHING,
     PASSED_OVER,
     Ended,
+    Led,
     OpenQuestion,
     Question,
     ResponseRecord,
@@ -51,6 +52,8 @@ from retuner.adaptive.supervision.pipeline_types import (
     Step,
     held,
     overtaken_by,
+    passed_over,
+    said,
 )
 from retuner.adaptive.supervision.response_finder import Completed, Left, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -78,8 +81,7 @@ class Retuner:
 
     def __init__(self, table: GainTable, settings: RetunerSettings, commissioned: GainTable | None = None) -> None:
         self.settings = settings
-        self.table = table
-        self.commissioned = commissioned or table
+        self.table, self.commissioned = table, commissioned or table
         self.region_models: dict[int, RegionModel] = {}
         self.foreign: dict[int, int] = {}
         self.excitation: dict[int, Excitation] = {}
@@ -88,7 +90,7 @@ class Retuner:
         self.trials = TrialSupervisor(
             settings.trial, settings.sample_time_s, self._put_back, self._still_allowed, self._person_decides
         )
-        self._decisions = 0
+        self._decisions, self._led = 0, Led()
         self._open: OpenQuestion | None = None
         self._due: Mapping[int, StageResult] = {}
         self.sample_number = 0  # samples observed so far
@@ -121,12 +123,12 @@ class Retuner:
 
     def state(self) -> RetunerState:
         """Where it stands: see state_file.py, which turns it into plain values."""
-        return RetunerState(self._finder.state(), self._decisions, self.sample_number)
+        return RetunerState(self._finder.state(), self._decisions, self.sample_number, self._led)
 
     def resume(self, state: RetunerState) -> None:
         """Go on from there. A question that was open is not any more: nobody may enter its answer."""
         self._finder.resume(state.finder)
-        self._decisions, self.sample_number = state.decisions, state.samples
+        self._decisions, self.sample_number, self._led = state.decisions, state.samples, state.led
         self._open, self._due = None, {}
 
     def observe(self, sample: LoopSample) -> Decision | None:
@@ -137,10 +139,9 @@ class Retuner:
         ValueError
             A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
-        step = self.step(sample)
-        if step.question is None:
-            return step.decision
-        return self.enter(step.question, decide(step.question), self.sample_number)
+        asked = self.step(sample)
+        question = asked.question
+        return self.enter(question, decide(question), self.sample_number) if question else asked.decision
 
     def step(self, sample: LoopSample) -> Step:
         """Take one sample, and make what needs no fit of it; errors as `observe`.
@@ -189,9 +190,7 @@ class Retuner:
         if overtaken is not None:
             refused = StageResult(f"overtaken_{overtaken.name.lower()}", f"the answer comes too late: {overtaken}")
             return self._decision(opened.question.record.region, refused, opened.question)
-        if not opened.ended:
-            return self._entered(opened.question, result)
-        return self._learned_from_the_end(opened, result)
+        return self._learned_from_the_end(opened, result) if opened.ended else self._entered(opened.question, result)
 
     def committed(self, region: int, gains: PidGains) -> GainTable:
         """Take note that the controller now runs these gains in a region; returns the new table revision.
@@ -357,9 +356,12 @@ class Retuner:
             return Step(self._decision(seen.region, LOST)) if seen.under_way else NOTHING
         if self.settings.mode_of(seen.region) == Mode.OFF:
             return NOTHING
-        if self._open is not None:
-            return NOTHING if ended else Step(self._decision(seen.region, PASSED_OVER, self._question(seen)))
         question, region = self._question(seen), next(iter(ended), seen.region)
+        if not (ended or self.trials.busy) and passed_over(self._led, question.record, self.settings):
+            self._led = self._led._replace(passed_over=self._led.passed_over + 1)
+            return NOTHING
+        if self._open is not None:
+            return NOTHING if ended else Step(self._decision(seen.region, PASSED_OVER, question))
         self._open = OpenQuestion(
             question, self.table, ended, self.region_models.get(region), self.excitation.get(region)
         )
@@ -374,6 +376,7 @@ class Retuner:
     def _entered(self, question: Question, outcome: StageResult) -> Decision:
         """What the answer teaches is kept, a trial judged, and the decision made."""
         case, region = question.record, question.record.region
+        self._led = said(self._led, case, outcome.code)
         if outcome.region_model is not None:
             self.region_models[region] = outcome.region_model
         self.region_models.update(outcome.beside)
@@ -431,6 +434,7 @@ class Retuner:
             self.excitation.get(seen.region, Excitation()),
             w.scheduled,
             seen.entered_s,
+            self._led.passed_over,
         )
 
     def _decision(

@@ -19,7 +19,7 @@ from retuner.adaptive.region_model.region_model import Drift, RecordPoint, Regio
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.pipeline_types import RetunerState
+from retuner.adaptive.supervision.pipeline_types import Led, RetunerState
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -161,6 +161,8 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "region": _numbers_out(finder.region),
         "recogniser": _numbers_out(finder.recogniser),
         "noise": _numbers_out(finder.noise),
+        "setpoint_noise": _numbers_out(finder.setpoint),
+        "led": _numbers_out(state.led),
         "samples": [_numbers_out(sample) for sample in finder.samples],
         "decisions": state.decisions,
         "samples_observed": state.samples,
@@ -206,9 +208,11 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             recogniser=RecogniserState(*_numbers_in(memory["recogniser"])) if memory["recogniser"] else None,
             noise=NoiseState(*_numbers_in(memory["noise"])),
             samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
+            setpoint=NoiseState(*_numbers_in(setpoint)) if (setpoint := memory.get("setpoint_noise")) else None,
         )
         retuner.trials.resume(memory["trials"])
-        retuner.resume(RetunerState(finder, int(memory["decisions"]), int(memory["samples_observed"])))
+        led = Led(*_numbers_in(memory.get("led", Led())))
+        retuner.resume(RetunerState(finder, int(memory["decisions"]), int(memory["samples_observed"]), led))
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the memory is damaged: {error!r}") from error
     return retuner
