@@ -266,12 +266,18 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
     sure = f"{numbers.doubt:.0%} that something else is behind the records"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
-    why = (
-        "a second record must agree before a change"
-        if waits
-        else f"worth {numbers.gain:.0%}, {numbers.price:.0%} are needed"
-    )
+    why = "a second record must agree before a change" if waits else _too_little(numbers)
     return f"no change{' yet' if waits else ''}: expected {iae}, {then}; {sure}; {why}"
+
+
+def _too_little(numbers: ChoiceNumbers) -> str:
+    """Why a change is not made that brings less than its price, or whose first step brings nothing."""
+    if numbers.gain > numbers.price:
+        return f"the whole way is worth {numbers.gain:.0%}, but the step that the limits allow does not pay"
+    worth, needed = f"{numbers.gain:.0%}", f"{numbers.price:.0%}"
+    if worth == needed:  # rounded down, so that what is too little reads as too little
+        worth, needed = f"{math.floor(1000.0 * numbers.gain) / 1000.0:.1%}", f"{numbers.price:.1%}"
+    return f"worth {worth}, {needed} are needed"
 
 
 def _ms(ms: float) -> str:

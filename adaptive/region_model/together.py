@@ -30,6 +30,8 @@ GAP_SAMPLES = 6
 """Between two records stand so many sampling intervals: a gap to the fit."""
 END_SAMPLES = 5
 """Where a record ends and the next one begins is the median of so many."""
+LEAST_SAMPLES = 30
+"""A record of which fewer are left at the interval of the slowest says too little to be fitted with it."""
 
 
 def kept(window: Window) -> Window:
@@ -40,8 +42,14 @@ def kept(window: Window) -> Window:
 
 
 def unit_of(window: Window) -> float:
-    """What the residuals of a record are counted in, pv units."""
-    return max(noise_sigma(window.pv), window.noise_std, MODEL_ERROR * float(np.ptp(window.pv)))
+    """What the residuals of a record are counted in, pv units; 1 where pv never moved."""
+    return max(noise_sigma(window.pv), window.noise_std, MODEL_ERROR * float(np.ptp(window.pv))) or 1.0
+
+
+def may_be_joined(windows: Sequence[Window]) -> bool:
+    """Whether enough of every record is left at the sampling interval of the one that was kept at the longest."""
+    dt_s = max(window.sample_time_s for window in windows)
+    return all(len(window.t_s) >= LEAST_SAMPLES * _every(window, dt_s) for window in windows)
 
 
 def joined(windows: Sequence[Window]) -> Window:
@@ -64,8 +72,12 @@ def joined(windows: Sequence[Window]) -> Window:
 
 def _thinned(window: Window, dt_s: float) -> Window:
     """A record at about a sampling interval that it was not kept at."""
-    every = max(round(dt_s / window.sample_time_s), 1)
-    return window.condensed(-(-len(window.t_s) // every))
+    return window.condensed(-(-len(window.t_s) // _every(window, dt_s)))
+
+
+def _every(window: Window, dt_s: float) -> int:
+    """Of how many samples one is left at such an interval."""
+    return max(round(dt_s / window.sample_time_s), 1)
 
 
 def _after(before: Window | None, window: Window, dt_s: float) -> Window:

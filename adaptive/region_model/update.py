@@ -35,7 +35,7 @@ from retuner.adaptive.identification.identify import Fits, FitSettings, estimate
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, moved_on, surprise_of, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
-from retuner.adaptive.region_model.together import MOST_RECORDS, joined, kept, of_the_last, unit_of
+from retuner.adaptive.region_model.together import MOST_RECORDS, joined, kept, may_be_joined, of_the_last, unit_of
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
@@ -227,12 +227,14 @@ def _together(
     region_model: RegionModel, record: NewRecord, points: tuple[RecordPoint, ...], in_force: PidGains
 ) -> Learned | None:
     """The records so far and one that does not settle the process by itself, fitted as one; None where they are too
-    many, or not of one process.
+    many, of too different lengths, or not of one process.
     """
     few = region_model.windows and len(region_model.windows) == region_model.records
     if record.alone.identifiable or not few:
         return None
     windows = (*region_model.windows, kept(record.window))
+    if not may_be_joined(windows):
+        return None
     whole = joined(windows)
     found = _estimate(Fits(whole, (in_force.direction,), record.fit), in_force, record.settings, record.fit)
     alone = record.alone.residual_std / unit_of(record.window)

@@ -5,6 +5,9 @@ known of it by then, that response had to pay for them. Its process is known bef
 the curves through the other regions. So where a response changes nothing for its own region, the others are asked, the
 nearest first. Gains that are far from right on what is known there are proved on all that is left open, as any change,
 and go on trial when the loop comes. One region at a time; what is nearly right waits for responses of its own.
+
+How much a load that never rests moves pv there is not measured: too few samples, if any, ran under its gains. Such a
+trial counts the noise band only (trial/wander.py).
 """
 
 from collections.abc import Mapping

@@ -370,7 +370,7 @@ class Retuner:
     def _question(self, seen: Completed) -> Question:
         """What a completed response asks."""
         others = (region for region in range(len(self.table.regions)) if region != seen.region)
-        free = tuple(at for at in others if self.trials.idle(at) and self.settings.mode_of(at) in WRITES)
+        free = tuple(at for at in others if self.trials.idle(at, self.now_s) and self.settings.mode_of(at) in WRITES)
         return Question(self._case(seen), self.settings, self.sample_number, self.trials.of(seen.region), free)
 
     def _entered(self, question: Question, outcome: StageResult) -> Decision:

@@ -2,7 +2,8 @@
 
 Everything that later decisions depend on is in it: the table, what is known of each region, where region, noise band
 and recogniser stand, and the samples of the response under way. A retuner that is restored from it decides byte for
-byte as the one that was never stopped.
+byte as the one that was never stopped. But for two: a question that is open, and a change that is due elsewhere with
+the next sample, are not remembered. The next response that changes nothing where it is finds that change again.
 """
 
 import math

@@ -123,8 +123,9 @@ class TrialSupervisor:
         wire_is_free = not any(trial.phase in {P.WRITING, *TO_BE_SEEN} for trial in self._trials.values())
         return wire_is_free and after(self.phase(region), _asked(urgent, ordered)) == P.WRITING
 
-    def idle(self, region: int) -> bool:
-        """Whether nothing is on trial in a region, nor held, locked or cooling down."""
+    def idle(self, region: int, t_s: float) -> bool:
+        """Whether nothing is on trial in a region, nor held, locked or cooling down by now."""
+        self._time_over(region, t_s)
         return self.phase(region) is P.IDLE
 
     def held_by_a_person(self, region: int, t_s: float) -> bool:
@@ -251,7 +252,9 @@ class TrialSupervisor:
         self._at = region
         ended: dict[int, TrialEvent] = {}
         for at in self.undecided:
-            found = cause or self._region_cause(at, sample, region, band, blended=blended)
+            elsewhere = not blended and self.phase(at) is P.AWAY and region not in {at, None}  # its set does not run
+            of_loop = None if elsewhere else cause
+            found = of_loop or self._region_cause(at, sample, region, band, blended=blended)
             if found is not None and not self._decided(at, found) and self._end(at, found, sample.t_s):
                 ended[at] = found
         return ended

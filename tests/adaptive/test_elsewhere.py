@@ -1,5 +1,6 @@
 """Regions where the loop is not: what is known of them by now leads to gains, proved, and on trial when it comes."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -22,6 +23,7 @@ from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import End, Findings, Question, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
@@ -91,6 +93,27 @@ def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: floa
 )
 def test_what_is_nearly_right_or_not_known_stays(about: dict[str, Any]) -> None:
     assert asked(**{"there": times(right(1.0), 0.25), **about}).elsewhere == {}
+
+
+def test_what_is_due_and_was_not_made_before_a_restart_is_found_again() -> None:
+    """A restart forgets that it was due; what it follows from is remembered."""
+    bench = made(scaled(0.25, 0.25))
+    bench.run(400)
+    samples = bench.samples(1000, 1.0, 0.0, 10.0)
+    question = next(step.question for step in map(bench.retuner.step, samples) if step.question is not None)
+    calm = replace(decide(question), verdict=None, promise=None, code="ok")
+    due = replace(calm, elsewhere={1: decide(question)})
+    bench.retuner.enter(question, due, bench.retuner.sample_number)
+    again = restore(json.loads(json.dumps(remember(bench.retuner))), bench.retuner.settings)
+    assert again.step(next(samples)).decision is None
+    assert again.trials.idle(1, again.now_s)
+    before = {0: known(1.0), 1: known(1.0)}
+    after = {region: region_model_in(json.loads(json.dumps(region_model_out(m)))) for region, m in before.items()}
+    there = times(right(1.0), 0.25)
+    one, other = (asked(there=there, models=models).elsewhere[2] for models in (before, after))
+    assert one.verdict is not None
+    assert other.verdict is not None
+    assert one.verdict.gains == other.verdict.gains
 
 
 def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -> None:

@@ -143,6 +143,21 @@ def test_a_step_is_weighed_by_the_way_that_it_is_of() -> None:
     assert choose([look(0.0), look(0.04)], look(0.6), Seen(3, 1), SETTINGS).index == 1
 
 
+def test_what_is_too_little_reads_as_too_little() -> None:
+    nearly = choose([look(0.0), look(0.0999)], None, Seen(1000, 1000), replace(SETTINGS, price=0.1))
+    assert nearly.index == 0
+    assert nearly.reason.endswith("worth 9.9%, 10.0% are needed")
+    far = choose([look(0.0), look(0.04)], None, Seen(1000, 1000), replace(SETTINGS, price=0.1))
+    assert far.reason.endswith("worth 4%, 10% are needed")
+
+
+def test_a_first_step_that_does_not_pay_is_told_as_that() -> None:
+    choice = choose([look(0.0), look(-0.02)], look(0.8), Seen(3, 3), SETTINGS)
+    assert choice.index == 0
+    assert "the step that the limits allow does not pay" in choice.reason
+    assert "needed" not in choice.reason
+
+
 def test_what_a_second_record_would_make_due_waits_for_it() -> None:
     first = choose([look(0.0), look(0.3, 0.6)], None, Seen(1, 1, limited=True), SETTINGS)
     assert (first.index, first.waits) == (0, True)

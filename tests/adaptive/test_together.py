@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,6 +55,32 @@ def test_a_long_record_is_kept_in_few_samples(loop: Callable) -> None:
     short = together.kept(long)
     assert len(short.t_s) <= together.MOST_SAMPLES
     assert short.sample_time_s == pytest.approx(4 * record.sample_time_s)
+
+
+@pytest.mark.parametrize(("samples", "later", "enough"), [(700, 64, True), (3100, 64, False), (6100, 24, False)])
+def test_of_a_short_record_beside_a_long_one_enough_must_be_left(samples: int, later: int, enough: bool) -> None:
+    long, short = (
+        together.kept(Window(t_s, 0.0 * t_s, np.sin(t_s / 9.0), 0.0 * t_s))
+        for t_s in (np.arange(samples, dtype=float), 1e5 + np.arange(later, dtype=float))
+    )
+    assert together.may_be_joined((long, short)) is enough
+
+
+def test_a_short_record_after_a_very_long_one_is_taken_in_by_itself(loop: Callable) -> None:
+    first, second = two(loop, load=1.0)
+    strict = FitSettings(gain_std_limit=0.03)
+    begun = update_region_model(None, first, UP, TrackerSettings(), strict).region_model
+    assert begun is not None
+    t_s = first.t_s[0] + 64.0 * np.arange(len(first.t_s))
+    slow = replace(begun, windows=(Window(t_s, first.sp, first.pv, first.co),))
+    learned = update_region_model(slow, second, UP, TrackerSettings(), strict).region_model
+    assert learned is None or len(learned.windows) < 2
+
+
+def test_a_pv_that_never_moved_has_a_unit() -> None:
+    t_s = np.arange(40.0)
+    still = Window(t_s, 0.0 * t_s, 5.0 + 0.0 * t_s, 0.0 * t_s)
+    assert np.all(np.isfinite(together.joined([still, still]).pv))
 
 
 def test_a_record_that_settles_nothing_alone_is_fitted_with_the_first(loop: Callable) -> None:

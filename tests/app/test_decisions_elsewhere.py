@@ -89,7 +89,7 @@ def waited(worker: Decider) -> Answer:
 
 def test_the_worker_answers_as_this_process_would(asked: tuple[Retuner, Question]) -> None:
     _, question = asked
-    here = decide(question)
+    here = decide(pickle.loads(pickle.dumps(question)))  # sent as to the worker: arrays share types or not
     with DecideInWorker(PATIENCE_S) as worker:
         assert worker.answer(1) is None
         worker.ask(question)

@@ -352,3 +352,27 @@ def test_what_comes_with_gains_has_a_door_of_its_own(event: TrialEvent) -> None:
 def test_what_is_decided_is_not_told(event: TrialEvent) -> None:
     with pytest.raises(ValueError, match="tell the cause"):
         Bench().trials.event(0, event, 0.0)
+
+
+def test_a_cool_down_is_over_for_whoever_asks_whether_a_region_is_idle() -> None:
+    bench = Bench()
+    bench.into(P.COOLING)
+    until_s = bench.trials.of(0).until_s
+    assert not bench.trials.idle(0, until_s - 1.0)
+    assert bench.trials.idle(0, until_s)
+
+
+@pytest.mark.parametrize(("mode", "elapsed_s"), [(LoopMode.MANUAL, 1.0), (LoopMode.AUTO, 100.0)])
+@pytest.mark.parametrize(("region", "blended"), [(1, False), (1, True), (0, False), (None, False)])
+def test_manual_and_gaps_do_not_end_the_trial_of_a_set_that_does_not_run(
+    mode: LoopMode, elapsed_s: float, region: int | None, blended: bool
+) -> None:
+    bench = Bench()
+    bench.trials.look(LoopSample(0.0, 1.0, 1.0, 1.0), 1, 0.1, 1.0, 3.0, blended=False)
+    bench.into(P.AWAY)
+    sample = LoopSample(100.0, 1.0, 1.0, 1.0, mode)
+    ended = bench.trials.look(sample, region, 0.1, elapsed_s, 3.0, blended=blended)
+    stays = region == 1 and not blended
+    assert bool(ended) is not stays
+    assert (bench.table[0] == NEW) is stays
+    assert (bench.trials.phase(0) is P.AWAY) is stays
