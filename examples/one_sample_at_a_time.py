@@ -51,7 +51,8 @@ def obey(decision: Decision, tank: Tank, retuner: Retuner) -> None:
     print(f"{decision.t_s:6.0f} s  {one_line(decision)}")
     region = retuner.region
     if decision.action == Action.COMMIT and decision.gains_after is not None:
-        tank.write(decision.gains_after)
+        if not decision.later:  # gains for a region where the loop is not: the table takes them, nothing is written
+            tank.write(decision.gains_after)
         retuner.committed(retuner.table.index(decision.region), decision.gains_after)
     elif decision.action == Action.RESTORE and region is not None:
         tank.write(retuner.table.at(region, *retuner.scheduled))  # the table has what is to run, wherever the loop is

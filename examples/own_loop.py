@@ -61,8 +61,9 @@ async def watched(rig: "Rig", memory: Path, wishes: deque[str], watch: type = Ba
         save()  # before anything changes
         print(f"{decision.t_s:6.1f} s  {decision}")
         if decision.action == Action.COMMIT and decision.gains_after is not None:
-            rig.write(decision.gains_after)
-            retuner.committed(retuner.table.index(decision.region), rig.gains)
+            # later: gains for a region where the loop is not; the table takes them, and nothing is written
+            now = decision.gains_after if decision.later else rig.write(decision.gains_after)
+            retuner.committed(retuner.table.index(decision.region), now)
         elif decision.action == Action.RESTORE and retuner.region is not None:
             rig.write(retuner.table.at(retuner.region, *retuner.scheduled))
             retuner.restored()
@@ -96,10 +97,11 @@ class Rig:
         self._on_the_way = deque([20.0] * 5)
         self._noise = random.Random(1).gauss  # the same at every run
 
-    def write(self, gains: PidGains) -> None:
-        """Run other gains; the output does not jump."""
+    def write(self, gains: PidGains) -> PidGains:
+        """Run other gains; the output does not jump. Returns what runs, as read back."""
         self._integral += (self.gains.kp - gains.kp) * (self._setpoint - self._pv)
         self.gains = gains
+        return self.gains
 
     @property
     def _setpoint(self) -> float:

@@ -81,6 +81,8 @@ class Decision:
     trial : where the region stands after this decision. known : the process as it may be met in the region from now
     on, which is what the cause and the proof go by (`estimate` is what the record itself shows).
     undos : changes undone in a row, told where this one restores.
+    later : the loop is in another region, so that nothing is to be written now: the gains belong in the table, and run
+    when the loop comes.
     """
 
     number: int
@@ -108,6 +110,7 @@ class Decision:
     known: LogModel | None = None
     delay: Delay | None = None
     undos: int | None = None
+    later: bool = False
 
     def __repr__(self) -> str:
         return (
@@ -121,7 +124,9 @@ class Decision:
         return shown.html(self)
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values: what the ledger keeps. The key `delay` is there only where a decision was entered later."""
+        """Plain values: what the ledger keeps. The key `delay` is there only where a decision was entered later, and
+        `later` only where gains of another region are to be taken into the table.
+        """
         return {
             "number": self.number,
             "t_s": self.t_s,
@@ -147,6 +152,7 @@ class Decision:
             "judgement": self.judgement.to_dict() if self.judgement else None,
             "trial": self.trial,
             **({"delay": self.delay._asdict()} if self.delay else {}),
+            **({"later": True} if self.later and self.action == Action.COMMIT else {}),
         }
 
     def canonical(self) -> bytes:

@@ -497,4 +497,5 @@ class Retuner:
             promise=promised,
             judgement=judgement,
             trial=str(self.trials.phase(region)),
+            later=region != self.region and self.table.lookup is Lookup.HARD,
         )

@@ -26,6 +26,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.trial import Trial
+from retuner.report.console import live_line
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
@@ -130,6 +131,9 @@ def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -
     assert decision is not None
     assert (decision.action, decision.region) == (Action.COMMIT, retuner.table.regions.names[1])
     assert decision.gains_after is not None
+    assert decision.later
+    assert decision.to_dict()["later"] is True
+    assert "in the table, to be written when the loop enters the region: Kc" in live_line(decision)
     retuner.committed(1, decision.gains_after)
     assert retuner.phase is phase  # what goes on where the loop is goes on
     retuner.step(next(samples))

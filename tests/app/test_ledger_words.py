@@ -122,6 +122,15 @@ def test_a_decision_that_no_response_led_to_names_no_cause() -> None:
     assert one_line(edited) == "an operator replaced Kc 2 by Kc 1"
 
 
+def test_what_came_back_where_the_loop_is_not_has_the_gains_of_its_own_region() -> None:
+    body = {"regions": ["high"], "gains": GAINS, "waits": {"high": {"kp": 0.3, "ki": 0.0005, "kd": 0.0}}}
+    (line,) = tell(("restored", body))
+    shown = repr(line)
+    assert "high: Kc 0.3 tau_I 600 s in the table, for when the loop comes" in shown
+    assert "active" not in shown
+    assert "Kc 2" not in shown
+
+
 def test_what_waits_for_a_person_is_told_at_the_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
         ledger.append("session", {"config": CONFIG}, 0.0)

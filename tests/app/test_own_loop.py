@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import pytest
 
-from retuner import BackgroundRetuner, PidGains, Retuner
+from retuner import BackgroundRetuner, GainTable, PidGains, Regions, Retuner
 from retuner.decisions.decider import DecideHere
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_loop.py"
@@ -52,6 +52,23 @@ def test_it_retunes_respects_the_person_goes_on_and_takes_back(
     ]
     assert [told.find(one) for one in order] == sorted(told.find(one) for one in order)
     assert min(told.find(one) for one in order) > 0
+
+
+def test_gains_for_a_region_where_the_loop_is_not_are_not_written(
+    example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """High has a tenth of the right gain; low and mid, where the loop is, tell what high needs."""
+    steps = (30.0, 40.0, 30.0, 40.0, 50.0, 60.0)
+    setpoint = property(lambda rig: steps[min(int(rig.t_s // 30.0), 5)])
+    monkeypatch.setattr(example.Rig, "_setpoint", setpoint)
+    good = PidGains(kp=1.2, ki=0.38)
+    regions = Regions("sp", "%", ("low", "mid", "high"), 0.0, (45.0, 65.0), 100.0)
+    table = GainTable("rig", regions, (good, good, PidGains(0.1, 0.02)))
+    monkeypatch.setattr(example, "COMMISSIONED", table)
+    rig = example.Rig(good, float("inf"))
+    asyncio.run(example.session(rig, tmp_path / "rig.json", 145.0, None, here))
+    assert "in the table, to be written when the loop enters the region" in capsys.readouterr().out
+    assert rig.gains.kp > 1.0  # of low or mid; high's new ones have 0.2
 
 
 @pytest.mark.parametrize("written", [False, True])

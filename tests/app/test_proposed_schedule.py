@@ -71,6 +71,11 @@ def test_it_is_a_row_before_the_end_and_files_beside_the_report(session: Path) -
     assert (line.who, line.verdict) == ("retuner", "proposed")
 
 
+def test_the_ledger_ends_with_the_command_that_takes_it_up(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ledger", "show", str(session)]) == 0
+    assert "open: to take up the schedule that the records ask for; retuner approve" in capsys.readouterr().out
+
+
 def test_a_replay_asks_again(
     session: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -154,6 +154,17 @@ def test_the_tried_set_runs_no_more_once_it_was_given_up(make_wire: Callable[...
     assert wire.runs == to_wire(GOOD)
 
 
+def test_a_set_restored_elsewhere_is_not_told_as_active(make_wire: Callable[..., Wire]) -> None:
+    wire = make_wire()
+    into(wire, P.AWAY)
+    wire.session.stop("the shift is over")
+    wire.end()
+    restored = dict(wire.rows)["restored"]
+    assert restored["regions"] == ["low"]
+    assert restored["waits"] == {"low": {"kp": GOOD.kp, "ki": GOOD.ki, "kd": 0.0}}
+    assert restored["gains"]["kp"] == pytest.approx(OTHER.kp)
+
+
 def test_rows_tell_the_whole_story_before_it_happens(make_wire: Callable[..., Wire]) -> None:
     wire = make_wire()
     into(wire, P.TRIAL)

@@ -100,6 +100,18 @@ def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.Captu
     assert shown[-1].endswith("nothing was written")
 
 
+def test_one_change_of_the_records_gains_is_told_as_once(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trend, config = recorded / "run" / "trend.csv", recorded / "short.toml"
+    until_s = asked(trend, config, capsys)["gains_changed_s"][0] + 0.5
+    head, *lines = trend.read_text().splitlines()
+    log = tmp_path / "trend.csv"
+    log.write_text("\n".join([head, *(line for line in lines if float(line.split(",")[0]) < until_s)]) + "\n")
+    assert main(["replay", str(log), "--config", str(config)]) == 0
+    assert "the record's gains changed once; nothing was written" in capsys.readouterr().out
+
+
 def test_a_bare_table_with_other_names_is_enough(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

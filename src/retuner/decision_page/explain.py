@@ -16,6 +16,7 @@ WHOLE_STEP = 0.999
 FAR = 3.0
 """From this ratio of the second peak to the first, or to the step, nobody speaks of overshoot."""
 VERBS = {"commit": "written", "advise": "proposed", "restore": "rolled back"}
+LATER = "in the table, to be written when the loop enters the region"
 """What is done with other gains, by action."""
 INTEGRATING = {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
 
@@ -118,6 +119,7 @@ def change_text(decision: Decision | Document) -> str:
         return "no change"
     if stays(document):
         return f"kept: {settings_text(after, loop)}"
+    verb = LATER if document.get("later") else verb
     moved = f"{verb}: {settings_text(before, loop)} -> {settings_text(after, loop)}"
     return f"{moved}{_robustness(part(document, 'verdict'))}"
 

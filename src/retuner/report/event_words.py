@@ -80,6 +80,17 @@ def _regions(what: str) -> Callable[[Document], str]:
     return told
 
 
+def _restored(body: Document) -> str:
+    """What runs, and what stands in the table of regions where the loop is not."""
+    found, waiting = body.get("regions"), part(body, "waits")
+    active = [str(name) for name in found if name not in waiting] if isinstance(found, list | tuple) else []
+    told = [f"gains read back and active: {', '.join(active)}"] if active else []
+    for name in waiting:
+        gains = gains_of(part(waiting, name))
+        told += [f"{name}: {settings_text(gains)} in the table, for when the loop comes"] if gains else []
+    return _because("; ".join(told) or "gains read back and active", body)
+
+
 def _trial(body: Document) -> str:
     return f"trial: {reason}" if (reason := words(body, "reason")) else ""
 
@@ -105,7 +116,7 @@ EVENTS: dict[str, Callable[[Document], str]] = {
     "bus": _bus,
     "variable": _variable,
     "abort": _after("trial interrupted"),
-    "restored": _regions("gains read back and active"),
+    "restored": _restored,
     "trial": _trial,
     "lockout": _lockout,
     "unrestored": _regions("gains not known to be active"),

@@ -332,7 +332,9 @@ def _schedule(body: Document) -> Words:
 def _event(body: Document) -> Words:
     """What happened beside decisions, in the words of the screen."""
     told = event_line(words(body, "kind"), body)
-    new = "" if words(body, "kind") == "foreign" else _settings(body, "gains")
+    regions, waits = body.get("regions"), part(body, "waits")  # regions whose set runs when the loop comes
+    runs = not waits or (isinstance(regions, list) and any(name not in waits for name in regions))
+    new = "" if words(body, "kind") == "foreign" or not runs else _settings(body, "gains")
     return told or words(body, "reason"), "", new, "", ""
 
 

@@ -356,6 +356,10 @@ class GainWriter:
             "sequence": running.seq,
             "crc": running.crc,
         }
+        table, here = self.retuner.table, self.retuner.region
+        waits = [region for region in regions if table.lookup is Lookup.HARD and region != here]
+        if waits:  # what runs is the set of the region that the loop is in
+            body["waits"] = {self._name(region): gains_dict(table.gains_of(region)) for region in waits}
         self._record("restored", self.t_s, body)
         self._refusals = 0
         self._restore_at_s = float("-inf")

@@ -191,7 +191,7 @@ def _left_to_do(folder: Path, rows: list[Row]) -> list[str]:
     for loop, own in about.items():
         settings = part(loops[names.index(loop)] if loop else loops[0], "adaptation")
         waits = what_next(folder, own, number(settings, "approval_s") or math.inf, (), None, loop)
-        lines += [f"open: {one.why}; {one.command}" for one in waits]
+        lines += [f"open: {one.why.removesuffix(':')}; {one.command}" for one in waits]
     return lines
 
 

@@ -191,7 +191,8 @@ def what_if(log: Path, config_file: Path, options: ReplayOptions) -> int:
         return 0
     for decision in found.decisions:
         sys.stdout.write(f"{decision.t_s:10,.0f} s  {decision.region}: {one_line(decision)}\n")
-    changed = f", the record's gains changed {len(found.changes)} times" if found.changes else ""
+    times = "once" if len(found.changes) == 1 else f"{len(found.changes)} times"
+    changed = f", the record's gains changed {times}" if found.changes else ""
     counted = f"{len(found.decisions)} decision{'s' * (len(found.decisions) != 1)}"
     sys.stdout.write(f"{log}: {counted} on {found.samples:,} samples{changed}; nothing was written\n")
     return 0
