@@ -9,8 +9,7 @@ A decision may take longer than a sample. `observe` makes it on the spot; whoeve
     decide(question)                the answer: a pure function of plain values, anywhere (pipeline.py)
     enter(question, result, n)      the decision, entered at the n-th sample
 
-Between the first and the last the samples go on. One question is open at a time: a response that completes meanwhile
-is passed over. The caller chooses at which sample an answer is entered; one that came too late is refused.
+Between the first and the last samples go on; a response that completes is passed over, a late answer refused.
 """
 
 from collections.abc import Mapping, Sequence
