@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from plants_of_others.loop import Card, Control, Tripped
+from plants_of_others.loop import Card, Control, Tripped, package
 from retuner import PidGains
 
 TICK_S = 1.8
@@ -51,20 +51,9 @@ LOOPS = {
 
 
 def load() -> Any:  # noqa: ANN401  a module without types
-    """The package.
-
-    Raises
-    ------
-    SystemExit
-        It is not installed.
-    """
-    try:
-        return importlib.import_module("tep_studio")
-    except ModuleNotFoundError as missing:
-        raise SystemExit(
-            f"Tennessee Eastman needs {missing.name}: "
-            "pip install --no-deps tep-studio; pip install cffi pandas gymnasium"
-        ) from None
+    """The package; SystemExit where it is not installed."""
+    install = "pip install --no-deps tep-studio; pip install cffi pandas gymnasium"
+    return package("tep_studio", "Tennessee Eastman", install)
 
 
 class Eastman:

@@ -4,14 +4,30 @@ A plant calls what stands there with (sp, pv) once an interval and applies what 
 `retuner.PidController` as a user would have it, in mode auto or off; or, for the truth, an output that is stepped.
 """
 
+import importlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 from retuner import Action, Decision, PidController, PidGains, RetunerSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.supervision.decision import Mode
+
+
+def package(module: str, who: str, install: str) -> Any:  # noqa: ANN401  a module without types
+    """A module that brings a plant. who : what needs it. install : the command that brings it.
+
+    Raises
+    ------
+    SystemExit
+        It is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as missing:
+        raise SystemExit(f"{who} needs {missing.name}: {install}") from None
+
 
 Control = Callable[[float, float], float]
 OPENED = 8.0

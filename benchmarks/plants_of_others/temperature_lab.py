@@ -8,7 +8,6 @@ process as 0.9 K/%, 175 s, dead time 15 s, and IMC with tau_c = max(0.1 tau, 0.8
 """
 
 import contextlib
-import importlib
 import io
 import random
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from plants_of_others.loop import Card, Control
+from plants_of_others.loop import Card, Control, package
 from retuner import PidGains
 
 DT_S = 1.0
@@ -38,17 +37,8 @@ def imc() -> PidGains:
 
 
 def load() -> Any:  # noqa: ANN401  a module without types
-    """The package.
-
-    Raises
-    ------
-    SystemExit
-        It is not installed.
-    """
-    try:
-        return importlib.import_module("tclab.tclab")
-    except ModuleNotFoundError:
-        raise SystemExit("the temperature lab needs: pip install tclab") from None
+    """The package; SystemExit where it is not installed."""
+    return package("tclab.tclab", "the temperature lab", "pip install tclab")
 
 
 class TemperatureLab:

@@ -8,14 +8,13 @@ Gains: the package's (25, 0.002 d), and those of the benchmark's book (500, 0.00
 controller adds up no integral; ours stands in its place.
 """
 
-import importlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from plants_of_others.loop import Card, Control
+from plants_of_others.loop import Card, Control, package
 from retuner import PidGains
 
 MINUTE_S, DAY_S = 60.0, 86400.0
@@ -28,20 +27,9 @@ MOVES = {"oxygen": 0.0, "oxygen_stepped": 0.5}
 
 
 def load(part: str) -> Any:  # noqa: ANN401  a module without types
-    """A module of the package.
-
-    Raises
-    ------
-    SystemExit
-        It is not installed.
-    """
-    try:
-        return importlib.import_module(f"bsm2_python.{part}")
-    except ModuleNotFoundError as missing:
-        raise SystemExit(
-            f"the wastewater plant needs {missing.name}: "
-            "pip install --no-deps bsm2-python; pip install control numba tqdm"
-        ) from None
+    """A module of the package; SystemExit where it is not installed."""
+    install = "pip install --no-deps bsm2-python; pip install control numba tqdm"
+    return package(f"bsm2_python.{part}", "the wastewater plant", install)
 
 
 class Wastewater:
