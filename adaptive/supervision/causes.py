@@ -48,6 +48,7 @@ __all__ = [
     "hidden",
     "is_sure",
     "joining",
+    "known_to_swing",
     "not_as_modelled",
     "rested_on",
     "swings_between_limits",
@@ -120,6 +121,7 @@ FEWEST = 20
 def foreign_swing(found: Findings) -> Diagnosis | None:
     """What else than the tuning is behind a swing without a setpoint step, or goes on behind any response.
 
+    A swing that was known to come, by what clear setpoint steps have shown, is the loop's own whatever a tone explains.
     Where something else was found before, it is asked again, of all that the gains in force have shown lately. Each
     response for which it wins counts for it, each that the loop by itself explains counts against it, and as long as
     the former are more it is alive: nothing is learned. Unknown and noise count for neither.
@@ -127,6 +129,9 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     record, settings = found.record, found.settings
     swinging = swings(record.response, settings.swing)
     if found.growth is not None or found.joined or not (swinging or record.foreign):
+        return None
+    if known_to_swing(record, settings):
+        found.foreign = max(record.foreign - 1, 0)
         return None
     young = None if record.foreign else too_few_cycles(record.samples, record.response, settings.swing)
     if young is not None:
@@ -139,6 +144,19 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     if found.foreign and own:
         return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=found.foreign))
     return cause if found.foreign or (swinging and not own) else None
+
+
+def known_to_swing(record: ResponseRecord, settings: RetunerSettings) -> bool:
+    """Whether the loop was known to swing so by itself, at this period, by a model that a clear setpoint step has taught.
+
+    Such a loop is to be made safer whatever else moves it. What loads alone have taught does not count: a tone fits a
+    loop that all but swings.
+    """
+    known = record.region_models.get(record.region)
+    if known is None or not record.excitation.clear or not known.identifiable:
+        return False
+    process = known.log.model().seen_by_controller(settings.sample_time_s)
+    return at_own_crossover(record.response, process, record.in_force, settings.limit_swing)
 
 
 STILL_ALIVE = (
@@ -218,7 +236,7 @@ def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionMo
     """
     record, settings = found.record, found.settings
     swing, seen = settings.swing, (record.samples, record.response)
-    if found.growth is not None and verdict.ruling in TOWARDS_SAFETY:
+    if verdict.ruling in TOWARDS_SAFETY and (found.growth is not None or known_to_swing(record, settings)):
         return True
     if runs_away(*seen, learned.estimate.explained, swing):
         return True
