@@ -116,15 +116,17 @@ def whole_cause(
     gains: PidGains,
     swing: SwingSettings,
     settings: DiagnosisSettings,
+    lasting_s: float | None = None,
 ) -> Diagnosis:
     """The whole diagnosis of what the gains in force have shown lately.
 
-    samples : kept, the newest last. gains : in force. Of a swing most_cycles are looked at, of any other response
-    most_lookback lengths before it.
+    samples : kept, the newest last. gains : in force. lasting_s : period of a swing that goes on through several
+    responses. Of a swing most_cycles are looked at, of any other response most_lookback lengths before it.
     """
     since_s = response.t_start_s - swing.most_lookback * (response.t_end_s - response.t_start_s)
-    if swings(response, swing) and response.period_s is not None:
-        since_s = response.t_end_s - swing.most_cycles * response.period_s
+    period_s = response.period_s if swings(response, swing) else lasting_s
+    if period_s is not None:
+        since_s = response.t_end_s - swing.most_cycles * period_s
     seen = stretch(samples, since_s, swing.same_gains)
     return diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
 

@@ -42,6 +42,7 @@ from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
 from retuner.adaptive.supervision.decision import Basis
@@ -145,16 +146,21 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     the former are more it is alive: nothing is learned. Unknown and noise count for neither.
     """
     record, settings = found.record, found.settings
-    swinging = swings(record.response, settings.swing)
+    period_s = lasting(record.samples, record.response.band, settings.growth)
+    swinging = swings(record.response, settings.swing) or period_s is not None
     if found.growth is not None or found.joined or not (swinging or record.foreign):
         return None
     if known_to_swing(record, settings):
         found.foreign = max(record.foreign - 1, 0)
         return None
-    young = None if record.foreign else too_few_cycles(record.samples, record.response, settings.swing)
+    young = (
+        None
+        if record.foreign or period_s is not None
+        else too_few_cycles(record.samples, record.response, settings.swing)
+    )
     if young is not None:
         return None if _held_up(record, young, settings) else young
-    asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis
+    asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis, period_s
     cause = whole_cause(*asked)
     own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
     found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in RIVALS)

@@ -36,6 +36,7 @@ class Piece(NamedTuple):
 
 PIECES = (
     Piece("growth", f"{SUPERVISION}.pipeline", "grows"),
+    Piece("lasting", f"{SUPERVISION}.causes", "lasting"),
     Piece("young", f"{SUPERVISION}.causes", "too_few_cycles"),
     Piece("swing", f"{SUPERVISION}.pipeline", "foreign_swing"),
     Piece("hidden", f"{SUPERVISION}.causes", "hidden_cause", (None, False)),
