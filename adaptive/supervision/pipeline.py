@@ -219,7 +219,7 @@ def _tuning(record: ResponseRecord, model: RegionModel, settings: RetunerSetting
 
 def without_a_model(found: Findings) -> None:
     """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
-    if found.tuning is not None and found.tuning.ready:
+    if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or _stands_out(found)):
         return
     record, learned = found.record, _learned(found)
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
@@ -246,6 +246,18 @@ def without_a_model(found: Findings) -> None:
         return
     found.proposal = replace(proposed.tuning, gains=stored)
     _small_step(found, proposed, learned, reason)
+
+
+def _stands_out(found: Findings) -> bool:
+    """Whether the response rises out of the noise: a danger of which nothing is seen asks for no relief at once.
+
+    The first peak of a setpoint's response is the step itself, and the noise on top of it is no part of that.
+    """
+    record, response = found.record, found.record.response
+    sizes = [abs(peak.e) for peak in response.peaks]
+    if response.sp_changed:
+        sizes = [abs(record.samples[-1].sp - float(record.window.sp[0])), *sizes[1:]]
+    return max(sizes, default=0.0) >= found.settings.admission.excitation_bands * response.band
 
 
 def _own_fault(found: Findings) -> Diagnosis | None:
