@@ -19,6 +19,8 @@ from retuner.adaptive.signals.sample import FloatArray
 
 GRID = 101
 """Values of co at which phi is worked out; a straight line between."""
+LEAST_TRAVEL = 1e-6
+"""Of co, as a share of its size, below which it has no characteristic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,15 @@ class Characteristic:
         found = [np.interp(inside, grid, summed[:, i]) for i in range(z.shape[1])]
         ends = np.where((co > self.axis.high)[:, None], rate[-1], rate[0])
         return np.asarray(np.stack(found, axis=1) + (co - inside)[:, None] * ends, dtype=np.float64)
+
+
+def over(stretches: Sequence[Stretch], shape: Shape = Shape.BENT) -> Characteristic | None:
+    """Over what co does in the records; None where it stands still."""
+    rates = [np.diff(s.fired(s.t_s)) / np.diff(s.t_s) for s in stretches]
+    low, high = min(float(np.min(r)) for r in rates), max(float(np.max(r)) for r in rates)
+    if not high - low > LEAST_TRAVEL * max(abs(low), abs(high)):
+        return None
+    return Characteristic(Axis(low, high), shape)
 
 
 def summed(characteristic: Characteristic, stretches: Sequence[Stretch], z: FloatArray) -> list[FloatArray]:
