@@ -8,12 +8,13 @@ the response went, less beyond.
 
 Nor does a percent of co act alike everywhere (a valve's curve, burst firing): on the way co is far from where it rests.
 A fit that knows only the place of pv puts that into lags and bends, and Kc of a tank behind an equal-percentage valve
-came out at 0.6 to 3.4 of what is right. So the slope of an installed characteristic is fitted beside
-(schedule_design/characteristic.py); with its prior it costs little where there is none. At a place it counts as it is
-for the co that rests there, by a straight line between both ends of the record.
+came out at 0.6 to 3.4 of what is right. So the slope of an installed characteristic is fitted beside, from what all
+records so far say of it (co_curve.py). At a place it counts as it is for the co that rests there, by a straight line
+between both ends of the record.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,11 +22,12 @@ import numpy as np
 from retuner.adaptive.identification.candidate import MODEL_ERROR
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, proper_covariance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.co_curve import CoCurve, added, before
 from retuner.adaptive.schedule_design.characteristic import Characteristic, over
 from retuner.adaptive.schedule_design.curves import inflation
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, noise_of, refined
 from retuner.adaptive.schedule_design.rest import Rest
-from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.schedule_design.shapes import SLOPE_STD, Axis, Shape
 from retuner.adaptive.schedule_design.stretches import Stretch, signals_of
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -63,11 +65,23 @@ class InMotion:
         if self.form.felt is not None:
             rows[0, self.form.felt_place] = self.form.felt.columns(self.rest.co(np.array([place])))[0]
         ln = np.array(self.form.centre) + rows @ self.z
+        if self.form.felt is not None:
+            ln[0] += self.form.felt.known(self.rest.co(np.array([place])))[0]
         slopes = np.stack(
             [(_log_of(ln + step) - _log_of(ln - step)) / (2 * STEP) for step in STEP * np.eye(len(ln))], 1
         )
         p = slopes @ rows @ self.covariance @ rows.T @ slopes.T
         return LogModel(_log_of(ln), proper_covariance(p), self.form.sign, self.type)
+
+    @property
+    def co_curve(self) -> CoCurve | None:
+        """What this record adds to what was known of co's curve; None where that is nothing."""
+        felt, i = self.form.felt, self.form.felt_place.start
+        if felt is None:
+            return None
+        unit = felt.doubt * 2 * SLOPE_STD / (felt.axis.high - felt.axis.low)
+        now = CoCurve(felt.slope + unit * float(self.z[i]), unit * math.sqrt(float(self.covariance[i, i])))
+        return added(CoCurve(felt.slope, unit), now)
 
 
 STEP = 1e-4
@@ -82,13 +96,15 @@ def _log_of(ln: FloatArray) -> FloatArray:
     return np.log([b * lags[0] / total, theta, total, lags[0] * lags[1] / total])
 
 
-def in_motion(window: Window, x: FloatArray, axis: Axis, alone: ModelEstimate) -> tuple[InMotion, ...]:
+def in_motion(
+    window: Window, x: FloatArray, axis: Axis, alone: ModelEstimate, curves: Sequence[CoCurve] = ()
+) -> tuple[InMotion, ...]:
     """The curves, one or two lags, the more likely first; none where the linear models have no lag.
 
     Parameters
     ----------
     window : the record. x : where the process is at its samples, shape (n,). axis : of the table. alone : the linear
-        models of the record, from which it starts.
+        models of the record, from which it starts. curves : what other records say of co's curve.
     """
     every = -(-len(window.t_s) // MOST_ROWS)
     stretch = Stretch(signals_of(window, x, every), 0, -(-len(window.t_s) // every), changed=True)
@@ -97,12 +113,22 @@ def in_motion(window: Window, x: FloatArray, axis: Axis, alone: ModelEstimate) -
     lagged = next((a.log.model() for a in alone.alternatives if a.log.type in _STARTS), None)
     if lagged is None:
         return ()
-    found = []
+    found, felt = [], _felt(stretch, curves)
     for loads in sorted({joint.loads[0], _rows(stretch, alone)}, key=len):
-        one = _fitted(replace(joint, loads=(loads,)), _of_one_lag(axis, lagged, over([stretch], Shape.LINE)))
+        one = _fitted(replace(joint, loads=(loads,)), _of_one_lag(axis, lagged, felt))
         found += [one, _fitted(replace(joint, loads=(loads,)), *_with_second_lag(one))]
     best = [min((f for f in found if f.type is t), key=lambda f: f.evidence) for t in _STARTS]
     return tuple(sorted(best, key=lambda one: one.evidence + len(one.form.shapes) * math.log(len(stretch))))
+
+
+def _felt(stretch: Stretch, curves: Sequence[CoCurve]) -> Characteristic | None:
+    """How co acts, as it is known before this record; None where co stands still."""
+    found = over([stretch], Shape.LINE)
+    if found is None:
+        return None
+    travel = found.axis.high - found.axis.low
+    known = before(curves, travel)
+    return replace(found, slope=known.slope, doubt=known.std * travel / (2 * SLOPE_STD))
 
 
 def _rows(stretch: Stretch, alone: ModelEstimate) -> tuple[int, ...]:

@@ -25,10 +25,15 @@ LEAST_TRAVEL = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Characteristic:
-    """Over axis, the range of co in the records. shape : LINE or BENT; CONSTANT is co as it is."""
+    """Over axis, the range of co in the records. shape : LINE or BENT; CONSTANT is co as it is.
+
+    slope : of ln phi' per unit of co, as it is known beforehand. doubt : of its coefficients, 1 where nothing is.
+    """
 
     axis: Axis
     shape: Shape = Shape.CONSTANT
+    slope: float = 0.0
+    doubt: float = 1.0
 
     @property
     def size(self) -> int:
@@ -37,12 +42,17 @@ class Characteristic:
 
     def columns(self, co: FloatArray) -> FloatArray:
         """d ln phi'/dz at co, shape (*co.shape, size)."""
-        return self.axis.columns(co, self.shape)[..., 1:]
+        return self.doubt * self.axis.columns(co, self.shape)[..., 1:]
+
+    def known(self, co: FloatArray) -> FloatArray:
+        """ln phi' as it is known beforehand, shape (*co.shape); 0 in the middle of the axis."""
+        inside = np.clip(co, self.axis.low, self.axis.high)
+        return np.asarray(self.slope * (inside - (self.axis.low + self.axis.high) / 2), dtype=np.float64)
 
     def felt(self, co: FloatArray, z: FloatArray) -> FloatArray:
         """phi(co) for each variant of z, shape (size, variants): (n, variants). Beyond the axis its slope stays."""
         grid = self.axis.grid(GRID)
-        rate = np.exp(self.columns(grid) @ z)
+        rate = np.exp(self.known(grid)[:, None] + self.columns(grid) @ z)
         width = (self.axis.high - self.axis.low) / (GRID - 1)
         summed = np.concatenate([np.zeros((1, z.shape[1])), np.cumsum((rate[1:] + rate[:-1]) / 2 * width, axis=0)])
         inside = np.clip(co, self.axis.low, self.axis.high)

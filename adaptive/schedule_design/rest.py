@@ -39,7 +39,6 @@ class Rest:
         left = co - np.polyval(coefficients, (x - middle) / half)
         return cls(tuple(coefficients.tolist()), middle, half, float(np.median(np.abs(left))) * 1.5)
 
-
     @classmethod
     def on_the_way(cls, stretch: Stretch) -> "Rest":
         """Of one stretch: a straight line from where it begins to where it ends."""
