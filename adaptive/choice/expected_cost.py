@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 
 from retuner.adaptive.choice.settings import ChoiceSettings
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.trial.batch_responses import Loop, Upset
@@ -282,4 +282,6 @@ def _too_little(numbers: ChoiceNumbers) -> str:
 
 def _ms(ms: float) -> str:
     """An Ms, or that the loop is unstable."""
+    if ms > EDGE:
+        return f"over {EDGE:g}"
     return f"{ms:.2f}" if ms >= 0 else "unstable"

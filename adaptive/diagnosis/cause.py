@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from retuner.adaptive.loop.margins import Margins, margins
+from retuner.adaptive.loop.margins import EDGE, Margins, margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.schedule.gains import PidGains
 
@@ -161,7 +161,9 @@ def tuning_cause(
 
 
 def over_words(ms: float, limit: float) -> str:
-    """That Ms is over its limit, with as many digits as it takes to see it."""
+    """That Ms is over its limit, with as many digits as it takes to see it; of a very large one, what it means."""
+    if ms > EDGE:
+        return f"the loop is at the edge of instability, Ms over {EDGE:g}"
     digits = next((digits for digits in (2, 3) if round(ms, digits) > limit), 4)
     return f"Ms {ms:.{digits}f} is over {limit:g}"
 

@@ -46,8 +46,9 @@ from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import unproved_request
+from retuner.adaptive.supervision.guard_request import tuning_of, unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.batch_responses import Loop
 from retuner.adaptive.trial.phase import TrialPhase
@@ -58,6 +59,7 @@ from retuner.schedule.table import Lookup
 
 __all__ = [
     "FOREIGN",
+    "NOT_CONFIRMED",
     "SWINGING",
     "TOWARDS_SAFETY",
     "clear_case",
@@ -67,10 +69,12 @@ __all__ = [
     "hidden",
     "is_sure",
     "joining",
+    "known_of_swing",
     "known_to_swing",
     "not_as_modelled",
     "rested_on",
     "swings_between_limits",
+    "wanted_of",
     "wrong_way",
 ]
 
@@ -183,9 +187,33 @@ def known_to_swing(record: ResponseRecord, settings: RetunerSettings) -> bool:
     return at_own_crossover(record.response, process, record.in_force, settings.limit_swing)
 
 
+def known_of_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
+    """What was known, of a loop that swings as was known that it would, by itself or between the output's limits; else
+    None.
+
+    Such a swing shows one frequency, between limits through a nonlinearity. Taken in record by record, it led away from
+    a process that its setpoint steps had shown well.
+    """
+    before = record.region_models.get(record.region)
+    if before is None or not before.identifiable:
+        return None
+    lasting = swings(record.response, settings.swing) and known_to_swing(record, settings)
+    if not (lasting or swings_between_limits(record, settings)):
+        return None
+    return before if wanted_of(record, before, settings).diagnosis.cause in SWINGING else None
+
+
+def wanted_of(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
+    """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
+    now_s, models = float(record.window.t_s[-1]), {**record.region_models, record.region: model}
+    return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
+
+
+NOT_CONFIRMED = "{wanted}; not confirmed: {doubt}"
+"""The reason where a change is due by the model of the region, and the record alone does not name the tuning."""
 STILL_ALIVE = (
-    "this response is the loop's own, but something else than the tuning was behind more of those under these gains; "
-    "such responses needed before it counts: {more}"
+    "this response by itself is the loop's own. Something else was behind more of those under these gains: {more} more "
+    "like this one are needed"
 )
 """The reason where one response alone would be the loop's own."""
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from retuner.adaptive.choice.expected_cost import Choice, LoopSettings, Seen, choose, outlooks
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.oscillation_online import swings
 from retuner.adaptive.guard import GuardSettings, Verdict, prove
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
@@ -24,6 +23,7 @@ from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.causes import (
     FOREIGN,
+    NOT_CONFIRMED,
     SWINGING,
     clear_case,
     cut_refuted,
@@ -32,10 +32,10 @@ from retuner.adaptive.supervision.causes import (
     hidden,
     is_sure,
     joining,
-    known_to_swing,
+    known_of_swing,
     not_as_modelled,
     rested_on,
-    swings_between_limits,
+    wanted_of,
     wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
@@ -46,7 +46,6 @@ from retuner.adaptive.supervision.guard_request import (
     posterior_of,
     promise_of,
     request_of,
-    tuning_of,
     unproved_request,
 )
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
@@ -182,7 +181,7 @@ def region_model(found: Findings) -> None:
     found.excitation_now = record.excitation.with_response(record.response)
     if learned.region_model is None:
         return
-    swinging = None if record.crossed else _known_of_swing(record, settings)
+    swinging = None if record.crossed else known_of_swing(record, settings)
     found.in_use = found.region_model = swinging or learned.region_model
     found.rested_on = record.excitation if swinging else rested_on(record, learned.agreement)
     found.clear = clear_case(found, learned)
@@ -192,29 +191,7 @@ def region_model(found: Findings) -> None:
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now
-    found.tuning = _tuning(record, found.in_use, settings)
-
-
-def _known_of_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
-    """What was known, of a loop that swings as was known that it would, by itself or between the output's limits; else
-    None.
-
-    Such a swing shows one frequency, between limits through a nonlinearity. Taken in record by record, it led away from
-    a process that its setpoint steps had shown well.
-    """
-    before = record.region_models.get(record.region)
-    if before is None or not before.identifiable:
-        return None
-    lasting = swings(record.response, settings.swing) and known_to_swing(record, settings)
-    if not (lasting or swings_between_limits(record, settings)):
-        return None
-    return before if _tuning(record, before, settings).diagnosis.cause in SWINGING else None
-
-
-def _tuning(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
-    """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
-    now_s, models = float(record.window.t_s[-1]), {**record.region_models, record.region: model}
-    return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
+    found.tuning = wanted_of(record, found.in_use, settings)
 
 
 def without_a_model(found: Findings) -> None:
@@ -414,7 +391,8 @@ def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
         found.region_model = None
         if _learned(found).agreement in ANEW:  # what was known before stays, and what that rested on
             found.excitation = found.record.excitation.with_response(found.record.response)
-    found.doubted(doubt)
+    wanted = found.diagnosis.reason if found.diagnosis is not None else ""
+    found.doubted(replace(doubt, reason=NOT_CONFIRMED.format(wanted=wanted, doubt=doubt.reason)))
 
 
 def _was_known(found: Findings) -> bool:
@@ -424,7 +402,7 @@ def _was_known(found: Findings) -> bool:
     before = found.record.region_models.get(found.record.region)
     if before is None or not found.rested_on.clear or _learned(found).agreement != Agreement.AGREES:
         return False
-    wanted = _tuning(found.record, before, found.settings)
+    wanted = wanted_of(found.record, before, found.settings)
     if not before.identifiable or not wanted.diagnosis.retune:
         return False
     verdict = _proved(found, before, wanted)
