@@ -9,6 +9,8 @@ open, after; and a change that follows from a case that is not clear, before the
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import hidden_cause, stretch, swings, too_few_cycles, whole_cause
 from retuner.adaptive.diagnosis.second_opinion import (
@@ -30,18 +32,22 @@ from retuner.adaptive.diagnosis.swing_checks import (
 )
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.guard import Verdict
+from retuner.adaptive.region_model.averages import update_by_averages
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
+from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, Averaged, ToAndFro, averaged, joined, to_and_fro
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.batch_responses import Loop
+from retuner.schedule.table import Lookup
 
 __all__ = [
     "FOREIGN",
     "SWINGING",
     "TOWARDS_SAFETY",
+    "beside_averages",
+    "by_averages",
     "clear_case",
     "doubt_of",
     "foreign_swing",
@@ -94,9 +100,47 @@ def joining(found: Findings) -> None:
         found.stop(PART, "the setpoint steps to and fro show nothing together: the output stood at a limit, or no step")
         return
     found.joined = WHOLE_STEPS
+    found.averaged = _averaged(found, steps)
     found.question = replace(
         found.question, record=replace(record, response=one.response, window=one.window, samples=tuple(one.samples))
     )
+
+
+def _averaged(found: Findings, steps: ToAndFro) -> Averaged | None:
+    """What is kept of the steps, where what is known of the region rests on such steps or on loads alone."""
+    record, settings = found.record, found.settings
+    known = record.region_models.get(record.region)
+    apart = known is not None and known.identifiable and record.excitation.setpoints and not known.averages
+    if apart or record.crossed or record.table.lookup is Lookup.INTERPOLATED:
+        return None
+    return averaged(record.samples, steps, record.in_force, (settings.setpoint_weight, settings.filter_s))
+
+
+def by_averages(found: Findings) -> Learned | None:
+    """What setpoint steps to and fro teach by what is known of the setpoint alone; None for anything else."""
+    if found.averaged is None:
+        return None
+    record, settings = found.record, found.settings
+    known = record.region_models.get(record.region)
+    averages = (*(known.averages if known is not None else ()), found.averaged)
+    law, sign = (settings.setpoint_weight, settings.filter_s), record.in_force.direction
+    return update_by_averages(known, averages, sign, settings.tracker, settings.fit, law, record.at)
+
+
+def beside_averages(found: Findings, learned: Learned) -> Learned:
+    """What is learned, where what is known rests on averages of steps to and fro: no load may add to these, and no
+    small step by itself.
+
+    They are made where loads never rest, and one response shows such a load as much as its process.
+    """
+    before = found.record.region_models.get(found.record.region)
+    if before is None or not before.averages or found.averaged is not None:
+        return learned
+    moved = float(np.ptp(found.record.window.sp))
+    if not found.record.response.sp_changed or moved <= SMALL_STEP * found.settings.pv_span:
+        return replace(learned, region_model=before, agreement=Agreement.SILENT)
+    now = learned.region_model
+    return learned if now is None else replace(learned, region_model=replace(now, averages=before.averages))
 
 
 def wrong_way(found: Findings) -> Diagnosis | None:
@@ -178,6 +222,8 @@ def clear_case(found: Findings, learned: Learned) -> bool:
     One that crossed a border is where it is a setpoint step that the process in motion explains by itself.
     """
     record, loads = found.record, len(learned.estimate.load_times_s)
+    if found.averaged is not None:
+        return learned.estimate.identifiable
     if record.crossed:
         return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
     return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
@@ -186,7 +232,7 @@ def clear_case(found: Findings, learned: Learned) -> bool:
 def not_as_modelled(found: Findings) -> Diagnosis | None:
     """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
     record, cause, settings = found.record, found.diagnosis, found.settings
-    if record.pattern is None:
+    if record.pattern is None or (found.averaged is not None and not record.response.peaks):
         return None
     allowed = found.verdict.allowed if found.verdict else ()
     if cause is None or cause.cause not in SWINGING or not allowed or _swings_wider(record, settings):

@@ -24,6 +24,8 @@ from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.causes import (
     FOREIGN,
     SWINGING,
+    beside_averages,
+    by_averages,
     clear_case,
     doubt_of,
     foreign_swing,
@@ -110,11 +112,11 @@ def identification(found: Findings) -> None:
     record, settings = found.record, found.settings
     try:
         known = _known(found) or _from_neighbours(record, settings)
-        learned = _across(found, known) if record.crossed else _inside(found, known)
+        learned = by_averages(found) or (_across(found, known) if record.crossed else _inside(found, known))
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
-    found.learned = learned
+    found.learned = learned = beside_averages(found, learned)
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
 
 
@@ -213,6 +215,9 @@ def without_a_model(found: Findings) -> None:
     if found.tuning is not None and found.tuning.ready:
         return
     record, learned = found.record, _learned(found)
+    if found.averaged is not None:
+        found.stop(NOT_KNOWN, learned.estimate.reason)
+        return
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
     if record.pattern is None:
         came = "crossed a boundary" if record.crossed else "began under other gains"
@@ -464,8 +469,8 @@ class Stage(NamedTuple):
 
 
 STAGES = (
-    Stage("action", action),
     Stage("joining", joining),
+    Stage("action", action),
     Stage("admission", admission),
     Stage("swing", swing),
     Stage("identification", identification),
