@@ -272,6 +272,11 @@ class Averaged:
         return mean / len(self.signs)
 
     @property
+    def wander(self) -> float:
+        """Standard deviation of pv by loads and noise alone, pv units."""
+        return math.sqrt(self.scatter[0])
+
+    @property
     def reach(self) -> int:
         """Samples from the first step to the end."""
         return len(self.signs) * self.apart + len(self.pv)

@@ -235,8 +235,10 @@ STILL_ALIVE = (
 
 
 def hidden(found: Findings) -> Diagnosis | None:
-    """What hides under a response that its own model leaves open."""
+    """What hides under a response that its own model leaves open; of averaged steps their scatter has told."""
     record, settings = found.record, found.settings
+    if found.averaged is not None:
+        return None
     if found.growth is not None or found.unexplained <= settings.swing.unexplained:
         return None
     asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis

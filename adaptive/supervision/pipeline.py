@@ -47,7 +47,7 @@ from retuner.adaptive.supervision.guard_request import (
     choosable,
     may_follow,
     posterior_of,
-    promise_of,
+    promised,
     request_of,
     tuning_of,
     unproved_request,
@@ -326,10 +326,8 @@ def worth(found: Findings) -> None:
         found.verdict = found.basis = None
         found.stop(ONE_RECORD if choice.waits else NOT_WORTH, choice.reason)
         return
-    record, found.verdict, found.expected = found.record, verdict, choice.reason
-    found.promise = promise_of(
-        verdict, record.table, record.region, record.at, record.pattern, found.settings, record.samples
-    )
+    found.verdict, found.expected = verdict, choice.reason
+    found.promise = promised(found, verdict)
 
 
 ONE_RECORD = "one_record"
@@ -433,16 +431,14 @@ def _was_known(found: Findings) -> bool:
 
 def expectation(found: Findings) -> None:
     """What the proved gains promise, where they may be written at all."""
-    record, verdict, settings = found.record, found.verdict, found.settings
+    verdict = found.verdict
     if (
         found.promise is None
         and verdict is not None
         and verdict.accepted
-        and may_follow(found.question.trial, settings)
+        and may_follow(found.question.trial, found.settings)
     ):
-        found.promise = promise_of(
-            verdict, record.table, record.region, record.at, record.pattern, settings, record.samples
-        )
+        found.promise = promised(found, verdict)
 
 
 def check_after_trial(found: Findings) -> None:

@@ -148,3 +148,13 @@ def test_no_more_are_kept_than_a_process_lasts(monkeypatch: pytest.MonkeyPatch) 
     assert found is not None
     assert found.region_model is not None
     assert len(found.region_model.averages) == 2
+
+
+def test_what_loads_do_by_themselves_is_told_of_the_stretches_of_one_set_of_gains() -> None:
+    """A trial counts it as noise: without it the next upset of the load passed for a loop that runs away."""
+    calm, full = (sequences(1, walk)[0].wander for walk in (0.01, WALK))
+    assert full > 5 * calm
+    bench = made(GOOD, seed=1)
+    loads = WALK * np.cumsum(np.random.default_rng(1).standard_normal(2000))
+    error = [sample.pv for load in loads for sample in bench.samples(1, 0.0, float(load), 10.0)]
+    assert full == pytest.approx(float(np.std(error)), rel=0.6)

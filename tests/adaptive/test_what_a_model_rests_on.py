@@ -19,7 +19,7 @@ from retuner.schedule.table import Lookup
 
 SETTINGS = RetunerSettings(1.0, 100.0)
 BEFORE = Excitation(setpoints=0, loads=3, clear=0, alternative=1)
-NEW: Any = SimpleNamespace(log=None, reason="", records=2)
+NEW: Any = SimpleNamespace(log=None, reason="", records=2, identifiable=True)
 """A region model that the record has led to."""
 
 
@@ -36,7 +36,7 @@ def weighed(
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "clear_case": lambda *_: clear,
-        "promise_of": lambda *_: None,
+        "promised": lambda *_: None,
         "tuning_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
         "_proved": lambda *_: verdict,
         "_chosen": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),
