@@ -17,6 +17,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
@@ -115,15 +116,17 @@ def whole_cause(
     gains: PidGains,
     swing: SwingSettings,
     settings: DiagnosisSettings,
+    lasting_s: float | None = None,
 ) -> Diagnosis:
     """The whole diagnosis of what the gains in force have shown lately.
 
-    samples : kept, the newest last. gains : in force. Of a swing most_cycles are looked at, of any other response
-    most_lookback lengths before it.
+    samples : kept, the newest last. gains : in force. lasting_s : period of a swing that goes on through several
+    responses. Of a swing most_cycles are looked at, of any other response most_lookback lengths before it.
     """
     since_s = response.t_start_s - swing.most_lookback * (response.t_end_s - response.t_start_s)
-    if swings(response, swing) and response.period_s is not None:
-        since_s = response.t_end_s - swing.most_cycles * response.period_s
+    period_s = response.period_s if swings(response, swing) else lasting_s
+    if period_s is not None:
+        since_s = response.t_end_s - swing.most_cycles * period_s
     seen = stretch(samples, since_s, swing.same_gains)
     return diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
 
@@ -146,6 +149,29 @@ def hidden_cause(
     if verdict is not None and verdict.cause == Cause.EXTERNAL and not seen.oscillates:
         return replace(verdict, reason=RANDOM.format(**verdict.evidence)), False
     return verdict, verdict is not None and verdict.cause != Cause.UNKNOWN
+
+
+def through_a_change(samples: Sequence[LoopSample], gains: PidGains, settings: DiagnosisSettings) -> float | None:
+    """Period, s, of a tone from outside that goes on through the last change of gains; None where none is shown.
+
+    Of a loop's own swing pv over co is the process at one frequency, whatever gains ran. Of a tone it is -1/C there,
+    another number under each set. So what one swing cannot tell, two sets do: the record of both is put to its rivals.
+    """
+    if samples[0].revision == samples[-1].revision:
+        return None
+    changed_s = next(s.t_s for s in samples if s.revision == samples[-1].revision)
+    window = Window.of(list(samples))
+    found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
+    verdict = against_rivals(found[0], screen(window, gains), settings, len(setpoint_changes(window))).verdict
+    if verdict is None or verdict.cause is not Cause.EXTERNAL:
+        return None
+    period_s = verdict.evidence["external_period_s"]
+    shorter_s = min(changed_s - samples[0].t_s, samples[-1].t_s - changed_s)
+    return period_s if shorter_s >= ON_EACH_SIDE * period_s else None
+
+
+ON_EACH_SIDE = 2.0
+"""Periods of a tone that both sets of gains must have seen."""
 
 
 RANDOM = (

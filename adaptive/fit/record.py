@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from retuner.adaptive.fit.dynamics import Clock
+from retuner.adaptive.fit.rests import RestRatio, rest_ratios
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import noise_sigma, quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -34,6 +35,7 @@ class Record:
     gaps_s : instants at which a gap in time ends. motion_at_start : how much pv moves at once when the record begins,
         as a share of its range: 0 from rest. The co of the time before the record will have moved as much, and no more.
     barred_s : setpoint changes at which no load step is to stand (coincident_loads.py), from zero.
+    rests : co over pv from rest to rest (rests.py).
     """
 
     pv: FloatArray
@@ -48,11 +50,12 @@ class Record:
     gaps_s: tuple[float, ...]
     motion_at_start: float
     barred_s: tuple[float, ...] = ()
+    rests: tuple[RestRatio, ...] = ()
 
     @classmethod
     def of(cls, window: Window, most_samples: int | None = None) -> "Record":
         """Prepare a window, condensed to most_samples."""
-        hidden = hidden_sigma(window.pv)
+        hidden, rests = hidden_sigma(window.pv), rest_ratios(window)
         window = window if most_samples is None else window.condensed(most_samples)
         t = window.t_s - window.t_s[0]  # seconds since 1970 leave too few digits for derivatives by the dead time
         pv_range = float(np.ptp(window.pv))
@@ -71,6 +74,7 @@ class Record:
             float(np.ptp(window.co)),
             _gaps(t, dt),
             _motion(window.pv, noise),
+            rests=rests,
         )
 
     @property

@@ -238,7 +238,7 @@ def _door(case: _Case) -> tuple[Ruling, Numbers] | None:
     ratios = [a / b for a, b in ((wanted.gains.kp, wanted.gains.ki), (wanted.gains.kd, wanted.gains.kp)) if a and b]
     if not all(0 < ratio < math.inf for ratio in ratios) or not math.isfinite(wanted.tau_c_s or 0.0):
         return Ruling.NOT_FINITE, WantedNumbers(wanted.gains.kp)
-    if not request.models and request.evidence.support != Support.PATTERN:
+    if not request.models and request.evidence.support is Support.MODEL:
         return Ruling.NO_MODEL, NO_NUMBERS
     return None
 
@@ -417,17 +417,19 @@ def _unproved(case: _Case, goal: Goal) -> Verdict:
     """A small step where no model can prove one, the pattern's; the whole one where an oscillation asks for less."""
     request, s = case.request, case.settings
     way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
-    limit = math.inf if way_out else s.pattern_step_max
+    ran = request.evidence.support is Support.RAN
+    limit = math.inf if way_out or ran else s.pattern_step_max
     wanted = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
     gains = request.held(wanted)
     if gains is None:
         return _refused(case, *_outside(case), goal.notes)
-    numbers = FactorNumbers(change_factor(request.in_force, gains), None if way_out else limit)
+    numbers = FactorNumbers(change_factor(request.in_force, gains), limit if math.isfinite(limit) else None)
     checks = tuple(limit_checks(request, gains, s, factor=limit))
     case.outside = next((check for check in checks if not check.passed), None)
     if case.outside is not None:
         return _refused(case, *_outside(case), goal.notes)
-    step, ruling = _share(request.in_force, gains, goal), UNPROVED[way_out]
+    step = _share(request.in_force, gains, goal)
+    ruling = Ruling.UNPROVED_BACK if ran else UNPROVED[way_out]
     return Verdict(
         ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks, goal.notes, (), way_out
     )

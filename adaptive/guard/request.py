@@ -18,6 +18,7 @@ class Support(StrEnum):
 
     MODEL = "model"
     PATTERN = "pattern"
+    RAN = "ran before"
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +26,8 @@ class Evidence:
     """How much stands behind the models.
 
     records : behind the region's model. age_s : of the last one. innovation, gate : how far the last record lay from
-    what was known, and the limit. borrowed : the model comes from a neighbouring region. support : model or pattern.
-    settled : whether settings may follow from what is known of the process.
+    what was known, and the limit. borrowed : the model comes from a neighbouring region. support : model,
+    pattern, or that the set ran before. settled : whether settings may follow from what is known of the process.
 
     Raises
     ------

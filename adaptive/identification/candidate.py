@@ -32,13 +32,20 @@ class Candidate:
 
 
 def judged(fit: Fit, prior: Prior | None = None) -> Candidate:
-    """What a fit leaves, and its criterion; a prior's share of the misfit belongs to it."""
+    """What a fit leaves, and its criterion: the share of a prior belongs to it, and what rests say (rests.py)."""
     record = fit.misfit.record
     left = colour(record.pv - fit.explained, record.resolution, fit.misfit.most_order)
     known = 0.0 if prior is None else float(np.sum(prior.residuals(fit.x) ** 2))
     price = BARRED * loads_at(fit, record.barred_s) if record.barred_s else 0.0
     weighed = criterion(left, len(record.pv), fit.misfit.unknowns, MODEL_ERROR * record.pv_range)
-    return Candidate(fit, left, weighed + known + price)
+    return Candidate(fit, left, weighed + known + price + _at_rest(fit))
+
+
+def _at_rest(fit: Fit) -> float:
+    """What the rests before and after setpoint changes say against a fit; of a valve's output they say nothing."""
+    misfit = fit.misfit
+    rests = misfit.record.rests if misfit.co is None else ()
+    return sum((rest.cost(misfit.type, fit.x, misfit.sign) for rest in rests), 0.0)
 
 
 def loads_at(fit: Fit, changes_s: tuple[float, ...]) -> int:

@@ -1,7 +1,7 @@
 """What a fit knows of the process: log-parameters with their covariance, and the model they stand for."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +18,6 @@ SMALLEST_VARIANCE = 1e-12
 STRUCTURE_STD = 0.05
 """Of every logarithm, however long the record: a process has more lags than two, a gain that is not the same everywhere
 and tomorrow. Counted on drawn records of processes in the family and beyond it (benchmarks/identification.py)."""
-LOG_STEP = 1e-4
-"""Step of the numerical derivatives by a log-parameter."""
 
 
 def proper_covariance(p: FloatArray) -> FloatArray:
@@ -72,13 +70,25 @@ class LogModel:
         Those of the record's noise, and what a structure of few numbers leaves out of a process; see STRUCTURE_STD.
         """
         at = _numbers(self.model())
-        slopes = {name: np.zeros(len(self.x)) for name in at}
-        for j in range(len(self.x)):
-            up, down = (_numbers(model_at(self.type, self._moved(j, h), self.sign)) for h in (LOG_STEP, -LOG_STEP))
-            for name in at:
-                slopes[name][j] = (up[name] - down[name]) / (2 * LOG_STEP)
         p = self.p + STRUCTURE_STD**2 * np.eye(len(self.x))
-        return {name: math.sqrt(float(g @ p @ g)) for name, g in slopes.items()}
+        logs = self.covariance_of(lambda model: np.log([abs(v) for v in _numbers(model).values()]), p)
+        return {name: abs(v) * math.sqrt(float(logs[i, i])) for i, (name, v) in enumerate(at.items())}
+
+    def covariance_of(self, f: Callable[[ProcessModel], FloatArray], p: FloatArray | None = None) -> FloatArray:
+        """Covariance of something that follows from the model, shape (n, n).
+
+        Taken one standard deviation either way along every axis of p (the covariance itself where none is given). A
+        derivative would be infinite where two lags are equal, however well both are known.
+        """
+        values, vectors = np.linalg.eigh(self.p if p is None else p)
+        at = f(self.model())
+        found = np.zeros((len(at), len(at)))
+        for value, vector in zip(values, vectors.T, strict=True):
+            step = math.sqrt(max(float(value), 0.0)) * vector
+            for way in (step, -step):
+                apart = f(model_at(self.type, self.x + way, self.sign)) - at
+                found += np.outer(apart, apart) / 2
+        return found
 
     def gain_uncertainty(self, sample_time_s: float = 0.0) -> float:
         """Standard deviation of ln |C(jw)|: of the SIMC controller that follows, at w = 1/theta where its loop lives.
@@ -87,22 +97,12 @@ class LogModel:
         sample_time_s : of the controller; without the dead time that it adds, one near zero is never known.
         """
         at = without_second_lag(self.model()).seen_by_controller(sample_time_s).theta_s
-        slope = np.zeros(len(self.x))
-        for j in range(len(self.x)):
-            moved = (model_at(self.type, self._moved(j, h), self.sign) for h in (LOG_STEP, -LOG_STEP))
-            up, down = (log_controller(model, sample_time_s, at) for model in moved)
-            slope[j] = (up - down) / (2 * LOG_STEP)
-        return math.sqrt(max(float(slope @ self.p @ slope), 0.0))
+        found = self.covariance_of(lambda model: np.array([log_controller(model, sample_time_s, at)]))
+        return math.sqrt(float(found[0, 0]))
 
     def lag_uncertainty(self) -> float:
         """Standard deviation of the logarithm of the (sum of the) lags; infinite for an integrating process."""
         return math.sqrt(float(self.p[LAG[self.type], LAG[self.type]])) if self.type in LAG else math.inf
-
-    def _moved(self, j: int, h: float) -> FloatArray:
-        """x with one component moved."""
-        x = self.x.copy()
-        x[j] += h
-        return x
 
 
 def _numbers(model: ProcessModel) -> dict[str, float]:

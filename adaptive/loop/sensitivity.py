@@ -26,6 +26,8 @@ MOST_NEWTON_CROSSOVER = 40
 CLOSE = 2e-4
 """Newton step in ln w after which the value is right to its square, 4e-8, and with the correction to 1e-10."""
 MOST_NEWTON = 12
+BEYOND = 100.0
+"""A longer step leaves any bracket: where |S| is all but flat, its exponential would be no number."""
 WORTH = 1.2
 """Local minima of |1 + L| on the march up to this factor above the least one are refined too."""
 MOST_STEPS = 200
@@ -205,7 +207,7 @@ def _refined(loop: OpenLoop, w: float, found: float) -> float:
         if -CLOSE < step < CLOSE:
             best = min(best, square - first * step)
             break
-        w = min(high, max(low, w * math.exp(-step)))
+        w = min(high, max(low, w * math.exp(max(-BEYOND, min(BEYOND, -step)))))
     return 1 / math.sqrt(best)
 
 

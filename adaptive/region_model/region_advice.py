@@ -26,8 +26,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from retuner.adaptive.fit.structure import model_at
-from retuner.adaptive.identification.estimate import LOG_STEP, LogModel, proper_covariance
+from retuner.adaptive.identification.estimate import LogModel, proper_covariance
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
@@ -39,8 +39,8 @@ from retuner.schedule.regions import Regions
 #
 # Models of different structures cannot be compared by their parameters; the settings that follow from them can, and
 # they are what a gain table is about. SIMC (Skogestad 2003, section 4) with tau_c = theta gives both; half a sampling
-# interval is added to the delay, as everywhere on line. The covariance is that of the log-parameters, taken across by
-# the derivatives (first order, central differences).
+# interval is added to the delay, as everywhere on line. The covariance is that of the log-parameters, taken across one
+# standard deviation either way.
 
 
 SIZE = 2
@@ -56,18 +56,12 @@ class Features:
 
 def features(log: LogModel, sample_time_s: float) -> Features:
     """The two numbers of an estimate. sample_time_s : the controller's sampling interval."""
-    jacobian = np.zeros((SIZE, len(log.x)))
-    for j in range(len(log.x)):
-        step = np.zeros(len(log.x))
-        step[j] = LOG_STEP
-        up, down = (_settings_by(log, log.x + way * step, sample_time_s) for way in (1.0, -1.0))
-        jacobian[:, j] = (up - down) / (2 * LOG_STEP)
-    return Features(_settings_by(log, log.x, sample_time_s), proper_covariance(jacobian @ log.p @ jacobian.T))
+    found = log.covariance_of(lambda model: _settings_by(model, sample_time_s))
+    return Features(_settings_by(log.model(), sample_time_s), proper_covariance(found))
 
 
-def _settings_by(log: LogModel, x: FloatArray, sample_time_s: float) -> FloatArray:
-    """(ln |Kc|, ln tau_I) at a point; the gain is that of the ideal form, kp."""
-    found = model_at(log.type, x, log.sign)
+def _settings_by(found: ProcessModel, sample_time_s: float) -> FloatArray:
+    """(ln |Kc|, ln tau_I) of a model; the gain is that of the ideal form, kp."""
     model = without_second_lag(found.seen_by_controller(sample_time_s))
     ideal = to_ideal(simc(model, model.theta_s).gains)
     assert ideal.tau_i_s is not None

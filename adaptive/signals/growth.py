@@ -3,6 +3,7 @@
     grows       half waves of the control error whose heights rise by the same factor each, e^(sigma t): an unstable
                 loop. A tone from outside has a height of its own; one that sets in near the loop's resonance rises
                 towards it, by less at every half wave; a valve that sticks has its band
+    goes on     as many even half waves, of like heights, with no rest between: whatever single responses it is cut into
     at limits   the output goes from limit to limit: an unstable loop is held up there
 
 Such a swing has no other cause to wait for: a verdict of before ("from outside", "unknown") does not stand against it.
@@ -46,6 +47,22 @@ class GrowthSettings:
         float,
         Setting("Standard errors by which the heights rise", 2, 20, source="no chance: 1 in 10,000 at 4"),
     ] = 5.0
+    lasting_half_waves: Annotated[
+        int, Setting("Half waves in a row, of which a swing goes on, at least", 4, 24, source="two and a half cycles")
+    ] = 5
+    like: Annotated[
+        float,
+        Setting("Highest of its half waves over the lowest", 1.2, 4, source="noise of a quarter of the least height"),
+    ] = 2.0
+    restless: Annotated[
+        float,
+        Setting(
+            "Share of its time outside the noise band, at least",
+            0.3,
+            0.9,
+            source="a sinusoid of twice the band: 0.67; load steps apart rest in between",
+        ),
+    ] = 0.6
     even: Annotated[
         float, Setting("Longest of the half periods over the shortest", 1.1, 3, source="a linear swing is even")
     ] = 1.7
@@ -110,6 +127,21 @@ def grows(samples: Sequence[LoopSample], band: float, settings: GrowthSettings) 
             if found is not None:
                 return found
     return None
+
+
+def lasting(samples: Sequence[LoopSample], band: float, settings: GrowthSettings) -> float | None:
+    """Period, s, of a swing that goes on evenly without a rest, None where none does.
+
+    One that is slow against the loop comes to rest at every crossing, and is seen as one load response after the other.
+    """
+    waves = half_waves(samples, band)[-settings.lasting_half_waves :]
+    if len(waves) < settings.lasting_half_waves:
+        return None
+    apart, heights = np.diff([wave.t_s for wave in waves]), [wave.height for wave in waves]
+    if apart.max() > settings.even * apart.min() or max(heights) > settings.like * min(heights):
+        return None
+    during = [abs(s.sp - s.pv) > band for s in samples if waves[0].t_s <= s.t_s <= waves[-1].t_s]
+    return 2 * float(np.median(apart)) if sum(during) >= settings.restless * len(during) else None
 
 
 def _growth(waves: list[HalfWave], settings: GrowthSettings) -> Growth | None:

@@ -25,6 +25,10 @@ four comparisons a sample.
 
 Other gains find the loop as the old ones left it, often far from rest. What is left then is a response of the new ones,
 and shows the process as well as a step does: it begins at once, and is looked at when it has shown enough.
+
+A setpoint step is known, however small it is: when it came, and by how much. So one that is small for the noise begins
+a response as well. Its peaks drown, so it is not over when the error is inside the band, but after wait_s. Whether
+its many samples together say something is for the covariance of their fit.
 """
 
 import math
@@ -93,6 +97,13 @@ TAKEN_OVER = 3.0
 """A response that other gains took over in motion is looked at after so many times the length of the one before."""
 START_BANDS = 2.0
 """A response starts when |error| exceeds this many noise bands (about EXACT's rule; range 1.5 to 4)."""
+LEAST_STEP = 0.5
+"""Noise bands by which the setpoint must step to begin a response: with the usual band two standard deviations, which a
+hundred samples tell to a tenth."""
+OVER_ITS_NOISE = 2.0
+"""Noise bands of the setpoint itself by which it must step: two values of it differ by more than one now and then."""
+SMALL_STEP = 4.0
+"""Noise bands below which a setpoint step is small: the band in which an error rests is over a quarter of it."""
 
 
 class RecogniserLaw(NamedTuple):
@@ -122,6 +133,8 @@ class RecogniserState(NamedTuple):
     e_near : smallest |error| since the extreme, by which a coming back is seen, in VERIFY_1; the last error beyond the
     band in SETTLE; infinite elsewhere.
     until_s : when a response that other gains took over in motion is looked at; infinite for any other.
+    awaited_s : until when rest is not asked for after a setpoint step that is small for the noise; -infinite for any
+    other response.
     """
 
     phase: int
@@ -141,6 +154,7 @@ class RecogniserState(NamedTuple):
     event: int
     e_near: float = math.inf
     until_s: float = math.inf
+    awaited_s: float = -math.inf
 
 
 _OUTSIDE = math.inf
@@ -163,18 +177,31 @@ def taken_over(state: RecogniserState, t_s: float, sp: float, shortest_s: float)
     return begin(t_s, sp)._replace(sp_changed=state.sp_changed, until_s=t_s + max(TAKEN_OVER * lasted_s, shortest_s))
 
 
-def step(law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
-    """Take one sample: e = sp - pv, and the noise band in pv units (> 0)."""
+def step(
+    law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: float, band: float, own: float = 0.0
+) -> RecogniserState:
+    """Take one sample: e = sp - pv, and the noise band in pv units (> 0). own : noise band of the setpoint alone."""
     if state[0] == _L1 and not state[1]:  # by their places: this runs at every sample of a loop at rest
         near = START_BANDS * band
         if -near <= e <= near:
-            return state if sp == state[4] else state._replace(sp=sp)
+            if sp == state[4]:
+                return state
+            if not _stepped(state, sp, band, own):
+                return state._replace(sp=sp)
     inside_s = _inside_since(state, t_s, e, band)
-    event = _event(law, state, t_s, sp, e, band, inside_s)
+    event = _event(law, state, t_s, sp, e, band, own, inside_s)
     phase = TABLE[state.phase][event]
     if phase == state.phase and event == Event.NONE:
         return _follow(state, t_s, e, band, inside_s)
-    return _move(state, RecogniserPhase(phase), Event(event), t_s, sp, e, band)
+    if event == Event.START or (event == Event.SETPOINT and state.phase == RecogniserPhase.SETTLE):
+        return _upset(law, state, event, t_s, sp, e, band, stepped=_stepped(state, sp, band, own))
+    return _move(state, RecogniserPhase(phase), event, t_s, sp, e)
+
+
+def _stepped(state: RecogniserState, sp: float, band: float, own: float) -> bool:
+    """Whether the setpoint has moved by more than its noise, and by enough for its response to show."""
+    moved, least = sp - state.sp, max(LEAST_STEP * band, OVER_ITS_NOISE * own)
+    return moved > least or -moved > least
 
 
 def _inside_since(state: RecogniserState, t_s: float, e: float, band: float) -> float:
@@ -185,7 +212,14 @@ def _inside_since(state: RecogniserState, t_s: float, e: float, band: float) -> 
 
 
 def _event(
-    law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: float, band: float, inside_s: float
+    law: RecogniserLaw,
+    state: RecogniserState,
+    t_s: float,
+    sp: float,
+    e: float,
+    band: float,
+    own: float,
+    inside_s: float,
 ) -> Event:
     """The one event that this sample is, the most telling first."""
     phase = state.phase
@@ -194,7 +228,9 @@ def _event(
         return Event.QUIET
     if (state.started or phase == RecogniserPhase.SETTLE) and (moved > band or -moved > band):
         return Event.SETPOINT
-    if t_s - inside_s >= law.quiet_s:
+    if (phase == RecogniserPhase.SETTLE or state.awaited_s > -math.inf) and _stepped(state, sp, band, own):
+        return Event.SETPOINT
+    if t_s - inside_s >= law.quiet_s and t_s >= state.awaited_s:
         return Event.QUIET
     if phase == RecogniserPhase.LOCATE_1 and not state.started:
         return Event.START
@@ -278,11 +314,9 @@ def _follow(state: RecogniserState, t_s: float, e: float, band: float, inside_s:
 
 
 def _move(
-    state: RecogniserState, phase: RecogniserPhase, event: Event, t_s: float, sp: float, e: float, band: float
+    state: RecogniserState, phase: RecogniserPhase, event: Event, t_s: float, sp: float, e: float
 ) -> RecogniserState:
     """Enter a phase: what is remembered belongs to the event that leads there."""
-    if event == Event.START or (event == Event.SETPOINT and state.phase == RecogniserPhase.SETTLE):
-        return _upset(state, event, t_s, sp, e, band)
     if phase == RecogniserPhase.ADAPT:
         return _end(state, event, t_s, e)
     if phase == RecogniserPhase.SETTLE:
@@ -299,13 +333,24 @@ def _move(
     return state._replace(phase=phase, event=event, e_near=math.inf)
 
 
-def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
-    """An upset begins: a load, a setpoint change, or a small setpoint change that is only taken note of."""
-    moved = abs(sp - state.sp) > band
+def _upset(
+    law: RecogniserLaw,
+    state: RecogniserState,
+    event: Event,
+    t_s: float,
+    sp: float,
+    e: float,
+    band: float,
+    *,
+    stepped: bool,
+) -> RecogniserState:
+    """An upset begins: a load, or a setpoint step, which may be small for the noise."""
+    moved = stepped or abs(sp - state.sp) > band
+    small = stepped and abs(sp - state.sp) < SMALL_STEP * band
     left = (state.until_s < math.inf or state.event == Event.GROWN) and not moved
     return state._replace(
         phase=RecogniserPhase.LOCATE_1,
-        started=abs(e) > START_BANDS * band,
+        started=stepped or abs(e) > START_BANDS * band,
         since_s=t_s,
         inside_s=_OUTSIDE,
         sp=sp,
@@ -315,6 +360,7 @@ def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float
         t_peak_s=t_s,
         e_peak=e,
         event=event,
+        awaited_s=t_s + law.wait_s if small else -math.inf,
     )
 
 

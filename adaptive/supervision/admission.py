@@ -399,14 +399,19 @@ def _free_output(seen: _Seen) -> _Counted:
 
 
 def _excited(seen: _Seen) -> _Counted:
-    """co and pv move, and the response stands out of the noise."""
+    """co and pv move, and the response stands out of the noise, or is that of a step which is known.
+
+    What a setpoint step of any height shows is told by the covariance of its fit.
+    """
     error = np.abs(seen.window.sp - seen.window.pv)[seen.during]
     bands, least = float(np.max(error)) / seen.response.band, seen.settings.excitation_bands
     numbers = AdmissionNumbers(peak_bands=bands)
     for ground, values in ((_frozen_co(seen), seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
         if values.max() == values.min():
             return _Counted(replace(numbers, limit=seen.settings.limited_share), ground)
-    return _Counted(numbers) if bands >= least else _Counted(replace(numbers, limit=least), Ground.LOW_EXCITATION)
+    if bands >= least or seen.response.sp_changed:
+        return _Counted(numbers)
+    return _Counted(replace(numbers, limit=least), Ground.LOW_EXCITATION)
 
 
 def _frozen_co(seen: _Seen) -> Ground:

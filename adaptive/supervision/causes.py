@@ -10,7 +10,14 @@ import math
 from dataclasses import replace
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
-from retuner.adaptive.diagnosis.oscillation_online import hidden_cause, stretch, swings, too_few_cycles, whole_cause
+from retuner.adaptive.diagnosis.oscillation_online import (
+    hidden_cause,
+    stretch,
+    swings,
+    through_a_change,
+    too_few_cycles,
+    whole_cause,
+)
 from retuner.adaptive.diagnosis.second_opinion import (
     SWINGING,
     TOWARDS_SAFETY,
@@ -29,25 +36,38 @@ from retuner.adaptive.diagnosis.swing_checks import (
     touches_limits,
 )
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
-from retuner.adaptive.guard import Verdict
+from retuner.adaptive.guard import Verdict, prove
+from retuner.adaptive.guard.request import Support
+from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
+from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.guard_request import unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.batch_responses import Loop
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.weighed import NO_NUMBERS
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import Lookup
 
 __all__ = [
     "FOREIGN",
     "SWINGING",
     "TOWARDS_SAFETY",
     "clear_case",
+    "cut_refuted",
     "doubt_of",
     "foreign_swing",
     "hidden",
     "is_sure",
     "joining",
+    "known_to_swing",
     "not_as_modelled",
     "rested_on",
     "swings_between_limits",
@@ -120,18 +140,27 @@ FEWEST = 20
 def foreign_swing(found: Findings) -> Diagnosis | None:
     """What else than the tuning is behind a swing without a setpoint step, or goes on behind any response.
 
+    A swing that was known to come, by what clear setpoint steps have shown, is the loop's own whatever a tone explains.
     Where something else was found before, it is asked again, of all that the gains in force have shown lately. Each
     response for which it wins counts for it, each that the loop by itself explains counts against it, and as long as
     the former are more it is alive: nothing is learned. Unknown and noise count for neither.
     """
     record, settings = found.record, found.settings
-    swinging = swings(record.response, settings.swing)
+    period_s = lasting(record.samples, record.response.band, settings.growth)
+    swinging = swings(record.response, settings.swing) or period_s is not None
     if found.growth is not None or found.joined or not (swinging or record.foreign):
         return None
-    young = None if record.foreign else too_few_cycles(record.samples, record.response, settings.swing)
+    if known_to_swing(record, settings):
+        found.foreign = max(record.foreign - 1, 0)
+        return None
+    young = (
+        None
+        if record.foreign or period_s is not None
+        else too_few_cycles(record.samples, record.response, settings.swing)
+    )
     if young is not None:
         return None if _held_up(record, young, settings) else young
-    asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis
+    asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis, period_s
     cause = whole_cause(*asked)
     own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
     found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in RIVALS)
@@ -139,6 +168,19 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     if found.foreign and own:
         return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=found.foreign))
     return cause if found.foreign or (swinging and not own) else None
+
+
+def known_to_swing(record: ResponseRecord, settings: RetunerSettings) -> bool:
+    """Whether the loop was known to swing so by itself, at this period: by a model that clear setpoint steps taught.
+
+    Such a loop is to be made safer whatever else moves it. What loads alone have taught does not count: a tone fits a
+    loop that all but swings.
+    """
+    known = record.region_models.get(record.region)
+    if known is None or not record.excitation.clear or not known.identifiable:
+        return False
+    process = known.log.model().seen_by_controller(settings.sample_time_s)
+    return at_own_crossover(record.response, process, record.in_force, settings.limit_swing)
 
 
 STILL_ALIVE = (
@@ -170,6 +212,58 @@ def _held_up(record: ResponseRecord, cause: Diagnosis, settings: RetunerSettings
 def swings_between_limits(record: ResponseRecord, settings: RetunerSettings) -> bool:
     """Whether the output goes from limit to limit."""
     return touches_limits(record.samples, record.response, settings.limit_swing)
+
+
+def cut_refuted(found: Findings) -> None:
+    """Was less action a cure for what came from outside? Then the set that ran before comes back, on trial.
+
+    Less action was written because a model said that the loop swings by itself. A tone that goes on through that change
+    as it was before, and that no process explains under both sets, refutes the model: the swing was not the loop's own.
+    What a clear setpoint step has shown of the process is not refuted so.
+    """
+    record, trial, cause = found.record, found.question.trial, found.diagnosis
+    if cause is None or cause.cause is not Cause.EXTERNAL or trial.phase is not TrialPhase.IDLE or record.crossed:
+        return
+    before = _cut_from(trial, record.in_force)
+    if before is None or record.excitation.clear or record.table.lookup is Lookup.INTERPOLATED:
+        return
+    settings = found.settings
+    here = [sample for sample in record.samples if sample.t_s >= record.entered_s]
+    period_s = through_a_change(here, record.in_force, settings.diagnosis)
+    if period_s is None:
+        return
+    tuning, tables = Tuning("set that ran before", "parallel", before), (record.table, record.commissioned)
+    request = unproved_request(tuning, record.region, tables, settings)
+    request = replace(request, evidence=replace(request.evidence, support=Support.RAN))
+    verdict = prove(request, settings.guard)
+    found.forget, found.region_model, found.excitation = True, None, None
+    if verdict.accepted:
+        found.proposal, found.verdict, found.basis = tuning, verdict, Basis.RAN
+        found.numbers = NO_NUMBERS
+    found.stop(verdict.code, REFUTED.format(period=period_s, ruling=verdict.sentence))
+
+
+REFUTED = (
+    "the oscillation of {period:.3g} s goes on as before the last change. No process explains it under both gain sets, "
+    "so it comes from outside and less action was no cure; {ruling}"
+)
+"""The reason where a cut is taken back."""
+
+
+def _cut_from(trial: Trial, in_force: PidGains) -> PidGains | None:
+    """The newest set that ran before and acted more, where the last change was less action against a swing."""
+    if trial.promise is None or trial.new != in_force:
+        return None
+    said = trial.promise
+    swung = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False), said.decay_seen or 0.0)
+    if said.models and swung <= SWUNG:
+        return None
+    ran = (gains for gains in trial.earlier if gains != in_force and less_of_everything(gains, in_force))
+    return next(ran, None)
+
+
+SWUNG = 0.25
+"""Half-cycle decay ratio up to which a loop was not held for swinging (as TrialSettings.harmless_decay)."""
 
 
 def clear_case(found: Findings, learned: Learned) -> bool:
@@ -218,7 +312,7 @@ def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionMo
     """
     record, settings = found.record, found.settings
     swing, seen = settings.swing, (record.samples, record.response)
-    if found.growth is not None and verdict.ruling in TOWARDS_SAFETY:
+    if verdict.ruling in TOWARDS_SAFETY and (found.growth is not None or known_to_swing(record, settings)):
         return True
     if runs_away(*seen, learned.estimate.explained, swing):
         return True

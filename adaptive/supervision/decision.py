@@ -58,6 +58,7 @@ class Basis(StrEnum):
     PATTERN = "pattern"
     BORROWED = "borrowed"
     PRETUNE = "pretune"
+    RAN = "ran_before"
 
 
 class Delay(NamedTuple):

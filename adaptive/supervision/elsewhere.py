@@ -6,25 +6,31 @@ the curves through the other regions. So where a response changes nothing for it
 nearest first. Gains that are far from right on what is known there are proved on all that is left open, as any change,
 and go on trial when the loop comes. One region at a time; what is nearly right waits for responses of its own.
 
-How much a load that never rests moves pv there is not measured: too few samples, if any, ran under its gains. Such a
-trial counts the noise band only (trial/wander.py).
+Nobody has watched that region. So the gains must be right on what the curves foretell and also on what the table does
+(region_model/by_table.py). How much a load that never rests moves pv there is worked out from how it does here
+(trial/wander.py).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.guard.request import ChangeRequest
+from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.along import centre_of, lenders
+from retuner.adaptive.region_model.by_table import as_right_as_others
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import Agreement
+from retuner.adaptive.region_model.update import Agreement, predicted
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import change_request, promise_of, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit
-from retuner.adaptive.trial.expectation import Promise
-from retuner.adaptive.trial.posterior_check import promised_cost
+from retuner.adaptive.trial.batch_responses import Loop
+from retuner.adaptive.trial.expectation import Promise, decay_seen
+from retuner.adaptive.trial.posterior_check import costs
+from retuner.adaptive.trial.wander import wander_of, wander_there
+from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
 DOUBTFUL = frozenset({"unconfirmed", "one_record"})
@@ -36,6 +42,8 @@ LEAST_LENDERS = 2
 def elsewhere(found: Findings) -> None:
     """What is due in the nearest of the other regions whose gains are far from right."""
     record, learned = found.record, found.learned
+    if not found.settings.borrowing.far_off:
+        return
     if record.table.lookup is not Lookup.HARD or learned is None or found.in_use is None or _stands(found):
         return
     if learned.agreement not in {Agreement.FIRST, Agreement.AGREES} or found.tuning is None or not found.tuning.ready:
@@ -62,6 +70,7 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Stag
     table, model = record.table, _known_of(found, region, known)
     if model is None or not model.identifiable:
         return None
+    model = _as_the_table(found, region, known, model)
     models, gains = {**known, region: model}, table.gains_of(region)
     wanted = tuning_of(table, region, models, gains, now_s, settings)
     if not wanted.ready or not wanted.diagnosis.retune:
@@ -71,9 +80,9 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Stag
     verdict = prove(_counted(request, known), settings.guard)
     place = (*centre_of(table.regions, region), 0.0)
     promised = promise_of(verdict, table, region, (place[0], place[1]), None, settings)
-    if promised is None or not _far_off(found, region, model, promised):
+    if promised is None or verdict.gains is None or not _far_off(found, region, verdict.allowed, verdict.gains):
         return None
-    return _result(model, wanted, verdict, promised)
+    return _result(model, wanted, verdict, replace(promised, wander=_wander(found, verdict)))
 
 
 def _known_of(found: Findings, region: int, known: Mapping[int, RegionModel]) -> RegionModel | None:
@@ -87,6 +96,13 @@ def _known_of(found: Findings, region: int, known: Mapping[int, RegionModel]) ->
     return borrowed(known, region, record.table.regions, now_s, sign, settings.borrowing, settings.tracker, own)
 
 
+def _as_the_table(found: Findings, region: int, known: Mapping[int, RegionModel], model: RegionModel) -> RegionModel:
+    """The same beside the other hypotheses: that the table's set is as right there as another one is elsewhere."""
+    record, now_s = found.record, float(found.record.window.t_s[-1])
+    more = as_right_as_others(known, region, record.commissioned.gains, now_s, found.settings.tracker)
+    return replace(model, plausible=(*model.plausible, *more))
+
+
 def _counted(request: ChangeRequest, known: Mapping[int, RegionModel]) -> ChangeRequest:
     """What is lent rests on the records of those that lend."""
     if not request.evidence.borrowed:
@@ -95,12 +111,30 @@ def _counted(request: ChangeRequest, known: Mapping[int, RegionModel]) -> Change
     return replace(request, evidence=replace(request.evidence, records=records))
 
 
-def _far_off(found: Findings, region: int, model: RegionModel, promised: Promise) -> bool:
-    """Whether a region's gains cost far more than they need, or are over their limit on every allowed model."""
+def _far_off(found: Findings, region: int, models: Sequence[Plausible], now: PidGains) -> bool:
+    """Whether a region's gains cost far more than others and these cost less on every allowed model, or they are over
+    their limit on each of them.
+    """
     settings, gains = found.settings, found.record.table.gains_of(region)
-    if 0 < promised_cost(promised) < settings.borrowing.far_off:
+    loop = (settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
+    cost = costs(models, gains, now, *loop)
+    if 0 < cost[0] < settings.borrowing.far_off and max(cost) < 1:
         return True
-    return over_limit(model.plausible, gains, settings.sample_time_s, settings.robust.believed, settings.cause.ms_high)
+    return over_limit(models, gains, settings.sample_time_s, settings.robust.believed, settings.cause.ms_high)
+
+
+def _wander(found: Findings, verdict: Verdict) -> float:
+    """How much a load that never rests will move the error there, with the gains that are due."""
+    record, settings, model = found.record, found.settings, found.in_use
+    seen = wander_of(record.samples)
+    swung = decay_seen(record.pattern)
+    if not seen or model is None or verdict.gains is None or (swung or 0.0) > settings.trial.harmless_decay:
+        return 0.0
+    here = predicted(model, float(record.window.t_s[-1]), settings.tracker).model()
+    sampled = (each.seen_by_controller(settings.sample_time_s).linear() for each in (here, verdict.allowed[0].model))
+    more = (settings.setpoint_weight, settings.filter_s)
+    loops = [Loop(each, gains, *more) for each, gains in zip(sampled, (record.in_force, verdict.gains), strict=True)]
+    return wander_there(seen, record.window.noise_std, loops[0], loops[1])
 
 
 def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, promised: Promise) -> StageResult:

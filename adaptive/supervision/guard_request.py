@@ -210,12 +210,14 @@ def known_of(
 ) -> StillAllowed:
     """What is known of a region's process now, as it is asked which of its sets is to run.
 
-    In an interpolated table that is asked at the region's knot, and half way to its neighbours.
+    In an interpolated table that is asked at the region's knot, and half way to its neighbours. Of a region without
+    records the others tell: its gains were proved on what they lend.
     """
-    if region not in region_models:
+    own = where_gains_run(table, region_models, t_s, settings).get(region)
+    if own is None:
         return NOTHING_KNOWN
     models, dt_s = allowed_where_gains_run(table, region_models, t_s, settings), settings.sample_time_s
-    alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in models[region])
+    alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in still_allowed(own, t_s, settings))
     if table.lookup is Lookup.HARD:
         return StillAllowed(alone, settings.filter_s)
     borders = borders_of(table, region, {i: allowed for i, allowed in models.items() if i != region})

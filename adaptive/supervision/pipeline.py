@@ -12,6 +12,7 @@ import numpy as np
 
 from retuner.adaptive.choice.expected_cost import Choice, LoopSettings, Seen, choose, outlooks
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.oscillation_online import swings
 from retuner.adaptive.guard import GuardSettings, Verdict, prove
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
@@ -25,11 +26,13 @@ from retuner.adaptive.supervision.causes import (
     FOREIGN,
     SWINGING,
     clear_case,
+    cut_refuted,
     doubt_of,
     foreign_swing,
     hidden,
     is_sure,
     joining,
+    known_to_swing,
     not_as_modelled,
     rested_on,
     swings_between_limits,
@@ -179,25 +182,31 @@ def region_model(found: Findings) -> None:
     found.excitation_now = record.excitation.with_response(record.response)
     if learned.region_model is None:
         return
-    limit_swing = None if record.crossed else _known_of_limit_swing(record, settings)
-    found.in_use = found.region_model = limit_swing or learned.region_model
-    found.rested_on = rested_on(record, learned.agreement)
+    swinging = None if record.crossed else _known_of_swing(record, settings)
+    found.in_use = found.region_model = swinging or learned.region_model
+    found.rested_on = record.excitation if swinging else rested_on(record, learned.agreement)
     found.clear = clear_case(found, learned)
-    now = found.rested_on.with_response(record.response, clear=found.clear)
+    now = found.rested_on
+    if not swinging and learned.agreement != Agreement.SILENT:  # what cannot tell is nothing that a model rests on
+        now = now.with_response(record.response, clear=found.clear)
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now
     found.tuning = _tuning(record, found.in_use, settings)
 
 
-def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
-    """What was known, of a loop that swings between the output's limits as was known that it would; else None.
+def _known_of_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
+    """What was known, of a loop that swings as was known that it would, by itself or between the output's limits; else
+    None.
 
-    Such a swing shows one frequency, through a nonlinearity. Taken in record by record, it led away from a process
-    that its setpoint steps had shown well.
+    Such a swing shows one frequency, between limits through a nonlinearity. Taken in record by record, it led away from
+    a process that its setpoint steps had shown well.
     """
     before = record.region_models.get(record.region)
-    if before is None or not before.identifiable or not swings_between_limits(record, settings):
+    if before is None or not before.identifiable:
+        return None
+    lasting = swings(record.response, settings.swing) and known_to_swing(record, settings)
+    if not (lasting or swings_between_limits(record, settings)):
         return None
     return before if _tuning(record, before, settings).diagnosis.cause in SWINGING else None
 
@@ -210,7 +219,7 @@ def _tuning(record: ResponseRecord, model: RegionModel, settings: RetunerSetting
 
 def without_a_model(found: Findings) -> None:
     """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
-    if found.tuning is not None and found.tuning.ready:
+    if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or _stands_out(found)):
         return
     record, learned = found.record, _learned(found)
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
@@ -237,6 +246,18 @@ def without_a_model(found: Findings) -> None:
         return
     found.proposal = replace(proposed.tuning, gains=stored)
     _small_step(found, proposed, learned, reason)
+
+
+def _stands_out(found: Findings) -> bool:
+    """Whether the response rises out of the noise: a danger of which nothing is seen asks for no relief at once.
+
+    The first peak of a setpoint's response is the step itself, and the noise on top of it is no part of that.
+    """
+    record, response = found.record, found.record.response
+    sizes = [abs(peak.e) for peak in response.peaks]
+    if response.sp_changed:
+        sizes = [abs(record.samples[-1].sp - float(record.window.sp[0])), *sizes[1:]]
+    return max(sizes, default=0.0) >= found.settings.admission.excitation_bands * response.band
 
 
 def _own_fault(found: Findings) -> Diagnosis | None:
@@ -477,6 +498,7 @@ STAGES = (
     Stage("refutation", refutation),
     Stage("worth", worth),
     Stage("confirmation", confirmation),
+    Stage("return", cut_refuted, always=True),
     Stage("expectation", expectation, always=True),
     Stage("check after a trial", check_after_trial, always=True),
     Stage("elsewhere", elsewhere, always=True),

@@ -88,6 +88,7 @@ class ResponseFinder:
         self._law = RecogniserLaw(1.0, 1.0)
         self._floor = settings.band or settings.band_min_share * settings.pv_span
         self._per_median = 0.0 if settings.band else settings.band_sigmas * MEDIAN_TO_SIGMA
+        self._per_setpoint = settings.band_sigmas * MEDIAN_TO_SIGMA
         self._gap_s = settings.gap_samples * settings.sample_time_s
         self._clean = noise_start(CLEAN_SHARE * self._floor / settings.band_sigmas)
         self._setpoint = NoiseState(self._clean, 0.0, 0.0)
@@ -190,7 +191,7 @@ class ResponseFinder:
             self._setpoint = noise_at_least(heard, sp, self._clean)
         samples.append(sample)
         band = self._of_error(max(self._floor, self._per_median * self._hear(pv)))
-        new = step(self._law, state, t_s, sp, sp - pv, band)
+        new = step(self._law, state, t_s, sp, sp - pv, band, self._per_setpoint * self._setpoint.median)
         if new is state:
             return None
         self._state = new

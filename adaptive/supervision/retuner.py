@@ -1,7 +1,6 @@
 """The retuner: one sample in, now and then one decision out.
 
-    sample -> finder -> completed response -> pipeline -> decision
-           -> trial -> the verified set is restored
+    sample -> finder -> completed response -> pipeline -> decision -> trial -> the verified set is restored
 
 The object is a thin shell round pure steps. It hands out decisions, and learns by `committed` what is then in force.
 A decision may take longer than a sample. `observe` makes it on the spot; whoever cannot wait takes its three steps:
@@ -292,9 +291,10 @@ class Retuner:
         return self.table.at(region, x, x2)
 
     def _change(self, region: int, gains: PidGains) -> None:
-        """The one place where the table changes; what was behind a response under other gains is asked anew."""
+        """The one place where the table changes; what was behind a response is asked anew, but of gains that return."""
         self.table = self.table.with_gains(region, gains)
-        self.foreign.pop(region, None)
+        if gains not in self.trials.of(region).earlier:
+            self.foreign.pop(region, None)
         if region == self.region or self.table.lookup is not Lookup.HARD:
             self._finder.gains_changed()
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.trial.batch_responses import Loop, Upset
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.response_numbers import shapes, storable
@@ -62,11 +63,23 @@ def check_posterior(
     """
     sampled = [found.model.seen_by_controller(sample_time_s).linear() for found in allowed]
     ms_tried, ms_old = ([sensitivity_peak(process, gains, tau_f_s) for process in sampled] for gains in (tried, old))
-    loops = [Loop(process, gains, b, tau_f_s) for gains in (tried, old) for process in sampled]
-    iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(sampled)
-    slower = min(_mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True))
+    slower = min(_costs(sampled, old, tried, b, tau_f_s))
     robuster = all(then < now for then, now in zip(ms_old, ms_tried, strict=True))
     return PosteriorCheck(min(ms_tried), max(ms_tried), max(ms_old), robuster, slower)
+
+
+def costs(
+    allowed: Sequence[Plausible], old: PidGains, new: PidGains, sample_time_s: float, b: float, tau_f_s: float
+) -> list[float]:
+    """J of the new set over the old one on each model, see the head of this file; 0 where it is not known."""
+    return _costs([found.model.seen_by_controller(sample_time_s).linear() for found in allowed], old, new, b, tau_f_s)
+
+
+def _costs(processes: Sequence[LinearProcess], old: PidGains, new: PidGains, b: float, tau_f_s: float) -> list[float]:
+    """The same on processes as the controller sees them."""
+    loops = [Loop(process, gains, b, tau_f_s) for gains in (new, old) for process in processes]
+    iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(processes)
+    return [_mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True)]
 
 
 @dataclass(frozen=True, slots=True)

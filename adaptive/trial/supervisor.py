@@ -124,9 +124,11 @@ class TrialSupervisor:
         return wire_is_free and after(self.phase(region), _asked(urgent, ordered)) == P.WRITING
 
     def idle(self, region: int, t_s: float) -> bool:
-        """Whether nothing is on trial in a region, nor held, locked or cooling down by now."""
+        """Whether nothing is on trial in a region, nor held, locked or cooling down by now; and its last change was
+        not refuted there, which only responses of its own may take up again.
+        """
         self._time_over(region, t_s)
-        return self.phase(region) is P.IDLE
+        return self.phase(region) is P.IDLE and not self.of(region).undos
 
     def held_by_a_person(self, region: int, t_s: float) -> bool:
         """Whether the region's gains are a person's, and nothing but a proposal may follow now."""

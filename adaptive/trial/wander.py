@@ -6,14 +6,22 @@ over blocks of BLOCK samples of those that ran under the gains in force. A quart
 upsets that come and go leave quiet blocks, a load that wanders leaves none. The line takes away what a slow integral
 has still to bring back, which is no wandering. A loop that swings by its own fault leaves no quiet block either, so
 that what is seen of such a loop is no measure (see expectation.py).
+
+Of a set for a place where the loop is not, nothing ran yet. A load that is a random walk moves the error there as its
+unit step does: the variance is its increments' times the integral of the squared response. So what is seen here beside
+noise goes over by the root of the ratio of these integrals, on the models of both places.
+
+    wander there = sqrt(noise^2 + (wander here^2 - noise^2) ISE there / ISE here)
 """
 
+import math
 from collections.abc import Sequence
 from itertools import islice, takewhile
 
 import numpy as np
 
 from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.trial.batch_responses import Loop, Upset, traces
 
 BLOCK = 100
 """Samples of a block: some dead times of a loop that is sampled as it should be."""
@@ -40,3 +48,12 @@ def wander_of(samples: Sequence[LoopSample]) -> float:
     line[1] /= np.linalg.norm(line[1])
     left = error - error @ line.T @ line
     return float(np.quantile(np.std(left, axis=1), QUIET))
+
+
+def wander_there(seen: float, noise_std: float, here: Loop, there: Loop) -> float:
+    """What `seen` (wander_of) under one loop would be under another, pv units. noise_std : of pv."""
+    if seen <= noise_std:
+        return seen
+    rows = traces((here, there), (Upset(load_step=1.0),))
+    now, then = (float(row[0].step_s * (row[0].e @ row[0].e)) for row in rows)
+    return math.sqrt(noise_std**2 + (seen**2 - noise_std**2) * then / now)

@@ -36,11 +36,13 @@ class Piece(NamedTuple):
 
 PIECES = (
     Piece("growth", f"{SUPERVISION}.pipeline", "grows"),
+    Piece("lasting", f"{SUPERVISION}.causes", "lasting"),
     Piece("young", f"{SUPERVISION}.causes", "too_few_cycles"),
     Piece("swing", f"{SUPERVISION}.pipeline", "foreign_swing"),
     Piece("hidden", f"{SUPERVISION}.causes", "hidden_cause", (None, False)),
     Piece("held_up", f"{SUPERVISION}.causes", "_held_up", neutral=False),
-    Piece("limit_known", f"{SUPERVISION}.pipeline", "_known_of_limit_swing"),
+    Piece("swing_known", f"{SUPERVISION}.pipeline", "_known_of_swing"),
+    Piece("known_to_swing", f"{SUPERVISION}.causes", "known_to_swing", neutral=False),
     Piece("at_rest", "retuner.adaptive.diagnosis.second_opinion", "was_at_rest", neutral=True),
     Piece("calm_before", f"{SUPERVISION}.causes", "calm_before", neutral=True),
     Piece("not_seen", f"{SUPERVISION}.causes", "not_seen", ""),

@@ -11,7 +11,20 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from online import ablation, batch, changes, harm, injected, loads, oracle, own_fault, telemetry, tours, walks
+from online import (
+    ablation,
+    batch,
+    changes,
+    elsewhere,
+    harm,
+    injected,
+    loads,
+    oracle,
+    own_fault,
+    telemetry,
+    tours,
+    walks,
+)
 from online.runner import collect, rows_of
 
 
@@ -81,6 +94,16 @@ def _tours(options: argparse.Namespace) -> tuple[list[tours.Row], bool]:
     tasks = [task for kind in kinds for task in tours.tasks(options.seed, kind, options.loops, options.start, **wanted)]
     rows, whole = collect(tours.run, tasks[options.offset :: options.every], options.jobs, options.out, tours.line)
     _say([f"tours, seed {options.seed}", *(tours.table(rows) if rows else [])])
+    return rows, whole
+
+
+def _elsewhere(options: argparse.Namespace) -> tuple[list[elsewhere.Row], bool]:
+    kinds = elsewhere.KINDS if options.kind == "all" else (options.kind,)
+    wanted = {"places": options.places, "opened": options.opened}
+    tasks = [task for kind in kinds for task in elsewhere.tasks(options.seed, kind, options.loops, **wanted)]
+    shown = elsewhere.line if options.verbose else None
+    rows, whole = collect(elsewhere.run, tasks[options.offset :: options.every], options.jobs, options.out, shown)
+    _say([f"gains for regions where the loop is not, seed {options.seed}", *(elsewhere.table(rows) if rows else [])])
     return rows, whole
 
 
@@ -186,6 +209,7 @@ def _tables(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
         ("batch, limits of a change: defaults", [r for r in rows if r.get("opened") is False], batch.table),
         ("walks", [r for r in rows if r["part"] == "walks"], walks.table),
         ("tours", [r for r in rows if r["part"] == "tours"], tours.table),
+        ("regions where the loop is not", [r for r in rows if r["part"] == "elsewhere"], elsewhere.table),
         ("processes that change", [r for r in rows if r["part"] == "changes"], changes.table),
         ("do no harm", [r for r in rows if r["part"] == "harm"], harm.table),
         ("loads only", [r for r in rows if r["part"] == "loads"], loads.table),
@@ -215,6 +239,7 @@ PARTS = {
     "walks": _walks,
     "tours": _tours,
     "changes": _changes,
+    "elsewhere": _elsewhere,
     "harm": _harm,
     "injected": _injected,
     "loads": _loads,
@@ -233,6 +258,13 @@ def _tour_options(part: argparse.ArgumentParser) -> None:
     part.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
     part.add_argument("--places", type=int, default=tours.PLACES, help="of each tour")
     part.add_argument("--lookup", choices=("hard", "interpolated"), default="hard")
+
+
+def _elsewhere_options(part: argparse.ArgumentParser) -> None:
+    part.add_argument("--kind", choices=("all", *elsewhere.KINDS), default="all")
+    part.add_argument("--loops", type=int, default=10, help="loops of each kind")
+    part.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
+    part.add_argument("--places", type=int, default=elsewhere.PLACES, help="setpoints of each loop")
 
 
 def _ablation_options(part: argparse.ArgumentParser) -> None:
@@ -273,6 +305,7 @@ def _parser() -> argparse.ArgumentParser:
     four.add_argument("--walks", type=int, default=10)
     four.add_argument("--setpoints", type=int, default=walks.SETPOINTS, help="of each walk")
     _tour_options(parts.add_parser("tours", parents=[common], help="nonlinear plants: visits until a region is good"))
+    _elsewhere_options(parts.add_parser("elsewhere", parents=[common], help="gains for regions where the loop is not"))
     five = parts.add_parser("injected", parents=[common], help="deliberately bad changes on trial")
     five.add_argument("--kind", choices=("all", *injected.KINDS), default="all")
     five.add_argument("--loops", type=int, default=40, help="changes of each kind")

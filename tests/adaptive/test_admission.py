@@ -73,14 +73,21 @@ FAULTS: dict[Ground, Callable[[Samples], Samples]] = {
     Ground.SATURATED: lambda s: changed(s, range(N), co=100.0, limited=1),
     Ground.CO_FROZEN: lambda s: changed(s, range(N), co=40.0),
     Ground.PV_FROZEN: lambda s: changed(s, range(N), pv=0.5),
-    Ground.LOW_EXCITATION: lambda s: [x._replace(sp=0.042 * x.sp, pv=0.042 * x.pv) for x in s],
+    Ground.LOW_EXCITATION: lambda s: [x._replace(sp=0.0, pv=0.042 * (x.pv - x.sp)) for x in s],
 }
+
+
+def test_a_setpoint_step_is_admitted_however_small_and_a_load_of_that_height_is_not() -> None:
+    small = [x._replace(sp=0.03 * x.sp, pv=0.03 * x.pv) for x in swing()]
+    assert judged(small).admitted
+    load = [x._replace(sp=0.0, pv=x.pv - x.sp) for x in small]
+    assert judged(load, response=replace(found(load), sp_changed=False)).ground is Ground.LOW_EXCITATION
 
 
 @pytest.mark.parametrize("ground", Ground)
 def test_every_ground_is_reached_by_its_fault(ground: Ground) -> None:
     samples = FAULTS[ground](swing())
-    response = found(samples)
+    response = replace(found(samples), sp_changed=ground is not Ground.LOW_EXCITATION)
     admission = admit(Window.of(samples), samples, response, AdmissionSettings(), lambda s: s.x < 5, RANGE)
     assert admission.ground is ground
     assert admission.admitted == (ground is Ground.ADMITTED)

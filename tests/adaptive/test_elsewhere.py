@@ -12,6 +12,7 @@ from loop_bench import made, scaled
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.region_model.by_table import as_right_as_others
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, spread
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement
@@ -20,12 +21,14 @@ from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.elsewhere import elsewhere
+from retuner.adaptive.supervision.guard_request import known_of
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import End, Findings, Question, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.way_back import NOTHING_KNOWN
 from retuner.report.console import live_line
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -49,13 +52,17 @@ def times(gains: PidGains, factor: float) -> PidGains:
 
 
 def asked(*, there: PidGains, settings: RetunerSettings = OPENED, **about: Any) -> Findings:
-    """A response in region a after which nothing changes; b is known too. there : gains of c."""
+    """A response in region a after which nothing changes; b is known too. there : gains of c.
+
+    first : the sets of a and b before they were tuned; as wrong as that of c where it is not said.
+    """
     lookup = about.get("lookup", Lookup.HARD)
     table = GainTable("loop", REGIONS, (right(1.0), right(1.0), there), lookup)
+    commissioned = GainTable("loop", REGIONS, (*about.get("first", (there, there)), there), lookup)
     samples = [LoopSample(float(t), 20.0, 20.0, 0.0, 0, 0, 20.0) for t in range(60)]
     response = Response(10.0, 59.0, (Peak(12.0, 5.0),), Ending.QUIET, sp_changed=True, band=0.1)
     models = about.get("models", {0: known(1.0), 1: known(1.0)})
-    record = ResponseRecord(0, response, Window.of(samples), samples, table, table, models)
+    record = ResponseRecord(0, response, Window.of(samples), samples, table, commissioned, models)
     found = Findings(Question(record, settings, 1, Trial(), about.get("free", (1, 2))))
     learned: Any = SimpleNamespace(agreement=about.get("agreement", Agreement.AGREES))
     ready: Any = SimpleNamespace(ready=True)
@@ -83,6 +90,9 @@ def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: floa
     "about",
     [
         {"there": right(1.0)},
+        {"first": (right(1.0), right(1.0))},  # the table was right where it is known: it may know of a jump
+        {"first": (right(1.0), times(right(1.0), 0.25))},
+        {"there": times(right(1.0), 6.0), "first": (right(1.0), right(1.0))},
         {"there": times(right(1.0), 0.8)},  # nearly right: its own responses tell more
         {"free": (1,)},
         {"models": {0: known(1.0)}},  # one region shows no trend
@@ -94,6 +104,35 @@ def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: floa
 )
 def test_what_is_nearly_right_or_not_known_stays(about: dict[str, Any]) -> None:
     assert asked(**{"there": times(right(1.0), 0.25), **about}).elsewhere == {}
+
+
+@pytest.mark.parametrize("other", [PidGains(1.0, 0.05), PidGains(-4.0, -0.01), PidGains(0.3, 0.0)])
+def test_a_set_is_as_right_by_the_table_as_that_of_another_region_is_there(other: PidGains) -> None:
+    """The same Ms, whatever the two sets are: the hypothesis is that the table knows of the difference."""
+    sign = 1 if other.kp > 0 else -1
+    theirs = PidGains(sign * 2.0, sign * 0.04)
+    log = LogModel(np.log([0.02, 5.0, 50.0]), 1e-4 * np.eye(3), sign)
+    models = {0: RegionModel((StructureModel(log, 0.0),), 3, 0.0, plausible=spread(log))}
+    (found,) = as_right_as_others(models, 2, (theirs, theirs, other), 0.0, OPENED.tracker)
+    slower = 1.0 if not other.ki else (other.kp / other.ki) / (theirs.kp / theirs.ki)
+    expected = PidGains(theirs.kp, theirs.ki if other.ki else 0.0)
+    there, here = (model.linear() for model in (found.model, log.model()))
+    assert found.model.theta_s == pytest.approx(5.0 * slower)
+    assert sensitivity_peak(there, other) == pytest.approx(sensitivity_peak(here, expected), rel=1e-3)
+
+
+def test_a_table_says_nothing_where_nobody_knows_a_process_or_a_set_has_no_gain() -> None:
+    models = {0: known(1.0)}
+    assert as_right_as_others({}, 2, (right(1.0),) * 3, 0.0, OPENED.tracker) == ()
+    assert as_right_as_others(models, 0, (right(1.0),) * 3, 0.0, OPENED.tracker) == ()
+    assert as_right_as_others(models, 2, (right(1.0), right(1.0), PidGains(0.0, 0.1)), 0.0, OPENED.tracker) == ()
+
+
+def test_what_is_known_of_a_region_without_records_is_what_the_others_lend() -> None:
+    table = GainTable("loop", REGIONS, (right(1.0), right(1.0), right(1.0)))
+    lent = known_of({0: known(1.0), 1: known(1.0)}, table, 2, 0.0, OPENED)
+    assert len(lent.processes) > 1
+    assert known_of({}, table, 2, 0.0, OPENED) == NOTHING_KNOWN
 
 
 def test_what_is_due_and_was_not_made_before_a_restart_is_found_again() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.signals.growth import GrowthSettings, grows, half_waves
+from retuner.adaptive.signals.growth import GrowthSettings, grows, half_waves, lasting
 from retuner.adaptive.signals.sample import LoopSample
 
 BAND, PERIOD, N = 0.04, 40.0, 400
@@ -67,3 +67,20 @@ def test_half_waves_stand_in_their_order_with_their_heights() -> None:
     assert len(found) >= 15
     assert [wave.t_s for wave in found] == sorted(wave.t_s for wave in found)
     assert all(wave.height == pytest.approx(1.0, abs=0.02) for wave in found)
+
+
+@pytest.mark.parametrize(
+    ("error", "lasts"),
+    [
+        (swing, True),
+        (lambda t: 1.5 * swing(t) / (abs(swing(t)) + 0.5), True),
+        (lambda t: math.exp(-t / 60) * swing(t), False),
+        (lambda t: swing(t) * (t % 100 < 20), False),
+        (lambda t: math.copysign(math.exp(-((t % 80) / 8)), math.sin(math.pi * t / 80)), False),
+    ],
+    ids=["a tone", "one of broad waves", "decay", "a rest between", "load steps to and fro, apart"],
+)
+def test_a_swing_goes_on_that_is_even_and_without_a_rest(error: Callable[[float], float], lasts: bool) -> None:
+    found = lasting(heard(error), BAND, S)
+    assert (found is not None) is lasts
+    assert found is None or found == pytest.approx(PERIOD, rel=0.1)

@@ -135,3 +135,10 @@ def test_unfiltered_derivative_on_a_first_order_process_ends_at_a_finite_loop_ga
     assert found.stable
     assert found.ms >= 0.9 / (1 - kd / 50)
     assert not margins(LinearProcess(1.0, (50.0,), (), 10.0), PidGains(2.0, 0.04, 60.0)).stable
+
+
+def test_a_controller_that_hardly_acts_has_hardly_a_peak() -> None:
+    """|S| is all but flat there, and a step of Newton's method towards its peak is no number."""
+    process = LinearProcess(0.0035886848835599817, (10.614086953501442, 2.7016428861101334), (), 0.15435742997288296)
+    gains = PidGains(1.9576638508544647e-06, 1.3394817629288147e-07)
+    assert sensitivity_peak(process, gains) == pytest.approx(1.0, abs=1e-6)

@@ -251,6 +251,15 @@ def test_an_unstable_loop_between_its_limits_is_made_stable() -> None:
     assert rig.retuner.table.gains_of(0).kp < 1.3 * GOOD.kp
 
 
+def test_a_loop_that_a_setpoint_step_has_shown_to_swing_is_not_called_external_while_it_swings_on() -> None:
+    rig = Rig(PidGains(3.42 * GOOD.kp, 3.42 * GOOD.ki), mode=Mode.ADVISE)  # gain margin 1.01
+    rig.run(60)
+    decisions = rig.run(600, sp=1.0)
+    assert [d.response.sp_changed for d in decisions if d.response] == [True, False, False]  # it swings on
+    causes = [d.diagnosis.cause for d in decisions if d.diagnosis]
+    assert causes == [Cause.AGGRESSIVE] * 3
+
+
 def test_a_lasting_swing_between_the_limits_teaches_nothing_more() -> None:
     rig = Rig(PidGains(4 * GOOD.kp, 4 * GOOD.ki), co_max=1.5, mode=Mode.ADVISE)
     rig.run(60)

@@ -3,6 +3,7 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -297,3 +298,39 @@ def test_a_swing_that_goes_on_is_followed_again_after_a_dozen_periods(decay_rati
         apart = found[1].t_start_s - first.t_end_s
         assert 12.0 * period <= apart <= 13.5 * period
         assert abs(found[1].peaks[0].e) == pytest.approx(10.0, rel=0.05)
+
+
+def small_step(size: float, tau_s: float, noise: float, seed: int, at_s: int = 100) -> tuple[list[float], list[float]]:
+    """A setpoint step and pv that follows it slowly, with noise; a second apart."""
+    rng = np.random.default_rng(seed)
+    sp = [size if t >= at_s else 0.0 for t in range(300)]
+    pv = [size * (1 - math.exp(-(t - at_s) / tau_s)) if t >= at_s else 0.0 for t in range(300)]
+    return sp, [y + noise * n for y, n in zip(pv, rng.standard_normal(300), strict=True)]
+
+
+@pytest.mark.parametrize("bands", [0.6, 1.0, 1.9, 2.5, 3.9])
+def test_a_setpoint_step_that_is_small_for_the_noise_is_a_response_and_is_waited_for(bands: float) -> None:
+    sp, pv = small_step(bands, 20.0, 0.25, seed=7)
+    response, *later = run(pv, sp, 1.0, band=1.0)
+    assert response.sp_changed
+    assert response.t_start_s == 100.0
+    assert response.t_end_s >= 100.0 + LAW.wait_s
+    assert not later
+
+
+def test_a_setpoint_that_moves_by_less_than_shows_or_by_its_own_noise_begins_nothing() -> None:
+    sp, pv = small_step(0.4, 20.0, 0.25, seed=8)
+    assert not run(pv, sp, 1.0, band=1.0)
+    state = begin(0.0, 0.0)
+    for i, size in enumerate(np.random.default_rng(9).standard_normal(2000)):  # noise of the setpoint, in its own band
+        state = step(LAW, state, i + 1.0, 0.2 * size, 0.2 * size, 1.0, 0.8)
+        assert response_of(state, 1.0) is None
+
+
+def test_the_next_small_step_ends_the_one_before_and_begins_its_own() -> None:
+    sp, pv = small_step(1.5, 20.0, 0.0, seed=7)
+    back = [0.0 if t >= 130 else size for t, size in enumerate(sp)]
+    first, second = run(pv, back, 1.0, band=1.0)
+    assert first.ending == Ending.SETPOINT
+    assert second.t_start_s == pytest.approx(130.0, abs=2.0)
+    assert second.sp_changed

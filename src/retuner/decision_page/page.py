@@ -34,6 +34,7 @@ BASES = {
     "pattern": "from the response pattern, without a model",
     "slow_oscillation": "from the slow oscillation, without a model",
     "pretune": "from a step test",
+    "ran_before": "gains that were active here before",
 }
 """What a proposal rests on, in words."""
 FIRST_GROUPS = ("margins with the active settings", "competing explanations")

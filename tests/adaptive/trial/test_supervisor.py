@@ -354,12 +354,18 @@ def test_what_is_decided_is_not_told(event: TrialEvent) -> None:
         Bench().trials.event(0, event, 0.0)
 
 
-def test_a_cool_down_is_over_for_whoever_asks_whether_a_region_is_idle() -> None:
+@pytest.mark.parametrize(("cause", "refuted"), [(E.ORDERED_BACK, False), (E.WORSE, True)])
+def test_a_region_is_idle_after_its_cool_down_but_not_for_gains_like_those_that_were_refuted(
+    cause: TrialEvent, refuted: bool
+) -> None:
     bench = Bench()
-    bench.into(P.COOLING)
+    bench.into(P.TRIAL)
+    bench.trials.event(0, cause, 0.0)
+    bench.trials.restored(0.0)
     until_s = bench.trials.of(0).until_s
     assert not bench.trials.idle(0, until_s - 1.0)
-    assert bench.trials.idle(0, until_s)
+    assert bench.trials.idle(0, until_s) is not refuted
+    assert bench.trials.phase(0) is P.IDLE
 
 
 @pytest.mark.parametrize(("mode", "elapsed_s"), [(LoopMode.MANUAL, 1.0), (LoopMode.AUTO, 100.0)])

@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 from rig import PROMISE
 
+from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.trial.batch_responses import Loop
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import sigma_of
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.adaptive.trial.runaway import law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.settings import TrialSettings
-from retuner.adaptive.trial.wander import BLOCK, FEWEST, wander_of
+from retuner.adaptive.trial.wander import BLOCK, FEWEST, wander_of, wander_there
+from retuner.schedule.gains import PidGains
 
 
 def samples(errors: list[float], revision: int = 0) -> list[LoopSample]:
@@ -73,3 +76,19 @@ def test_noise_is_the_least_of_it_and_it_is_remembered() -> None:
     before = known.to_dict()
     del before["wander"]
     assert Promise.from_dict(before).wander == 0.0
+
+
+def integrating(theta_s: float) -> Loop:
+    """The same loop at every dead time: its response to a load is theta times as large, and as long."""
+    return Loop(LinearProcess(0.1, (), (), theta_s, 1), PidGains(5.0 / theta_s, 5.0 / theta_s / (8.0 * theta_s)))
+
+
+def test_a_load_that_walks_moves_another_loop_by_its_own_response() -> None:
+    here, there = integrating(1.0), integrating(4.0)
+    assert wander_there(0.3, 0.0, here, here) == pytest.approx(0.3)
+    assert wander_there(0.3, 0.0, here, there) == pytest.approx(0.3 * 4.0**1.5, rel=1e-6)
+    assert wander_there(0.5, 0.3, here, there) == pytest.approx(math.hypot(0.3, 0.4 * 4.0**1.5), rel=1e-6)
+
+
+def test_what_is_noise_is_the_same_everywhere() -> None:
+    assert wander_there(0.2, 0.3, integrating(1.0), integrating(4.0)) == 0.2
