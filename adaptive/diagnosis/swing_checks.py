@@ -113,10 +113,10 @@ def not_seen(response: Response, foretold: Trace, settings: SwingSettings) -> st
     if len(seen) < THIRD:  # a swing that rides on a slow return does not cross over, and shows no peaks
         due = _due(response, foretold, said, settings) * seen[0] / said[0]
         missing = response.ending == Ending.QUIET and min(second, due) > least
-        return f"{_says(third)}, and the error came to rest after {len(seen)}" if missing else ""
+        return f"{_says(third)}, and the error came to rest after {len(seen)}: no model to go by" if missing else ""
     if seen[2] + least > settings.shown * third:
         return ""
-    return f"{_says(third)}, and it was {seen[2]:.3g}"
+    return f"{_says(third)}, and it was {seen[2]:.3g}: no model to go by"
 
 
 def _due(response: Response, trace: Trace, said: list[float], settings: SwingSettings) -> float:

@@ -401,12 +401,18 @@ def _undisturbed(window: Window, estimate: ModelEstimate, evidence: dict[str, fl
     if period_s is not None:
         reason = f"a lasting oscillation of {period_s:.3g} s without any step that could have begun it"
         return Diagnosis(Cause.EXTERNAL, 0.8, evidence | {"external_period_s": period_s}, reason)
-    if evidence.get("noise_share", 0.0) > NOISY or estimate.noise_std >= estimate.residual_std:
+    share = evidence.get("noise_share", 0.0)
+    if share < HARDLY_NOISE and estimate.explained >= EXPLAINED:
+        reason = "the loop by itself explains the record, but what set it in motion came before: no step shows why"
+        return Diagnosis(Cause.UNKNOWN, 0.6, evidence, reason)
+    if share > NOISY or estimate.noise_std >= estimate.residual_std:
         return Diagnosis(Cause.NOISE, 0.8, evidence, "only noise moves this loop")
     reason = "an unexplained disturbance moves this loop: neither steps nor a regular oscillation"
     return Diagnosis(Cause.UNKNOWN, 0.6, evidence, reason)
 
 
+HARDLY_NOISE, EXPLAINED = 0.05, 0.95
+"""Share of noise, and of pv that a model explains, from which a record without a step is the loop's own motion."""
 NOISY = 0.5
 """Share of white noise in the movement of pv from which noise is what moves it."""
 

@@ -20,6 +20,8 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 
+EDGE = 50.0
+"""Ms from which its digits say nothing: the loop is at the edge of instability, its gain margin at most some 1.02."""
 PEAKS_LOOKED_AT = 6
 """How many local peaks of the grid are refined, from the highest down."""
 ZOOMS, ZOOM_POINTS = 5, 21

@@ -8,7 +8,9 @@ import numpy as np
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.to_and_fro import Averaged
 
 POINTS = 12
 """So many of the last records are remembered by what they said alone."""
@@ -61,7 +63,8 @@ class RecordPoint:
 
     t_s : of its last sample. x, x2 : scheduling variables there (x2 is 0 for a table of one dimension).
     log : the structure that explains this record best, fitted to it alone. innovation : how far it lay from what was
-    known before (chi-square, one degree of freedom a parameter), 0 for the first.
+    known before (chi-square, one degree of freedom a parameter), 0 for the first. co_curve : what it said of how co
+    acts, None where nothing.
     """
 
     t_s: float
@@ -69,6 +72,7 @@ class RecordPoint:
     x2: float
     log: LogModel
     innovation: float
+    co_curve: CoCurve | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +85,7 @@ class RegionModel:
     points : the last POINTS records by themselves, oldest first. plausible : models that the posterior still allows,
     by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
     windows : the records themselves while they are few, for the next one to be fitted with them (together.py).
+    averages : of setpoint steps to and fro, where what is known rests on these (averages.py); the newest last.
     """
 
     known: tuple[StructureModel, ...]
@@ -92,6 +97,7 @@ class RegionModel:
     identifiable: bool = True
     reason: str = ""
     windows: tuple[Window, ...] = ()
+    averages: tuple[Averaged, ...] = ()
 
     @property
     def log(self) -> LogModel:

@@ -12,7 +12,6 @@ import numpy as np
 
 from retuner.adaptive.choice.expected_cost import Choice, LoopSettings, Seen, choose, outlooks
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.oscillation_online import swings
 from retuner.adaptive.guard import GuardSettings, Verdict, prove
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
@@ -24,7 +23,10 @@ from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.causes import (
     FOREIGN,
+    NOT_CONFIRMED,
     SWINGING,
+    beside_averages,
+    by_averages,
     clear_case,
     cut_refuted,
     doubt_of,
@@ -32,10 +34,11 @@ from retuner.adaptive.supervision.causes import (
     hidden,
     is_sure,
     joining,
-    known_to_swing,
+    known_of_swing,
     not_as_modelled,
     rested_on,
-    swings_between_limits,
+    stands_out,
+    wanted_of,
     wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
@@ -44,9 +47,8 @@ from retuner.adaptive.supervision.guard_request import (
     choosable,
     may_follow,
     posterior_of,
-    promise_of,
+    promised,
     request_of,
-    tuning_of,
     unproved_request,
 )
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
@@ -113,11 +115,11 @@ def identification(found: Findings) -> None:
     record, settings = found.record, found.settings
     try:
         known = _known(found) or _from_neighbours(record, settings)
-        learned = _across(found, known) if record.crossed else _inside(found, known)
+        learned = by_averages(found) or (_across(found, known) if record.crossed else _inside(found, known))
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
-    found.learned = learned
+    found.learned = learned = beside_averages(found, learned)
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
 
 
@@ -182,7 +184,7 @@ def region_model(found: Findings) -> None:
     found.excitation_now = record.excitation.with_response(record.response)
     if learned.region_model is None:
         return
-    swinging = None if record.crossed else _known_of_swing(record, settings)
+    swinging = None if record.crossed or found.averaged is not None else known_of_swing(record, settings)
     found.in_use = found.region_model = swinging or learned.region_model
     found.rested_on = record.excitation if swinging else rested_on(record, learned.agreement)
     found.clear = clear_case(found, learned)
@@ -192,36 +194,17 @@ def region_model(found: Findings) -> None:
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now
-    found.tuning = _tuning(record, found.in_use, settings)
-
-
-def _known_of_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
-    """What was known, of a loop that swings as was known that it would, by itself or between the output's limits; else
-    None.
-
-    Such a swing shows one frequency, between limits through a nonlinearity. Taken in record by record, it led away from
-    a process that its setpoint steps had shown well.
-    """
-    before = record.region_models.get(record.region)
-    if before is None or not before.identifiable:
-        return None
-    lasting = swings(record.response, settings.swing) and known_to_swing(record, settings)
-    if not (lasting or swings_between_limits(record, settings)):
-        return None
-    return before if _tuning(record, before, settings).diagnosis.cause in SWINGING else None
-
-
-def _tuning(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
-    """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
-    now_s, models = float(record.window.t_s[-1]), {**record.region_models, record.region: model}
-    return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
+    found.tuning = wanted_of(record, found.in_use, settings)
 
 
 def without_a_model(found: Findings) -> None:
     """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
-    if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or _stands_out(found)):
+    if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or stands_out(found)):
         return
     record, learned = found.record, _learned(found)
+    if found.averaged is not None:
+        found.stop(NOT_KNOWN, learned.estimate.reason)
+        return
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
     if record.pattern is None:
         came = "crossed a boundary" if record.crossed else "began under other gains"
@@ -246,18 +229,6 @@ def without_a_model(found: Findings) -> None:
         return
     found.proposal = replace(proposed.tuning, gains=stored)
     _small_step(found, proposed, learned, reason)
-
-
-def _stands_out(found: Findings) -> bool:
-    """Whether the response rises out of the noise: a danger of which nothing is seen asks for no relief at once.
-
-    The first peak of a setpoint's response is the step itself, and the noise on top of it is no part of that.
-    """
-    record, response = found.record, found.record.response
-    sizes = [abs(peak.e) for peak in response.peaks]
-    if response.sp_changed:
-        sizes = [abs(record.samples[-1].sp - float(record.window.sp[0])), *sizes[1:]]
-    return max(sizes, default=0.0) >= found.settings.admission.excitation_bands * response.band
 
 
 def _own_fault(found: Findings) -> Diagnosis | None:
@@ -332,10 +303,8 @@ def worth(found: Findings) -> None:
         found.verdict = found.basis = None
         found.stop(ONE_RECORD if choice.waits else NOT_WORTH, choice.reason)
         return
-    record, found.verdict, found.expected = found.record, verdict, choice.reason
-    found.promise = promise_of(
-        verdict, record.table, record.region, record.at, record.pattern, found.settings, record.samples
-    )
+    found.verdict, found.expected = verdict, choice.reason
+    found.promise = promised(found, verdict)
 
 
 ONE_RECORD = "one_record"
@@ -414,7 +383,8 @@ def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
         found.region_model = None
         if _learned(found).agreement in ANEW:  # what was known before stays, and what that rested on
             found.excitation = found.record.excitation.with_response(found.record.response)
-    found.doubted(doubt)
+    wanted = found.diagnosis.reason if found.diagnosis is not None else ""
+    found.doubted(replace(doubt, reason=NOT_CONFIRMED.format(wanted=wanted, doubt=doubt.reason)))
 
 
 def _was_known(found: Findings) -> bool:
@@ -424,7 +394,7 @@ def _was_known(found: Findings) -> bool:
     before = found.record.region_models.get(found.record.region)
     if before is None or not found.rested_on.clear or _learned(found).agreement != Agreement.AGREES:
         return False
-    wanted = _tuning(found.record, before, found.settings)
+    wanted = wanted_of(found.record, before, found.settings)
     if not before.identifiable or not wanted.diagnosis.retune:
         return False
     verdict = _proved(found, before, wanted)
@@ -439,16 +409,14 @@ def _was_known(found: Findings) -> bool:
 
 def expectation(found: Findings) -> None:
     """What the proved gains promise, where they may be written at all."""
-    record, verdict, settings = found.record, found.verdict, found.settings
+    verdict = found.verdict
     if (
         found.promise is None
         and verdict is not None
         and verdict.accepted
-        and may_follow(found.question.trial, settings)
+        and may_follow(found.question.trial, found.settings)
     ):
-        found.promise = promise_of(
-            verdict, record.table, record.region, record.at, record.pattern, settings, record.samples
-        )
+        found.promise = promised(found, verdict)
 
 
 def check_after_trial(found: Findings) -> None:
@@ -485,8 +453,8 @@ class Stage(NamedTuple):
 
 
 STAGES = (
-    Stage("action", action),
     Stage("joining", joining),
+    Stage("action", action),
     Stage("admission", admission),
     Stage("swing", swing),
     Stage("identification", identification),

@@ -41,7 +41,7 @@ PIECES = (
     Piece("swing", f"{SUPERVISION}.pipeline", "foreign_swing"),
     Piece("hidden", f"{SUPERVISION}.causes", "hidden_cause", (None, False)),
     Piece("held_up", f"{SUPERVISION}.causes", "_held_up", neutral=False),
-    Piece("swing_known", f"{SUPERVISION}.pipeline", "_known_of_swing"),
+    Piece("swing_known", f"{SUPERVISION}.pipeline", "known_of_swing"),
     Piece("known_to_swing", f"{SUPERVISION}.causes", "known_to_swing", neutral=False),
     Piece("at_rest", "retuner.adaptive.diagnosis.second_opinion", "was_at_rest", neutral=True),
     Piece("calm_before", f"{SUPERVISION}.causes", "calm_before", neutral=True),

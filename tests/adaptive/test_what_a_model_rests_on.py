@@ -19,7 +19,7 @@ from retuner.schedule.table import Lookup
 
 SETTINGS = RetunerSettings(1.0, 100.0)
 BEFORE = Excitation(setpoints=0, loads=3, clear=0, alternative=1)
-NEW: Any = SimpleNamespace(log=None, reason="", records=2)
+NEW: Any = SimpleNamespace(log=None, reason="", records=2, identifiable=True)
 """A region model that the record has led to."""
 
 
@@ -36,8 +36,8 @@ def weighed(
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "clear_case": lambda *_: clear,
-        "promise_of": lambda *_: None,
-        "tuning_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
+        "promised": lambda *_: None,
+        "wanted_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
         "_proved": lambda *_: verdict,
         "_chosen": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),
         "not_as_modelled": lambda *_: None,
@@ -100,3 +100,7 @@ def test_a_first_record_rests_on_itself_ready_or_not(monkeypatch: pytest.MonkeyP
     for ready in (True, False):
         found = weighed(monkeypatch, Agreement.FIRST, None, ready=ready)
         assert found.excitation == Excitation(loads=1)
+
+
+def test_a_response_that_cannot_tell_is_nothing_that_a_model_rests_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert weighed(monkeypatch, Agreement.SILENT, Cause.NOISE).excitation == BEFORE

@@ -28,7 +28,7 @@ DONE = {
     "none": "Nothing was changed",
 }
 """What became of a decision."""
-WITHOUT_MODEL = {"pattern", "slow_oscillation"}
+WITHOUT_MODEL = {"pattern", "slow_oscillation", "ran_before"}
 """What a proposal rests on that needs no model."""
 MS_LIMIT = GuardSettings().ms_nominal
 """Limit of the nominal Ms where a document names none."""
