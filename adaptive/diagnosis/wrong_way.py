@@ -7,6 +7,8 @@ But then the process with the gain that the controller counts on explains the re
 the wrong way, a process of the other sign does so, and by far better.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -37,18 +39,26 @@ def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Dia
     window = _while_co_moved(window)
     if not _runs_away(window, direction):
         return None
-    fits = {sign: _best(window, sign, settings) for sign in (direction, -direction)}
-    other = fits[-direction]
-    record = other.fit.misfit.record
-    explained = 1 - float(np.var(record.pv - other.fit.explained) / np.var(record.pv))
-    lead = fits[direction].criterion - other.criterion
-    if lead < LEAD or explained < EXPLAINED or other.fit.misfit.loads > MOST_LOADS:
+    few = replace(settings, choice=replace(settings.choice, seeded_loads=MOST_LOADS, most_loads=MOST_LOADS))
+    if _lead(window, direction, few) is None:  # the other sign may use no more load steps; its own only gains by them
+        return None
+    lead = _lead(window, direction, settings)
+    if lead is None:
         return None
     reason = (
         "the controller acts the wrong way: pv goes where co pushes it, away from the setpoint, and co pushes on; take "
         "the loop to manual, then turn its action round (direct, reverse), or the sign of its gain"
     )
     return Diagnosis(Cause.UNKNOWN, 0.9, {"wrong_way_lead": lead}, reason)
+
+
+def _lead(window: Window, direction: int, settings: FitSettings) -> float | None:
+    """By how much a process of the other sign explains the record better; None where it is not by far."""
+    own, other = (_best(window, sign, settings) for sign in (direction, -direction))
+    record = other.fit.misfit.record
+    explained = 1 - float(np.var(record.pv - other.fit.explained) / np.var(record.pv))
+    lead = own.criterion - other.criterion
+    return lead if lead >= LEAD and explained >= EXPLAINED and other.fit.misfit.loads <= MOST_LOADS else None
 
 
 def _while_co_moved(window: Window) -> Window:

@@ -2,8 +2,9 @@
 
 Only the parameter that exceeds its limit is cut. A cut kc or tau_I changes the integral action kc/tau_I unless the
 other one goes with it; which of the two is better depends on the process (an integral that must stay on a
-delay-dominant one, a gain that must stay on an integrating one), so both are goals, and the proof decides. A limit that
-would push a parameter, or the integral action, the other way than was wanted leaves no room: that goal is refused.
+delay-dominant one, a gain that must stay on an integrating one), so both are goals, and the proof decides. It takes the
+first that holds: where the dead time is longer than the lag, that is the one with the integral. A limit that would push
+a parameter, or the integral action, the other way than was wanted leaves no room: that goal is refused.
 """
 
 import math
@@ -13,6 +14,8 @@ from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.guard.ruling import LimitNumbers, Ruling, text
 from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import change_factor
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 
@@ -75,8 +78,17 @@ def goals(
     elif kc_cut < kc and unlocked.ki and not locks.tau_i:
         shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
         made = _made(wanted.direction, kc_cut, shorter, tau_d_cut)
-        found.append(replace(first, gains=made, notes=(*notes, "tau_I moved with kc")))
+        moved = replace(first, gains=made, notes=(*notes, "tau_I moved with kc"))
+        found = [moved, first] if _delay_dominant(request) else [first, moved]
     return [goal if over_limit else _integral_turned(goal, request.in_force) for goal in found]
+
+
+def _delay_dominant(request: ChangeRequest) -> bool:
+    """Whether the dead time of the most likely model is longer than its lag: hardly more than the integral counts."""
+    if not request.models:
+        return False
+    model = without_second_lag(request.models[0].model)
+    return model.type is ProcessType.FOPDT and model.tau1_s < model.theta_s
 
 
 CALMER = (0.8, 0.64, 0.5, 0.35, 0.25)

@@ -73,9 +73,9 @@ class GuardSettings:
             "Shortest tau_I in sampling intervals",
             0.0,
             100.0,
-            source="below that the integral moves more in one sample than the gain does",
+            source="the shortest lag that a fit gives; an almost pure dead time asks for hardly more than an integral",
         ),
-    ] = 1.0
+    ] = 0.3
     tau_d_samples: Annotated[
         float,
         Setting(

@@ -17,6 +17,7 @@ import numpy as np
 
 from retuner.adaptive.identification.estimate import Alternative, LogModel, ModelEstimate, factors_text
 from retuner.adaptive.identification.identify import Fits, FitSettings
+from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.region_model.from_neighbours import spread
 from retuner.adaptive.region_model.in_motion import InMotion, in_motion
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, update, widened
@@ -106,7 +107,14 @@ def shown_by(crossing: Crossing) -> Shown:
         return Shown(alone, ())
     axis = crossing.regions.axes[crossing.along]
     x = np.clip(crossing.ways[crossing.along], axis.low, axis.high)
-    return Shown(alone, in_motion(crossing.window, x, Axis(axis.low, axis.high), alone))
+    return Shown(alone, in_motion(crossing.window, x, Axis(axis.low, axis.high), alone, _curves(crossing)))
+
+
+def _curves(crossing: Crossing) -> list[CoCurve]:
+    """What the records of all regions say of co's curve; one that taught several counts once."""
+    points = [point for model in crossing.region_models.values() for point in model.points]
+    found = {point.t_s: point.co_curve for point in points if point.co_curve is not None}
+    return [found[t_s] for t_s in sorted(found)]
 
 
 def update_across(crossing: Crossing, shown: Shown, region: int, known: RegionModel | None) -> Learned:
@@ -120,15 +128,16 @@ def update_across(crossing: Crossing, shown: Shown, region: int, known: RegionMo
     estimate = _estimate(crossing, shown, region)
     if _beyond(crossing, shown) > crossing.fit.remainder_limit:
         return Learned(own, estimate, Agreement.SILENT, 0.0)
+    curve = shown.found[0].co_curve
     if known is not None and known.log.sign == estimate.log.sign:
         innovation, after = _filtered(crossing, known, estimate)
         if after and innovation <= gate(len(known.log.x), crossing.tracker.gate):
-            now = _known(crossing, region, after, estimate, innovation, before=own)
+            now = _known(crossing, region, after, estimate, innovation, before=own, curve=curve)
             return Learned(now, estimate, Agreement.AGREES, innovation)
         if own is not None:
             return Learned(own, estimate, Agreement.CONTRADICTS, innovation)
     after = [StructureModel(scattered(a.log, crossing.tracker), a.evidence) for a in estimate.alternatives]
-    first = _known(crossing, region, after, estimate, 0.0, before=None)
+    first = _known(crossing, region, after, estimate, 0.0, before=None, curve=curve)
     return Learned(first, estimate, Agreement.FIRST, 0.0)
 
 
@@ -217,12 +226,13 @@ def _known(
     innovation: float,
     *,
     before: RegionModel | None,
+    curve: CoCurve | None,
 ) -> RegionModel:
-    """What is known of a region now. before : what was, from records of its own."""
+    """What is known of a region now. before : what was, from records of its own. curve : of co, by this record."""
     log = known[0].log
     unsure, limit = log.gain_uncertainty(crossing.window.sample_time_s), crossing.fit.gain_std_limit
     place = [crossing.regions.centre(region, axis) for axis in range(len(crossing.ways))]
-    point = RecordPoint(crossing.t_s, place[0], place[1] if len(place) > 1 else 0.0, estimate.log, innovation)
+    point = RecordPoint(crossing.t_s, place[0], place[1] if len(place) > 1 else 0.0, estimate.log, innovation, curve)
     return RegionModel(
         tuple(known),
         (before.records if before else 0) + 1,

@@ -5,9 +5,16 @@ fast and ends early, and a shorter lag explains it. So the record is fitted as t
 (schedule_design/joint.py, motion.py): every parameter a curve over the scheduling variable, with the prior of
 shapes.py about the linear model of the same record. What that says of any place comes with its covariance: much where
 the response went, less beyond.
+
+Nor does a percent of co act alike everywhere (a valve's curve, burst firing): on the way co is far from where it rests.
+A fit that knows only the place of pv puts that into lags and bends, and Kc of a tank behind an equal-percentage valve
+came out at 0.6 to 3.4 of what is right. So the slope of an installed characteristic is fitted beside, from what all
+records so far say of it (co_curve.py). At a place it counts as it is for the co that rests there, by a straight line
+between both ends of the record.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,9 +22,12 @@ import numpy as np
 from retuner.adaptive.identification.candidate import MODEL_ERROR
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, proper_covariance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.co_curve import CoCurve, added, before
+from retuner.adaptive.schedule_design.characteristic import Characteristic, over
 from retuner.adaptive.schedule_design.curves import inflation
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, noise_of, refined
-from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.schedule_design.rest import Rest
+from retuner.adaptive.schedule_design.shapes import SLOPE_STD, Axis, Shape
 from retuner.adaptive.schedule_design.stretches import Stretch, signals_of
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -36,10 +46,12 @@ class InMotion:
     """One structure's curves as one record shows them.
 
     evidence : n ln sigma^2 and what load steps cost. left : standard deviation of what is not explained, pv units.
+    rest : the co that holds a place.
     """
 
     type: ProcessType
     form: Form
+    rest: Rest
     z: FloatArray
     covariance: FloatArray
     evidence: float
@@ -50,12 +62,26 @@ class InMotion:
         rows = np.zeros((len(self.form.shapes), self.form.size))
         for i, (where, shape) in enumerate(zip(self.form.places, self.form.shapes, strict=True)):
             rows[i, where] = self.form.axis.columns(np.array(place), shape)
+        if self.form.felt is not None:
+            rows[0, self.form.felt_place] = self.form.felt.columns(self.rest.co(np.array([place])))[0]
         ln = np.array(self.form.centre) + rows @ self.z
+        if self.form.felt is not None:
+            ln[0] += self.form.felt.known(self.rest.co(np.array([place])))[0]
         slopes = np.stack(
             [(_log_of(ln + step) - _log_of(ln - step)) / (2 * STEP) for step in STEP * np.eye(len(ln))], 1
         )
         p = slopes @ rows @ self.covariance @ rows.T @ slopes.T
         return LogModel(_log_of(ln), proper_covariance(p), self.form.sign, self.type)
+
+    @property
+    def co_curve(self) -> CoCurve | None:
+        """What this record adds to what was known of co's curve; None where that is nothing."""
+        felt, i = self.form.felt, self.form.felt_place.start
+        if felt is None:
+            return None
+        unit = felt.doubt * 2 * SLOPE_STD / (felt.axis.high - felt.axis.low)
+        now = CoCurve(felt.slope + unit * float(self.z[i]), unit * math.sqrt(float(self.covariance[i, i])))
+        return added(CoCurve(felt.slope, unit), now)
 
 
 STEP = 1e-4
@@ -70,13 +96,15 @@ def _log_of(ln: FloatArray) -> FloatArray:
     return np.log([b * lags[0] / total, theta, total, lags[0] * lags[1] / total])
 
 
-def in_motion(window: Window, x: FloatArray, axis: Axis, alone: ModelEstimate) -> tuple[InMotion, ...]:
+def in_motion(
+    window: Window, x: FloatArray, axis: Axis, alone: ModelEstimate, curves: Sequence[CoCurve] = ()
+) -> tuple[InMotion, ...]:
     """The curves, one or two lags, the more likely first; none where the linear models have no lag.
 
     Parameters
     ----------
     window : the record. x : where the process is at its samples, shape (n,). axis : of the table. alone : the linear
-        models of the record, from which it starts.
+        models of the record, from which it starts. curves : what other records say of co's curve.
     """
     every = -(-len(window.t_s) // MOST_ROWS)
     stretch = Stretch(signals_of(window, x, every), 0, -(-len(window.t_s) // every), changed=True)
@@ -85,12 +113,22 @@ def in_motion(window: Window, x: FloatArray, axis: Axis, alone: ModelEstimate) -
     lagged = next((a.log.model() for a in alone.alternatives if a.log.type in _STARTS), None)
     if lagged is None:
         return ()
-    found = []
+    found, felt = [], _felt(stretch, curves)
     for loads in sorted({joint.loads[0], _rows(stretch, alone)}, key=len):
-        one = _fitted(replace(joint, loads=(loads,)), _of_one_lag(axis, lagged))
+        one = _fitted(replace(joint, loads=(loads,)), _of_one_lag(axis, lagged, felt))
         found += [one, _fitted(replace(joint, loads=(loads,)), *_with_second_lag(one))]
     best = [min((f for f in found if f.type is t), key=lambda f: f.evidence) for t in _STARTS]
     return tuple(sorted(best, key=lambda one: one.evidence + len(one.form.shapes) * math.log(len(stretch))))
+
+
+def _felt(stretch: Stretch, curves: Sequence[CoCurve]) -> Characteristic | None:
+    """How co acts, as it is known before this record; None where co stands still."""
+    found = over([stretch], Shape.LINE)
+    if found is None:
+        return None
+    travel = found.axis.high - found.axis.low
+    known = before(curves, travel)
+    return replace(found, slope=known.slope, doubt=known.std * travel / (2 * SLOPE_STD))
 
 
 def _rows(stretch: Stretch, alone: ModelEstimate) -> tuple[int, ...]:
@@ -105,18 +143,19 @@ def _rows(stretch: Stretch, alone: ModelEstimate) -> tuple[int, ...]:
 _STARTS = (ProcessType.FOPDT, ProcessType.SOPDT)
 
 
-def _of_one_lag(axis: Axis, model: ProcessModel) -> Form:
-    """Curves about a linear model; its lags are taken for one."""
+def _of_one_lag(axis: Axis, model: ProcessModel, felt: Characteristic | None) -> Form:
+    """Curves about a linear model; its lags are taken for one. felt : how co acts."""
     lag = model.tau1_s + model.tau2_s
     centre = (math.log(abs(model.k) / lag), math.log(model.theta_s), math.log(lag))
-    return Form(axis, (Shape.BENT,) * 3, centre, 1 if model.k > 0 else -1)
+    return Form(axis, (Shape.BENT,) * 3, centre, 1 if model.k > 0 else -1, felt)
 
 
 def _with_second_lag(one: InMotion) -> tuple[Form, FloatArray]:
     """A lag beside the first, out of the dead time; its start."""
     b, theta, tau = one.form.centre
     centre = (b, theta + math.log1p(-SECOND_LAG), tau, theta + math.log(SECOND_LAG))
-    return replace(one.form, shapes=(*one.form.shapes, Shape.CONSTANT), centre=centre), np.append(one.z, 0.0)
+    shapes = (*one.form.shapes, Shape.CONSTANT)
+    return replace(one.form, shapes=shapes, centre=centre), np.insert(one.z, one.form.felt_place.start, 0.0)
 
 
 def _fitted(joint: Joint, form: Form, start: FloatArray | None = None) -> InMotion:
@@ -132,7 +171,8 @@ def _fitted(joint: Joint, form: Form, start: FloatArray | None = None) -> InMoti
     covariance = proper_covariance(np.asarray(np.linalg.inv(information), dtype=np.float64))
     evidence = len(now.r) * math.log(float(np.mean(now.left[0] ** 2))) + 2 * len(joint.loads[0]) * math.log(len(now.r))
     type_ = ProcessType.SOPDT if len(form.shapes) > 3 else ProcessType.FOPDT
-    return InMotion(type_, form, now.z, covariance, evidence, float(np.std(now.left[0])))
+    rest = Rest.on_the_way(joint.stretches[0])
+    return InMotion(type_, form, rest, now.z, covariance, evidence, float(np.std(now.left[0])))
 
 
 def _noise(now: At, floor: float) -> Noise:

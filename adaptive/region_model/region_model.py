@@ -8,6 +8,7 @@ import numpy as np
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.signals.sample import FloatArray, Window
 
 POINTS = 12
@@ -61,7 +62,8 @@ class RecordPoint:
 
     t_s : of its last sample. x, x2 : scheduling variables there (x2 is 0 for a table of one dimension).
     log : the structure that explains this record best, fitted to it alone. innovation : how far it lay from what was
-    known before (chi-square, one degree of freedom a parameter), 0 for the first.
+    known before (chi-square, one degree of freedom a parameter), 0 for the first. co_curve : what it said of how co
+    acts, None where nothing.
     """
 
     t_s: float
@@ -69,6 +71,7 @@ class RecordPoint:
     x2: float
     log: LogModel
     innovation: float
+    co_curve: CoCurve | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.schedule_design.agreement import agreement
-from retuner.adaptive.schedule_design.characteristic import Characteristic
+from retuner.adaptive.schedule_design.characteristic import Characteristic, over
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, at, noise_of, refined
 from retuner.adaptive.schedule_design.rest import Rest
 from retuner.adaptive.schedule_design.shapes import LEVEL_STD, Axis, Second, Shape
@@ -124,7 +124,7 @@ def curves(
     progress("curves", 0.3)
     bent = [_settled(fit[0], *_bent(fit), 2) for fit in constants]
     progress("the installed characteristic", 0.55)
-    felt = _characteristic(stretches) if known is None or known.felt is not None else None
+    felt = over(stretches) if known is None or known.felt is not None else None
     bent += [_settled(fit[0], *_felt(fit, felt), 1) for fit in bent if felt is not None]
     progress("which of them change", 0.75)
     noise = max(bent, key=_innovations)[2]
@@ -171,19 +171,6 @@ def _felt(fit: Fit, felt: Characteristic) -> tuple[Form, FloatArray]:
     """The same with co acting through a characteristic."""
     _, form, _, now = fit
     return form.with_shapes(form.shapes, now.z, felt, form.second_shapes)
-
-
-LEAST_TRAVEL = 1e-6
-"""Of co, as a share of its size, below which it has no characteristic."""
-
-
-def _characteristic(stretches: Sequence[Stretch]) -> Characteristic | None:
-    """Over what co does in the records."""
-    rates = [np.diff(s.fired(s.t_s)) / np.diff(s.t_s) for s in stretches]
-    low, high = min(float(np.min(r)) for r in rates), max(float(np.max(r)) for r in rates)
-    if not high - low > LEAST_TRAVEL * max(abs(low), abs(high)):
-        return None
-    return Characteristic(Axis(low, high), Shape.BENT)
 
 
 def _settled(joint: Joint, form: Form, z: FloatArray, rounds: int) -> Fit:

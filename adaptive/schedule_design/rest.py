@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.stretches import Stretch
+from retuner.adaptive.schedule_design.stretches import LEAD_ROWS, Stretch
 from retuner.adaptive.signals.sample import FloatArray
 
 END = 4
@@ -38,6 +38,17 @@ class Rest:
         coefficients = np.polyfit((x - middle) / half, co, order)
         left = co - np.polyval(coefficients, (x - middle) / half)
         return cls(tuple(coefficients.tolist()), middle, half, float(np.median(np.abs(left))) * 1.5)
+
+    @classmethod
+    def on_the_way(cls, stretch: Stretch) -> "Rest":
+        """Of one stretch: a straight line from where it begins to where it ends."""
+        changes = stretch.signals.changes
+        lead = max(changes[0] - stretch.first, 2) if changes else LEAD_ROWS
+        t, x = stretch.t_s[[0, lead]], stretch.x
+        fired = stretch.fired(t)
+        begun = float(np.mean(x[:lead])), float((fired[1] - fired[0]) / (t[1] - t[0]))
+        (x0, co0), (x1, co1) = begun, _end(stretch)
+        return cls(((co1 - co0) / 2, (co0 + co1) / 2), (x0 + x1) / 2, (x1 - x0) / 2 or 1.0, 0.0)
 
 
 def _end(stretch: Stretch) -> tuple[float, float]:

@@ -19,14 +19,25 @@ from retuner.adaptive.signals.sample import FloatArray
 
 MEDIAN_TO_SIGMA = 1.4826 / math.sqrt(6.0)
 QUANTUM_TO_SIGMA = 1.0 / math.sqrt(12.0)
+LAGS = 10
+"""So many lags must fit into a stretch for its noise to be told at that lag."""
+COLOURED = 1.25
+"""Ratio from which noise is no longer taken for white: estimates of white noise scatter by a tenth."""
 FEW_LEVELS = 0.5
 """A signal with more different values than this share of its samples is not quantised in any way that matters."""
+AGAIN = 5
+"""Samples that must show the same level, for levels that are no whole quanta apart to be a sensor's and no motion's."""
 QUANTUM_TOLERANCE = 0.02
 """All levels of a quantised signal lie whole quanta apart, to this share of a quantum."""
 QUANTUM_ROUNDING = 1e-9
 """Steps below this share of the largest are rounding, no quantum."""
 ADAPT_FACTOR = 1.02
 """Growth per sample of the streaming median: settles from a factor 50 in about 400 samples, scatters by 5 %."""
+FAST_START, FAST_OFFSET = 3.0, 8.0
+"""At first it grows by 3/(n + 8) at the n-th sample, where that is more: from a factor 50 in about 60 samples. Else
+noise passes for swings until it has been learned (a gain that falls as 1/n, Robbins & Monro 1951)."""
+FAST_SAMPLES = int(FAST_START / (ADAPT_FACTOR - 1.0) - FAST_OFFSET)
+"""So many samples long."""
 
 
 def noise_sigma(pv: FloatArray) -> float:
@@ -44,15 +55,48 @@ def quantum_sigma(pv: FloatArray) -> float:
         return 0.0
     quantum = float(np.min(apart))
     whole = np.abs(apart / quantum - np.round(apart / quantum)) < QUANTUM_TOLERANCE
-    return quantum * QUANTUM_TO_SIGMA if np.all(whole) else 0.0
+    if not np.all(whole):
+        quantum = _usual_jump(pv, ordered, steps)
+    return quantum * QUANTUM_TO_SIGMA
+
+
+def _usual_jump(pv: FloatArray, ordered: FloatArray, steps: FloatArray) -> float:
+    """Median jump from one level to another, of levels that come again and again; zero where most do not.
+
+    They lie no whole quanta apart where the end of a range cuts one off, or a converter is not even.
+    """
+    ends = np.flatnonzero(np.append(steps > QUANTUM_ROUNDING * (ordered[-1] - ordered[0]), True))
+    visits = np.diff(ends, prepend=-1)
+    if np.median(visits) < AGAIN:
+        return 0.0
+    jumps = np.abs(np.diff(pv))
+    return float(np.median(jumps[jumps > QUANTUM_ROUNDING * (ordered[-1] - ordered[0])]))
+
+
+def coloured_sigma(pv: FloatArray, longest: int) -> float:
+    """Standard deviation of noise that wanders, on pv at rest; zero where it is white, for then `noise_sigma` tells it.
+
+        sigma_k = 1.4826 median |y_i - 2 y_(i+k) + y_(i+2k)| / sqrt(6),   k = 1, 2, 4, ...
+
+    Values next to each other are alike where the noise is coloured: of an autoregressive one with rho = 0.9 the first
+    differences show a third. From k on that is longer than its memory they show all of it.
+
+    pv : shape (n,), of a loop at rest. longest : largest k, samples; what is slower is no noise to who asks.
+    """
+    first, most, k = noise_sigma(pv), 0.0, 2
+    while k <= min(longest, len(pv) // LAGS):
+        d = np.abs(pv[: -2 * k] - 2 * pv[k:-k] + pv[2 * k :])
+        most, k = max(most, MEDIAN_TO_SIGMA * float(np.median(d))), 2 * k
+    return most if most > COLOURED * first else 0.0
 
 
 class NoiseState(NamedTuple):
-    """Streaming estimate: median of |second difference|, and the last two values."""
+    """Streaming estimate: median of |second difference|, and the last two values. heard : samples of the fast start."""
 
     median: float
     last: float
     before: float
+    heard: int = FAST_SAMPLES
 
 
 def noise_start(sigma: float) -> float:
@@ -60,9 +104,14 @@ def noise_start(sigma: float) -> float:
     return sigma / MEDIAN_TO_SIGMA
 
 
-def noise_step(median: float, d: float) -> float:
+def noise_step(median: float, d: float, factor: float = ADAPT_FACTOR) -> float:
     """The next median; d : second difference, pv - 2 last + before. Scalars, because a tuple a sample is dear."""
-    return median * ADAPT_FACTOR if d > median or -d > median else median / ADAPT_FACTOR
+    return median * factor if d > median or -d > median else median / factor
+
+
+def first_factor(n: int) -> float:
+    """Growth of the median at the n-th of the first FAST_SAMPLES samples, n from 1."""
+    return 1.0 + FAST_START / (n + FAST_OFFSET)
 
 
 def noise_at_least(state: NoiseState, value: float, least: float) -> NoiseState:
@@ -72,4 +121,4 @@ def noise_at_least(state: NoiseState, value: float, least: float) -> NoiseState:
     seen only after as long a climb.
     """
     median = noise_step(state.median, value - 2.0 * state.last + state.before)
-    return NoiseState(max(median, least), value, state.last)
+    return NoiseState(max(median, least), value, state.last, state.heard)

@@ -316,7 +316,9 @@ def posterior_of(
     found = check_posterior(
         allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
     )
-    return replace(found, settled=estimate.identifiable)
+    known = learned.region_model
+    agreed = learned.agreement == Agreement.AGREES and known is not None and known.records > AGREED
+    return replace(found, settled=estimate.identifiable, agreed=agreed)
 
 
 AGREED = 2

@@ -10,10 +10,20 @@ no response is taken: nobody could say where it belongs.
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
-from retuner.adaptive.signals.noise import MEDIAN_TO_SIGMA, NoiseState, noise_at_least, noise_start, noise_step
+from retuner.adaptive.signals.noise import (
+    ADAPT_FACTOR,
+    FAST_SAMPLES,
+    MEDIAN_TO_SIGMA,
+    NoiseState,
+    first_factor,
+    noise_at_least,
+    noise_start,
+    noise_step,
+)
 from retuner.adaptive.signals.recogniser import (
     RecogniserLaw,
     RecogniserPhase,
@@ -25,6 +35,7 @@ from retuner.adaptive.signals.recogniser import (
     taken_over,
 )
 from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.rest import wander_before
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite, plain
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.axis import CAN
@@ -50,11 +61,15 @@ class FinderState(NamedTuple):
 
 
 class Completed(NamedTuple):
-    """A response. region : in which it ended. entered_s : since when the loop was there."""
+    """A response. region : in which it ended. entered_s : since when the loop was there.
+
+    wander : standard deviation of noise that wanders, pv units; the response's band has been widened for it.
+    """
 
     region: int
     response: Response
     entered_s: float = -math.inf
+    wander: float = 0.0
 
 
 class Left(NamedTuple):
@@ -84,7 +99,7 @@ class ResponseFinder:
         self._samples: deque[LoopSample] = deque(maxlen=settings.history)
         self._region: RegionState | None = None
         self._state: RecogniserState | None = None
-        self._median, self._last, self._before = NoiseState(0.0, 0.0, 0.0)
+        self._median, self._last, self._before, self._heard = NoiseState(0.0, 0.0, 0.0, 0)
         self._law = RecogniserLaw(1.0, 1.0)
         self._floor = settings.band or settings.band_min_share * settings.pv_span
         self._per_median = 0.0 if settings.band else settings.band_sigmas * MEDIAN_TO_SIGMA
@@ -142,18 +157,18 @@ class ResponseFinder:
         if state is None or self._region is None or not self._samples:
             return None
         response = so_far(state, self._samples[-1].t_s, self.band)
-        return Completed(self._region.region, response, _entered(self._region)) if response else None
+        return self._completed(self._region, response) if response else None
 
     def state(self) -> FinderState:
         """Where it stands: see memory.py, which turns it into plain values."""
-        noise = NoiseState(self._median, self._last, self._before)
+        noise = NoiseState(self._median, self._last, self._before, self._heard)
         return FinderState(self._region, self._state, noise, tuple(self._samples), self._setpoint)
 
     def resume(self, state: FinderState) -> None:
         """Go on from there."""
         self._region, self._state, noise, samples, setpoint = state
         self._setpoint = setpoint or NoiseState(self._clean, 0.0, 0.0)
-        self._median, self._last, self._before = noise
+        self._median, self._last, self._before, self._heard = noise
         self._samples.clear()
         self._samples.extend(samples)
         self._adopt_time_scale()
@@ -204,13 +219,13 @@ class ResponseFinder:
             shortest_s = self.settings.shortest_wait * self.settings.sample_time_s
             self._state = taken_over(self._state, self._samples[-1].t_s, self._samples[-1].sp, shortest_s)
 
-    def window(self, response: Response) -> Window:
-        """The response with some of the time before it."""
+    def window(self, response: Response, wander: float = 0.0) -> Window:
+        """The response with some of the time before it. wander : see Completed."""
         s = self.settings
         lead = s.lead_share * (response.t_end_s - response.t_start_s) + s.lead_samples * s.sample_time_s
         first = response.t_start_s - lead
         skip = next((i for i, sample in enumerate(self._samples) if sample.t_s >= first), 0)
-        return Window.of(list(islice(self._samples, skip, None)))
+        return replace(Window.of(list(islice(self._samples, skip, None))), noise_std=wander)
 
     def _restart(self, sample: LoopSample) -> None:
         """Begin anew: the first sample, after a gap, or in manual. What is known of the regions stays."""
@@ -258,8 +273,11 @@ class ResponseFinder:
 
     def _hear(self, pv: float) -> float:
         """Follow the noise: the next median."""
-        last = self._last
-        self._median = median = noise_step(self._median, pv - 2.0 * last + self._before)
+        last, factor = self._last, ADAPT_FACTOR
+        if self._heard < FAST_SAMPLES:
+            self._heard += 1
+            factor = first_factor(self._heard)
+        self._median = median = noise_step(self._median, pv - 2.0 * last + self._before, factor)
         self._last, self._before = pv, last
         return median
 
@@ -292,7 +310,14 @@ class ResponseFinder:
         response = response_of(state, self.band)
         assert response is not None
         assert self._region is not None
-        return Completed(self._region.region, response, _entered(self._region))
+        return self._completed(self._region, response)
+
+    def _completed(self, region: RegionState, response: Response) -> Completed:
+        """With the band that its noise has, which may wander; one that a person has set stays."""
+        wander = wander_before(self._samples, response)
+        if wander and not self.settings.band:
+            response = replace(response, band=max(response.band, self.settings.band_sigmas * wander))
+        return Completed(region.region, response, _entered(region), wander)
 
 
 def _entered(region: RegionState) -> float:

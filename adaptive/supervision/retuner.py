@@ -424,7 +424,7 @@ class Retuner:
         return ResponseRecord(
             seen.region,
             response,
-            w.window(response),
+            w.window(response, seen.wander),
             tuple(w.samples),
             self.table,
             self.commissioned,

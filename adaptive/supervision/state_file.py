@@ -16,6 +16,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.region_model.region_model import Drift, RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
@@ -42,6 +43,7 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
         "alternative": None if region_model.alternative is None else _known_out(region_model.alternative),
         "points": [
             {"t_s": p.t_s, "x": p.x, "x2": p.x2, "log": _log_out(p.log), "innovation": p.innovation}
+            | ({} if p.co_curve is None else {"co_curve": [p.co_curve.slope, p.co_curve.std]})
             for p in region_model.points
         ],
         "plausible": [{"model": p.model.to_dict(), "excess": p.excess} for p in region_model.plausible],
@@ -123,7 +125,8 @@ def _log_in(body: Mapping[str, Any]) -> LogModel:
 def _point_in(body: Mapping[str, Any]) -> RecordPoint:
     """One record by itself."""
     t_s, x, x2, innovation = (float(body[name]) for name in ("t_s", "x", "x2", "innovation"))
-    return RecordPoint(t_s, x, x2, _log_in(body["log"]), innovation)
+    curve = body.get("co_curve")
+    return RecordPoint(t_s, x, x2, _log_in(body["log"]), innovation, None if curve is None else CoCurve(*curve))
 
 
 def _model_in(body: Mapping[str, Any]) -> ProcessModel:

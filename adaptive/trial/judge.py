@@ -9,8 +9,10 @@ inexactness can do, and is no improvement on the gains before either:
 (before: the old gains, as the response showed them that led to the change, else on the best model; a model that calls
 them unstable without that having been seen says nothing of their IAE. shape.py has the numbers; s from the noise of
 the peaks.) It is WORSE as well when the old gains were surely better on the models that are still allowed, whatever
-the upset was (posterior_check.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
-INCONCLUSIVE, which costs time but undoes nothing, unless it is known by then that the tried set is robust:
+the upset was (posterior_check.py). It is not WORSE by its two numbers where a process that explains this and several
+records before it holds the new gains for robust: then more than one upset made the peaks. It is judged only if the
+upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs time but undoes nothing, unless it
+is known by then that the tried set is robust:
 
     all peaks within seen_bands of noise, or within seen_wanders of what the error did while nothing happened;
     begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is worse by then
@@ -43,6 +45,7 @@ MEAN_OF_NOISE = 0.8
 """Mean of |n| over the standard deviation of normal noise n."""
 NOISE_RISES = 4.0
 """Standard deviations in a noise band by default: a band that the user set counts as so many as well."""
+WORSE_WORDS = "worse than predicted: "
 LIMITED = 0.05
 """Share of limited samples from which the IAE is not the tuning's alone."""
 
@@ -170,8 +173,12 @@ def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: Tr
     before = then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0
     costs = _costs(seen, gains, now, before, sigma, settings)
     numbers = TrialNumbers(peaks, posterior, swings.numbers, costs.numbers)
-    if swings.words or costs.words or worse:
-        return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (swings.words, costs.words, worse))), numbers)
+    told = "; ".join(filter(None, (swings.words, costs.words)))
+    if told and not worse and seen.posterior and seen.posterior.agreed and in_favour(seen.posterior, settings):
+        by_loads = f"the models explain this response by its loads: {told.replace(WORSE_WORDS, '')}"
+        return _by_posterior(by_loads, seen.posterior, settings, numbers)
+    if told or worse:
+        return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (told, worse))), numbers)
     return _not_worse(seen, now, swings.numbers, numbers, settings)
 
 
@@ -253,7 +260,7 @@ def _swings(response: Response, now: Expected, before: float, sigma: float, sett
     if sure is None or sure <= limit or sure <= before:
         return _Swings("", numbers)
     words = (
-        f"worse than predicted: half-cycle decay ratio {numbers.decay:.2f} (at least {sure:.2f} allowing for noise), "
+        f"{WORSE_WORDS}half-cycle decay ratio {numbers.decay:.2f} (at least {sure:.2f} allowing for noise), "
         f"predicted at most {now.decay.high:.2f}; previous gains {before:.2f}"
     )
     return _Swings(words, numbers)
@@ -290,7 +297,7 @@ def _costs(
     if measured <= limit or measured <= before:
         return _Costs("", numbers)
     words = (
-        f"worse than predicted: IAE {measured:.3g} {_PER[response.sp_changed]}, predicted at most {now.iae.high:.3g}; "
+        f"{WORSE_WORDS}IAE {measured:.3g} {_PER[response.sp_changed]}, predicted at most {now.iae.high:.3g}; "
         f"previous gains {before:.3g}"
     )
     return _Costs(words, numbers)

@@ -35,7 +35,8 @@ class PosteriorCheck:
     """ms_tried, ms_most : least and greatest Ms of the tried set over the models. ms_old : greatest of the old one;
     infinite where unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head
     of this file; 0 where it is not known. settled : settings could follow from what is known; to speak against a set it
-    is enough that all allowed models do so.
+    is enough that all allowed models do so. agreed : several records before this response
+    agree with it.
     """
 
     ms_tried: float
@@ -44,6 +45,7 @@ class PosteriorCheck:
     robuster: bool
     slower: float
     settled: bool = True
+    agreed: bool = False
 
 
 def check_posterior(

@@ -204,9 +204,10 @@ def _telemetry(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
 
 def _tables(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
     rows = [row for file in options.files for row in rows_of(file)]
+    runs = [row for row in rows if row["part"] == "batch"]
     for title, of, table in (
-        ("batch, limits of a change: x8", [r for r in rows if r.get("opened") is True], batch.table),
-        ("batch, limits of a change: defaults", [r for r in rows if r.get("opened") is False], batch.table),
+        ("batch, limits of a change: x8", [r for r in runs if r["opened"]], batch.table),
+        ("batch, limits of a change: defaults", [r for r in runs if not r["opened"]], batch.table),
         ("walks", [r for r in rows if r["part"] == "walks"], walks.table),
         ("tours", [r for r in rows if r["part"] == "tours"], tours.table),
         ("regions where the loop is not", [r for r in rows if r["part"] == "elsewhere"], elsewhere.table),

@@ -12,6 +12,8 @@ from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeReque
 from retuner.adaptive.guard.limits import Goal, calmer, goals
 from retuner.adaptive.guard.ruling import LimitNumbers
 from retuner.adaptive.guard.step_size import extent, less_of_everything
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.forms import IdealGains
 from retuner.schedule.gains import PidGains
@@ -123,15 +125,30 @@ def test_a_cut_tau_i_leaves_two_ways_and_the_proof_decides() -> None:
 
 
 def test_below_the_sampling_time_the_integral_action_is_kept_first() -> None:
-    old = IdealGains(0.1, 1.0).to_parallel()
-    first, second = cut(IdealGains(0.12, 0.5).to_parallel(), old=old)
+    old, whole = IdealGains(0.1, 1.0).to_parallel(), GuardSettings(tau_i_samples=1.0)
+    first, second = cut(IdealGains(0.12, 0.5).to_parallel(), whole, old=old)
     assert times_of(first.gains) == pytest.approx((0.24, 1.0, 0.0))
     assert first.gains.ki == pytest.approx(0.24)
     assert times_of(second.gains) == pytest.approx((0.12, 1.0, 0.0))
     assert first.cut_by is None
     short = IdealGains(0.1, 0.3).to_parallel()
-    assert times_of(cut(IdealGains(0.12, 0.5).to_parallel(), old=short)[0].gains) == pytest.approx((0.12, 0.5, 0.0))
-    assert times_of(cut(IdealGains(0.12, 0.2).to_parallel(), old=short)[0].gains) == pytest.approx((0.18, 0.3, 0.0))
+    kept, longer = (cut(IdealGains(0.12, tau_i).to_parallel(), whole, old=short)[0] for tau_i in (0.5, 0.2))
+    assert times_of(kept.gains) == pytest.approx((0.12, 0.5, 0.0))
+    assert times_of(longer.gains) == pytest.approx((0.18, 0.3, 0.0))
+
+
+def test_an_almost_pure_dead_time_keeps_its_integral_where_kc_is_cut() -> None:
+    """Kc says little there: cut alone it once left IAE at 1.7 times what tau_I, shortened with it, gives."""
+    old, wanted = IdealGains(0.02, 2.0).to_parallel(), IdealGains(0.2, 2.0).to_parallel()
+    delay = ProcessModel(ProcessType.FOPDT, 1.0, 2.0, 0.0, 10.0)
+    asked = replace(request(old), models=(Plausible(delay, 0.0),))
+    first, second = goals(wanted, 10.0, asked, SETTINGS, over_limit=False)
+    assert times_of(first.gains) == pytest.approx((0.08, 0.8, 0.0))
+    assert first.gains.ki == pytest.approx(wanted.ki)
+    assert times_of(second.gains) == pytest.approx((0.08, 2.0, 0.0))
+    lagging = replace(delay, tau1_s=20.0)
+    asked = replace(asked, models=(Plausible(lagging, 0.0),))
+    assert goals(wanted, 10.0, asked, SETTINGS, over_limit=False)[0].gains == second.gains
 
 
 def test_the_commissioned_set_does_not_hold_up_a_loop_over_its_limit() -> None:

@@ -6,7 +6,7 @@ from itertools import product
 from typing import Any
 
 import pytest
-from rig import BAD, GOOD, MODEL, Rig, responses
+from rig import BAD, GOOD, MODEL, PROMISE, Rig, responses
 
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -223,3 +223,25 @@ def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.Monke
     assert odd(2, identifiable=False) is None  # two that agree stand against what cannot name the process
     assert odd(1, identifiable=False) == unsettled
     assert odd(2, identifiable=True) == usual
+
+    def agreeing(records: int) -> PosteriorCheck | None:
+        known = replace(learned.region_model, records=records)
+        return posterior_of(case, Learned(known, learned.estimate, Agreement.AGREES, 0.0), trial, settings)
+
+    assert agreeing(2) == usual
+    assert agreeing(3) == replace(usual, agreed=True)
+
+
+def test_peaks_that_several_records_explain_by_loads_take_no_robust_set_back() -> None:
+    """Two loads in one response are a swing that grows, in the calmest loop."""
+    ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
+    promised = promise([Plausible(MODEL, 0.0)], SLUGGISH, ringing, 1.0)
+    held = replace(promised, setpoint=PROMISE.setpoint, load_step=PROMISE.load_step)
+    robust = PosteriorCheck(1.5, 1.7, 1.1, robuster=False, slower=0.3, agreed=True)
+    seen = replace(responses(Rig(ringing), 400, load=10.0)[0], posterior=robust)
+    kept = judge(seen, held, ringing, S)
+    assert kept.finding is TrialFinding.AS_PROMISED
+    assert "robust: Ms at most 1.70" in kept.reason
+    assert "the models explain this response by its loads: half-cycle decay ratio" in kept.reason
+    for doubt in ({"agreed": False}, {"settled": False}, {"ms_most": 2.5}):
+        assert judge(replace(seen, posterior=replace(robust, **doubt)), held, ringing, S).finding is TrialFinding.WORSE
