@@ -403,9 +403,7 @@ def _undisturbed(window: Window, estimate: ModelEstimate, evidence: dict[str, fl
         return Diagnosis(Cause.EXTERNAL, 0.8, evidence | {"external_period_s": period_s}, reason)
     share = evidence.get("noise_share", 0.0)
     if share < HARDLY_NOISE and estimate.explained >= EXPLAINED:
-        reason = (
-            "the loop by itself explains the record, but what set it in motion came before: no step shows why"
-        )
+        reason = "the loop by itself explains the record, but what set it in motion came before: no step shows why"
         return Diagnosis(Cause.UNKNOWN, 0.6, evidence, reason)
     if share > NOISY or estimate.noise_std >= estimate.residual_std:
         return Diagnosis(Cause.NOISE, 0.8, evidence, "only noise moves this loop")
