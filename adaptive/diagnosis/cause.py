@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from retuner.adaptive.loop.margins import EDGE, Margins, margins
-from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.loop.margins import EDGE, Margins, margins, sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains
 
 
@@ -107,8 +107,8 @@ def counted(told: Diagnosis) -> Diagnosis:
 #     little integral action        sluggish: ki well under what SIMC gives, with robustness to spare
 #     little gain                   sluggish, or slow_integrating where the integral time is short as well
 #     otherwise                     ok
-#     Ms high with derivative       unknown: what the derivative does hangs on a second lag, which a first-order model
-#                                   does not have; it calls good PID loops unstable
+#     Ms high with derivative       what the derivative does hangs on a second lag, which a first-order model does not
+#                                   have: unknown where one that hides in its dead time would make the loop robust
 #
 # 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3), so
 # the ratio of ki to SIMC's says how much worse than necessary loads are rejected. The margins separate the classes
@@ -153,11 +153,33 @@ def tuning_cause(
         "kp_ratio": best.kp / gains.kp if gains.kp else math.inf,
     }
     cause, reason = _name(found, slack, evidence["kp_ratio"], settings)
-    if gains.kd and not model.tau2_s and found.ms > settings.ms_high:
+    if gains.kd and not model.tau2_s and found.ms > settings.ms_high and cured(model, gains, settings.ms_high):
         unsure = "the controller has derivative action, and a model without a second lag cannot judge it"
         return Diagnosis(Cause.UNKNOWN, 1.0, evidence, unsure)
     room = max(slack, evidence["kp_ratio"])
     return Diagnosis(cause, _confidence(found, room, cause, gain_uncertainty, settings), evidence, reason)
+
+
+HIDDEN_LAGS = (0.25, 0.5, 0.75)
+"""Shares of a dead time that may be a second lag: a first-order fit takes half of it for dead time and more (half rule,
+Skogestad 2003)."""
+WITH_LAG = {ProcessType.FOPDT: ProcessType.SOPDT, ProcessType.INTEGRATING: ProcessType.INTEGRATING_LAG}
+
+
+def cured(model: ProcessModel, gains: PidGains, limit: float) -> bool:
+    """Whether a second lag in place of a part of its dead time brings the loop under an Ms limit, or none has a place.
+
+    limit : of Ms. A good PID loop is robust with its second lag, and unstable on the first-order model of the same
+    process. A loop whose integral is too strong is over the limit with and without.
+    """
+    if model.type not in WITH_LAG:
+        return True
+    for share in HIDDEN_LAGS:
+        lags = sorted((model.tau1_s, share * model.theta_s)) if model.tau1_s else (share * model.theta_s, 0.0)
+        lagged = ProcessModel(WITH_LAG[model.type], model.k, lags[1], lags[0], (1 - share) * model.theta_s)
+        if sensitivity_peak(lagged.linear(), gains) <= limit:
+            return True
+    return False
 
 
 def over_words(ms: float, limit: float) -> str:

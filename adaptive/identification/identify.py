@@ -292,7 +292,7 @@ def _alternative(candidate: Candidate, prior: Prior | None) -> Alternative:
     precision = information.T @ information
     known = usual(fit.misfit.type, fit.x) if prior is None else prior
     precision = precision if known is None else precision + known.root.T @ known.root
-    precision = precision + _broad(d) if prior is None else precision
+    precision = precision + broad(d) if prior is None else precision
     covariance = proper_covariance(np.asarray(np.linalg.inv(precision), dtype=np.float64))
     log = LogModel(fit.x.copy(), covariance, fit.misfit.sign, fit.misfit.type)
     n = len(record.pv)
@@ -314,7 +314,7 @@ FITTED = 2.0
 estimate would pass for as sure as if it had been explained."""
 
 
-def _broad(d: int) -> FloatArray:
+def broad(d: int) -> FloatArray:
     """Precision of what is known of any process before any record."""
     return np.diag([WIDEST_GAIN_STD**-2, *[WIDEST_STD**-2] * (d - 1)])
 
@@ -362,35 +362,44 @@ def _judge(
     log: LogModel, around: tuple[Plausible, ...], explained: float, record: Record, settings: FitSettings
 ) -> tuple[bool, str]:
     """Whether settings may follow from this estimate, and the sentence that says why."""
-    model = log.model()
     if explained < settings.explained_limit:
         return False, f"the model explains {explained:.0%} of pv's variance; {settings.explained_limit:.0%} are needed"
-    short = without_second_lag(model).theta_s
-    if short < FEWEST_SAMPLES_IN_THETA * record.sample_time_s:
-        return False, (
+    open_ = left_open(log, around, record.sample_time_s, record.span_s, settings)
+    return not open_, open_ or f"{NAMES[log.type]} explains {explained:.1%} of pv's variance"
+
+
+def left_open(
+    log: LogModel, around: tuple[Plausible, ...], sample_time_s: float, span_s: float, settings: FitSettings
+) -> str:
+    """What is not known well enough for settings, in words; empty where enough is.
+
+    around : the models still allowed. sample_time_s, span_s : of the record.
+    """
+    plain = without_second_lag(log.model())
+    short = plain.theta_s
+    if short < FEWEST_SAMPLES_IN_THETA * sample_time_s:
+        return (
             f"the effective dead time comes out as {short:.3g} s, less than the sampling interval of "
-            f"{record.sample_time_s:.3g} s: sample at least {WANTED_SAMPLES_IN_THETA} times in it"
+            f"{sample_time_s:.3g} s: sample at least {WANTED_SAMPLES_IN_THETA} times in it"
         )
-    if short > settings.theta_share * record.span_s:
-        return False, (
-            f"the effective dead time comes out as {short:.3g} s, {short / record.span_s:.0%} of the record: no event "
+    if short > settings.theta_share * span_s:
+        return (
+            f"the effective dead time comes out as {short:.3g} s, {short / span_s:.0%} of the record: no event "
             "is followed by enough of it"
         )
-    gain_std = max(log.gain_uncertainty(record.sample_time_s), gain_spread(around, record.sample_time_s))
+    gain_std = max(log.gain_uncertainty(sample_time_s), gain_spread(around, sample_time_s))
     if gain_std > settings.gain_std_limit:
         known, needed = factors_text(gain_std, settings.gain_std_limit)
-        return False, (
+        return (
             f"the controller gain is uncertain by a factor of {known} (limit {needed}): the record excites the "
             "process too little"
         )
-    plain = without_second_lag(model)
     lag_std = log.lag_uncertainty()
     if plain.theta_s < plain.tau1_s < 8 * plain.theta_s and lag_std > settings.lag_std_limit:
-        return (
-            False,
-            "the lag is uncertain by a factor of {} (limit {})".format(*factors_text(lag_std, settings.lag_std_limit)),
+        return "the lag is uncertain by a factor of {} (limit {})".format(
+            *factors_text(lag_std, settings.lag_std_limit)
         )
-    return True, f"{NAMES[log.type]} explains {explained:.1%} of pv's variance"
+    return ""
 
 
 NAMES = {

@@ -2,6 +2,12 @@
 
     tau_c >= theta,   Ms(best model) <= nominal limit,   Ms(every plausible model) <= worst limit
 
+A process that swings by itself (complex poles, zeta) has no two lags that a PI controller could take one of: SIMC's
+gains make it unstable at any tau_c. Its PI settings are those of internal model control without their derivative
+(Rivera, Morari & Skogestad 1986, table 1): the zero takes the damping, and tau_c what is left of the peak.
+
+    tau_I = 2 zeta tau,   kc = tau_I / (k (tau_c + theta))
+
 The first remedy for doubt is a larger tau_c (by at most so much); what is still not robust then is for the guard, or
 for the user, to judge by the Ms that comes with the settings. Half a sampling interval counts as dead time.
 """
@@ -9,15 +15,22 @@ for the user, to judge by the Ms that comes with the settings. Half a sampling i
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from retuner.adaptive.fit.structure import LEAST_ZETA
 from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.rules.rule import Tuning, tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
 
 BISECTIONS = 8
 """Of tau_c between its limits: to a few thousandths."""
+SWINGS = 0.85
+"""zeta under which a process counts as swinging by itself; over it SIMC's settings for two equal lags are as robust."""
+WALL = (0.9, 1.08)
+"""Shares of the least damping that is fitted between which a fit has stopped there. Well below it evidence has won."""
+BEYOND_WALL = 3.0
+"""By what the damping of such a process is taken for less: 0.12, which few processes are below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,28 +74,29 @@ def robust_simc_on(
     process: ProcessModel, allowed: Sequence[Plausible], sample_time_s: float, settings: RobustSettings
 ) -> RobustTuning:
     """PI settings for the most likely model and all that are still allowed."""
-    model = process.seen_by_controller(sample_time_s)
+    model = less_damped(process.seen_by_controller(sample_time_s))
     theta = without_second_lag(model).theta_s
     others = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, settings.believed)]
 
     third = third_lag(model, settings.hidden_share)
+    calmer = 1.0 / model.zeta if model.zeta < SWINGS else 1.0  # the less damped, the larger tau_c may become
 
     def at(ratio: float) -> RobustTuning:
-        tuning = simc(model, ratio * theta)
-        ms = sensitivity_peak(model.linear(), tuning.gains)
-        worst = max([ms, *(sensitivity_peak(m.linear(), tuning.gains) for m in others)])
-        return RobustTuning(tuning, ms, worst)
+        given = simc(model, ratio * theta) if model.zeta >= SWINGS else swinging(model, ratio * theta)
+        ms = sensitivity_peak(model.linear(), given.gains)
+        worst = max([ms, *(sensitivity_peak(m.linear(), given.gains) for m in others)])
+        return RobustTuning(given, ms, worst)
 
     def proper(found: RobustTuning, ratio: float) -> bool:
         if third is not None and sensitivity_peak(third.linear(), found.tuning.gains) > settings.ms_third:
             return False
-        doubt = found.ms_worst <= settings.ms_worst or ratio >= settings.tau_c_doubt
+        doubt = found.ms_worst <= settings.ms_worst or ratio >= settings.tau_c_doubt * calmer
         return found.ms_nominal <= settings.ms_nominal and doubt
 
     tightest = at(1.0)
     if proper(tightest, 1.0):
         return tightest
-    low, high = 1.0, settings.tau_c_most
+    low, high = 1.0, settings.tau_c_most * calmer
     best = at(high)
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
@@ -92,6 +106,21 @@ def robust_simc_on(
         else:
             low = middle
     return best
+
+
+def less_damped(model: ProcessModel) -> ProcessModel:
+    """The model; with a third of its damping where that lies at the least that is fitted, and may be anything less."""
+    at_wall = WALL[0] * LEAST_ZETA < model.zeta < WALL[1] * LEAST_ZETA
+    return replace(model, zeta=model.zeta / BEYOND_WALL) if at_wall else model
+
+
+def swinging(model: ProcessModel, tau_c_s: float) -> Tuning:
+    """PI settings for a process that swings by itself, see the head of this file.
+
+    model : second order with zeta under 1. tau_c_s : closed-loop time constant, seconds.
+    """
+    tau_i_s, span = 2 * model.zeta * model.tau1_s, tau_c_s + model.theta_s + model.inverse_s
+    return tuning("imc", "ideal", tau_i_s / (model.k * span), tau_i_s, 0.0, tau_c_s)
 
 
 def third_lag(model: ProcessModel, share: float) -> ProcessModel | None:

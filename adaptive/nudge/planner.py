@@ -36,6 +36,8 @@ CALM = 0.5
 """Share of a bump by which pv may be off the setpoint when it begins."""
 RESTLESS = 0.02
 """Share of the samples outside the noise band, since the last evidence, from which loads move a loop all the time."""
+STAYS_SAMPLES = 5
+"""Samples for which the error must have fallen to half of a bump: noise and loads take it there by themselves."""
 HALF_TIMES = 6.0
 """Times that the error takes to fall to half of a bump, for which each setpoint of a bump to and fro is held."""
 
@@ -157,8 +159,11 @@ class NudgePlanner:
         self._sp = self._before = self._from = self._to = self._since_s = self._sent_s = 0.0
         self._up, self._told_small, self._left = True, False, False
         self._seen = self._outside = self._more = 0
+        self._squares = 0.0
         self._rested = False
-        self._hold_s = math.inf
+        self._hold_s = self._near_s = math.inf
+        self._half = (-1, 0.0)
+        """Gains' revision, and the longest half time seen under it: loads make the error cross by themselves."""
 
     @property
     def out(self) -> bool:
@@ -168,7 +173,7 @@ class NudgePlanner:
     def evidence(self, t_s: float) -> None:
         """Something has shown the process: the waiting begins anew."""
         self._quiet_since_s = t_s
-        self._seen, self._outside, self._rested = 0, 0, False
+        self._seen, self._outside, self._squares, self._rested = 0, 0, 0.0, False
 
     def look(self, sample: LoopSample, around: LoopAround) -> NudgeNews | None:
         """Take a sample; what it leads to, if anything."""
@@ -248,11 +253,17 @@ class NudgePlanner:
         if self._rested:
             self._seen += 1
             self._outside += abs(sample.sp - sample.pv) > around.band
+            self._squares += (sample.sp - sample.pv) ** 2
 
     @property
     def _restless(self) -> bool:
         """Whether loads move the loop all the time."""
         return self._outside > RESTLESS * self._seen
+
+    @property
+    def _usual(self) -> float:
+        """Root mean square of the error since the last evidence, pv units: what loads do without any bump."""
+        return math.sqrt(self._squares / self._seen) if self._seen else 0.0
 
     def _aim(self, sp: float, around: LoopAround) -> float | None:
         """Where the setpoint would go: up and down in turn, as far as there is room; to and fro needs it on both."""
@@ -322,7 +333,7 @@ class NudgePlanner:
             return NudgeInput.NOT_IN_AUTO
         if sample.limited:
             return NudgeInput.LIMITED
-        if abs(sample.sp - sample.pv) > self.settings.excursion * self.size:
+        if abs(sample.sp - sample.pv) > self.settings.excursion * max(self.size, self._usual):
             return NudgeInput.EXCURSION
         if sample.t_s - self.made[-1] > self.settings.longest_s:
             return NudgeInput.TOO_LONG
@@ -334,9 +345,15 @@ class NudgePlanner:
 
     def _to_and_fro(self, sample: LoopSample, since: float) -> NudgeInput | None:
         """Whether it is time for the other side; the first setpoint tells how long each is held."""
-        if math.isinf(self._hold_s) and abs(sample.sp - sample.pv) < self.size / 2:
+        if abs(sample.sp - sample.pv) >= self.size / 2:
+            self._near_s = math.inf
+        elif math.isinf(self._near_s):
+            self._near_s = since
+        if math.isinf(self._hold_s) and since - self._near_s >= STAYS_SAMPLES * self._dt_s:
             longest = self.settings.longest_s / (WHOLE_STEPS + 2)
-            self._hold_s = min(max(HALF_TIMES * since, SHORTEST_SAMPLES * self._dt_s), longest)
+            half_s = max(self._near_s, self._half[1] if self._half[0] == sample.revision else 0.0)
+            self._half = sample.revision, half_s
+            self._hold_s = min(max(HALF_TIMES * half_s, SHORTEST_SAMPLES * self._dt_s), longest)
         return NudgeInput.NEXT if since >= self._hold_s - self._dt_s / 2 else None
 
     def _taken(self, cause: NudgeInput, t_s: float) -> NudgeNews | None:
@@ -353,7 +370,7 @@ class NudgePlanner:
         if setpoint is not None:
             self._sent_s = t_s
         if cause is NudgeInput.BEGUN:
-            self._hold_s = math.inf
+            self._hold_s = self._near_s = math.inf
             self.made.append(t_s)
             self._up = self._to < self._before
         if new is NudgePhase.WATCHING:

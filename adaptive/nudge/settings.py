@@ -61,7 +61,12 @@ class NudgeSettings:
     least_bands: Annotated[
         float, Setting("Noise bands that a bump must have, or nothing would be learned by it", 2, 100)
     ] = 4.0
-    excursion: Annotated[float, Setting("A control error of so many bumps takes the bump back at once", 1.5, 20)] = 4.0
+    excursion: Annotated[
+        float,
+        Setting(
+            "A control error of so many bumps, or times its usual size where loads move it more, ends the bump", 1.5, 20
+        ),
+    ] = 4.0
 
     def __post_init__(self) -> None:
         require_in_range(self, "nudge")

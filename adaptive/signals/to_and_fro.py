@@ -14,7 +14,7 @@ tells it (averaging over the periods of an excitation, Pintelon & Schoukens 2012
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -30,6 +30,7 @@ from retuner.adaptive.signals.recogniser import (
 )
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
+from retuner.schedule.gains import PidGains
 
 WHOLE_STEPS = 4
 """Whole steps that are joined: as many up as down."""
@@ -180,15 +181,22 @@ def _scatter(rows: FloatArray) -> float:
     return math.sqrt(float(np.sum((rows - rows.mean(axis=0)) ** 2)) / (n * (n - 1) * rows.shape[1]))
 
 
+HIDDEN = 0.25
+"""Noise band over a step from which peaks of the joined response may be those of the load: then it is told without."""
+
+
 def _as_one(
     own: Sequence[LoopSample], pv: FloatArray, co: FloatArray, noise_std: float, band_sigmas: float
 ) -> Joined | None:
     """Samples with these values, and the response in them."""
     pairs = zip(own, pv.tolist(), co.tolist(), strict=True)
     samples = [sample._replace(pv=y, co=u) for sample, y, u in pairs]
-    response = _response(samples, band_sigmas * noise_std)
+    moved = abs(samples[-1].sp - samples[0].sp)
+    response = _response(samples, min(band_sigmas * noise_std, HIDDEN * moved))
     if response is None:
         return None
+    if band_sigmas * noise_std > HIDDEN * moved:
+        response = replace(response, peaks=())
     return Joined(samples, replace(Window.of(samples), noise_std=noise_std), response, noise_std)
 
 
@@ -206,3 +214,114 @@ def _response(samples: Sequence[LoopSample], band: float) -> Response | None:
         if state.phase == RecogniserPhase.ADAPT:
             return response_of(state, band)
     return so_far(state, samples[-1].t_s, band)
+
+
+# Loads of full size hide what one sequence shows. So what is left of each is kept, to be fitted together.
+
+
+MOST_LAGS = 8
+"""Highest lag of the autocovariance that is kept: the order of a noise filter."""
+FOLLOWS_THE_LAW = 0.1
+"""Share of co's moves that its law may leave open: rounding, and a sample's jitter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Averaged:
+    """The mean of the stretches of one sequence, and how they scatter.
+
+    gains : in force all the time. dt_s : sampling interval. apart : samples from step to step.
+    steps : sizes of the setpoint steps in order, the half step first, pv units. pv : mean from the setpoint before it
+    all, turned to the sign of the last step, from that step on, shape (n,) with n <= apart.
+    scatter : autocovariance of single stretches about their mean at lags 0, 1, ..., pv units squared. t_s : the end.
+
+    Raises
+    ------
+    ValueError
+        The series are too short or not finite, or nothing scatters.
+    """
+
+    gains: PidGains
+    dt_s: float
+    apart: int
+    steps: tuple[float, ...]
+    pv: tuple[float, ...]
+    scatter: tuple[float, ...]
+    t_s: float
+
+    def __post_init__(self) -> None:
+        if not MOST_LAGS < len(self.pv) <= self.apart or len(self.steps) <= WHOLE_STEPS:
+            raise ValueError(f"{len(self.pv)} values of {self.apart} after {len(self.steps)} steps: none to average")
+        numbers = (self.dt_s, self.t_s, *self.steps, *self.pv, *self.scatter)
+        if not all(map(math.isfinite, numbers)) or self.dt_s <= 0:
+            raise ValueError("an averaged response is not finite")
+        if len(self.scatter) != MOST_LAGS + 1 or self.scatter[0] <= 0:
+            raise ValueError("an averaged response needs the scatter of its stretches")
+
+    @property
+    def signs(self) -> tuple[float, ...]:
+        """By which the stretches after the whole steps were turned."""
+        return tuple(math.copysign(1.0, step * self.steps[-1]) for step in self.steps[1:])
+
+    def said(self, response: FloatArray) -> FloatArray:
+        """What the mean would be by the response to a unit step, of which `reach` samples are needed; shape (n,)."""
+        mean = np.zeros(len(self.pv))
+        for i, sign in enumerate(self.signs, 1):
+            for j in range(i + 1):
+                at = (i - j) * self.apart
+                mean += sign * self.steps[j] * response[at : at + len(mean)]
+        return mean / len(self.signs)
+
+    @property
+    def wander(self) -> float:
+        """Standard deviation of pv by loads and noise alone, pv units."""
+        return math.sqrt(self.scatter[0])
+
+    @property
+    def reach(self) -> int:
+        """Samples from the first step to the end."""
+        return len(self.signs) * self.apart + len(self.pv)
+
+
+def averaged(
+    samples: Sequence[LoopSample], found: ToAndFro, gains: PidGains, law: tuple[float, float]
+) -> Averaged | None:
+    """The last whole steps as a mean that a loop under these gains explains; None where co does not follow their law.
+
+    law : setpoint weight, and filter time of the derivative in seconds.
+    """
+    whole, hold = found.whole[-WHOLE_STEPS:], found.apart
+    end = min(found.closed or len(samples), whole[-1] + hold)
+    n = end - whole[-1]
+    own = samples[found.opened - 1 : end]
+    if len(found.whole) != WHOLE_STEPS or n <= MOST_LAGS or any(sample.limited for sample in own):
+        return None
+    if not _follows(own, gains, law):
+        return None
+    t_s, pv = (np.array([getattr(s, name) for s in samples], dtype=np.float64) for name in ("t_s", "pv"))
+    dt_s = float(np.median(np.diff(t_s[found.opened - 1 : end])))
+    steps = [samples[at].sp - samples[at - 1].sp for at in (found.opened, *whole)]
+    since_s = dt_s * np.arange(n)
+    signs = [math.copysign(1.0, step * steps[-1]) for step in steps[1:]]
+    rows = np.array(
+        [s * (np.interp(t_s[k] + since_s, t_s, pv) - found.base) for s, k in zip(signs, whole, strict=True)]
+    )
+    left = (rows - rows.mean(axis=0)) * math.sqrt(len(rows) / (len(rows) - 1))
+    scatter = [float(np.mean(np.sum(left[:, : n - k] * left[:, k:], axis=1)) / n) for k in range(MOST_LAGS + 1)]
+    if not scatter[0] > 0:
+        return None
+    mean = tuple(rows.mean(axis=0).tolist())
+    return Averaged(gains, dt_s, hold, tuple(steps), mean, tuple(scatter), float(t_s[end - 1]))
+
+
+def _follows(samples: Sequence[LoopSample], gains: PidGains, law: tuple[float, float]) -> bool:
+    """Whether co moves from sample to sample as the gains say: by pv of the same sample, or of the one before."""
+    t_s, sp, pv, co = (np.array([getattr(s, name) for s in samples]) for name in ("t_s", "sp", "pv", "co"))
+    b, filter_s = law
+    dt_s, moved = np.diff(t_s), np.diff(co)
+    slope, slopes = 0.0, [0.0]
+    for rise, dt in zip(np.diff(pv).tolist(), dt_s.tolist(), strict=True):
+        slope = (filter_s * slope + rise) / (filter_s + dt)
+        slopes.append(slope)
+    wanted = gains.kp * np.diff(b * sp - pv) + gains.ki * (sp - pv)[:-1] * dt_s - gains.kd * np.diff(slopes)
+    left = min(float(np.std(moved - wanted)), float(np.std(moved[1:] - wanted[:-1])))
+    return left <= FOLLOWS_THE_LAW * float(np.std(moved))

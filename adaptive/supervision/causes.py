@@ -9,6 +9,8 @@ open, after; and a change that follows from a case that is not clear, before the
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import (
     hidden_cause,
@@ -39,12 +41,13 @@ from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.guard.request import Support
 from retuner.adaptive.guard.step_size import less_of_everything
+from retuner.adaptive.region_model.averages import update_by_averages
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
+from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, Averaged, ToAndFro, averaged, joined, to_and_fro
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import tuning_of, unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
@@ -62,6 +65,8 @@ __all__ = [
     "NOT_CONFIRMED",
     "SWINGING",
     "TOWARDS_SAFETY",
+    "beside_averages",
+    "by_averages",
     "clear_case",
     "cut_refuted",
     "doubt_of",
@@ -73,6 +78,7 @@ __all__ = [
     "known_to_swing",
     "not_as_modelled",
     "rested_on",
+    "stands_out",
     "swings_between_limits",
     "wanted_of",
     "wrong_way",
@@ -118,9 +124,47 @@ def joining(found: Findings) -> None:
         found.stop(PART, "the setpoint steps to and fro show nothing together: the output stood at a limit, or no step")
         return
     found.joined = WHOLE_STEPS
+    found.averaged = _averaged(found, steps)
     found.question = replace(
         found.question, record=replace(record, response=one.response, window=one.window, samples=tuple(one.samples))
     )
+
+
+def _averaged(found: Findings, steps: ToAndFro) -> Averaged | None:
+    """What is kept of the steps, where what is known of the region rests on such steps or on loads alone."""
+    record, settings = found.record, found.settings
+    known = record.region_models.get(record.region)
+    apart = known is not None and known.identifiable and record.excitation.setpoints and not known.averages
+    if apart or record.crossed or record.table.lookup is Lookup.INTERPOLATED:
+        return None
+    return averaged(record.samples, steps, record.in_force, (settings.setpoint_weight, settings.filter_s))
+
+
+def by_averages(found: Findings) -> Learned | None:
+    """What setpoint steps to and fro teach by what is known of the setpoint alone; None for anything else."""
+    if found.averaged is None:
+        return None
+    record, settings = found.record, found.settings
+    known = record.region_models.get(record.region)
+    averages = (*(known.averages if known is not None else ()), found.averaged)
+    law, sign = (settings.setpoint_weight, settings.filter_s), record.in_force.direction
+    return update_by_averages(known, averages, sign, settings.tracker, settings.fit, law, record.at)
+
+
+def beside_averages(found: Findings, learned: Learned) -> Learned:
+    """What is learned, where what is known rests on averages of steps to and fro: no load may add to these, and no
+    small step by itself.
+
+    They are made where loads never rest, and one response shows such a load as much as its process.
+    """
+    before = found.record.region_models.get(found.record.region)
+    if before is None or not before.averages or found.averaged is not None:
+        return learned
+    moved = float(np.ptp(found.record.window.sp))
+    if not found.record.response.sp_changed or moved <= SMALL_STEP * found.settings.pv_span:
+        return replace(learned, region_model=before, agreement=Agreement.SILENT)
+    now = learned.region_model
+    return learned if now is None else replace(learned, region_model=replace(now, averages=before.averages))
 
 
 def wrong_way(found: Findings) -> Diagnosis | None:
@@ -219,8 +263,10 @@ STILL_ALIVE = (
 
 
 def hidden(found: Findings) -> Diagnosis | None:
-    """What hides under a response that its own model leaves open."""
+    """What hides under a response that its own model leaves open; of averaged steps their scatter has told."""
     record, settings = found.record, found.settings
+    if found.averaged is not None:
+        return None
     if found.growth is not None or found.unexplained <= settings.swing.unexplained:
         return None
     asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis
@@ -300,6 +346,8 @@ def clear_case(found: Findings, learned: Learned) -> bool:
     One that crossed a border is where it is a setpoint step that the process in motion explains by itself.
     """
     record, loads = found.record, len(learned.estimate.load_times_s)
+    if found.averaged is not None:
+        return learned.estimate.identifiable
     if record.crossed:
         return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
     return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
@@ -308,7 +356,7 @@ def clear_case(found: Findings, learned: Learned) -> bool:
 def not_as_modelled(found: Findings) -> Diagnosis | None:
     """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
     record, cause, settings = found.record, found.diagnosis, found.settings
-    if record.pattern is None:
+    if record.pattern is None or (found.averaged is not None and not record.response.peaks):
         return None
     allowed = found.verdict.allowed if found.verdict else ()
     if cause is None or cause.cause not in SWINGING or not allowed or _swings_wider(record, settings):
@@ -370,6 +418,18 @@ def doubt_of(found: Findings, wanted_for: Cause | None = None) -> Diagnosis | No
         settings.diagnosis,
         wanted_for,
     )
+
+
+def stands_out(found: Findings) -> bool:
+    """Whether the response rises out of the noise: a danger of which nothing is seen asks for no relief at once.
+
+    The first peak of a setpoint's response is the step itself, and the noise on top of it is no part of that.
+    """
+    record, response = found.record, found.record.response
+    sizes = [abs(peak.e) for peak in response.peaks]
+    if response.sp_changed:
+        sizes = [abs(record.samples[-1].sp - float(record.window.sp[0])), *sizes[1:]]
+    return max(sizes, default=0.0) >= found.settings.admission.excitation_bands * response.band
 
 
 def rested_on(record: ResponseRecord, agreement: Agreement) -> Excitation:

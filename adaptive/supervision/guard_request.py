@@ -28,7 +28,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
+from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
@@ -294,6 +294,16 @@ def promise_of(
         return None
     swung = promised.decay_seen is not None and promised.decay_seen > settings.trial.harmless_decay
     return promised if swung else replace(promised, wander=wander_of(samples))
+
+
+def promised(found: Findings, verdict: Verdict) -> Promise | None:
+    """What the gains of a verdict promise; how the averaged stretches differ is what loads do by themselves."""
+    record = found.record
+    at = record.table, record.region, record.at
+    told = promise_of(verdict, *at, record.pattern, found.settings, record.samples)
+    if told is None or found.averaged is None:
+        return told
+    return replace(told, wander=max(told.wander, found.averaged.wander))
 
 
 def posterior_of(

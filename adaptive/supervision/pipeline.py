@@ -25,6 +25,8 @@ from retuner.adaptive.supervision.causes import (
     FOREIGN,
     NOT_CONFIRMED,
     SWINGING,
+    beside_averages,
+    by_averages,
     clear_case,
     cut_refuted,
     doubt_of,
@@ -35,6 +37,7 @@ from retuner.adaptive.supervision.causes import (
     known_of_swing,
     not_as_modelled,
     rested_on,
+    stands_out,
     wanted_of,
     wrong_way,
 )
@@ -44,7 +47,7 @@ from retuner.adaptive.supervision.guard_request import (
     choosable,
     may_follow,
     posterior_of,
-    promise_of,
+    promised,
     request_of,
     unproved_request,
 )
@@ -112,11 +115,11 @@ def identification(found: Findings) -> None:
     record, settings = found.record, found.settings
     try:
         known = _known(found) or _from_neighbours(record, settings)
-        learned = _across(found, known) if record.crossed else _inside(found, known)
+        learned = by_averages(found) or (_across(found, known) if record.crossed else _inside(found, known))
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
-    found.learned = learned
+    found.learned = learned = beside_averages(found, learned)
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
 
 
@@ -181,7 +184,7 @@ def region_model(found: Findings) -> None:
     found.excitation_now = record.excitation.with_response(record.response)
     if learned.region_model is None:
         return
-    swinging = None if record.crossed else known_of_swing(record, settings)
+    swinging = None if record.crossed or found.averaged is not None else known_of_swing(record, settings)
     found.in_use = found.region_model = swinging or learned.region_model
     found.rested_on = record.excitation if swinging else rested_on(record, learned.agreement)
     found.clear = clear_case(found, learned)
@@ -196,9 +199,12 @@ def region_model(found: Findings) -> None:
 
 def without_a_model(found: Findings) -> None:
     """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
-    if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or _stands_out(found)):
+    if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or stands_out(found)):
         return
     record, learned = found.record, _learned(found)
+    if found.averaged is not None:
+        found.stop(NOT_KNOWN, learned.estimate.reason)
+        return
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
     if record.pattern is None:
         came = "crossed a boundary" if record.crossed else "began under other gains"
@@ -223,18 +229,6 @@ def without_a_model(found: Findings) -> None:
         return
     found.proposal = replace(proposed.tuning, gains=stored)
     _small_step(found, proposed, learned, reason)
-
-
-def _stands_out(found: Findings) -> bool:
-    """Whether the response rises out of the noise: a danger of which nothing is seen asks for no relief at once.
-
-    The first peak of a setpoint's response is the step itself, and the noise on top of it is no part of that.
-    """
-    record, response = found.record, found.record.response
-    sizes = [abs(peak.e) for peak in response.peaks]
-    if response.sp_changed:
-        sizes = [abs(record.samples[-1].sp - float(record.window.sp[0])), *sizes[1:]]
-    return max(sizes, default=0.0) >= found.settings.admission.excitation_bands * response.band
 
 
 def _own_fault(found: Findings) -> Diagnosis | None:
@@ -309,10 +303,8 @@ def worth(found: Findings) -> None:
         found.verdict = found.basis = None
         found.stop(ONE_RECORD if choice.waits else NOT_WORTH, choice.reason)
         return
-    record, found.verdict, found.expected = found.record, verdict, choice.reason
-    found.promise = promise_of(
-        verdict, record.table, record.region, record.at, record.pattern, found.settings, record.samples
-    )
+    found.verdict, found.expected = verdict, choice.reason
+    found.promise = promised(found, verdict)
 
 
 ONE_RECORD = "one_record"
@@ -417,16 +409,14 @@ def _was_known(found: Findings) -> bool:
 
 def expectation(found: Findings) -> None:
     """What the proved gains promise, where they may be written at all."""
-    record, verdict, settings = found.record, found.verdict, found.settings
+    verdict = found.verdict
     if (
         found.promise is None
         and verdict is not None
         and verdict.accepted
-        and may_follow(found.question.trial, settings)
+        and may_follow(found.question.trial, found.settings)
     ):
-        found.promise = promise_of(
-            verdict, record.table, record.region, record.at, record.pattern, settings, record.samples
-        )
+        found.promise = promised(found, verdict)
 
 
 def check_after_trial(found: Findings) -> None:
@@ -463,8 +453,8 @@ class Stage(NamedTuple):
 
 
 STAGES = (
-    Stage("action", action),
     Stage("joining", joining),
+    Stage("action", action),
     Stage("admission", admission),
     Stage("swing", swing),
     Stage("identification", identification),

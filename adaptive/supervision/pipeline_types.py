@@ -19,6 +19,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.signals.to_and_fro import Averaged
 from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region, setpoint_led
 from retuner.adaptive.supervision.decision import Basis, Decision
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
@@ -252,7 +253,8 @@ class Findings:
     growth : of a swing that only the loop itself can make. learned : what the record taught.
     unexplained : share of the record's pv that its model leaves open.
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
-    joined : setpoint steps to and fro of which the record was made, 0 for one response as it came.
+    joined : setpoint steps to and fro of which the record was made, 0 for one response as it came. averaged : what is
+    kept of them, None where it is not to be fitted by itself.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
     no second opinion. expected : why the change is worth it. The others are those of StageResult, None for as before.
     """
@@ -260,6 +262,7 @@ class Findings:
     question: Question
     end: End | None = None
     joined: int = 0
+    averaged: Averaged | None = None
     growth: Growth | None = None
     learned: Learned | None = None
     unexplained: float = 0.0

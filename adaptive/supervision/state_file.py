@@ -21,11 +21,13 @@ from retuner.adaptive.region_model.region_model import Drift, RecordPoint, Regio
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
 from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.signals.to_and_fro import Averaged
 from retuner.adaptive.supervision.pipeline_types import Led, RetunerState
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.document import from_toml, to_toml
+from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import RegionState
 
 SERIES = ("t_s", "sp", "pv", "co")
@@ -50,6 +52,7 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
         "identifiable": region_model.identifiable,
         "reason": region_model.reason,
         "windows": [_window_out(window) for window in region_model.windows],
+        "averages": [_averaged_out(one) for one in region_model.averages],
     }
 
 
@@ -75,6 +78,7 @@ def region_model_in(body: Mapping[str, Any]) -> RegionModel:
         bool(body["identifiable"]),
         str(body["reason"]),
         tuple(_window_in(window) for window in body.get("windows", ())),
+        tuple(_averaged_in(one) for one in body.get("averages", ())),
     )
 
 
@@ -87,6 +91,20 @@ def _window_in(body: Mapping[str, Any]) -> Window:
     """And back."""
     t_s, sp, pv, co = (np.array(body[name], dtype=np.float64) for name in SERIES)
     return Window(t_s, sp, pv, co, float(body["noise_std"]))
+
+
+def _averaged_out(one: Averaged) -> dict[str, object]:
+    """An average of steps to and fro."""
+    series = {name: list(getattr(one, name)) for name in ("steps", "pv", "scatter")}
+    gains = [one.gains.kp, one.gains.ki, one.gains.kd]
+    return {"gains": gains, "dt_s": one.dt_s, "apart": one.apart, "t_s": one.t_s, **series}
+
+
+def _averaged_in(body: Mapping[str, Any]) -> Averaged:
+    """And back."""
+    gains = PidGains(*(float(value) for value in body["gains"]))
+    steps, pv, scatter = (tuple(float(value) for value in body[name]) for name in ("steps", "pv", "scatter"))
+    return Averaged(gains, float(body["dt_s"]), int(body["apart"]), steps, pv, scatter, float(body["t_s"]))
 
 
 def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:

@@ -20,3 +20,23 @@ def test_a_good_loop_with_derivative_action_is_not_called_unstable_by_a_model_wi
     assert "derivative" in found.reason
     without = tuning_cause(reduced, PidGains(gains.kp, gains.ki), simc(reduced).gains, 0.05, CAUSES)
     assert without.cause == Cause.AGGRESSIVE
+
+
+def test_a_loop_that_no_second_lag_would_make_robust_is_the_tunings_fault_with_derivative_action_too() -> None:
+    process = ProcessModel(ProcessType.FOPDT, 63.0, 690.0, 0.0, 130.0)
+    gains = PidGains(0.0098, 0.000075, 0.3)  # tau_I a fifth of the lag, and a derivative that hardly acts
+    assert sensitivity_peak(process.linear(), gains) > 2.0
+    found = tuning_cause(process, gains, simc(process).gains, 0.05, CAUSES)
+    assert (found.cause, found.retune) == (Cause.SLOW_INTEGRATING, True)
+    growing = PidGains(gains.kp * 20, gains.ki * 20, gains.kd)
+    assert tuning_cause(process, growing, simc(process).gains, 0.05, CAUSES).cause == Cause.AGGRESSIVE
+
+
+def test_an_integrating_process_with_derivative_action_is_asked_with_a_lag_as_well() -> None:
+    process = ProcessModel(ProcessType.INTEGRATING, 0.01, theta_s=10.0)
+    swinging = PidGains(4.0, 0.2, 5.0)
+    assert tuning_cause(process, swinging, simc(process).gains, 0.05, CAUSES).cause == Cause.SLOW_INTEGRATING
+    good = from_form("series", 8.0, 45.0, 9.0)  # SIMC's PID where 9 of the 10 s are a lag, and more
+    lagged = ProcessModel(ProcessType.INTEGRATING_LAG, 0.01, 0.0, 9.0, 5.5)
+    assert sensitivity_peak(lagged.linear(), good) < 1.8 < sensitivity_peak(process.linear(), good)
+    assert tuning_cause(process, good, simc(process).gains, 0.05, CAUSES).cause == Cause.UNKNOWN

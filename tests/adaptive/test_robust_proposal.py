@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.from_neighbours import spread
@@ -93,3 +94,24 @@ def test_too_little_known_never_gives_more_gain_whatever_the_danger() -> None:
 def test_no_more_action_is_less_of_everything(cause: Cause, sizes: list[float], sign: int) -> None:
     wanted, in_force = (PidGains(*(sign * x for x in part)) for part in (sizes[:3], sizes[3:]))
     assert less_of_everything(in_force, no_more_action(wanted, in_force, cause))
+
+
+def test_where_the_fit_stopped_at_its_least_damping_a_process_that_swings_longer_is_safe() -> None:
+    found = ProcessModel(ProcessType.SOPDT, 7.3, 84.0, 84.0, 10.8, 0.346)
+    truth = replace(found, zeta=0.152)
+    given = robust_simc_on(found, (), 1.0, RobustSettings()).tuning.gains
+    assert sensitivity_peak(truth.seen_by_controller(1.0).linear(), given) < 1.7
+    known = robust_simc_on(replace(found, zeta=0.4), (), 1.0, RobustSettings()).tuning.gains
+    assert known.ki > 2 * given.ki
+
+
+@given(zeta=st.floats(0.1, 0.84).filter(lambda zeta: abs(zeta - 0.35) > 0.04), dead=st.floats(0.1, 3.0))
+@settings(max_examples=15, deadline=None)
+def test_a_process_that_swings_by_itself_gets_settings_that_are_robust_and_not_slow(zeta: float, dead: float) -> None:
+    """1/ki, the IAE of a load, against that of pure integral action at the same Ms: at most a tenth more."""
+    model = ProcessModel(ProcessType.SOPDT, 2.0, 30.0, 30.0, dead * 30.0, zeta)
+    found = robust_simc_on(model, (), 1.0, RobustSettings())
+    assert 1.4 < found.ms_nominal <= 1.69
+    seen = model.seen_by_controller(1.0).linear()
+    pure = next(ki for ki in np.geomspace(1.0, 1e-5, 200) if sensitivity_peak(seen, PidGains(0.0, float(ki))) <= 1.6)
+    assert found.tuning.gains.ki > 0.9 * pure

@@ -36,7 +36,7 @@ def weighed(
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "clear_case": lambda *_: clear,
-        "promise_of": lambda *_: None,
+        "promised": lambda *_: None,
         "wanted_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
         "_proved": lambda *_: verdict,
         "_chosen": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),

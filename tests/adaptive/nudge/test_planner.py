@@ -1,6 +1,7 @@
 """Setpoint bumps: when they begin, what ends them, and that the old setpoint always comes back."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -333,3 +334,38 @@ def test_nor_is_one_sent_that_a_person_has_just_forbidden() -> None:
     bench.run(1, around(allowed=False), deaf=True)
     assert bench.causes[-1] is NudgeInput.NOT_ALLOWED
     assert bench.news[-1].setpoint == 50.0
+
+
+def test_an_error_as_large_as_the_loads_usually_make_it_is_no_excursion() -> None:
+    """Loads of full size move a loop by several bumps all the time: that is not the bump's doing."""
+    bench, moved = Bench(), around(at_rest=False)
+    bench.wander = 3.0
+    bench.run(3599, moved)
+    bench.wander = 0.2  # pv comes by its setpoint, and the bump begins
+    bench.run(64, moved)
+    assert bench.planner.phase is NudgePhase.HOLDING
+    bench.run(3, moved, pv=bench.sp + 6.0)
+    assert NudgeInput.EXCURSION not in bench.causes
+    bench.run(1, moved, pv=bench.sp + 13.0)
+    assert bench.causes[-1] is NudgeInput.EXCURSION
+
+
+def held(slow: bool) -> list[float]:
+    """How long the setpoints of two sequences were held; slow : at first the error takes 20 samples to halve."""
+    bench, moved = Bench(replace(ALLOWED, most_per_day=5)), around(at_rest=False)
+    times: list[float] = []
+    bench.wander = 0.2
+    bench.run(3600 + 62, moved)
+    bench.run(20 if slow else 0, moved, pv=bench.sp + 0.9)
+    for _ in range(2 * 4500):
+        before = bench.sp
+        bench.run(1, moved)
+        times += [bench.t] if bench.sp != before else []
+    return [b - a for a, b in pairwise(times)]
+
+
+def test_a_load_that_halves_the_error_sooner_does_not_shorten_the_next_sequence() -> None:
+    quick, slow = held(slow=False), held(slow=True)
+    assert len(quick) > 8
+    assert quick[0] == quick[-1] < 60
+    assert slow[0] == slow[-1] == pytest.approx(ALLOWED.longest_s / 6, abs=1.0)
