@@ -25,8 +25,6 @@ COLOURED = 1.25
 """Ratio from which noise is no longer taken for white: estimates of white noise scatter by a tenth."""
 FEW_LEVELS = 0.5
 """A signal with more different values than this share of its samples is not quantised in any way that matters."""
-AGAIN = 5
-"""Samples that must show the same level, for levels that are no whole quanta apart to be a sensor's and no motion's."""
 QUANTUM_TOLERANCE = 0.02
 """All levels of a quantised signal lie whole quanta apart, to this share of a quantum."""
 QUANTUM_ROUNDING = 1e-9
@@ -48,24 +46,11 @@ def quantum_sigma(pv: FloatArray) -> float:
     apart = steps[steps > QUANTUM_ROUNDING * (ordered[-1] - ordered[0])]
     if not apart.size or 1 + np.count_nonzero(steps) > FEW_LEVELS * len(pv):
         return 0.0
-    quantum = float(np.min(apart))
-    whole = np.abs(apart / quantum - np.round(apart / quantum)) < QUANTUM_TOLERANCE
-    if not np.all(whole):
-        quantum = _usual_jump(pv, ordered, steps)
-    return quantum * QUANTUM_TO_SIGMA
-
-
-def _usual_jump(pv: FloatArray, ordered: FloatArray, steps: FloatArray) -> float:
-    """Median jump from one level to another, of levels that come again and again; zero where most do not.
-
-    They lie no whole quanta apart where the end of a range cuts one off, or a converter is not even.
-    """
-    ends = np.flatnonzero(np.append(steps > QUANTUM_ROUNDING * (ordered[-1] - ordered[0]), True))
-    visits = np.diff(ends, prepend=-1)
-    if np.median(visits) < AGAIN:
-        return 0.0
-    jumps = np.abs(np.diff(pv))
-    return float(np.median(jumps[jumps > QUANTUM_ROUNDING * (ordered[-1] - ordered[0])]))
+    for inside in (apart, apart[1:-1]):  # the end of a range may cut off the lowest or the highest level
+        quantum = float(np.min(inside, initial=math.inf))
+        if inside.size and np.all(np.abs(inside / quantum - np.round(inside / quantum)) < QUANTUM_TOLERANCE):
+            return quantum * QUANTUM_TO_SIGMA
+    return 0.0
 
 
 def coloured_sigma(pv: FloatArray, longest: int) -> float:
