@@ -18,6 +18,8 @@ SMALLEST_VARIANCE = 1e-12
 STRUCTURE_STD = 0.05
 """Of every logarithm, however long the record: a process has more lags than two, a gain that is not the same everywhere
 and tomorrow. Counted on drawn records of processes in the family and beyond it (benchmarks/identification.py)."""
+BENT = 1 - 2 / math.pi
+"""Variance of |u| for a standard normal u: what moves the same way on both sides, as a lag does at two equal ones."""
 
 
 def proper_covariance(p: FloatArray) -> FloatArray:
@@ -85,9 +87,8 @@ class LogModel:
         found = np.zeros((len(at), len(at)))
         for value, vector in zip(values, vectors.T, strict=True):
             step = math.sqrt(max(float(value), 0.0)) * vector
-            for way in (step, -step):
-                apart = f(model_at(self.type, self.x + way, self.sign)) - at
-                found += np.outer(apart, apart) / 2
+            up, down = (f(model_at(self.type, self.x + way, self.sign)) - at for way in (step, -step))
+            found += np.outer(up - down, up - down) / 4 + BENT * np.outer(up + down, up + down) / 4
         return found
 
     def gain_uncertainty(self, sample_time_s: float = 0.0) -> float:

@@ -33,11 +33,6 @@ QUANTUM_ROUNDING = 1e-9
 """Steps below this share of the largest are rounding, no quantum."""
 ADAPT_FACTOR = 1.02
 """Growth per sample of the streaming median: settles from a factor 50 in about 400 samples, scatters by 5 %."""
-FAST_START, FAST_OFFSET = 3.0, 8.0
-"""At first it grows by 3/(n + 8) at the n-th sample, where that is more: from a factor 50 in about 60 samples. Else
-noise passes for swings until it has been learned (a gain that falls as 1/n, Robbins & Monro 1951)."""
-FAST_SAMPLES = int(FAST_START / (ADAPT_FACTOR - 1.0) - FAST_OFFSET)
-"""So many samples long."""
 
 
 def noise_sigma(pv: FloatArray) -> float:
@@ -91,12 +86,11 @@ def coloured_sigma(pv: FloatArray, longest: int) -> float:
 
 
 class NoiseState(NamedTuple):
-    """Streaming estimate: median of |second difference|, and the last two values. heard : samples of the fast start."""
+    """Streaming estimate: median of |second difference|, and the last two values."""
 
     median: float
     last: float
     before: float
-    heard: int = FAST_SAMPLES
 
 
 def noise_start(sigma: float) -> float:
@@ -104,14 +98,9 @@ def noise_start(sigma: float) -> float:
     return sigma / MEDIAN_TO_SIGMA
 
 
-def noise_step(median: float, d: float, factor: float = ADAPT_FACTOR) -> float:
+def noise_step(median: float, d: float) -> float:
     """The next median; d : second difference, pv - 2 last + before. Scalars, because a tuple a sample is dear."""
-    return median * factor if d > median or -d > median else median / factor
-
-
-def first_factor(n: int) -> float:
-    """Growth of the median at the n-th of the first FAST_SAMPLES samples, n from 1."""
-    return 1.0 + FAST_START / (n + FAST_OFFSET)
+    return median * ADAPT_FACTOR if d > median or -d > median else median / ADAPT_FACTOR
 
 
 def noise_at_least(state: NoiseState, value: float, least: float) -> NoiseState:
@@ -121,4 +110,4 @@ def noise_at_least(state: NoiseState, value: float, least: float) -> NoiseState:
     seen only after as long a climb.
     """
     median = noise_step(state.median, value - 2.0 * state.last + state.before)
-    return NoiseState(max(median, least), value, state.last, state.heard)
+    return NoiseState(max(median, least), value, state.last)

@@ -253,7 +253,7 @@ def wanted_of(record: ResponseRecord, model: RegionModel, settings: RetunerSetti
     return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
 
 
-NOT_CONFIRMED = "{wanted}; not confirmed: {doubt}"
+NOT_CONFIRMED = "{wanted}; the record alone does not confirm it: {doubt}"
 """The reason where a change is due by the model of the region, and the record alone does not name the tuning."""
 STILL_ALIVE = (
     "this response by itself is the loop's own. Something else was behind more of those under these gains: {more} more "

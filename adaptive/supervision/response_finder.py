@@ -15,11 +15,8 @@ from itertools import islice
 from typing import NamedTuple
 
 from retuner.adaptive.signals.noise import (
-    ADAPT_FACTOR,
-    FAST_SAMPLES,
     MEDIAN_TO_SIGMA,
     NoiseState,
-    first_factor,
     noise_at_least,
     noise_start,
     noise_step,
@@ -99,7 +96,7 @@ class ResponseFinder:
         self._samples: deque[LoopSample] = deque(maxlen=settings.history)
         self._region: RegionState | None = None
         self._state: RecogniserState | None = None
-        self._median, self._last, self._before, self._heard = NoiseState(0.0, 0.0, 0.0, 0)
+        self._median, self._last, self._before = NoiseState(0.0, 0.0, 0.0)
         self._law = RecogniserLaw(1.0, 1.0)
         self._floor = settings.band or settings.band_min_share * settings.pv_span
         self._per_median = 0.0 if settings.band else settings.band_sigmas * MEDIAN_TO_SIGMA
@@ -161,14 +158,14 @@ class ResponseFinder:
 
     def state(self) -> FinderState:
         """Where it stands: see memory.py, which turns it into plain values."""
-        noise = NoiseState(self._median, self._last, self._before, self._heard)
+        noise = NoiseState(self._median, self._last, self._before)
         return FinderState(self._region, self._state, noise, tuple(self._samples), self._setpoint)
 
     def resume(self, state: FinderState) -> None:
         """Go on from there."""
         self._region, self._state, noise, samples, setpoint = state
         self._setpoint = setpoint or NoiseState(self._clean, 0.0, 0.0)
-        self._median, self._last, self._before, self._heard = noise
+        self._median, self._last, self._before = noise
         self._samples.clear()
         self._samples.extend(samples)
         self._adopt_time_scale()
@@ -273,11 +270,8 @@ class ResponseFinder:
 
     def _hear(self, pv: float) -> float:
         """Follow the noise: the next median."""
-        last, factor = self._last, ADAPT_FACTOR
-        if self._heard < FAST_SAMPLES:
-            self._heard += 1
-            factor = first_factor(self._heard)
-        self._median = median = noise_step(self._median, pv - 2.0 * last + self._before, factor)
+        last = self._last
+        self._median = median = noise_step(self._median, pv - 2.0 * last + self._before)
         self._last, self._before = pv, last
         return median
 
