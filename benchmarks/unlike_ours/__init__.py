@@ -1,0 +1,1 @@
+"""Loops unlike those of the other benchmarks, streamed through the public interface: see command.py."""
