@@ -126,7 +126,8 @@ def test_a_response_that_crosses_a_border_teaches_both_sides() -> None:
     assert (found.region, found.agreement) == ("b", Agreement.FIRST)
     assert set(bench.retuner.region_models) == {0, 1}
     model = bench.retuner.region_models[1]
-    assert model.log.model().k == pytest.approx(1.0, rel=0.2)
+    assert model.log.model().k == pytest.approx(1.0, rel=0.3)  # a valve's curve may be behind a part of it
+    assert abs(math.log(model.log.model().k)) < 2 * model.log.gain_uncertainty()
     assert not model.identifiable  # of gains at a quarter, the dead time is hardly seen
     assert "crossed a boundary" in found.reason
     assert found.action == Action.NONE
