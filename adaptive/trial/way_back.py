@@ -9,7 +9,9 @@ not Ms that decides. The commissioned set has no privilege, nor has the one befo
     evidence against it (worse, runaway)       the set before; where that is not robust on the models that the evidence
                                                leaves, the most robust of all that ran, the tried one among them
 
-Models on which the tried set is robust do not count after evidence against it: they are refuted. Nor do models that
+Models on which the tried set is robust do not count after evidence against it: they are refuted. One thing they still
+say: where the set before is not robust on any of them, and acts more in everything, a swing under the tried one is no
+reason to go back to it (a loop whose gain grew in the meantime became unstable by that). Nor do models that
 now say of the set before what neither was seen of it nor was known when the change was proved: it has worked. Where
 both are no robust sets, those that ran before are asked as well. Without a model the set before has been seen to work
 and the tried one has not, unless the one before was seen to swing on and the tried one is less of everything;
@@ -109,12 +111,15 @@ class WayBack(NamedTuple):
 def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> WayBack:
     """Which set is to run after a cause that ends trials; see the head of this file."""
     has_worked = cause in UNDOS and ran.swings <= settings.harmless_decay
-    if ran.tried is None or cause is TrialEvent.ORDERED_BACK or has_worked:
+    if ran.tried is None or cause is TrialEvent.ORDERED_BACK:
         return WayBack(ran.before, stays=False)
     ms_tried, ms_before = known.ms(ran.tried), known.ms(ran.before)
     left = [i for i, ms in enumerate(ms_tried) if cause not in UNDOS or ms > settings.harmless_ms]
-    if not left:
-        return _without_model(cause, ran, ran.tried)
+    if has_worked or not left:
+        least_ms = min(ms_before, default=0.0)
+        if cause is TrialEvent.WORSE and not left and least_ms > settings.harmless_ms and _acts_less(ran):
+            return WayBack(ran.tried, stays=True, reason=_no_way_back(least_ms))
+        return WayBack(ran.before, stays=False) if has_worked else _without_model(cause, ran, ran.tried)
 
     def robustness(ms: Sequence[float]) -> Robustness:
         return Robustness.of((ms[i] for i in left), settings.harmless_ms)
@@ -128,6 +133,17 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
             gains, least = (other, found) if found < least else (gains, least)
     numbers = _numbers(len(left), ms_tried, ms_before, left)
     return WayBack(gains, gains == ran.tried, _words(numbers, gains, ran, settings), numbers)
+
+
+def _acts_less(ran: SetsThatRan) -> bool:
+    """Whether the tried set is less of everything than the one before."""
+    return ran.tried is not None and less_of_everything(ran.before, ran.tried)
+
+
+def _no_way_back(least_ms: float) -> str:
+    """Why a trial set that swings stays where the set before is worse on every model."""
+    ms = "are unstable" if math.isinf(least_ms) else f"have Ms of at least {least_ms:.2f}"
+    return f"on every plausible model the previous gains {ms}, and the trial gains act less"
 
 
 def _without_model(cause: TrialEvent, ran: SetsThatRan, tried: PidGains) -> WayBack:

@@ -9,6 +9,7 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
@@ -77,6 +78,8 @@ def test_every_undecided_phase_under_every_cause_with_either_set_the_more_robust
         assert now in {old, tried}
         if cause is E.ORDERED_BACK or not bench.ran:
             assert now == old
+        elif cause is E.WORSE and ms(tried) <= HARMLESS < ms(old) and less_of_everything(old, tried):
+            assert now == tried, "the old gains act more, and are not robust on any model"
         elif cause in UNDOS and ms(tried) <= HARMLESS:
             assert now == old, "the model that calls the trial gains robust is refuted"
         else:
@@ -179,3 +182,12 @@ def test_whatever_is_known_and_ran_before_what_runs_is_no_less_robust(
     assert sum(map(math.isinf, now)) <= sum(map(math.isinf, before))
     if not any(map(math.isinf, (*now, *before))):
         assert max([HARMLESS, *now]) <= max([HARMLESS, *before])
+
+
+def test_a_swing_under_calmer_gains_is_no_reason_to_go_back_to_more_action() -> None:
+    """A loop whose gain had grown in the meantime was made unstable by that."""
+    swung = SetsThatRan(SETS["unstable"], SETS["right"], swings=0.0)
+    back = way_back(E.WORSE, swung, StillAllowed((PROCESS,)), TrialSettings())
+    assert back.gains == SETS["right"]
+    assert "the trial gains act less" in back.reason
+    assert way_back(E.RUNAWAY, swung, StillAllowed((PROCESS,)), TrialSettings()).gains == SETS["unstable"]
