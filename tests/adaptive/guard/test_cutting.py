@@ -295,7 +295,7 @@ def test_every_goal_is_inside_whatever_is_asked(
     for goal in cut(IdealGains(kc, tau_i, tau_d).to_parallel(), limits, start, over):
         new_kc, new_tau_i, new_tau_d = times_of(goal.gains)
         assert new_kc <= kc_max * (1 + 1e-9)
-        assert min(1.0, tau_i0) * (1 - 1e-9) <= new_tau_i <= tau_i_max * (1 + 1e-9)
+        assert min(limits.tau_i_samples, tau_i0) * (1 - 1e-9) <= new_tau_i <= tau_i_max * (1 + 1e-9)
         assert new_tau_d == 0.0 or new_tau_d >= 1.0 * (1 - 1e-9)
         assert new_kc <= 4 * kc0 * (1 + 1e-9)
         assert new_tau_i >= min(tau_i0 / 4, tau_i_max) * (1 - 1e-9)
