@@ -277,18 +277,7 @@ def _ablation_options(part: argparse.ArgumentParser) -> None:
     part.add_argument("--pieces", nargs="+", choices=names, default=names)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="benchmarks/online", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--seed", type=int, default=1, help="2028 and above are for final tables only")
-    common.add_argument("--jobs", type=int, default=1)
-    common.add_argument("--every", type=int, default=1, help="only every n-th run")
-    common.add_argument("--offset", type=int, default=0, help="and the first of these (--every 2 --offset 1)")
-    common.add_argument("--out", type=Path, metavar="FILE", help="every run as a line of JSON")
-    common.add_argument("--verbose", action="store_true", help="tell what was decided, and what is true")
-    parts = parser.add_subparsers(dest="part", required=True)
+def _loop_parts(parts: "argparse._SubParsersAction[argparse.ArgumentParser]", common: argparse.ArgumentParser) -> None:
     one = parts.add_parser("batch", parents=[common], help="the standard batch of 134 processes, gains off")
     one.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
     one.add_argument("--only", default="", help='processes whose name begins so: "P6", "P1 T=0.02"')
@@ -305,6 +294,9 @@ def _parser() -> argparse.ArgumentParser:
     four = parts.add_parser("walks", parents=[common], help="setpoint walks over a process that varies by 4")
     four.add_argument("--walks", type=int, default=10)
     four.add_argument("--setpoints", type=int, default=walks.SETPOINTS, help="of each walk")
+
+
+def _more_parts(parts: "argparse._SubParsersAction[argparse.ArgumentParser]", common: argparse.ArgumentParser) -> None:
     _tour_options(parts.add_parser("tours", parents=[common], help="nonlinear plants: visits until a region is good"))
     _elsewhere_options(parts.add_parser("elsewhere", parents=[common], help="gains for regions where the loop is not"))
     five = parts.add_parser("injected", parents=[common], help="deliberately bad changes on trial")
@@ -325,6 +317,22 @@ def _parser() -> argparse.ArgumentParser:
     ten = parts.add_parser("telemetry", parents=[common], help="the batch with irregular times and lost samples")
     ten.add_argument("--kind", choices=("all", *telemetry.KINDS), default="all")
     _ablation_options(parts.add_parser("ablation", parents=[common], help="what each piece of the live path holds"))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="benchmarks/online", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--seed", type=int, default=1, help="2028 and above are for final tables only")
+    common.add_argument("--jobs", type=int, default=1)
+    common.add_argument("--every", type=int, default=1, help="only every n-th run")
+    common.add_argument("--offset", type=int, default=0, help="and the first of these (--every 2 --offset 1)")
+    common.add_argument("--out", type=Path, metavar="FILE", help="every run as a line of JSON")
+    common.add_argument("--verbose", action="store_true", help="tell what was decided, and what is true")
+    parts = parser.add_subparsers(dest="part", required=True)
+    _loop_parts(parts, common)
+    _more_parts(parts, common)
     seven = parts.add_parser("tables", help="the tables again, of rows from files")
     seven.add_argument("files", type=Path, nargs="+", metavar="FILE", help="as --out writes them")
     six = parts.add_parser("pictures", help="the pictures of docs/online.md")
