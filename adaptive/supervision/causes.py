@@ -298,7 +298,7 @@ def cut_refuted(found: Findings) -> None:
     record, trial, cause = found.record, found.question.trial, found.diagnosis
     if cause is None or cause.cause is not Cause.EXTERNAL or trial.phase is not TrialPhase.IDLE or record.crossed:
         return
-    before = _cut_from(trial, record.in_force)
+    before = _cut_from(trial, record.in_force, found.settings.trial.harmless_decay)
     if before is None or record.excitation.clear or record.table.lookup is Lookup.INTERPOLATED:
         return
     settings = found.settings
@@ -324,20 +324,16 @@ REFUTED = (
 """The reason where a cut is taken back."""
 
 
-def _cut_from(trial: Trial, in_force: PidGains) -> PidGains | None:
+def _cut_from(trial: Trial, in_force: PidGains, harmless_decay: float) -> PidGains | None:
     """The newest set that ran before and acted more, where the last change was less action against a swing."""
     if trial.promise is None or trial.new != in_force:
         return None
     said = trial.promise
     swung = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False), said.decay_seen or 0.0)
-    if said.models and swung <= SWUNG:
+    if said.models and swung <= harmless_decay:
         return None
     ran = (gains for gains in trial.earlier if gains != in_force and less_of_everything(gains, in_force))
     return next(ran, None)
-
-
-SWUNG = 0.25
-"""Half-cycle decay ratio up to which a loop was not held for swinging (as TrialSettings.harmless_decay)."""
 
 
 def clear_case(found: Findings, learned: Learned) -> bool:
