@@ -408,5 +408,6 @@ NAMES = {
     ProcessType.INTEGRATING: "integrating + dead time",
     ProcessType.INTEGRATING_LAG: "integrating with lag + dead time",
     ProcessType.SOPDT_INVERSE: "second order with inverse response + dead time",
+    ProcessType.TOPDT: "third order + dead time",
 }
 """The structures in words."""
