@@ -93,3 +93,10 @@ def test_only_this_structure_has_a_third_lag() -> None:
         ProcessModel(ProcessType.SOPDT, 1.0, 3.0, 2.0, 1.0, tau3_s=2.0)
     with pytest.raises(ValueError, match="tau3_s = 0"):
         ProcessModel(TOPDT, 1.0, 3.0, 2.0, 1.0)
+
+
+def test_equal_lags_are_known_as_far_as_the_misfit_says_and_not_its_derivative() -> None:
+    found = identify_window(record(1, np.poly([-1.0, -1.0, -1.0])), sign=1)
+    third = found.of(TOPDT).log
+    assert max(np.linalg.eigvalsh(third.p)) < 1.0  # by the derivative alone a factor of e^3 either way
+    assert third.gain_uncertainty(DT_S) < 0.25
