@@ -144,7 +144,7 @@ def hidden_cause(
     length_s = response.t_end_s - response.t_start_s
     window = Window.of(stretch(samples, response.t_start_s - swing.lookback * length_s, swing.same_gains))
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
-    seen = screen(window, gains)
+    seen = screen(window, gains, in_auto=settings.in_auto)
     verdict = against_rivals(found[0], seen, settings).verdict
     if verdict is not None and verdict.cause == Cause.EXTERNAL and not seen.oscillates:
         return replace(verdict, reason=RANDOM.format(**verdict.evidence)), False
@@ -162,7 +162,9 @@ def through_a_change(samples: Sequence[LoopSample], gains: PidGains, settings: D
     changed_s = next(s.t_s for s in samples if s.revision == samples[-1].revision)
     window = Window.of(list(samples))
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
-    verdict = against_rivals(found[0], screen(window, gains), settings, len(setpoint_changes(window))).verdict
+    verdict = against_rivals(
+        found[0], screen(window, gains, in_auto=settings.in_auto), settings, len(setpoint_changes(window))
+    ).verdict
     if verdict is None or verdict.cause is not Cause.EXTERNAL:
         return None
     period_s = verdict.evidence["external_period_s"]
