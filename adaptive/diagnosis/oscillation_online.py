@@ -55,6 +55,9 @@ class SwingSettings:
     unseen_bands : noise bands that a peak by the model must have to be missed; 1 to 10, default 2.
     shown : share of the peak by the model, below which the one that was seen refutes it; 0.2 to 0.8, default 0.5.
     most_lookback : lengths of a response that are looked at before such a change; 2 to 30, default 10.
+    alike : by how much the settings that single records give may differ from those of all, to confirm each other; in
+        logarithms, 0.05 to 0.4, default 0.2 (a fifth: half of the least change that is worth it).
+    alike_records : how many must, two setpoint responses among them; 2 to 6, default 3.
     """
 
     damping: float = 0.5
@@ -76,6 +79,8 @@ class SwingSettings:
     unseen_bands: float = 2.0
     shown: float = 0.5
     most_lookback: float = 10.0
+    alike: float = 0.2
+    alike_records: int = 3
 
 
 def swings(response: Response, settings: SwingSettings) -> bool:
