@@ -261,7 +261,7 @@ def estimate_of(
     log = alternatives[0].log
     around = plausible(found, log.p, priors)
     explained = 1 - float(np.var(left) / np.var(record.pv))
-    identifiable, reason = _judge(log, around, explained, record, settings)
+    identifiable, reason = _judge(log, around, explained, record, priors.get(log.type), settings)
     doubt = unexplained(float(np.std(left)), float(np.std(fit.explained)), record, settings)
     if identifiable and doubt:
         identifiable, reason = False, doubt
@@ -361,13 +361,31 @@ def unexplained(left_std: float, explained_std: float, record: Record, settings:
     return f"the model leaves {told}: an effect on pv is missing in it (structure, nonlinearity or load shape)"
 
 
+def _settled(before: Prior | None, log: LogModel, sample_time_s: float, settings: FitSettings) -> bool:
+    """Whether what was known before a record carries settings by itself: a short record takes nothing from that."""
+    if before is None:
+        return False
+    covariance = proper_covariance(np.asarray(np.linalg.inv(before.root.T @ before.root), dtype=np.float64))
+    known = LogModel(before.mean, covariance, log.sign, log.type)
+    return known.gain_uncertainty(sample_time_s) <= settings.gain_std_limit
+
+
 def _judge(
-    log: LogModel, around: tuple[Plausible, ...], explained: float, record: Record, settings: FitSettings
+    log: LogModel,
+    around: tuple[Plausible, ...],
+    explained: float,
+    record: Record,
+    before: Prior | None,
+    settings: FitSettings,
 ) -> tuple[bool, str]:
-    """Whether settings may follow from this estimate, and the sentence that says why."""
+    """Whether settings may follow from this estimate, and the sentence that says why.
+
+    before : what was known. A dead time that is not short beside the record must have been known before.
+    """
     if explained < settings.explained_limit:
         return False, f"the model explains {explained:.0%} of pv's variance; {settings.explained_limit:.0%} are needed"
-    open_ = left_open(log, around, record.sample_time_s, record.span_s, settings)
+    reach_s = math.inf if _settled(before, log, record.sample_time_s, settings) else record.span_s
+    open_ = left_open(log, around, record.sample_time_s, reach_s, settings)
     return not open_, open_ or f"{NAMES[log.type]} explains {explained:.1%} of pv's variance"
 
 
@@ -376,7 +394,7 @@ def left_open(
 ) -> str:
     """What is not known well enough for settings, in words; empty where enough is.
 
-    around : the models still allowed. sample_time_s, span_s : of the record.
+    around : the models still allowed. sample_time_s, span_s : of the record; a span without end asks nothing of it.
     """
     plain = without_second_lag(log.model())
     short = plain.theta_s

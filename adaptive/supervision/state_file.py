@@ -183,6 +183,7 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "recogniser": _numbers_out(finder.recogniser),
         "noise": _numbers_out(finder.noise),
         "setpoint_noise": _numbers_out(finder.setpoint),
+        "rounding": finder.rounding,
         "led": _numbers_out(state.led),
         "samples": [_numbers_out(sample) for sample in finder.samples],
         "decisions": state.decisions,
@@ -230,6 +231,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             noise=NoiseState(*_numbers_in(memory["noise"])),
             samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
             setpoint=NoiseState(*_numbers_in(setpoint)) if (setpoint := memory.get("setpoint_noise")) else None,
+            rounding=float(memory.get("rounding", 0.0)),
         )
         retuner.trials.resume(memory["trials"])
         led = Led(*_numbers_in(memory.get("led", Led())))
