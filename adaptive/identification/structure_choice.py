@@ -192,9 +192,13 @@ def _relatives(winner: Candidate, seen: Seen, *, inverse: bool) -> list[Candidat
 
 
 def _larger(winner: Candidate, seen: Seen) -> list[Candidate]:
-    """An inverse response and a third lag, with as many load steps as the winner or fewer: these can pass for one."""
+    """An inverse response and a third lag, with as many load steps as the winner or fewer: these can pass for one.
+
+    So can a load's own lag and a drift: behind a first order, the third lag is looked for without them.
+    """
     misfit = winner.fit.misfit
-    seconds, firsts = (seen.by_loads(type_, misfit.sign, misfit.loads) for type_ in (SECOND, FIRST))
+    seconds = seen.by_loads(SECOND, misfit.sign, misfit.loads)
+    firsts = seen.by_loads(FIRST, misfit.sign, misfit.loads, plain=True)
     zeros = [judged(with_inverse(c.fit, INVERSE)) for c in seconds]
     thirds = [judged(with_third(c.fit, THIRD)) for c in seconds]
     for c in firsts:
