@@ -31,7 +31,7 @@ def proper_covariance(p: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class LogModel:
-    """A process of one of four structures in logarithms: see fit/structure.py for the order of x.
+    """A process of one of six structures in logarithms: see fit/structure.py for the order of x.
 
     Parameters
     ----------
