@@ -57,7 +57,13 @@ class Nudger:
         wanted = self._wanted() if free and retuner.open_question is None else ""
         low, high = self._room()
         hour = self._hour_of(sample.t_s)
-        return LoopAround(retuner.at_rest, wanted, hour, retuner.band, low, high, self._may_write())
+        return LoopAround(retuner.at_rest, wanted, hour, retuner.band, low, high, self._may_write(), self._reset_s())
+
+    def _reset_s(self) -> float:
+        """Integral time of the gains in force, seconds; 0 without integral action."""
+        region = self._retuner.region
+        gains = self._retuner.table.gains_of(region) if region is not None else None
+        return abs(gains.kp / gains.ki) if gains is not None and gains.ki else 0.0
 
     def _may_write(self) -> bool:
         """Whether the mode of the region allows retuner to write by itself."""
