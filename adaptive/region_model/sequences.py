@@ -1,7 +1,8 @@
 """What setpoint steps to and fro say of a region: all sequences that were made, fitted as one each time.
 
 What is known is fitted anew from all that are kept (identification/by_setpoint.py), and no record counts twice. Where
-the newest leaves much more with all of them than by itself, the process has changed: then it stands alone.
+the newest leaves much more with all of them than by itself, something else was behind it, or the process has changed:
+what was known stays. When the next one says so as well, those two are all that is known.
 """
 
 from dataclasses import replace
@@ -18,6 +19,8 @@ MOST_SEQUENCES = 6
 ANOTHER_PROCESS = 16.0
 """By how much what all say may leave more of the newest than it does by itself, sum of squares in standard deviations:
 four parameters at four of them."""
+ODD_ONES = 2
+"""Sequences one after the other with which what was known does not agree: then they are what is known."""
 
 
 def update_by_sequences(
@@ -38,9 +41,15 @@ def update_by_sequences(
     """
     kept = sequences[-MOST_SEQUENCES:]
     estimate = process_behind(kept, sign, fit, *law)
-    alone = process_behind(kept[-1:], sign, fit, *law) if len(kept) > 1 else None
+    settled = region_model is not None and region_model.identifiable and len(kept) > 1
+    alone = process_behind(kept[-1:], sign, fit, *law) if settled else None
     if alone is not None and (estimate is None or _apart(kept, estimate, alone, law) > ANOTHER_PROCESS):
-        kept, estimate = kept[-1:], alone
+        assert region_model is not None
+        if region_model.alternative is None:
+            odd = _known(None, kept[-1:], alone, settings, at).known
+            return Learned(replace(region_model, sequences=kept, alternative=odd), alone, Agreement.CONTRADICTS, 0.0)
+        kept = kept[-ODD_ONES:]
+        estimate = process_behind(kept, sign, fit, *law)
     if estimate is None:
         return None
     if region_model is not None and region_model.identifiable and not (region_model.sequences or estimate.identifiable):

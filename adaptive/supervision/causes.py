@@ -345,7 +345,7 @@ def clear_case(found: Findings, learned: Learned) -> bool:
     """
     record, loads = found.record, len(learned.estimate.load_times_s)
     if found.steps is not None:
-        return learned.estimate.identifiable
+        return learned.estimate.identifiable and learned.agreement is not Agreement.CONTRADICTS
     if record.crossed:
         return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
     return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)

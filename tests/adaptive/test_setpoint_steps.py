@@ -158,16 +158,24 @@ def test_sequences_under_other_gains_are_fitted_with_the_rest() -> None:
     assert found.log.x[0] == pytest.approx(TRUE[0], abs=0.5)
 
 
-def test_of_a_process_that_has_changed_the_newest_stands_alone() -> None:
-    old, new = sequences(2, 0.0, scaled(0.5, 0.5)), sequences(1, 0.0, scaled(0.5, 0.5))
+def test_what_was_known_is_given_up_when_two_sequences_contradict_it() -> None:
+    gains, law = scaled(0.5, 0.5), SampledLaw(scaled(0.5, 0.5), 1.0)
+    old, new = sequences(2, 0.0, gains), sequences(2, 0.0, gains)
     held = dynamics_at(ProcessType.FOPDT, TRUE).step(np.arange(new[0].reach, dtype=np.float64) - 5.0) / 20
-    said = new[0].said(setpoint_response(held, SampledLaw(scaled(0.5, 0.5), 1.0)))
-    changed = replace(new[0], pv=tuple(said.tolist()))
-    found = update_by_sequences(None, (*old, changed), 1, TrackerSettings(), FitSettings(), LAW)
-    assert found is not None
-    assert found.agreement is Agreement.FIRST
-    assert found.region_model is not None
-    assert found.region_model.sequences == (changed,)
+    odd = [replace(one, pv=tuple(one.said(setpoint_response(held, law)).tolist())) for one in new]
+    known = update_by_sequences(None, tuple(old), 1, TrackerSettings(), FitSettings(), LAW)
+    assert known is not None
+    assert known.region_model is not None
+    once = update_by_sequences(known.region_model, (*old, odd[0]), 1, TrackerSettings(), FitSettings(), LAW)
+    assert once is not None
+    assert once.region_model is not None
+    assert once.agreement is Agreement.CONTRADICTS
+    assert once.region_model.log.x == pytest.approx(known.region_model.log.x)
+    twice = update_by_sequences(once.region_model, (*old, *odd), 1, TrackerSettings(), FitSettings(), LAW)
+    assert twice is not None
+    assert twice.region_model is not None
+    assert twice.region_model.sequences == tuple(odd)
+    assert twice.region_model.log.x[0] == pytest.approx(np.log(1 / 20), abs=0.1)
 
 
 def test_no_more_are_kept_than_a_process_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
