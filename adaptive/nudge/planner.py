@@ -252,7 +252,7 @@ class NudgePlanner:
         """Whether the loop is fit for a bump."""
         large = self.size >= self.settings.least_bands * around.band
         near = abs(sample.sp - sample.pv) <= max(CALM * self.size, around.band)
-        calm = near and (around.at_rest or self._restless)
+        calm = near and (around.at_rest or self.restless)
         ready = sample.mode == LoopMode.AUTO and not sample.limited and self.settings.is_time(around.hour)
         return bool(around.wanted) and large and calm and ready
 
@@ -267,7 +267,7 @@ class NudgePlanner:
             self._squares += (sample.sp - sample.pv) ** 2
 
     @property
-    def _restless(self) -> bool:
+    def restless(self) -> bool:
         """Whether loads move the loop all the time."""
         return self._outside > RESTLESS * self._seen
 
@@ -279,7 +279,7 @@ class NudgePlanner:
     def _aim(self, sp: float, around: LoopAround) -> float | None:
         """Where the setpoint would go: up and down in turn, as far as there is room; to and fro needs it on both."""
         sides = (sp + self.size, sp - self.size) if self._up else (sp - self.size, sp + self.size)
-        if self._restless and not all(around.low <= to <= around.high for to in sides):
+        if self.restless and not all(around.low <= to <= around.high for to in sides):
             return None
         return next((to for to in sides if around.low <= to <= around.high), None)
 
@@ -288,7 +288,7 @@ class NudgePlanner:
         to = self._aim(sample.sp, around)
         assert to is not None
         self._before, self._from, self._to = sample.sp, sample.sp, to
-        self._holds = HOLDS if self._restless else ()
+        self._holds = HOLDS if self.restless else ()
         way = "until the loop is at rest, and back"
         if self._holds:
             way = f"and {2 * sample.sp - to:g} in turn, {len(HOLDS)} times in all, and back, for loads move this loop"

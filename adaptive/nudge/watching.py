@@ -87,6 +87,8 @@ class Nudger:
             return f'what is known of the process in region "{name}" does not carry settings'
         if not retuner.excitation.get(region, Excitation()).setpoints:
             return f'what is known of the process in region "{name}" rests on loads alone'
+        if self.planner.restless and not model.sequences:
+            return f'loads move the loop all the time, and what is known of region "{name}" rests on single responses'
         if model.records <= ONCE:
             return f'region "{name}" has shown its process once only'
         return ""
