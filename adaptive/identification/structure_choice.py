@@ -16,7 +16,7 @@ import numpy as np
 from retuner.adaptive.fit.misfit import MOST_ORDER, Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import EXACT, Fit, refine
-from retuner.adaptive.fit.search import long_lag, starts, with_inverse, with_second_lag, with_third
+from retuner.adaptive.fit.search import behind_a_lag, long_lag, starts, with_inverse, with_second_lag, with_third
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.identification.corners import asked_for, with_corners
@@ -192,10 +192,16 @@ def _relatives(winner: Candidate, seen: Seen, *, inverse: bool) -> list[Candidat
 
 
 def _larger(winner: Candidate, seen: Seen) -> list[Candidate]:
-    """An inverse response and a third lag, with as many load steps as the winner or fewer: these can pass for one."""
+    """An inverse response and a third lag, with as many load steps as the winner or fewer: these can pass for one.
+
+    So can a load's own lag and a drift: behind a first order, the third lag is looked for without them.
+    """
     misfit = winner.fit.misfit
-    found = []
-    for type_, enlarged in ((INVERSE, with_inverse), (THIRD, with_third)):
-        tried = [judged(enlarged(c.fit, type_)) for c in seen.by_loads(SECOND, misfit.sign, misfit.loads)]
-        found.append(min(tried, key=lambda c: c.criterion))
-    return found
+    seconds = seen.by_loads(SECOND, misfit.sign, misfit.loads)
+    firsts = seen.by_loads(FIRST, misfit.sign, misfit.loads, plain=True)
+    zeros = [judged(with_inverse(c.fit, INVERSE)) for c in seconds]
+    thirds = [judged(with_third(c.fit, THIRD)) for c in seconds]
+    for c in firsts:
+        larger = replace(c.fit.misfit, type=THIRD)
+        thirds.append(judged(refine(larger, behind_a_lag(c.fit, larger))))
+    return [min(tried, key=lambda c: c.criterion) for tried in (zeros, thirds)]
