@@ -139,8 +139,18 @@ def _reason(cause: Cause, tone: Candidate, valve: Sticking, evidence: dict[str, 
     evidence["external_period_s"] = period
     return (
         f"an external oscillation with a period of {period:.3g} s explains the record; "
-        f"residual {evidence['external_left']:.1f} times the noise with it, {before:.1f} without"
+        f"{_with_and_without(evidence['external_left'], before, evidence['loads'])}"
     )
+
+
+def _with_and_without(tone_left: float, loop_left: float, loads: float) -> str:
+    """What a tone leaves, and what the loop by itself leaves with so many load steps.
+
+    Where both leave the noise alone, what the loop needs for it is the difference.
+    """
+    digits = 1 if f"{tone_left:.1f}" != f"{loop_left:.1f}" else 2
+    needed = f", with {loads:.0f} load step{'s' * (loads != 1)}" if loads else ""
+    return f"residual {tone_left:.{digits}f} times the noise with it, {loop_left:.{digits}f} without{needed}"
 
 
 PADDED = 4

@@ -111,7 +111,7 @@ def too_few_cycles(samples: Sequence[LoopSample], response: Response, swing: Swi
     cycles = (response.t_end_s - seen[0].t_s) / period_s
     if cycles >= swing.cycles:
         return None
-    reason = f"lasting oscillation without a setpoint step: {cycles:.1f} of {swing.cycles:g} cycles needed"
+    reason = f"lasting oscillation without a setpoint step: {cycles:.1f} cycles seen, {swing.cycles:g} are needed"
     return Diagnosis(Cause.UNKNOWN, 0.5, {"period_s": period_s, "cycles": cycles}, reason)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Fit, Prior
-from retuner.adaptive.fit.structure import SIZE, model_at
+from retuner.adaptive.fit.structure import SIZE, THIRD, model_at
 from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, loads_at, with_priors
 from retuner.adaptive.identification.estimate import (
     Alternative,
@@ -34,7 +34,7 @@ from retuner.adaptive.identification.estimate import (
     gain_spread,
     proper_covariance,
 )
-from retuner.adaptive.identification.plausible import Plausible, plausible
+from retuner.adaptive.identification.plausible import Plausible, plausible, within_reach
 from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
 from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
@@ -293,7 +293,10 @@ def _alternative(candidate: Candidate, prior: Prior | None) -> Alternative:
     known = usual(fit.misfit.type, fit.x) if prior is None else prior
     precision = precision if known is None else precision + known.root.T @ known.root
     precision = precision + broad(d) if prior is None else precision
-    covariance = proper_covariance(np.asarray(np.linalg.inv(precision), dtype=np.float64))
+    covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
+    if fit.misfit.type in THIRD:
+        covariance = within_reach(fit, covariance, prior, inflation)
+    covariance = proper_covariance(covariance)
     log = LogModel(fit.x.copy(), covariance, fit.misfit.sign, fit.misfit.type)
     n = len(record.pv)
     evidence = candidate.criterion - d * math.log(n)
@@ -426,5 +429,6 @@ NAMES = {
     ProcessType.INTEGRATING: "integrating + dead time",
     ProcessType.INTEGRATING_LAG: "integrating with lag + dead time",
     ProcessType.SOPDT_INVERSE: "second order with inverse response + dead time",
+    ProcessType.TOPDT: "third order + dead time",
 }
 """The structures in words."""

@@ -150,9 +150,8 @@ def _point_in(body: Mapping[str, Any]) -> RecordPoint:
 def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     """A model from its own keys."""
     k, tau1, tau2, theta = (float(body[name]) for name in ("k", "tau1", "tau2", "theta"))
-    return ProcessModel(
-        ProcessType(body["type"]), k, tau1, tau2, theta, float(body.get("zeta", 1.0)), float(body.get("inverse", 0.0))
-    )
+    zeta, inverse, tau3 = float(body.get("zeta", 1.0)), float(body.get("inverse", 0.0)), float(body.get("tau3", 0.0))
+    return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, zeta, inverse, tau3)
 
 
 VERSION = 9
