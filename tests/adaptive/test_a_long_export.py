@@ -9,6 +9,7 @@ from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import _unexplained
 from retuner.adaptive.identification.identify import identify_window
+from retuner.adaptive.indexes.recording_quality import hidden_sigma, recording_quality
 from retuner.adaptive.signals.sample import Window
 
 DT, KC, TAU_I = 2.0, 0.6, 60.0
@@ -16,15 +17,16 @@ SETPOINTS = ((1000, 8.0), (3000, -8.0), (5500, 8.0), (8000, -5.0), (10000, 3.0))
 LOADS = ((2000, 6.0), (4200, -6.0), (7000, 8.0), (9000, -8.0))
 
 
-def made() -> Window:
-    """e^-14s / (60 s + 1) under PI control, 3 h 20 min."""
+def made(step: float = 0.0) -> Window:
+    """e^-14s / (60 s + 1) under PI control, 3 h 20 min. step : of a coarse sensor, which has little noise."""
     rng, n = np.random.default_rng(3), 6000
     t = np.arange(n) * DT
     sp, load = (sum(np.where(t >= at, size, 0.0) for at, size in steps) for steps in (SETPOINTS, LOADS))
     pv, co = np.empty(n), np.empty(n)
     past, x, integral = [0.0] * 7, 0.0, 0.0
     for i in range(n):
-        pv[i] = x + 0.15 * rng.standard_normal()
+        pv[i] = x + (0.05 if step else 0.15) * rng.standard_normal()
+        pv[i] = round(pv[i] / step) * step if step else pv[i]
         integral += KC / TAU_I * (sp[i] - pv[i]) * DT
         co[i] = KC * (sp[i] - pv[i]) + integral
         past.append(co[i])
@@ -62,3 +64,24 @@ def test_of_few_points_nobody_says_that_there_is_only_noise() -> None:
     rng = np.random.default_rng(1)
     few = Window(np.arange(30.0), np.full(30, 1.0), 1 + rng.standard_normal(30), 5 + rng.standard_normal(30))
     assert diagnose_window(few, None).diagnosis.cause is Cause.UNKNOWN
+
+
+def test_lines_of_a_historian_are_seen_though_they_were_printed_with_three_decimals() -> None:
+    kept = np.unique(np.random.default_rng(5).choice(6000, 60, replace=False))
+    drawn = np.interp(np.arange(6000.0), kept, RECORD.pv[kept])
+    quality = recording_quality(np.round(drawn, 3))
+    assert quality is not None
+    assert quality.compression > 5.0
+    assert hidden_sigma(np.round(drawn, 3)) > 0.005
+    smooth = np.round(50 + 8 * np.exp(-np.arange(200) / 60.0), 3)
+    for honest in (np.round(RECORD.pv, 3), smooth):
+        told = recording_quality(honest)
+        assert told is not None
+        assert told.compression < 1.5
+
+
+def test_straight_lines_of_co_under_a_coarse_sensor_are_integral_action_and_no_compression() -> None:
+    coarse = made(step=0.5)
+    found = settings_in_force(coarse)
+    assert found.gains is not None
+    assert found.gains.ki == pytest.approx(KC / TAU_I, rel=0.05)
