@@ -212,7 +212,7 @@ def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> F
     return replace(found, diagnosis=verdict, tuning=None, aim=None)
 
 
-TOO_FEW = "{samples} samples do not tell movement from noise: {fewest} and more are needed, before compression"
+TOO_FEW = "{samples} samples do not tell movement from noise: {fewest} and more are needed"
 UNDECIDED = 0.5
 """Confidence of an answer that leaves the cause open."""
 
