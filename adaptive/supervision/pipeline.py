@@ -372,7 +372,7 @@ def confirmation(found: Findings) -> None:
         found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
         return
     if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
-        doubt = doubt_of(found, wanted.diagnosis.cause)
+        doubt = doubt_of(found, wanted.diagnosis)
         if doubt is not None and not borne_out(found, _in_use(found), doubt):
             _not_confirmed(found, doubt)
             return
