@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 
 from retuner.adaptive.choice.settings import ChoiceSettings
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.robust_simc import SWINGS, RobustSettings, robust_simc_on
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on, swings
 from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
@@ -141,7 +141,7 @@ def outlooks(
 
 def _of_rule(model: ProcessModel) -> PidGains:
     """Settings that J is over: SIMC's; of a process that swings by itself those that are robust there."""
-    if model.zeta < SWINGS:
+    if swings(model):
         return robust_simc_on(model, (), 0.0, RobustSettings()).tuning.gains
     return simc(model, without_second_lag(model).theta_s).gains
 

@@ -218,7 +218,7 @@ def _diagnosed(
     direction: int | None,
 ) -> Found:
     """The same with the confidence that a verdict has among those that were weighed."""
-    seen = screen(window, gains, *limits)
+    seen = screen(window, gains, *limits, in_auto=settings.in_auto)
     obvious = _switched(window, seen) or _obvious(seen, settings)
     sign = gains.direction if gains else direction
     if sign and (obvious is None or obvious.cause == Cause.SATURATION):

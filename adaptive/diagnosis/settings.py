@@ -64,6 +64,7 @@ class DiagnosisSettings:
     held_share : share of the samples in gaps that were filled with the last values, of pv and co at once, from which
         nothing is said of the tuning; 0.05 to 0.5, default 0.15 (real records with such gaps: 0.19 to 0.54).
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
+    in_auto : the samples say that the loop is in automatic, so that a co which stands still is no sign of manual.
     """
 
     saturated_share: float = 0.25
@@ -103,6 +104,7 @@ class DiagnosisSettings:
     play_asked: float = 60.0
     held_share: float = 0.15
     majority: float = 0.75
+    in_auto: bool = False
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(
             ChoiceSettings(most_loads=6, most_order=WHITE, inverse=False), most_samples=2000

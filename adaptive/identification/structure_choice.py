@@ -16,7 +16,7 @@ import numpy as np
 from retuner.adaptive.fit.misfit import MOST_ORDER, Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import EXACT, Fit, refine
-from retuner.adaptive.fit.search import long_lag, starts, with_inverse, with_second_lag
+from retuner.adaptive.fit.search import long_lag, starts, with_inverse, with_second_lag, with_third
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.identification.corners import asked_for, with_corners
@@ -25,12 +25,13 @@ from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
-FIRST, SECOND, INTEGRATING, INTEGRATING_LAG, INVERSE = (
+FIRST, SECOND, INTEGRATING, INTEGRATING_LAG, INVERSE, THIRD = (
     ProcessType.FOPDT,
     ProcessType.SOPDT,
     ProcessType.INTEGRATING,
     ProcessType.INTEGRATING_LAG,
     ProcessType.SOPDT_INVERSE,
+    ProcessType.TOPDT,
 )
 ROUGH = 12
 """Evaluations of a refinement that only ranks the starts."""
@@ -52,8 +53,9 @@ class ChoiceSettings:
     starts : starts refined per structure and number of loads; 1 to 8, default 3 (nested local optima).
     most_order : highest order of a whitening filter for what is left; 0 to 8, default 4.
     start_spread : see Misfit; default 0.3, 0 for an experiment that is known to begin at rest.
-    inverse : whether an inverse response is among the structures; default true. Where causes are compared it is not: a
-        zero that has not come back yet explains a process of the other sign, and a valve that slips late.
+    inverse : whether an inverse response and a third lag are among the structures; default true. Where causes are
+        compared they are not: a zero that has not come back yet explains a process of the other sign, and a valve that
+        slips late.
     """
 
     seeded_loads: int = 2
@@ -176,7 +178,7 @@ def _relatives(winner: Candidate, seen: Seen, *, inverse: bool) -> list[Candidat
     found = []
     tail = fit.p[SIZE[fit.misfit.type] :]
     for type_ in SIZE:
-        if type_ in {fit.misfit.type, INVERSE}:
+        if type_ in {fit.misfit.type, INVERSE, THIRD}:
             continue
         own = seen.best(type_, fit.misfit.sign)
         best = refine(replace(fit.misfit, type=type_), np.concatenate([own.fit.x, tail]))
@@ -186,11 +188,14 @@ def _relatives(winner: Candidate, seen: Seen, *, inverse: bool) -> list[Candidat
             best = min(best, with_second_lag(fit, type_, []), key=lambda f: f.deviance)
         found.append(judged(best))
         seen.add(found[-1])
-    return [*found, _inverse(winner, seen)] if inverse else found
+    return [*found, *_larger(winner, seen)] if inverse else found
 
 
-def _inverse(winner: Candidate, seen: Seen) -> Candidate:
-    """An inverse response, with as many load steps as the winner or fewer: two of them can pass for one."""
+def _larger(winner: Candidate, seen: Seen) -> list[Candidate]:
+    """An inverse response and a third lag, with as many load steps as the winner or fewer: these can pass for one."""
     misfit = winner.fit.misfit
-    tried = [judged(with_inverse(c.fit, INVERSE)) for c in seen.by_loads(SECOND, misfit.sign, misfit.loads)]
-    return min(tried, key=lambda c: c.criterion)
+    found = []
+    for type_, enlarged in ((INVERSE, with_inverse), (THIRD, with_third)):
+        tried = [judged(enlarged(c.fit, type_)) for c in seen.by_loads(SECOND, misfit.sign, misfit.loads)]
+        found.append(min(tried, key=lambda c: c.criterion))
+    return found

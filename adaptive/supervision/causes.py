@@ -41,6 +41,7 @@ from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.guard.request import Support
 from retuner.adaptive.guard.step_size import less_of_everything
+from retuner.adaptive.identification.estimate import log_controller
 from retuner.adaptive.region_model.averages import update_by_averages
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
@@ -66,6 +67,7 @@ __all__ = [
     "SWINGING",
     "TOWARDS_SAFETY",
     "beside_averages",
+    "borne_out",
     "by_averages",
     "clear_case",
     "cut_refuted",
@@ -414,6 +416,32 @@ def doubt_of(found: Findings, wanted_for: Cause | None = None) -> Diagnosis | No
         settings.diagnosis,
         wanted_for,
     )
+
+
+def borne_out(found: Findings, model: RegionModel, doubt: Diagnosis) -> bool:
+    """Whether a case that stays open is borne out: records that settle the process by themselves agree about it.
+
+    Loads that overlap can be explained in any way, but not twice in the same one. Setpoint responses must be among
+    them, for a tone under loads alone is the same fiction each time; what names another cause is listened to.
+    """
+    swing, dt_s = found.settings.swing, found.settings.sample_time_s
+    agrees = found.learned is not None and found.learned.agreement == Agreement.AGREES
+    if not agrees or doubt.cause is not Cause.UNKNOWN or found.excitation_now.setpoints < SETPOINTS:
+        return False
+    best = model.log.model()
+    at_s = best.seen_by_controller(dt_s).theta_s
+    usual = log_controller(best, dt_s, at_s)
+    settled = [
+        point.log
+        for point in model.points[-swing.alike_records :]
+        if point.log.gain_uncertainty(dt_s) <= found.settings.fit.gain_std_limit
+    ]
+    alike = [abs(log_controller(log.model(), dt_s, at_s) - usual) <= swing.alike for log in settled]
+    return len(alike) >= swing.alike_records and all(alike)
+
+
+SETPOINTS = 2
+"""Setpoint responses among the records that bear each other out."""
 
 
 def stands_out(found: Findings) -> bool:

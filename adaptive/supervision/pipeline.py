@@ -26,6 +26,7 @@ from retuner.adaptive.supervision.causes import (
     NOT_CONFIRMED,
     SWINGING,
     beside_averages,
+    borne_out,
     by_averages,
     clear_case,
     cut_refuted,
@@ -369,7 +370,7 @@ def confirmation(found: Findings) -> None:
         return
     if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
         doubt = doubt_of(found, wanted.diagnosis.cause)
-        if doubt is not None:
+        if doubt is not None and not borne_out(found, _in_use(found), doubt):
             _not_confirmed(found, doubt)
             return
     assert found.verdict is not None

@@ -150,9 +150,8 @@ def _point_in(body: Mapping[str, Any]) -> RecordPoint:
 def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     """A model from its own keys."""
     k, tau1, tau2, theta = (float(body[name]) for name in ("k", "tau1", "tau2", "theta"))
-    return ProcessModel(
-        ProcessType(body["type"]), k, tau1, tau2, theta, float(body.get("zeta", 1.0)), float(body.get("inverse", 0.0))
-    )
+    zeta, inverse, tau3 = float(body.get("zeta", 1.0)), float(body.get("inverse", 0.0)), float(body.get("tau3", 0.0))
+    return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, zeta, inverse, tau3)
 
 
 VERSION = 9
@@ -184,6 +183,7 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "recogniser": _numbers_out(finder.recogniser),
         "noise": _numbers_out(finder.noise),
         "setpoint_noise": _numbers_out(finder.setpoint),
+        "rounding": finder.rounding,
         "led": _numbers_out(state.led),
         "samples": [_numbers_out(sample) for sample in finder.samples],
         "decisions": state.decisions,
@@ -231,6 +231,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             noise=NoiseState(*_numbers_in(memory["noise"])),
             samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
             setpoint=NoiseState(*_numbers_in(setpoint)) if (setpoint := memory.get("setpoint_noise")) else None,
+            rounding=float(memory.get("rounding", 0.0)),
         )
         retuner.trials.resume(memory["trials"])
         led = Led(*_numbers_in(memory.get("led", Led())))
