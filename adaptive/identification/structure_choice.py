@@ -39,6 +39,10 @@ RELATIVE_MOVES = 2
 """Moves with which the other structures may still improve in the winner's clothes."""
 FAR = 1.3
 """A remainder this many times the noise asks for a wider search."""
+SWALLOWED = 5.0
+"""What is left over the noise of pv from which a filter hides loads: noise itself is seen at a third of it at least."""
+WHITE_MOVES = 40
+"""Moves tried for loads in what is taken for white: a dozen of them, each found, shifted and tried without."""
 CLOSE = 12.0
 """Rivals within this of the best criterion are kept (a likelihood ratio of e^-6)."""
 
@@ -86,6 +90,10 @@ def candidates(
     for seed in _seeds(rivals):
         improved(seed, settings.most_loads, seen)
     winner = seen.best()
+    if settings.most_loads and _swallows(winner):
+        for found in _loads_first(rivals, settings.most_loads):
+            seen.add(improved(found, settings.most_loads, seen, RELATIVE_MOVES))
+        winner = seen.best()
     if asked_for(winner) and not np.any(np.diff(window.sp)):
         with_corners([winner, *_few_loads(rivals)], settings.most_loads, seen)
         winner = seen.best()
@@ -121,6 +129,27 @@ def _seeds(rivals: list[Candidate]) -> list[Candidate]:
     calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
     drifting = {c.fit.misfit.type: c for c in reversed(same) if c.fit.misfit.ramp}
     return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting.values()]))
+
+
+def _swallows(winner: Candidate) -> bool:
+    """Whether a filter takes for coloured noise what is many times the noise: loads that were not found yet."""
+    record = winner.fit.misfit.record
+    return bool(winner.colour.ar) and float(np.std(record.pv - winner.fit.explained)) > SWALLOWED * record.noise_std
+
+
+def _loads_first(rivals: list[Candidate], most_loads: int) -> list[Candidate]:
+    """The best of each sign where all that is left counts as white, so that it pays to find its loads one by one.
+
+    Beside a filter each load alone pays little while the others are still in what is left: the way to all of them goes
+    uphill.
+    """
+    found = []
+    for sign in {c.fit.misfit.sign for c in rivals}:
+        first = next(c.fit for c in rivals if (c.fit.misfit.sign, c.fit.misfit.type) == (sign, FIRST))
+        white = judged(refine(replace(first.misfit, most_order=0), first.p))
+        fit = improved(white, most_loads, Seen([]), WHITE_MOVES).fit
+        found.append(judged(replace(fit, misfit=replace(fit.misfit, most_order=first.misfit.most_order))))
+    return found
 
 
 def _few_loads(rivals: list[Candidate]) -> list[Candidate]:
