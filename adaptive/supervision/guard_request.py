@@ -298,13 +298,13 @@ def promise_of(
 
 
 def promised(found: Findings, verdict: Verdict) -> Promise | None:
-    """What the gains of a verdict promise; how the averaged stretches differ is what loads do by themselves."""
+    """What the gains of a verdict promise; how pv moved before steps to and fro is what loads do by themselves."""
     record = found.record
     at = record.table, record.region, record.at
     told = promise_of(verdict, *at, record.pattern, found.settings, record.samples)
-    if told is None or found.averaged is None:
+    if told is None or found.steps is None:
         return told
-    return replace(told, wander=max(told.wander, found.averaged.wander))
+    return replace(told, wander=max(told.wander, found.steps.wander))
 
 
 def posterior_of(
