@@ -7,8 +7,9 @@ the next sample, are not remembered. The next response that changes nothing wher
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,8 +20,8 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.region_model.region_model import Drift, RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.signals.noise import NoiseState
-from retuner.adaptive.signals.recogniser import RecogniserState
-from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.signals.recogniser import RecogniserPhase, RecogniserState
+from retuner.adaptive.signals.sample import LoopSample, Window, finite
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.adaptive.signals.to_and_fro import SetpointMove
 from retuner.adaptive.supervision.pipeline_types import Led, RetunerState
@@ -31,6 +32,8 @@ from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import RegionState
 
+State = TypeVar("State")
+"""A named tuple of numbers."""
 SERIES = ("t_s", "sp", "pv", "co")
 """What a record is made of."""
 
@@ -157,6 +160,10 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
 
 VERSION = 9
 """Of this layout; any other is refused."""
+STATES = (RegionState, RecogniserState, NoiseState, Led, LoopSample)
+LAYOUT = {kind.__name__: list(kind._fields) for kind in STATES}
+"""What is kept by place: numbers that moved would be read as others. Another layout is refused; memories of before
+have none."""
 
 
 def remember(retuner: Retuner) -> dict[str, object]:
@@ -175,6 +182,7 @@ def remember(retuner: Retuner) -> dict[str, object]:
     finder = state.finder
     return {
         "version": VERSION,
+        "layout": LAYOUT,
         "table": to_toml(retuner.table),
         "region_models": {
             str(region): region_model_out(region_model) for region, region_model in retuner.region_models.items()
@@ -218,6 +226,8 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
         raise ValueError(
             f"memory version {memory.get('version')!r} is not {VERSION}; it was written by another release"
         )
+    if memory.get("layout", LAYOUT) != LAYOUT:
+        raise ValueError("the memory has another layout; it was written by another release")
     try:
         retuner = Retuner(from_toml(memory["table"]), settings, from_toml(memory["commissioned"]))
         retuner.region_models = {int(region): region_model_in(body) for region, body in memory["region_models"].items()}
@@ -228,14 +238,14 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
         }
         finder = FinderState(
             region=_region_in(memory["region"]),
-            recogniser=RecogniserState(*_numbers_in(memory["recogniser"])) if memory["recogniser"] else None,
-            noise=NoiseState(*_numbers_in(memory["noise"])),
-            samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
-            setpoint=NoiseState(*_numbers_in(setpoint)) if (setpoint := memory.get("setpoint_noise")) else None,
+            recogniser=_recogniser_in(memory["recogniser"]),
+            noise=_state_in(NoiseState, memory["noise"]),
+            samples=_samples_in(memory["samples"]),
+            setpoint=_state_in(NoiseState, setpoint) if (setpoint := memory.get("setpoint_noise")) else None,
             rounding=float(memory.get("rounding", 0.0)),
         )
         retuner.trials.resume(memory["trials"])
-        led = Led(*_numbers_in(memory.get("led", Led())))
+        led = _state_in(Led, memory.get("led", Led()))
         retuner.resume(RetunerState(finder, int(memory["decisions"]), int(memory["samples_observed"]), led))
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the memory is damaged: {error!r}") from error
@@ -254,4 +264,36 @@ def _numbers_in(values: Sequence[Any]) -> list[Any]:
 
 def _region_in(values: Sequence[Any] | None) -> RegionState | None:
     """A region state, if there was one."""
-    return None if values is None else RegionState(*_numbers_in(values))
+    return None if values is None else _state_in(RegionState, values)
+
+
+def _recogniser_in(values: Sequence[Any] | None) -> RecogniserState | None:
+    """A recogniser's state, if there was one."""
+    if not values:
+        return None
+    state = _state_in(RecogniserState, values)
+    RecogniserPhase(state.phase)
+    return state
+
+
+def _samples_in(rows: Sequence[Sequence[Any]]) -> tuple[LoopSample, ...]:
+    """The samples of the response under way."""
+    samples = tuple(_state_in(LoopSample, row) for row in rows)
+    if not all(map(finite, samples)) or any(a.t_s >= b.t_s for a, b in pairwise(samples)):
+        raise TypeError("samples whose time does not increase, or that are no numbers")
+    return samples
+
+
+def _state_in(kind: Callable[..., State], values: Sequence[Any]) -> State:
+    """A state by its place in the layout; a value of another type shows that the layout was another one.
+
+    Raises
+    ------
+    TypeError
+        A value is not of its type, or there are too few or too many.
+    """
+    found = _numbers_in(values)
+    for wanted, value in zip(kind.__annotations__.values(), found, strict=False):  # the last ones may have defaults
+        if not isinstance(value, (int, float) if wanted is float else int):
+            raise TypeError(f"{value!r} is no {wanted.__name__}")
+    return kind(*found)

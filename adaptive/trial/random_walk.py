@@ -229,7 +229,8 @@ def _near(model: ProcessModel, step: float) -> list[ProcessModel]:
     """One number larger or smaller: gain, dead time, lags with the gain and without."""
     found = []
     for factor in (math.exp(step), math.exp(-step)):
-        slower = replace(model, tau1_s=factor * model.tau1_s, tau2_s=factor * model.tau2_s)
+        tau1_s, tau2_s, tau3_s = (factor * lag for lag in (model.tau1_s, model.tau2_s, model.tau3_s))
+        slower = replace(model, tau1_s=tau1_s, tau2_s=tau2_s, tau3_s=tau3_s)
         found += [
             replace(model, k=factor * model.k),
             replace(model, theta_s=factor * model.theta_s),

@@ -203,6 +203,31 @@ def test_what_a_belief_rests_on_is_remembered() -> None:
     assert again.excitation == bench.retuner.excitation
 
 
+def test_a_memory_of_another_layout_is_refused_and_none_is_misread_by_place() -> None:
+    """Code that is exchanged under a session reads what other code wrote: a phase that is no whole number, a time in
+    the place of a count. Whatever moved, it is told at once, and not by an index error a sample later.
+    """
+    bench = made(GOOD)
+    bench.run(40)
+    memory, wanted = json.loads(json.dumps(remember(bench.retuner))), bench.retuner.settings
+    assert restore({key: memory[key] for key in memory if key != "layout"}, wanted).sample_number == 40
+    for kind in memory["layout"]:
+        moved = memory["layout"] | {kind: memory["layout"][kind][::-1]}
+        with pytest.raises(ValueError, match="another layout"):
+            restore(memory | {"layout": moved}, wanted)
+    for name in ("recogniser", "region", "noise", "led"):
+        for at in range(len(memory[name])):
+            for wrong in ([1.0], "x", {}):
+                values = [wrong if i == at else value for i, value in enumerate(memory[name])]
+                with pytest.raises(ValueError, match=r"."):
+                    restore(memory | {name: values}, wanted)
+    phase = [3.5, *memory["recogniser"][1:]]
+    samples = [memory["samples"][1], memory["samples"][0]]
+    for damage in ({"recogniser": phase}, {"recogniser": [99, *phase[1:]]}, {"samples": samples}):
+        with pytest.raises(ValueError, match=r"."):
+            restore(memory | damage, wanted)
+
+
 @pytest.mark.parametrize("damage", [{"version": 1}, {"table": "x"}, {"region_models": {"0": {}}}, {"noise": None}])
 def test_a_damaged_memory_is_refused_in_one_line(damage: dict[str, object]) -> None:
     bench = made(GOOD)
