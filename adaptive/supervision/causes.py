@@ -401,10 +401,10 @@ def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionMo
     )
 
 
-def doubt_of(found: Findings, wanted_for: Cause | None = None) -> Diagnosis | None:
+def doubt_of(found: Findings, wanted_for: Diagnosis | None = None) -> Diagnosis | None:
     """Why the whole diagnosis does not confirm a change, None when it does.
 
-    wanted_for : cause for which the gains would be changed, None where no model named one.
+    wanted_for : why the gains would be changed, None where no model says so.
     """
     record, settings = found.record, found.settings
     return unconfirmed(

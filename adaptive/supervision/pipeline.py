@@ -51,6 +51,7 @@ from retuner.adaptive.supervision.guard_request import (
     promised,
     request_of,
     unproved_request,
+    wanders,
 )
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
@@ -371,7 +372,7 @@ def confirmation(found: Findings) -> None:
         found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
         return
     if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
-        doubt = doubt_of(found, wanted.diagnosis.cause)
+        doubt = doubt_of(found, wanted.diagnosis)
         if doubt is not None and not borne_out(found, _in_use(found), doubt):
             _not_confirmed(found, doubt)
             return
@@ -427,6 +428,16 @@ def check_after_trial(found: Findings) -> None:
     trial = found.question.trial
     if trial.phase is TrialPhase.TRIAL and found.end is not None and found.end.code != Ground.SATURATED.name.lower():
         found.posterior = posterior_of(found.record, found.learned, trial, found.settings)
+    found.wandering = trial.phase is TrialPhase.TRIAL and _wandering(found)
+
+
+def _wandering(found: Findings) -> bool:
+    """Whether what speaks against the set on trial may be a load that wanders."""
+    record, learned = found.record, found.learned
+    model = found.region_model or record.region_models.get(record.region)
+    known = model.plausible if model is not None else ()
+    against = learned.estimate.plausible if learned is not None and found.posterior is not None else known
+    return wanders(record, against or known, found.question.trial, found.settings)
 
 
 def _learned(found: Findings) -> Learned:

@@ -116,7 +116,8 @@ class StageResult:
     excitation : what the region model rests on.
     promise : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
-    elsewhere : what is due in a region where the loop is not, by its index; nothing for none.
+    elsewhere : what is due in a region where the loop is not, by its index; nothing for none. wandering : a load that
+    wanders as before the change explains what the loop did lately, on a process on which the set on trial is robust.
     """
 
     code: str
@@ -135,6 +136,7 @@ class StageResult:
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, "StageResult"] = field(default_factory=dict)
+    wandering: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,6 +285,7 @@ class Findings:
     promise: Promise | None = None
     expected: str = ""
     posterior: PosteriorCheck | None = None
+    wandering: bool = False
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, StageResult] = field(default_factory=dict)
 
@@ -339,6 +342,7 @@ class Findings:
             forget=self.forget,
             promise=self.promise,
             posterior=self.posterior,
+            wandering=self.wandering,
             beside=self.beside,
             elsewhere=self.elsewhere,
         )
