@@ -96,6 +96,11 @@ class Found:
     slopes: FloatArray
     deviance: float
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether it can be told how surely it is known."""
+        return bool(np.all(np.isfinite(self.slopes)) and np.all(np.isfinite(self.residuals)))
+
 
 class Fitting:
     """Records with the filters of their noise, and what models say of them. sign : of the process gain."""
@@ -163,6 +168,13 @@ class Fitting:
                 x.append(x[THETA] + math.log(DEAD[0]))
             yield np.array(x)
 
+    def found_twice(self) -> list[Found]:
+        """All structures, under weights by the loads before the steps, and then by all that the best one leaves."""
+        found = self.found()
+        if found:
+            self.weigh_by(min(found, key=lambda one: one.deviance + PRICE * len(one.x)))
+        return [one for one in map(self.again, found) if one.is_finite]
+
     def again(self, one: Found) -> Found:
         """A structure refined under the weights of now."""
         return self._refined(one.type, one.x, self.deviance(one.type, one.x))
@@ -176,7 +188,7 @@ class Fitting:
             x[THETA] = x[INVERSE[inverse]] = plain.x[THETA] - math.log(2.0)
             cost = self.deviance(inverse, x)
             fitted[inverse] = self._refined(inverse, x, cost) if math.isfinite(cost) else None
-        return [one for one in fitted.values() if one is not None and np.all(np.isfinite(one.slopes))]
+        return [one for one in fitted.values() if one is not None and one.is_finite]
 
     def best(self, type_: ProcessType) -> Found | None:
         """The best of the refined guesses; None where no loop with this structure is stable."""
@@ -234,11 +246,9 @@ def process_behind(
     of the derivative.
     """
     fitting = Fitting(records, sign, b, filter_s)
-    found = fitting.found()
+    found = fitting.found_twice()
     if not found:
         return None
-    fitting.weigh_by(min(found, key=lambda one: one.deviance + PRICE * len(one.x)))
-    found = [fitting.again(one) for one in found]
     n = sum(one.reach for one in records)
     inflation = max(min(one.deviance / max(n - len(one.x), 1) for one in found), 1.0)
     ranked = sorted(found, key=lambda one: one.deviance / inflation + PRICE * len(one.x))
