@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 
 from retuner.adaptive.choice.settings import ChoiceSettings
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.robust_simc import SWINGS, RobustSettings, robust_simc_on
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on, swings
 from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
@@ -141,7 +141,7 @@ def outlooks(
 
 def _of_rule(model: ProcessModel) -> PidGains:
     """Settings that J is over: SIMC's; of a process that swings by itself those that are robust there."""
-    if model.zeta < SWINGS:
+    if swings(model):
         return robust_simc_on(model, (), 0.0, RobustSettings()).tuning.gains
     return simc(model, without_second_lag(model).theta_s).gains
 
@@ -266,7 +266,7 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
     """The choice for people."""
     iae = f"IAE {numbers.iae:.0%} of the present" if numbers.iae >= 0 else "IAE not comparable"
     then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
-    sure = f"{numbers.doubt:.0%} that something else is behind the records"
+    sure = f"{_chance(numbers.doubt)} that something else is behind the records"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
     why = "a second record must agree before a change" if waits else _too_little(numbers)
@@ -281,6 +281,15 @@ def _too_little(numbers: ChoiceNumbers) -> str:
     if worth == needed:  # rounded down, so that what is too little reads as too little
         worth, needed = f"{math.floor(1000.0 * numbers.gain) / 1000.0:.1%}", f"{numbers.price:.1%}"
     return f"worth {worth}, {needed} are needed"
+
+
+def _chance(p: float) -> str:
+    """A probability, of which nothing is said to be sure."""
+    return f"{p:.0%}" if p >= LEAST_SAID else f"under {LEAST_SAID:.0%}"
+
+
+LEAST_SAID = 0.01
+"""Probability below which its digits say nothing."""
 
 
 def _ms(ms: float) -> str:

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, counted
+from retuner.adaptive.diagnosis.enough_data import FEWEST_SAMPLES
 from retuner.adaptive.diagnosis.rival_fits import external, linear, sharper
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
@@ -138,8 +139,18 @@ def _reason(cause: Cause, tone: Candidate, valve: Sticking, evidence: dict[str, 
     evidence["external_period_s"] = period
     return (
         f"an external oscillation with a period of {period:.3g} s explains the record; "
-        f"residual {evidence['external_left']:.1f} times the noise with it, {before:.1f} without"
+        f"{_with_and_without(evidence['external_left'], before, evidence['loads'])}"
     )
+
+
+def _with_and_without(tone_left: float, loop_left: float, loads: float) -> str:
+    """What a tone leaves, and what the loop by itself leaves with so many load steps.
+
+    Where both leave the noise alone, what the loop needs for it is the difference.
+    """
+    digits = 1 if f"{tone_left:.1f}" != f"{loop_left:.1f}" else 2
+    needed = f", with {loads:.0f} load step{'s' * (loads != 1)}" if loads else ""
+    return f"residual {tone_left:.{digits}f} times the noise with it, {loop_left:.{digits}f} without{needed}"
 
 
 PADDED = 4
@@ -180,8 +191,13 @@ def diagnose_window(
 
 
 def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> Found:
-    """Undecided, where too much of a record was filled with the last values for a verdict on the tuning."""
+    """Undecided, where a record has too few samples to be called noise, or too much of it was filled with the last
+    values for a verdict on the tuning.
+    """
     told = found.diagnosis
+    if told.cause == Cause.NOISE and len(window.t_s) < FEWEST_SAMPLES:
+        reason = TOO_FEW.format(samples=len(window.t_s), fewest=FEWEST_SAMPLES)
+        return replace(found, diagnosis=replace(told, cause=Cause.UNKNOWN, confidence=0.9, reason=reason))
     decided = told.cause == Cause.UNKNOWN and told.confidence > UNDECIDED
     if decided or told.cause not in TUNING_CAUSES | {Cause.OK, Cause.UNKNOWN}:
         return found
@@ -196,6 +212,7 @@ def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> F
     return replace(found, diagnosis=verdict, tuning=None, aim=None)
 
 
+TOO_FEW = "{samples} samples do not tell movement from noise: {fewest} and more are needed"
 UNDECIDED = 0.5
 """Confidence of an answer that leaves the cause open."""
 
@@ -208,7 +225,7 @@ def _diagnosed(
     direction: int | None,
 ) -> Found:
     """The same with the confidence that a verdict has among those that were weighed."""
-    seen = screen(window, gains, *limits)
+    seen = screen(window, gains, *limits, in_auto=settings.in_auto)
     obvious = _switched(window, seen) or _obvious(seen, settings)
     sign = gains.direction if gains else direction
     if sign and (obvious is None or obvious.cause == Cause.SATURATION):

@@ -68,7 +68,7 @@ def _of_oscillation(period_s: float, span_s: float, dt_s: float) -> list[str]:
 
 def _of_model(model: ProcessModel, dt_s: float) -> list[str]:
     """Samples in the dead time and the lag of the process."""
-    times = {"dead time": model.theta_s, "lag": model.tau1_s + model.tau2_s}
+    times = {"dead time": model.theta_s, "lag": model.tau1_s + model.tau2_s + model.tau3_s}
     name, longest_s = max(times.items(), key=lambda item: item[1])
     if longest_s >= SAMPLES_PER_TIME * dt_s:
         return []

@@ -55,6 +55,9 @@ class SwingSettings:
     unseen_bands : noise bands that a peak by the model must have to be missed; 1 to 10, default 2.
     shown : share of the peak by the model, below which the one that was seen refutes it; 0.2 to 0.8, default 0.5.
     most_lookback : lengths of a response that are looked at before such a change; 2 to 30, default 10.
+    alike : by how much the settings that single records give may differ from those of all, to confirm each other; in
+        logarithms, 0.05 to 0.4, default 0.2 (a fifth: half of the least change that is worth it).
+    alike_records : how many must, two setpoint responses among them; 2 to 6, default 3.
     """
 
     damping: float = 0.5
@@ -76,6 +79,8 @@ class SwingSettings:
     unseen_bands: float = 2.0
     shown: float = 0.5
     most_lookback: float = 10.0
+    alike: float = 0.2
+    alike_records: int = 3
 
 
 def swings(response: Response, settings: SwingSettings) -> bool:
@@ -106,7 +111,7 @@ def too_few_cycles(samples: Sequence[LoopSample], response: Response, swing: Swi
     cycles = (response.t_end_s - seen[0].t_s) / period_s
     if cycles >= swing.cycles:
         return None
-    reason = f"lasting oscillation without a setpoint step: {cycles:.1f} of {swing.cycles:g} cycles needed"
+    reason = f"lasting oscillation without a setpoint step: {cycles:.1f} cycles seen, {swing.cycles:g} are needed"
     return Diagnosis(Cause.UNKNOWN, 0.5, {"period_s": period_s, "cycles": cycles}, reason)
 
 
@@ -144,7 +149,7 @@ def hidden_cause(
     length_s = response.t_end_s - response.t_start_s
     window = Window.of(stretch(samples, response.t_start_s - swing.lookback * length_s, swing.same_gains))
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
-    seen = screen(window, gains)
+    seen = screen(window, gains, in_auto=settings.in_auto)
     verdict = against_rivals(found[0], seen, settings).verdict
     if verdict is not None and verdict.cause == Cause.EXTERNAL and not seen.oscillates:
         return replace(verdict, reason=RANDOM.format(**verdict.evidence)), False
@@ -162,7 +167,9 @@ def through_a_change(samples: Sequence[LoopSample], gains: PidGains, settings: D
     changed_s = next(s.t_s for s in samples if s.revision == samples[-1].revision)
     window = Window.of(list(samples))
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
-    verdict = against_rivals(found[0], screen(window, gains), settings, len(setpoint_changes(window))).verdict
+    verdict = against_rivals(
+        found[0], screen(window, gains, in_auto=settings.in_auto), settings, len(setpoint_changes(window))
+    ).verdict
     if verdict is None or verdict.cause is not Cause.EXTERNAL:
         return None
     period_s = verdict.evidence["external_period_s"]

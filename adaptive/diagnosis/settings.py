@@ -43,12 +43,13 @@ class DiagnosisSettings:
     explained_steps : the same where several setpoint steps agree; 1.5 to 10, default 3.
     tone_as_good : a change of gains needs that a tone leaves no less than this share of what the loop by itself
         leaves; 0.8 to 1, default 0.95. tone_as_good_loads : the same where only load steps excite it; default 0.98.
-        tone_odds : unless its criterion is the larger one by this much; 0 to 60, default 30 (odds of e^15 against it:
-        the eleven parameters of a tone leave 2 % less of any record).
+        tone_odds : unless its criterion is the larger one by this much; 0 to 60, default 5 (odds of e^2.5 against it: a
+        sinusoid that a loop's own swing does not need has 8 to 12).
     tone_cycles : of a tone that is believed where the loop's own explanation leaves the cause open; default 3.
         tone_size : and its amplitude in standard deviations of pv; 0.2 to 1.2, default 0.4.
     many_loads : load steps from which a record is taken to be disturbed all along; 3 to 12, default 5.
-        many_loads_beside : the same beside setpoint steps; default 4 (a slipping valve looks like loads).
+        many_loads_beside : the same beside setpoint steps, where these are not more; default 4 (a slipping valve looks
+        like loads).
     spread_limit : largest spread of ln |C| over the plausible models with which the cause may still be told where
         identification alone would not give settings; 0.2 to 1, default 0.5.
     second_explained : what a fit may leave, in times the noise, for a doubt by load steps or by a tone to be put to a
@@ -64,6 +65,7 @@ class DiagnosisSettings:
     held_share : share of the samples in gaps that were filled with the last values, of pv and co at once, from which
         nothing is said of the tuning; 0.05 to 0.5, default 0.15 (real records with such gaps: 0.19 to 0.54).
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
+    in_auto : the samples say that the loop is in automatic, so that a co which stands still is no sign of manual.
     """
 
     saturated_share: float = 0.25
@@ -88,7 +90,7 @@ class DiagnosisSettings:
     explained_steps: float = 3.0
     tone_as_good: float = 0.95
     tone_as_good_loads: float = 0.98
-    tone_odds: float = 30.0
+    tone_odds: float = 5.0
     tone_cycles: float = 3.0
     tone_size: float = 0.4
     many_loads: int = 5
@@ -103,6 +105,7 @@ class DiagnosisSettings:
     play_asked: float = 60.0
     held_share: float = 0.15
     majority: float = 0.75
+    in_auto: bool = False
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(
             ChoiceSettings(most_loads=6, most_order=WHITE, inverse=False), most_samples=2000

@@ -289,9 +289,10 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
         seen = _overshoots(evidence, settings) or _not_brought_back(window)
         return Doubt(Cause.UNKNOWN, unexplained + seen, explained)
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
-    as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
-    if as_likely and evidence["external_left"] < as_good * left:
-        return _by_tone_instead(loop, evidence, explained and not oscillates)
+    lead = evidence.get("external_lead", -math.inf)
+    as_likely = lead > -settings.tone_odds
+    if lead > 0 or (as_likely and evidence["external_left"] < as_good * left):
+        return _by_tone_instead(loop, evidence, explained and not oscillates and lead < settings.least_lead)
     if oscillates and not steps and (as_likely or not explained):
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
     share = _explained(loop.best, evidence.get("noise_share", 0.0))
@@ -346,7 +347,7 @@ def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSet
     if left > (settings.explained_steps if steps > 1 else settings.explained):
         leave = "1 load step leaves" if loads == 1 else f"{loads:.0f} load steps leave"
         return f"an unexplained disturbance: {leave} a residual of {left:.1f} times the noise"
-    if loads >= (settings.many_loads_beside if steps else settings.many_loads):
+    if loads >= (max(settings.many_loads_beside, steps) if steps else settings.many_loads):
         return f"an unexplained disturbance: {loads:.0f} load steps explain the record, and so many explain any"
     return ""
 

@@ -27,7 +27,7 @@
 #include "engine_c/search.h"
 #include "engine_c/valves.h"
 
-#define VERSION "5"
+#define VERSION "6"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 

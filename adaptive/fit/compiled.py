@@ -28,6 +28,7 @@ TYPES = (
     ProcessType.INTEGRATING,
     ProcessType.INTEGRATING_LAG,
     ProcessType.SOPDT_INVERSE,
+    ProcessType.TOPDT,
 )
 """In the order of their numbers."""
 NOTHING = np.zeros(0)

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.fit.dynamics import Dynamics
+from retuner.adaptive.fit.dynamics import Dynamics, through_lag
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.slopes import (
@@ -42,7 +42,7 @@ from retuner.adaptive.fit.slopes import (
     step_slope,
     told_apart,
 )
-from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, swing_excess
+from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD, dynamics_at, swing_excess
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -201,7 +201,16 @@ class Misfit:
     def moved(self, p: FloatArray) -> FloatArray:
         """What co explains of pv, shape (n,)."""
         dynamics = dynamics_at(self.type, p)
-        return self.sign * math.exp(p[SLOPE]) * dynamics.held(self.record.clock, self.input, math.exp(p[THETA]))
+        held = dynamics.held(self.record.clock, self.input, math.exp(p[THETA]))
+        return self.sign * math.exp(p[SLOPE]) * self.lagged(p, held)
+
+    def lagged(self, p: FloatArray, values: FloatArray) -> FloatArray:
+        """Through the third lag, where the structure has one; shape (n,) or (n, columns)."""
+        if self.type not in THIRD:
+            return values
+        if values.ndim > 1:
+            return np.stack([self.lagged(p, column) for column in values.T], axis=1)
+        return through_lag(self.record.clock, values, math.exp(p[THIRD[self.type]]))
 
     @property
     def starts(self) -> list[float]:
@@ -218,16 +227,17 @@ class Misfit:
         """Columns of the linear unknowns, shape (n, c), each about one in size; the first `count` have a prior."""
         t, dynamics = self.record.t_s, dynamics_at(self.type, p)
         theta = math.exp(p[THETA])
-        found = [_unit(dynamics.step(t - at)) for at in self.starts]
+        found = [dynamics.step(t - at) for at in self.starts]
         if dynamics.c2_s:
-            found += [_unit(dynamics.impulse(t - at)) for at in self.starts]
+            found += [dynamics.impulse(t - at) for at in self.starts]
         for at in self.starts if self.record.motion_at_start else ():
             since = t - at
-            found.append(_unit(dynamics.step(since - theta)))
-            found.append(_unit(dynamics.ramp(since) - dynamics.ramp(since - theta)))
+            found.append(dynamics.step(since - theta))
+            found.append(dynamics.ramp(since) - dynamics.ramp(since - theta))
+        found = [_unit(self.lagged(p, column)) for column in found]
         if self.ramp:
             found.append((t / self.record.span_s) ** (1 if self.type in LAG else 2))
-        found += [_unit(self._load(p, dynamics, j)) for j in range(self.loads)]
+        found += [_unit(self.lagged(p, self._load(p, dynamics, j))) for j in range(self.loads)]
         if self.harmonics:
             w = math.exp(p[-1])
             found += [f(i * w * t) for i in range(1, self.harmonics + 1) for f in (np.cos, np.sin)]
@@ -339,23 +349,39 @@ def changes_of(misfit: "Misfit", at: "Projection") -> list[FloatArray]:
         found.append(_by_dynamics(misfit, at, dynamics, late, By.SECOND))
     if misfit.type in INVERSE:
         found.append(_by_dynamics(misfit, at, dynamics, late, By.INVERSE))
-    found += [_summed(at, [_load_change(misfit, at, dynamics, j)]) for j in range(misfit.loads)]
+    if misfit.type in THIRD:
+        found.append(_by_third(misfit, at))
+    found += [_summed(misfit, at, [_load_change(misfit, at, dynamics, j)]) for j in range(misfit.loads)]
     if misfit.rounded:
         lag = math.exp(p[d + misfit.loads])
         since = [misfit.record.t_s - p[d + j] for j in range(misfit.loads)]
         found.append(
-            _summed(at, [(at.priors + j, dynamics.rounded_step(s, lag), rounded_by_lag(dynamics, s, lag))
-                         for j, s in enumerate(since) if not misfit.is_corner(j)])
+            _summed(misfit, at, [(at.priors + j, dynamics.rounded_step(s, lag), rounded_by_lag(dynamics, s, lag))
+                                 for j, s in enumerate(since) if not misfit.is_corner(j)])
         )  # fmt: skip
     if misfit.harmonics:
         found.append(_by_tone(misfit, at))
     return found
 
 
-def _summed(at: "Projection", changes: list[Change]) -> FloatArray:
+def _by_third(misfit: "Misfit", at: "Projection") -> FloatArray:
+    """By ln d: what a lag takes away is what it would take away once more, -d s / (1 + d s) of what came through."""
+    places = [*range(at.priors - int(misfit.ramp)), *range(at.priors, at.priors + misfit.loads)]
+    found = misfit.lagged(at.p, at.moved) - at.moved
+    for place in places:
+        column = at.columns[:, place]
+        change = misfit.lagged(at.p, column) - column
+        peak = int(np.argmax(np.abs(column)))
+        if column[peak]:
+            found += at.c[place] * (change - change[peak] / column[peak] * column)
+    return found
+
+
+def _summed(misfit: "Misfit", at: "Projection", changes: list[Change]) -> FloatArray:
     """The derivatives of columns that were scaled to one, times their coefficients."""
     found = np.zeros(len(at.moved))
-    for place, column, change in changes:
+    for place, before, rising in changes:
+        column, change = misfit.lagged(at.p, before), misfit.lagged(at.p, rising)
         peak = int(np.argmax(np.abs(column)))
         if column[peak]:
             size, rise = abs(column[peak]), change[peak] / column[peak]
@@ -366,8 +392,9 @@ def _summed(at: "Projection", changes: list[Change]) -> FloatArray:
 def _by_theta(misfit: "Misfit", at: "Projection", dynamics: Dynamics, late: list[LateMode]) -> FloatArray:
     """By ln theta."""
     theta = math.exp(at.p[THETA])
-    moved = held_by_theta(dynamics, late, theta)
-    return misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(at, list(_late_by_theta(misfit, dynamics, theta)))
+    moved = misfit.lagged(at.p, held_by_theta(dynamics, late, theta))
+    changes = list(_late_by_theta(misfit, dynamics, theta))
+    return misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(misfit, at, changes)
 
 
 def _late_by_theta(misfit: "Misfit", dynamics: Dynamics, theta: float) -> Iterator[Change]:
@@ -385,9 +412,9 @@ def _late_by_theta(misfit: "Misfit", dynamics: Dynamics, theta: float) -> Iterat
 
 def _by_dynamics(misfit: "Misfit", at: "Projection", dynamics: Dynamics, late: list[LateMode], by: By) -> FloatArray:
     """By ln T, ln c2 or ln b."""
-    moved = held_slope(dynamics, late, by)
+    moved = misfit.lagged(at.p, held_slope(dynamics, late, by))
     changes = list(_columns_by_dynamics(misfit, at.p, dynamics, by))
-    return misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(at, changes)
+    return misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(misfit, at, changes)
 
 
 def _columns_by_dynamics(misfit: "Misfit", p: FloatArray, dynamics: Dynamics, by: By) -> Iterator[Change]:

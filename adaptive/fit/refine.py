@@ -15,7 +15,7 @@ import numpy as np
 
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit, Projection
-from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA
+from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD
 from retuner.adaptive.signals.sample import FloatArray
 
 GAIN_REACH = math.log(1e9)
@@ -138,6 +138,8 @@ def bounds(misfit: Misfit) -> tuple[FloatArray, FloatArray]:
     if type_ in INVERSE:
         low[INVERSE[type_]], high[INVERSE[type_]] = math.log(LEAST_TIME * dt), math.log(MOST_INVERSE * span)
         low[SECOND[type_]] = math.log(LEAST_SECOND * dt)
+    if type_ in THIRD:
+        low[THIRD[type_]], high[THIRD[type_]] = math.log(LEAST_TIME * dt), math.log(span)
     d = SIZE[type_]
     low[d : d + misfit.loads], high[d : d + misfit.loads] = 0.0, span - dt
     if misfit.rounded:

@@ -17,8 +17,8 @@ from retuner.adaptive.fit.dynamics import Clock, Dynamics
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
-from retuner.adaptive.fit.refine import LEAST_TIME, Fit, refine
-from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, THETA
+from retuner.adaptive.fit.refine import LEAST_TIME, Fit, bounds, refine
+from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -180,6 +180,10 @@ SHARES = (0.3, 0.6, 0.95)
 """Shares of the dead time that become the second lag."""
 INVERSE_SHARES = (0.3, 0.7)
 """Shares of the dead time that become an inverse response."""
+THIRD_SHARES = (0.5, 0.9)
+"""Shares of the dead time that become a third lag."""
+SWINGING_THIRD = 0.5
+"""c2 over T of a pair of poles (zeta 0.7) that takes the place of a dead time beside a long lag."""
 SWING = (0.25, 1.0)
 """c2 over T of equal lags and of a process that swings (zeta 0.5)."""
 LONG = 30.0
@@ -218,6 +222,58 @@ def with_inverse(smaller: Fit, type_: ProcessType, count: int = 2) -> Fit:
         points.append(np.concatenate([x[: INVERSE[type_]], [math.log(b)], times, smaller.p[d + loads :]]))
     order = np.argsort(misfit.costs(points), kind="stable")[:count]
     return min((refine(misfit, points[i]) for i in order), key=lambda f: f.deviance)
+
+
+def with_third(smaller: Fit, type_: ProcessType, count: int = 1) -> Fit:
+    """The structure with a third lag, refined from shares of the dead time that become one.
+
+    Also from a pair of poles that swings, in the place of dead time and second lag, behind the long one.
+
+    smaller : optimum of the structure without it. count : refinements.
+    """
+    misfit, d, loads = replace(smaller.misfit, type=type_), SIZE[smaller.misfit.type], smaller.misfit.loads
+    theta, points = math.exp(smaller.x[THETA]), []
+    for share in (0.0, *THIRD_SHARES):
+        x, lag = smaller.x.copy(), max(theta * share, LEAST_TIME * 2 * misfit.record.sample_time_s)
+        x[THETA] = math.log(theta * (1 - share))
+        times = np.maximum(smaller.p[d : d + loads] - lag, 0.0)
+        points.append(np.concatenate([x[: THIRD[type_]], [math.log(lag)], times, smaller.p[d + loads :]]))
+    points.append(behind_a_lag(smaller, misfit))
+    order = np.argsort(misfit.costs(points), kind="stable")[:count]
+    return min((_sorted(refine(misfit, points[i])) for i in order), key=lambda f: f.deviance)
+
+
+def behind_a_lag(smaller: Fit, misfit: Misfit) -> FloatArray:
+    """p of a long lag and a pair of poles that is as late as dead time and second lag together.
+
+    smaller : of first or second order. misfit : of third order.
+    """
+    d, loads, type_ = SIZE[smaller.misfit.type], smaller.misfit.loads, smaller.misfit.type
+    theta, total = math.exp(smaller.x[THETA]), math.exp(smaller.x[LAG[type_]])
+    c2 = math.exp(smaller.x[SECOND[type_]]) if type_ in SECOND else 0.0
+    pair = min(c2 + theta * THIRD_SHARES[-1], total)
+    gain = smaller.x[SLOPE] + math.log(total / pair)
+    x = [gain, math.log(theta * (1 - THIRD_SHARES[-1])), *np.log([pair, SWINGING_THIRD * pair, total])]
+    times = np.maximum(smaller.p[d : d + loads] - theta * THIRD_SHARES[-1], 0.0)
+    low, high = bounds(misfit)
+    return np.asarray(np.clip(np.concatenate([x, times, smaller.p[d + loads :]]), low, high), dtype=np.float64)
+
+
+def _sorted(fit: Fit) -> Fit:
+    """The same with the shortest of three real lags as the third, so that records of one process say the same."""
+    type_, x = fit.misfit.type, fit.x
+    total, c2, third = (math.exp(x[place[type_]]) for place in (LAG, SECOND, THIRD))
+    root = 1 - 4 * c2 / total
+    if root < 0:
+        return fit
+    long = total * (1 + math.sqrt(root)) / 2
+    short = total - long
+    if third <= short:
+        return fit
+    pair, p = long + third, fit.p.copy()
+    p[SLOPE] += math.log(total / pair)
+    p[LAG[type_]], p[SECOND[type_]], p[THIRD[type_]] = (math.log(v) for v in (pair, long * third / pair, short))
+    return refine(fit.misfit, np.clip(p, *bounds(fit.misfit)))
 
 
 def _insert(smaller: Fit, type_: ProcessType, x: FloatArray, c2: float) -> FloatArray:

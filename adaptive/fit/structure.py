@@ -1,7 +1,8 @@
-"""The five structures that a fit chooses between, as points of one family (dynamics.py).
+"""The six structures that a fit chooses between, as points of one family (dynamics.py).
 
-    x = (ln k', ln theta [, ln T] [, ln c2] [, ln b]),   T = tau1 + tau2, c2 = tau1 tau2 / (tau1 + tau2), in seconds
+    x = (ln k', ln theta [, ln T] [, ln c2] [, ln b or ln d]),   T = tau1 + tau2, c2 = tau1 tau2 / T, in seconds
     b > 0 the time constant of a zero in the right half-plane, 1 - b s: pv answers the wrong way first
+    d > 0 a third lag, 1/(1 + d s): what lacks one is explained by load steps that never were
 
 Logarithms, because time constants and gains are known to a factor, and because a scale of time or of units then only
 shifts x. Complex poles are in it (c2 > T/4): two lags fitted to a process that swings was the one lasting structural
@@ -18,18 +19,21 @@ from retuner.adaptive.signals.sample import FloatArray
 
 SLOPE, THETA = 0, 1
 """Places of ln k' and ln theta in x."""
-LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2, ProcessType.SOPDT_INVERSE: 2}
+LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2, ProcessType.SOPDT_INVERSE: 2, ProcessType.TOPDT: 2}
 """Place of ln T, where the structure has it."""
-SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2, ProcessType.SOPDT_INVERSE: 3}
+SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2, ProcessType.SOPDT_INVERSE: 3, ProcessType.TOPDT: 3}
 """Place of ln c2, where the structure has it."""
 INVERSE = {ProcessType.SOPDT_INVERSE: 4}
 """Place of ln b, where the structure has it."""
+THIRD = {ProcessType.TOPDT: 4}
+"""Place of ln d, where the structure has it."""
 SIZE = {
     ProcessType.FOPDT: 3,
     ProcessType.SOPDT: 4,
     ProcessType.INTEGRATING: 2,
     ProcessType.INTEGRATING_LAG: 3,
     ProcessType.SOPDT_INVERSE: 5,
+    ProcessType.TOPDT: 5,
 }
 """Number of parameters."""
 LEAST_ZETA = 0.35
@@ -37,7 +41,7 @@ LEAST_ZETA = 0.35
 
 
 def dynamics_at(type_: ProcessType, x: FloatArray) -> Dynamics:
-    """The delay-free dynamics at the parameters x, shape (SIZE,) or longer."""
+    """The delay-free dynamics at the parameters x, shape (SIZE,) or longer, before a third lag."""
     c2 = math.exp(x[SECOND[type_]]) if type_ in SECOND else 0.0
     c0 = math.exp(-x[LAG[type_]]) if type_ in LAG else 0.0
     b = math.exp(x[INVERSE[type_]]) if type_ in INVERSE else 0.0
@@ -57,16 +61,17 @@ def model_at(type_: ProcessType, x: FloatArray, sign: int) -> ProcessModel:
     c2 = math.exp(x[SECOND[type_]])
     d = 1 - 4 * c2 / total
     inverse = math.exp(x[INVERSE[type_]]) if type_ in INVERSE else 0.0
+    third = math.exp(x[THIRD[type_]]) if type_ in THIRD else 0.0
     if d < 0:
         tau = math.sqrt(c2 * total)
-        return ProcessModel(type_, slope * total, tau, tau, theta, min(total / (2 * tau), 1.0), inverse)
+        return ProcessModel(type_, slope * total, tau, tau, theta, min(total / (2 * tau), 1.0), inverse, third)
     root = math.sqrt(d)
     tau1 = total * (1 + root) / 2
-    return ProcessModel(type_, slope * total, tau1, min(2 * c2 / (1 + root), tau1), theta, inverse_s=inverse)
+    return ProcessModel(type_, slope * total, tau1, min(2 * c2 / (1 + root), tau1), theta, 1.0, inverse, third)
 
 
 def parameters_of(model: ProcessModel) -> FloatArray:
-    """x of a model of one of the five structures; the inverse of model_at.
+    """x of a model of one of the six structures; the inverse of model_at.
 
     Raises
     ------
@@ -83,6 +88,7 @@ def parameters_of(model: ProcessModel) -> FloatArray:
         ProcessType.FOPDT: (model.tau1_s,),
         ProcessType.SOPDT: (total, pair / total if total else 0.0),
         ProcessType.SOPDT_INVERSE: (total, pair / total if total else 0.0, model.inverse_s),
+        ProcessType.TOPDT: (total, pair / total if total else 0.0, model.tau3_s),
         ProcessType.INTEGRATING: (),
         ProcessType.INTEGRATING_LAG: (model.tau2_s,),
     }[model.type]

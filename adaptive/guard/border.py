@@ -175,7 +175,7 @@ def _inside(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, sh
 def between_models(one: ProcessModel, other: ProcessModel, share: float) -> ProcessModel | None:
     """The process between two: see the head of this file; None where a structure is not one that a fit can have."""
     kinds = {ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG}
-    one, other = one.without_inverse(), other.without_inverse()
+    one, other = one.of_second_order(), other.of_second_order()
     if not {one.type, other.type} <= kinds or one.k * other.k < 0:
         return None
     a, b = _numbers(one), _numbers(other)

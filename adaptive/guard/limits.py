@@ -63,7 +63,7 @@ def goals(
     tau_i_cut, tau_i_by = _cut(tau_i, *limits.tau_i()) if unlocked.ki and not locks.tau_i else (tau_i, None)
     tau_d_cut, tau_d_by = limits.cut_tau_d(tau_d)
     cuts = [("kc", kc, kc_cut, kc_by), ("tau_I", tau_i, tau_i_cut, tau_i_by), ("tau_D", tau_d, tau_d_cut, tau_d_by)]
-    notes = tuple(_note(name, was, now, by) for name, was, now, by in cuts if by is not None)
+    notes = tuple(_note(name, was, now, by, wanted.direction) for name, was, now, by in cuts if by is not None)
     turned, cut_by, numbers = _limiting(cuts, request)
     made = _made(wanted.direction, kc_cut, tau_i_cut, tau_d_cut)
     first = Goal(made, unlocked, tau_c_s, notes, cut_by, numbers, turned)
@@ -185,9 +185,10 @@ def _made(direction: int, kc: float, tau_i: float, tau_d: float) -> PidGains:
     return PidGains(direction * kc, direction * kc / tau_i, direction * kc * tau_d)
 
 
-def _note(name: str, was: float, now: float, by: Bound) -> str:
-    """What was cut, in words."""
-    return f"{name} limited to {text(name, now)} instead of {text(name, was)} by {by.name}"
+def _note(name: str, was: float, now: float, by: Bound, direction: int) -> str:
+    """What was cut, in words; kc with its sign, as settings show it."""
+    sign = direction if name == "kc" else 1
+    return f"{name} limited to {text(name, sign * now)} instead of {text(name, sign * was)} by {by.name}"
 
 
 def _limiting(

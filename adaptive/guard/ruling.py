@@ -33,7 +33,10 @@ class Ruling(StrEnum):
         "refused: not robust at the boundary to a neighbouring region: Ms {ms_tried} there (limit {ms_limit})"
     )
     OUTSIDE_LIMITS = "refused: the absolute limits leave no room for the change: requested {wanted}, limit {limit}"
-    OUTSIDE_TOTAL = "refused: the largest allowed distance from the baseline gains: requested {wanted}, limit {limit}"
+    OUTSIDE_TOTAL = (
+        "refused: the largest allowed distance from the baseline gains leaves no room for the change: "
+        "requested {wanted}, limit {limit}"
+    )
     LOCKED = "refused: the change needs a parameter that is locked (factor {factor})"
     WRONG_SIGN = "refused: wrong controller action (requested direction {wanted}, active {in_force})"
     NOT_FINITE = "refused: the proposed gain is out of numeric range (kc {wanted})"
@@ -43,6 +46,9 @@ class Ruling(StrEnum):
     NOT_SETTLED = "refused: the model is not accurate enough for tuning"
     CONTRADICTED = "refused: the last record contradicts the model: innovation {innovation} (gate {limit})"
 
+
+CUT = frozenset({Ruling.OUTSIDE_LIMITS, Ruling.OUTSIDE_TOTAL})
+"""Rulings of which the notes tell more: which parameter was cut, and by what."""
 
 # What the sentences need, one value for the rulings of one kind.
 
@@ -180,7 +186,10 @@ class Verdict:
     def sentence(self) -> str:
         """The ruling in words, with its numbers and what was cut."""
         shown = {name: text(name, value) for name, value in self.numbers.to_dict().items()}
-        return "; ".join((self.ruling.value.format(**shown), *self.notes))
+        said = self.ruling.value.format(**shown)
+        if self.ruling in CUT and self.notes:  # they name what was cut, and give the same two numbers
+            said = said.partition(": requested")[0]
+        return "; ".join((said, *self.notes))
 
     def to_dict(self) -> dict[str, object]:
         """Plain values; null where Ms is infinite (unstable) or not known."""

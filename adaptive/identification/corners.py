@@ -83,6 +83,6 @@ def _with_corner(at: Candidate) -> Candidate | None:
 def _ramps(at: Candidate, places: FloatArray) -> FloatArray:
     """The responses to unit ramps that begin there, each one in size at most, shape (n, places)."""
     dynamics = dynamics_at(at.fit.misfit.type, at.fit.p)
-    ramps = dynamics.ramp(at.fit.misfit.record.t_s[:, None] - places[None, :])
+    ramps = at.fit.misfit.lagged(at.fit.p, dynamics.ramp(at.fit.misfit.record.t_s[:, None] - places[None, :]))
     largest = np.maximum(np.max(np.abs(ramps), axis=0), np.finfo(np.float64).tiny)
     return np.asarray(ramps / largest, dtype=np.float64)

@@ -35,7 +35,7 @@ class LogModel:
 
     Parameters
     ----------
-    x : mean, shape (d,): ln |k'|, ln theta, then ln T and ln c2 where the structure has them.
+    x : mean, shape (d,): ln |k'|, ln theta, then ln T, ln c2 and more where the structure has them.
     p : covariance, shape (d, d).
     sign : sign of the gain.
     type : structure.
@@ -113,6 +113,8 @@ def _numbers(model: ProcessModel) -> dict[str, float]:
         found["tau1"] = model.tau1_s
     if model.tau2_s:
         found["tau2"] = model.tau2_s
+    if model.tau3_s:
+        found["tau3"] = model.tau3_s
     return found
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Fit, Prior
-from retuner.adaptive.fit.structure import SIZE, model_at
+from retuner.adaptive.fit.structure import SIZE, THIRD, model_at
 from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, loads_at, with_priors
 from retuner.adaptive.identification.estimate import (
     Alternative,
@@ -34,7 +34,7 @@ from retuner.adaptive.identification.estimate import (
     gain_spread,
     proper_covariance,
 )
-from retuner.adaptive.identification.plausible import Plausible, plausible
+from retuner.adaptive.identification.plausible import Plausible, plausible, within_reach
 from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
 from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
@@ -261,7 +261,7 @@ def estimate_of(
     log = alternatives[0].log
     around = plausible(found, log.p, priors)
     explained = 1 - float(np.var(left) / np.var(record.pv))
-    identifiable, reason = _judge(log, around, explained, record, settings)
+    identifiable, reason = _judge(log, around, explained, record, priors.get(log.type), settings)
     doubt = unexplained(float(np.std(left)), float(np.std(fit.explained)), record, settings)
     if identifiable and doubt:
         identifiable, reason = False, doubt
@@ -293,7 +293,10 @@ def _alternative(candidate: Candidate, prior: Prior | None) -> Alternative:
     known = usual(fit.misfit.type, fit.x) if prior is None else prior
     precision = precision if known is None else precision + known.root.T @ known.root
     precision = precision + broad(d) if prior is None else precision
-    covariance = proper_covariance(np.asarray(np.linalg.inv(precision), dtype=np.float64))
+    covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
+    if fit.misfit.type in THIRD:
+        covariance = within_reach(fit, covariance, prior, inflation)
+    covariance = proper_covariance(covariance)
     log = LogModel(fit.x.copy(), covariance, fit.misfit.sign, fit.misfit.type)
     n = len(record.pv)
     evidence = candidate.criterion - d * math.log(n)
@@ -358,13 +361,31 @@ def unexplained(left_std: float, explained_std: float, record: Record, settings:
     return f"the model leaves {told}: an effect on pv is missing in it (structure, nonlinearity or load shape)"
 
 
+def _settled(before: Prior | None, log: LogModel, sample_time_s: float, settings: FitSettings) -> bool:
+    """Whether what was known before a record carries settings by itself: a short record takes nothing from that."""
+    if before is None:
+        return False
+    covariance = proper_covariance(np.asarray(np.linalg.inv(before.root.T @ before.root), dtype=np.float64))
+    known = LogModel(before.mean, covariance, log.sign, log.type)
+    return known.gain_uncertainty(sample_time_s) <= settings.gain_std_limit
+
+
 def _judge(
-    log: LogModel, around: tuple[Plausible, ...], explained: float, record: Record, settings: FitSettings
+    log: LogModel,
+    around: tuple[Plausible, ...],
+    explained: float,
+    record: Record,
+    before: Prior | None,
+    settings: FitSettings,
 ) -> tuple[bool, str]:
-    """Whether settings may follow from this estimate, and the sentence that says why."""
+    """Whether settings may follow from this estimate, and the sentence that says why.
+
+    before : what was known. A dead time that is not short beside the record must have been known before.
+    """
     if explained < settings.explained_limit:
         return False, f"the model explains {explained:.0%} of pv's variance; {settings.explained_limit:.0%} are needed"
-    open_ = left_open(log, around, record.sample_time_s, record.span_s, settings)
+    reach_s = math.inf if _settled(before, log, record.sample_time_s, settings) else record.span_s
+    open_ = left_open(log, around, record.sample_time_s, reach_s, settings)
     return not open_, open_ or f"{NAMES[log.type]} explains {explained:.1%} of pv's variance"
 
 
@@ -373,7 +394,7 @@ def left_open(
 ) -> str:
     """What is not known well enough for settings, in words; empty where enough is.
 
-    around : the models still allowed. sample_time_s, span_s : of the record.
+    around : the models still allowed. sample_time_s, span_s : of the record; a span without end asks nothing of it.
     """
     plain = without_second_lag(log.model())
     short = plain.theta_s
@@ -408,5 +429,6 @@ NAMES = {
     ProcessType.INTEGRATING: "integrating + dead time",
     ProcessType.INTEGRATING_LAG: "integrating with lag + dead time",
     ProcessType.SOPDT_INVERSE: "second order with inverse response + dead time",
+    ProcessType.TOPDT: "third order + dead time",
 }
 """The structures in words."""

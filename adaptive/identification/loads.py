@@ -178,7 +178,7 @@ def _with_load(at: Candidate, most: int) -> Proposal | None:
     if engine is not None:
         gains = engine.load_gains(misfit, p, places)
     else:
-        steps = dynamics_at(misfit.type, p).step(misfit.record.t_s[:, None] - places[None, :])
+        steps = misfit.lagged(p, dynamics_at(misfit.type, p).step(misfit.record.t_s[:, None] - places[None, :]))
         gains = linear_gains(at, steps / np.maximum(np.max(np.abs(steps), axis=0), np.finfo(np.float64).tiny))
     record = misfit.record
     if record.barred_s:

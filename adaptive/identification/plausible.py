@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.fit.misfit import ROUNDING_COST, Misfit
-from retuner.adaptive.fit.refine import Fit, Prior, bounds, pinned, refine
+from retuner.adaptive.fit.refine import PINNED, Fit, Prior, bounds, pinned, refine
 from retuner.adaptive.fit.search import long_lag
 from retuner.adaptive.fit.structure import SECOND, SIZE, THETA, model_at
 from retuner.adaptive.identification.candidate import Candidate, Priors
@@ -35,6 +35,16 @@ FIRST_SHARE = 0.2
 """The first point up the valley has at least this share of theta + c2 as its dead time."""
 MOST_STEPS = 6
 """Points of the valley in each direction."""
+ONE = 1.5
+"""Rise of the deviance at one standard deviation (1 by the derivative) up to which an axis is left as it is."""
+WIDE = 0.15
+"""Standard deviation of a logarithm up to which a derivative is believed."""
+SHORTER, SHORTER_STEPS = 0.5, 5
+"""Factor by which an axis is shortened where it rises more, so many times at the most."""
+REACH_EVALUATIONS = 6
+"""Evaluations of the misfit at one of its ends."""
+SAME = 1e-3
+"""Two optima of a structure whose logarithms differ by no more are one."""
 VALLEY_EVALUATIONS = 15
 """Evaluations of the misfit at one point of the valley."""
 
@@ -64,18 +74,33 @@ def _rivals(found: list[Candidate]) -> list[Plausible]:
     The price of one parameter more tells which structure to name, not that the other is wrong: an integrator under a
     drifting load and a lag with thirty times the dead time were seen to leave the same.
     """
-    best = found[0]
+    best, others = found[0], _different(found)
     n, size = len(best.fit.misfit.record.pv), SIZE[best.fit.misfit.type]
     rounding = 0 if best.fit.misfit.rounded else ROUNDING_COST
     more = [
-        (max(SIZE[c.fit.misfit.type] - size, 0) + rounding * int(c.fit.misfit.rounded)) * math.log(n) for c in found[1:]
+        (max(SIZE[c.fit.misfit.type] - size, 0) + rounding * int(c.fit.misfit.rounded)) * math.log(n) for c in others
     ]
-    excess = [max(c.criterion - best.criterion - price, 0.0) for c, price in zip(found[1:], more, strict=True)]
+    excess = [max(c.criterion - best.criterion - price, 0.0) for c, price in zip(others, more, strict=True)]
     return [
         Plausible(model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign), e)
-        for c, e in zip(found[1:], excess, strict=True)
+        for c, e in zip(others, excess, strict=True)
         if e < MOST_EXCESS
     ]
+
+
+def _different(found: list[Candidate]) -> list[Candidate]:
+    """All but the best, each optimum once: a model found from two starts is not twice as likely."""
+    kept = found[:1]
+    for c in found[1:]:
+        if not any(c.fit.misfit.type == k.fit.misfit.type and _apart(c, k) < SAME for k in kept):
+            kept.append(c)
+    return kept[1:]
+
+
+def _apart(one: Candidate, other: Candidate) -> float:
+    """Largest difference of a logarithm; infinite for another sign of the gain."""
+    same = one.fit.misfit.sign == other.fit.misfit.sign
+    return float(np.max(np.abs(one.fit.x - other.fit.x))) if same else math.inf
 
 
 def _axes(fit: Fit, covariance: FloatArray, prior: Prior | None, at: float) -> list[tuple[FloatArray, float]]:
@@ -94,6 +119,38 @@ def _axes(fit: Fit, covariance: FloatArray, prior: Prior | None, at: float) -> l
                     found.append((p[: SIZE[fit.misfit.type]], excess))
                     break
     return found
+
+
+def within_reach(fit: Fit, covariance: FloatArray, prior: Prior | None, inflation: float) -> FloatArray:
+    """The covariance with no axis longer than what the record believes: one standard deviation costs one.
+
+    Where three lags are nearly equal, or the dead time nearly nothing, a derivative says that all goes. It does not:
+    the misfit rises with the second power of what the derivative leaves free. inflation : as for the residuals.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    at = _deviance(fit.misfit, fit.p, prior)
+    for axis, vector in enumerate(vectors.T):
+        std = math.sqrt(max(float(values[axis]), 0.0))
+        if std > WIDE:
+            share = min(_reach(fit, side * std * vector, prior, at + ONE * inflation**2) for side in (1.0, -1.0))
+            values[axis] = max(share * std, WIDE) ** 2
+    return np.asarray(vectors * values @ vectors.T, dtype=np.float64)
+
+
+def _reach(fit: Fit, step: FloatArray, prior: Prior | None, most: float) -> float:
+    """The share of a step that costs no more, everything else fitted anew."""
+    d, size = len(step), float(np.linalg.norm(step))
+    row, limits, share = PINNED * step[None, :] / size, bounds(fit.misfit), 1.0
+    root = row if prior is None else np.concatenate([prior.root, row])
+    for _ in range(SHORTER_STEPS):
+        start = np.clip(fit.p + np.pad(share * step, (0, len(fit.p) - d)), *limits)
+        held = row @ (fit.x + share * step)
+        target = held if prior is None else np.concatenate([prior.target, held])
+        found = refine(fit.misfit, start, Prior(root, target), REACH_EVALUATIONS)
+        if _deviance(fit.misfit, found.p, prior) <= most:
+            break
+        share *= SHORTER
+    return share
 
 
 def _opened(fit: Fit, priors: Priors) -> Fit:

@@ -79,10 +79,10 @@ def robust_simc_on(
     others = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, settings.believed)]
 
     third = third_lag(model, settings.hidden_share)
-    calmer = 1.0 / model.zeta if model.zeta < SWINGS else 1.0  # the less damped, the larger tau_c may become
+    calmer = 1.0 / model.zeta if swings(model) else 1.0  # the less damped, the larger tau_c may become
 
     def at(ratio: float) -> RobustTuning:
-        given = simc(model, ratio * theta) if model.zeta >= SWINGS else swinging(model, ratio * theta)
+        given = swinging(model, ratio * theta) if swings(model) else simc(model, ratio * theta)
         ms = sensitivity_peak(model.linear(), given.gains)
         worst = max([ms, *(sensitivity_peak(m.linear(), given.gains) for m in others)])
         return RobustTuning(given, ms, worst)
@@ -114,12 +114,17 @@ def less_damped(model: ProcessModel) -> ProcessModel:
     return replace(model, zeta=model.zeta / BEYOND_WALL) if at_wall else model
 
 
+def swings(model: ProcessModel) -> bool:
+    """Whether a process swings by itself, and no third lag is longer than the pair of poles that does."""
+    return model.zeta < SWINGS and model.tau3_s <= 2 * model.zeta * model.tau1_s
+
+
 def swinging(model: ProcessModel, tau_c_s: float) -> Tuning:
     """PI settings for a process that swings by itself, see the head of this file.
 
-    model : second order with zeta under 1. tau_c_s : closed-loop time constant, seconds.
+    model : with zeta under 1; a third lag counts as dead time. tau_c_s : closed-loop time constant, seconds.
     """
-    tau_i_s, span = 2 * model.zeta * model.tau1_s, tau_c_s + model.theta_s + model.inverse_s
+    tau_i_s, span = 2 * model.zeta * model.tau1_s, tau_c_s + model.theta_s + model.inverse_s + model.tau3_s
     return tuning("imc", "ideal", tau_i_s / (model.k * span), tau_i_s, 0.0, tau_c_s)
 
 
@@ -132,7 +137,7 @@ def third_lag(model: ProcessModel, share: float) -> ProcessModel | None:
     if not model.tau2_s:
         return None
     hidden = share * (model.tau2_s / (2 * model.zeta) if model.zeta < 1 else model.tau2_s)
-    dead = model.theta_s + model.inverse_s
+    dead = model.theta_s + model.inverse_s + model.tau3_s
     return replace(model, theta_s=model.theta_s + hidden - dead) if dead < hidden else None
 
 

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from retuner.adaptive.fit.refine import Prior
-from retuner.adaptive.fit.structure import INVERSE, SECOND, SIZE, THETA
+from retuner.adaptive.fit.structure import INVERSE, SECOND, SIZE, THETA, THIRD
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -35,7 +35,12 @@ def unusual(type_: ProcessType, x: FloatArray) -> float:
         return 0.0
     if type_ in INVERSE:  # which is as good as a dead time
         return max(float(x[INVERSE[type_]] - x[SECOND[type_]]) - math.log(MOST_TIMES), 0.0) / SPREAD
-    return max(math.log(LEAST_SHARE) + float(x[SECOND[type_]] - x[THETA]), 0.0) / SPREAD
+    return max(math.log(LEAST_SHARE) + float(x[SECOND[type_]] - x[_dead(type_, x)]), 0.0) / SPREAD
+
+
+def _dead(type_: ProcessType, x: FloatArray) -> int:
+    """Place of what delays most: the dead time, or a third lag that is as good as one."""
+    return THIRD[type_] if type_ in THIRD and x[THIRD[type_]] > x[THETA] else THETA
 
 
 def usual(type_: ProcessType, x: FloatArray) -> Prior | None:
@@ -43,6 +48,6 @@ def usual(type_: ProcessType, x: FloatArray) -> Prior | None:
     if unusual(type_, x) <= 0:
         return None
     row = np.zeros((1, SIZE[type_]))
-    place, ratio = (INVERSE[type_], MOST_TIMES) if type_ in INVERSE else (THETA, LEAST_SHARE)
+    place, ratio = (INVERSE[type_], MOST_TIMES) if type_ in INVERSE else (_dead(type_, x), LEAST_SHARE)
     row[0, place], row[0, SECOND[type_]] = 1 / SPREAD, -1 / SPREAD
     return Prior(row, np.array([math.log(ratio) / SPREAD]))

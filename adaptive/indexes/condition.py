@@ -108,16 +108,19 @@ class Traits:
     escapes: Callable[[], bool]
 
 
-def record_condition(window: Window, at_limit_share: float = 0.0, *, oscillates: bool = False) -> RecordCondition:
+def record_condition(
+    window: Window, at_limit_share: float = 0.0, *, oscillates: bool = False, in_auto: bool = False
+) -> RecordCondition:
     """Judge a record.
 
     at_limit_share : share of samples with co at a limit: there an error may stand. oscillates : a lasting oscillation
-        was seen, which may be too fast for means of AVERAGED samples to show it.
+        was seen, which may be too fast for means of AVERAGED samples to show it. in_auto : the samples say that the
+        loop is in automatic: a co that stands still is rounded, or the error is within the controller's dead band.
     """
     e = window.sp - window.pv
     spread = float(np.std(e))
     offset = abs(float(np.mean(e))) / spread if spread > 0 else 0.0
-    still = sum(end - start for start, end in still_stretches(window.co)) / len(window.co)
+    still = 0.0 if in_auto else sum(end - start for start, end in still_stretches(window.co)) / len(window.co)
     moving = float(np.mean(np.diff(window.sp) != 0))
     traits = Traits(
         _dead(window.pv), _dead(window.co), still, at_limit_share, moving, offset,

@@ -62,18 +62,25 @@ class Screening:
 
 
 def screen(
-    window: Window, gains: PidGains | None = None, co_min: float | None = None, co_max: float | None = None
+    window: Window,
+    gains: PidGains | None = None,
+    co_min: float | None = None,
+    co_max: float | None = None,
+    *,
+    in_auto: bool = False,
 ) -> Screening:
     """Collect the indexes of a record; some 10 ms for 1000 samples (benchmarks/indexes.py).
 
     Parameters
     ----------
     window : the record. gains : controller in force, for the idle index, the phase's sign and the ratio to tau_I.
-    co_min, co_max : limits of co where known; else they are recognised when co stands at them.
+    co_min, co_max : limits of co where known; else they are recognised when co stands at them. in_auto : see
+        record_condition.
     """
     limits = at_limits(window.co, co_min, co_max)
     wave = _oscillation(window)
-    state = record_condition(window, limits.low + limits.high, oscillates=wave is not None and wave.lasting)
+    lasting = wave is not None and wave.lasting
+    state = record_condition(window, limits.low + limits.high, oscillates=lasting, in_auto=in_auto)
     found: dict[str, float | None] = {
         "at_low_limit": limits.low,
         "at_high_limit": limits.high,

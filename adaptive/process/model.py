@@ -18,9 +18,10 @@ ComplexArray = npt.NDArray[np.complex128]
 
 
 class ProcessType(StrEnum):
-    """The six structures of Skogestad (2003), under the names that the command line uses, and one with a zero.
+    """The six structures of Skogestad (2003), under the names that the command line uses, and two that only fits have.
 
     SOPDT_INVERSE : second order behind a zero in the right half-plane, 1 - b s: pv answers the wrong way first.
+    TOPDT : second order and a third lag. Rules take it as the second order that the half rule makes of it.
     """
 
     FOPDT = "fopdt"
@@ -30,6 +31,7 @@ class ProcessType(StrEnum):
     DOUBLE_INTEGRATING = "double-integrating"
     DELAY = "delay"
     SOPDT_INVERSE = "sopdt-inverse"
+    TOPDT = "topdt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,7 @@ class LinearProcess:
 
 @dataclass(frozen=True, slots=True)
 class ProcessModel:
-    """A model that a tuning rule takes: one of six structures.
+    """A model that a tuning rule takes: one of the structures.
 
     Parameters
     ----------
@@ -104,6 +106,7 @@ class ProcessModel:
     zeta : damping of a second-order process that swings, 0 < zeta <= 1: its denominator is
         1 + 2 zeta tau s + tau^2 s^2 with tau = tau1_s = tau2_s. 1 for two real lags and for all other structures.
     inverse_s : b of a zero 1 - b s, above 0 for sopdt-inverse and 0 for all others.
+    tau3_s : the third lag, of any length, above 0 for topdt and 0 for all others.
 
     Raises
     ------
@@ -118,10 +121,11 @@ class ProcessModel:
     theta_s: float = 0.0
     zeta: float = 1.0
     inverse_s: float = 0.0
+    tau3_s: float = 0.0
 
     def __post_init__(self) -> None:
         LinearProcess(self.k, (self.tau1_s, self.tau2_s), (), self.theta_s)
-        second = self.type in {ProcessType.SOPDT, ProcessType.SOPDT_INVERSE}
+        second = self.type in {ProcessType.SOPDT, ProcessType.SOPDT_INVERSE, ProcessType.TOPDT}
         has_tau1 = second or self.type == ProcessType.FOPDT
         has_tau2 = second or self.type == ProcessType.INTEGRATING_LAG
         if has_tau1 != (self.tau1_s > 0):
@@ -134,6 +138,8 @@ class ProcessModel:
             raise ValueError(f"zeta = {self.zeta} is outside 0 to 1; two real lags have zeta = 1")
         if self.zeta < 1 and not (second and self.tau1_s == self.tau2_s):
             raise ValueError(f"zeta = {self.zeta}: only type sopdt with tau1 = tau2 can swing")
+        if not (0 <= self.tau3_s < math.inf) or (self.tau3_s > 0) != (self.type == ProcessType.TOPDT):
+            raise ValueError(f"tau3_s = {self.tau3_s}: type topdt needs one above 0, no other has one")
         if not (0 <= self.inverse_s < math.inf) or (self.inverse_s > 0) != (self.type == ProcessType.SOPDT_INVERSE):
             raise ValueError(f"inverse_s = {self.inverse_s}: type sopdt-inverse needs one above 0, no other has one")
 
@@ -149,11 +155,11 @@ class ProcessModel:
     def linear(self) -> LinearProcess:
         """The same as a general linear process."""
         integrators = {ProcessType.INTEGRATING: 1, ProcessType.INTEGRATING_LAG: 1, ProcessType.DOUBLE_INTEGRATING: 2}
-        leads = (-self.inverse_s,) if self.inverse_s else ()
+        leads, third = (-self.inverse_s,) if self.inverse_s else (), (self.tau3_s,) if self.tau3_s else ()
         if self.zeta < 1:
             pair = (2 * self.zeta * self.tau1_s, self.tau1_s**2)
-            return LinearProcess(self.k, (), leads, self.theta_s, 0, (pair,))
-        lags = tuple(lag for lag in (self.tau1_s, self.tau2_s) if lag > 0)
+            return LinearProcess(self.k, third, leads, self.theta_s, 0, (pair,))
+        lags = (*(lag for lag in (self.tau1_s, self.tau2_s) if lag > 0), *third)
         return LinearProcess(self.k, lags, leads, self.theta_s, integrators.get(self.type, 0))
 
     def without_inverse(self) -> "ProcessModel":
@@ -162,12 +168,26 @@ class ProcessModel:
             return self
         return replace(self, type=ProcessType.SOPDT, theta_s=self.theta_s + self.inverse_s, inverse_s=0.0)
 
+    def of_second_order(self) -> "ProcessModel":
+        """An inverse response taken as so much dead time, a third lag by the half rule (Skogestad 2003, section 2)."""
+        if not self.tau3_s:
+            return self.without_inverse()
+        long, middle, short = self.lags_s()
+        tau2 = min(middle + short / 2, long)
+        return ProcessModel(ProcessType.SOPDT, self.k, long, tau2, self.theta_s + short / 2)
+
+    def lags_s(self) -> tuple[float, ...]:
+        """The lags, the longest first; of a pair of complex poles two of half their sum (reduction.py)."""
+        pair = (self.zeta * self.tau1_s, self.zeta * self.tau2_s)
+        return tuple(sorted((lag for lag in (*pair, self.tau3_s) if lag > 0), reverse=True))
+
     def to_dict(self) -> dict[str, float | str]:
         """Keys as in every JSON output: type, k, tau1, tau2, theta (seconds); zeta where the process swings,
-        inverse where it answers the wrong way first.
+        inverse where it answers the wrong way first, tau3 where it has a third lag.
         """
         swings = {"zeta": self.zeta} if self.zeta < 1 else {}
         swings |= {"inverse": self.inverse_s} if self.inverse_s else {}
+        swings |= {"tau3": self.tau3_s} if self.tau3_s else {}
         return {
             "type": str(self.type),
             "k": self.k,

@@ -122,6 +122,8 @@ def fitted_to(rule: Rule, model: ProcessModel) -> tuple[ProcessModel, tuple[str,
         return model, ()
     if model.inverse_s and ProcessType.SOPDT in rule.types:
         return model.without_inverse(), (f"the inverse response of {model.inverse_s:g} s counts as dead time",)
+    if model.tau3_s and ProcessType.SOPDT in rule.types:
+        return model.of_second_order(), (f"of the third lag of {model.lags_s()[-1]:g} s half counts as dead time",)
     reduced = without_second_lag(model)
     if reduced.type not in rule.types:
         wanted = ", ".join(rule.types)

@@ -47,7 +47,7 @@ def simc(
         tau_c is missing for a process without dead time, or not positive together with the dead time; c is not
         positive.
     """
-    model = without_second_lag(model) if kind == ControllerKind.PI else model.without_inverse()
+    model = without_second_lag(model) if kind == ControllerKind.PI else model.of_second_order()
     if tau_c_s is None:
         if model.theta_s == 0:
             raise ValueError("theta = 0: SIMC's default tau_c = theta does not exist; give tau_c")
@@ -76,11 +76,14 @@ def _settings(model: ProcessModel, tau_c_s: float, span: float, c: float) -> Tun
 def without_second_lag(model: ProcessModel) -> ProcessModel:
     """The half rule for tau2: half of it joins the dead time, the other half tau1 (an integrator's is infinite).
 
-    An inverse response joins the dead time whole.
+    An inverse response joins the dead time whole, and so does a third lag.
 
     On an integrating process that is the reading which reproduces the margins of the Astrom-Hagglund batch, and the
     limit of a second-order process with a long tau1; Skogestad's example E6 prints the whole of it in the dead time.
     """
+    if model.tau3_s:
+        long, middle, short = model.lags_s()
+        return ProcessModel(ProcessType.FOPDT, model.k, long + middle / 2, 0.0, model.theta_s + middle / 2 + short)
     model = model.without_inverse()
     if model.type == ProcessType.SOPDT:
         half = model.tau2_s / 2
@@ -92,4 +95,5 @@ def without_second_lag(model: ProcessModel) -> ProcessModel:
 
 def derivative_pays(model: ProcessModel) -> bool:
     """Whether derivative action is worth its noise: tau2 > theta, or two integrators (Skogestad 2003, section 6)."""
-    return model.type == ProcessType.DOUBLE_INTEGRATING or model.tau2_s > model.without_inverse().theta_s
+    plain = model.of_second_order()
+    return model.type == ProcessType.DOUBLE_INTEGRATING or plain.tau2_s > plain.theta_s

@@ -14,12 +14,15 @@ from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
+import numpy as np
+
 from retuner.adaptive.signals.noise import (
     MEDIAN_TO_SIGMA,
     NoiseState,
     noise_at_least,
     noise_start,
     noise_step,
+    quantum_sigma,
 )
 from retuner.adaptive.signals.recogniser import (
     RecogniserLaw,
@@ -47,7 +50,8 @@ CLEAN_SHARE = 0.5
 class FinderState(NamedTuple):
     """Where a finder stands in its record; with the gains in force, all that its later responses depend on.
 
-    noise : of pv. setpoint : noise of the setpoint; None for one of which nothing is known.
+    noise : of pv. setpoint : noise of the setpoint; None for one of which nothing is known. rounding : standard
+    deviation that pv's rounding to the steps of its sensor has, pv units; 0 where it is not seen.
     """
 
     region: RegionState | None
@@ -55,12 +59,14 @@ class FinderState(NamedTuple):
     noise: NoiseState
     samples: tuple[LoopSample, ...]
     setpoint: NoiseState | None = None
+    rounding: float = 0.0
 
 
 class Completed(NamedTuple):
     """A response. region : in which it ended. entered_s : since when the loop was there.
 
-    wander : standard deviation of noise that wanders, pv units; the response's band has been widened for it.
+    wander : standard deviation of noise that wanders, or of rounding in a sensor of coarse steps, pv units; the
+    response's band has been widened for it.
     """
 
     region: int
@@ -98,12 +104,13 @@ class ResponseFinder:
         self._state: RecogniserState | None = None
         self._median, self._last, self._before = NoiseState(0.0, 0.0, 0.0)
         self._law = RecogniserLaw(1.0, 1.0)
-        self._floor = settings.band or settings.band_min_share * settings.pv_span
+        self._floor = self._least = settings.band or settings.band_min_share * settings.pv_span
         self._per_median = 0.0 if settings.band else settings.band_sigmas * MEDIAN_TO_SIGMA
         self._per_setpoint = settings.band_sigmas * MEDIAN_TO_SIGMA
         self._gap_s = settings.gap_samples * settings.sample_time_s
         self._clean = noise_start(CLEAN_SHARE * self._floor / settings.band_sigmas)
         self._setpoint = NoiseState(self._clean, 0.0, 0.0)
+        self._rounding = 0.0
 
     @property
     def region(self) -> int | None:
@@ -159,11 +166,12 @@ class ResponseFinder:
     def state(self) -> FinderState:
         """Where it stands: see memory.py, which turns it into plain values."""
         noise = NoiseState(self._median, self._last, self._before)
-        return FinderState(self._region, self._state, noise, tuple(self._samples), self._setpoint)
+        return FinderState(self._region, self._state, noise, tuple(self._samples), self._setpoint, self._rounding)
 
     def resume(self, state: FinderState) -> None:
         """Go on from there."""
-        self._region, self._state, noise, samples, setpoint = state
+        self._region, self._state, noise, samples, setpoint, rounding = state
+        self._take_rounding(rounding)
         self._setpoint = setpoint or NoiseState(self._clean, 0.0, 0.0)
         self._median, self._last, self._before = noise
         self._samples.clear()
@@ -275,6 +283,16 @@ class ResponseFinder:
         self._last, self._before = pv, last
         return median
 
+    def _seen_rounding(self) -> float:
+        """Standard deviation of pv's rounding in the samples that are kept."""
+        return quantum_sigma(np.array([sample.pv for sample in self._samples]))
+
+    def _take_rounding(self, sigma: float) -> None:
+        """A sensor of coarse steps: what stands within one of them is at rest."""
+        self._rounding = sigma
+        if not self.settings.band:
+            self._floor = max(self._least, self.settings.band_sigmas * sigma)
+
     def _of_error(self, band: float) -> float:
         """Noise band of sp - pv, from that of pv: independent noises add by their squares."""
         own = self._per_median * self._setpoint.median
@@ -304,11 +322,12 @@ class ResponseFinder:
         response = response_of(state, self.band)
         assert response is not None
         assert self._region is not None
+        self._take_rounding(self._seen_rounding())
         return self._completed(self._region, response)
 
     def _completed(self, region: RegionState, response: Response) -> Completed:
-        """With the band that its noise has, which may wander; one that a person has set stays."""
-        wander = wander_before(self._samples, response)
+        """With the band that its noise has, which may wander or be rounded; one that a person has set stays."""
+        wander = max(wander_before(self._samples, response), self._seen_rounding())
         if wander and not self.settings.band:
             response = replace(response, band=max(response.band, self.settings.band_sigmas * wander))
         return Completed(region.region, response, _entered(region), wander)

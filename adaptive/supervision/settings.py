@@ -42,7 +42,7 @@ class RetunerSettings:
     growth : when a swing grows as only an unstable loop's does.
     limit_swing : what an unstable loop between the output's limits is told by.
     swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
-        line: a change is on trial there.
+        line: a change is on trial there, and manual is told.
     cause : from which excess a tuning is the cause; slack 1.15, because later records narrow what is known.
     robust : how settings follow from what is known; less is held back for what the model cannot see than off line
         (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
@@ -81,7 +81,7 @@ class RetunerSettings:
     swing: SwingSettings = field(default_factory=SwingSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
     limit_swing: LimitSwingSettings = field(default_factory=LimitSwingSettings)
-    diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
+    diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings(), in_auto=True))
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.15))
     robust: RobustSettings = field(
         default_factory=lambda: RobustSettings(ms_worst=1.95, ms_third=1.85, hidden_share=0.1)

@@ -67,7 +67,8 @@ class Identification:
         if not self.estimate.identifiable:
             return f"Identification(not identifiable: {self.estimate.reason})"
         m = self.estimate.log.model()
-        lags = "".join(f" {name} {lag:.4g} s" for name, lag in (("tau1", m.tau1_s), ("tau2", m.tau2_s)) if lag)
+        times = (("tau1", m.tau1_s), ("tau2", m.tau2_s), ("tau3", m.tau3_s))
+        lags = "".join(f" {name} {lag:.4g} s" for name, lag in times if lag)
         return f"Identification({m.type}: k {m.k:.4g}{lags} theta {m.theta_s:.4g} s; settings {self.settings!r})"
 
     def __str__(self) -> str:

@@ -23,10 +23,15 @@ def table(gains: PidGains) -> GainTable:
 
 
 class Bench:
-    """A process of first order + dead time in samples, under PI with the gains of the retuner's table."""
+    """A process of first order + dead time in samples, under PI with the gains of the retuner's table.
 
-    def __init__(self, retuner: Retuner, sign: float = 1, seed: int = 0, noise: float = 0.01) -> None:
-        self.retuner, self.sign, self.noise = retuner, sign, noise
+    step : of its sensor; 0 for a fine one.
+    """
+
+    def __init__(
+        self, retuner: Retuner, sign: float = 1, seed: int = 0, noise: float = 0.01, step: float = 0.0
+    ) -> None:
+        self.retuner, self.sign, self.noise, self.step = retuner, sign, noise, step
         self.rng = np.random.default_rng(seed)
         self.t, self.x, self.integral, self.pv = 0.0, 0.0, 0.0, 0.0
         self.past = [0.0] * 5
@@ -44,7 +49,8 @@ class Bench:
             self.past.append(co)
             a = math.exp(-1 / 50.0)
             self.x = a * self.x + (1 - a) * (self.sign * self.past.pop(0) + load)
-            self.pv = self.x + self.noise * float(self.rng.standard_normal())
+            pv = self.x + self.noise * float(self.rng.standard_normal())
+            self.pv = round(pv / self.step) * self.step if self.step else pv
             self.t += 1.0
 
     def obey(self, decision: Decision) -> bool:

@@ -151,6 +151,12 @@ def test_what_is_too_little_reads_as_too_little() -> None:
     assert far.reason.endswith("worth 4%, 10% are needed")
 
 
+def test_nothing_is_said_to_be_sure() -> None:
+    surely = choose([look(0.0), look(0.5)], None, Seen(9, clear=9), SETTINGS)
+    assert 0 < surely.numbers.doubt < 0.005
+    assert "; under 1% that something else is behind the records" in surely.reason
+
+
 def test_a_first_step_that_does_not_pay_is_told_as_that() -> None:
     choice = choose([look(0.0), look(-0.02)], look(0.8), Seen(3, 3), SETTINGS)
     assert choice.index == 0

@@ -34,6 +34,17 @@ def test_a_tone_from_outside_at_the_loops_own_period_is_still_from_outside() -> 
     assert not found.diagnosis.retune, found.diagnosis.reason
 
 
+def test_a_short_record_of_a_sinusoid_and_one_setpoint_step_is_no_loop_at_its_limit() -> None:
+    """Four periods: the loop by itself explains them with load steps, at the edge of instability."""
+    tone = loop(
+        GOOD, sp=lambda i: float(i >= 250), out=lambda i: 0.5 * np.sin(2 * np.pi * i * DT / 45.0), seed=2, n=400
+    )
+    found = diagnose_window(tone, GOOD).diagnosis
+    assert found.cause is Cause.EXTERNAL, found.reason
+    assert found.evidence["external_period_s"] == pytest.approx(45.0, rel=0.02)
+    assert found.reason.endswith(" without, with 6 load steps"), found.reason
+
+
 @pytest.mark.parametrize(("ms", "asked"), [(float("inf"), False), (2.5, True)])
 def test_what_the_record_refutes_is_not_put_to_a_second_opinion(ms: float, asked: bool) -> None:
     window = loop(GOOD, sp=lambda i: float(i >= 80))

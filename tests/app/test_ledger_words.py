@@ -73,6 +73,13 @@ def test_what_must_wait_is_told_with_what_the_rule_gives_and_not_as_proved() -> 
     assert tell(("decision", decision(5, "commit", verdict=ACCEPTED)))[0].verdict.startswith("proved")
 
 
+def test_a_part_of_the_way_is_told_once() -> None:
+    quarter = {**ACCEPTED, "allowed": [1], "step": 0.25}
+    assert tell(("decision", decision(1, "commit", verdict=quarter)))[0].verdict.endswith("; 25% of the full change")
+    chosen = {**quarter, "reason": "proved: nominal Ms 1.40; 25% of the proved change, which is expected to cost less"}
+    assert tell(("decision", decision(1, "commit", verdict=chosen)))[0].verdict.count("25%") == 1
+
+
 def test_gains_that_stay_are_no_change() -> None:
     stays = decision(5, "restore", code="kept_stopped", gains_after=GAINS)
     row = tell(("decision", stays))[0]

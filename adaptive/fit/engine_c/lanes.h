@@ -6,9 +6,9 @@
 #include "modes.h"
 
 enum { MOST_P = 40, MOST_COLUMNS = 96, MOST_STARTS = 8, MOST_LOADS = 24, MOST_AR = 16, MOST_HARMONICS = 12 };
-enum { FOPDT, SOPDT, INTEGRATING, INTEGRATING_LAG, SOPDT_INVERSE, TYPES };
-static const int SIZE[] = {3, 4, 2, 3, 5}, LAG[] = {2, 2, -1, -1, 2}, SECOND[] = {-1, 3, -1, 2, 3};
-static const int INVERSE[] = {-1, -1, -1, -1, 4};
+enum { FOPDT, SOPDT, INTEGRATING, INTEGRATING_LAG, SOPDT_INVERSE, TOPDT, TYPES };
+static const int SIZE[] = {3, 4, 2, 3, 5, 5}, LAG[] = {2, 2, -1, -1, 2, 2}, SECOND[] = {-1, 3, -1, 2, 3, 3};
+static const int INVERSE[] = {-1, -1, -1, -1, 4, -1}, THIRD[] = {-1, -1, -1, -1, -1, 4};
 enum { SLOPE, THETA };
 
 static const double LEAST_ZETA = 0.35, SWING_WEIGHT = 30.0; /* structure.py, misfit.py */
@@ -33,7 +33,7 @@ typedef struct {
 
 typedef struct {
     Problem p;
-    double theta, gain, c2, c0, rate, tone;
+    double theta, gain, c2, c0, third, rate, tone; /* third : a third lag, 0 for none */
     Modes modes, load_modes;
     Interval *steps, *lag_steps, *load_steps, *reads; /* one each for an even clock, one a sample for an uneven one */
     Py_ssize_t *read_at;
@@ -228,12 +228,13 @@ static void read_parameters(Work *w, const double *p, double least) {
     w->gain = w->p.sign * exp(p[SLOPE]), w->theta = exp(p[THETA]);
     w->c2 = SECOND[type] >= 0 ? exp(p[SECOND[type]]) : 0;
     w->c0 = LAG[type] >= 0 ? exp(-p[LAG[type]]) : 0;
+    w->third = THIRD[type] >= 0 ? exp(p[THIRD[type]]) : 0;
     w->modes = inverse_of(modes_of(w->c2, w->c0, least), INVERSE[type] >= 0 ? exp(p[INVERSE[type]]) : 0);
     w->rate = w->p.rounded ? 1 / exp(p[size + loads]) : 0;
     w->load_modes = w->p.rounded ? apart_from(w->modes, w->rate) : w->modes;
     w->tone = w->p.harmonics ? exp(p[w->p.size - 1]) : 0;
     double most = -log(4 * LEAST_ZETA * LEAST_ZETA);
-    w->swing = type == SOPDT || type == SOPDT_INVERSE ? SWING_WEIGHT * fmax(0, p[SECOND[type]] - p[LAG[type]] - most) : 0;
+    w->swing = LAG[type] >= 0 && SECOND[type] >= 0 ? SWING_WEIGHT * fmax(0, p[SECOND[type]] - p[LAG[type]] - most) : 0;
 }
 
 static void put_basis(Work *w, int j, double at, const Modes *m, const Interval *steps, int rounded) {
@@ -272,6 +273,23 @@ static void run_lanes(Work *w, const double *p, double least, int slopes) {
 
 /* ---------------------------------------------------------------- columns */
 
+/* Through the third lag, where there is one; in place (through_lag of dynamics.py). */
+static void lagged(const Work *w, double *x) {
+    const Problem *p = &w->p;
+    double h = p->dt, decay = 0, kept = 0, now = 0, before = x[0];
+    if (!(w->third > 0))
+        return;
+    x[0] = 0;
+    for (Py_ssize_t i = 1; i < p->n; i++) {
+        if (i == 1 || !(p->dt > 0)) {
+            h = p->dt > 0 ? p->dt : p->t[i] - p->t[i - 1];
+            decay = exp(-h / w->third), kept = -expm1(-h / w->third) * w->third / h;
+        }
+        now = decay * now + (kept - decay) * before + (1 - kept) * x[i];
+        before = x[i], x[i] = now;
+    }
+}
+
 WIDE static void add_form(const Work *w, const Basis *basis, Form f, double *restrict out) {
     const double *restrict t = w->p.t, *restrict a = basis->a, *restrict b = basis->b, *restrict c = basis->c;
     double at = basis->at;
@@ -290,6 +308,7 @@ WIDE static void add_form(const Work *w, const Basis *basis, Form f, double *res
 /* Scaled to a largest value of one. */
 static void make_unit(Work *w, int k) {
     double *column = w->column + k * w->p.n;
+    lagged(w, column);
     Py_ssize_t at = largest(column, w->p.n);
     double size = fabs(column[at]);
     w->peak_at[k] = at, w->peak[k] = column[at];

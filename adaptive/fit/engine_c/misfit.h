@@ -107,6 +107,7 @@ static void solve(Work *w, const double *p) {
     on_lanes(&w->modes, w->modes.w, lane);
     for (Py_ssize_t i = 0; i < q->n; i++)
         w->moved[i] = w->gain * (lane[0] * w->a[i] + lane[1] * w->b[i]);
+    lagged(w, w->moved);
     put_columns(w);
     for (int k = 0; k < q->columns; k++) {
         double *column = w->rotated + k * q->rows;
@@ -141,6 +142,16 @@ static void add_change(const Work *w, int k, const Basis *basis, Form f, const B
     double peak = w->peak[k], share = w->c[k] / fabs(peak);
     if (peak == 0 || w->c[k] == 0)
         return;
+    if (w->third > 0) {
+        memset(w->scratch, 0, (size_t)w->p.n * sizeof *w->scratch);
+        add_form(w, basis, f, w->scratch);
+        if (other)
+            add_form(w, other, g, w->scratch);
+        lagged(w, w->scratch);
+        add(change, share, w->scratch, w->p.n);
+        add(change, -w->c[k] * (w->scratch[w->peak_at[k]] / peak), w->column + k * w->p.n, w->p.n);
+        return;
+    }
     double rise = form_at(w, basis, f, w->peak_at[k]);
     add_form(w, basis, scaled_form(f, share), change);
     if (other) {
@@ -163,6 +174,7 @@ static void change_by_dynamics(Work *w, int q, double *change) {
     on_lanes(m, m->dw[q], at), on_lanes(m, moving, by);
     for (Py_ssize_t i = 0; i < p->n; i++)
         change[i] = w->gain * (at[0] * w->a[i] + at[1] * w->b[i] + by[0] * w->a1[i] + by[1] * w->b1[i]);
+    lagged(w, change);
     Form step = step_slope(m, q), ramp = ramp_slope(m, q);
     Form load = p->rounded ? rounded_slope(&w->load_modes, w->rate, q) : step;
     int k = 0;
@@ -191,6 +203,7 @@ static void change_by_theta(Work *w, double *change) {
     double whole = total(m, m->w), gain = w->gain * w->theta;
     for (Py_ssize_t i = 0; i < p->n; i++)
         change[i] = gain * (lane[0] * w->a[i] + lane[1] * w->b[i] - whole * w->u_read[i]);
+    lagged(w, change);
     Form rise = scaled_form(impulse_form(m), -w->theta), step = scaled_form(step_form(m), w->theta);
     int k = p->starts * (1 + (SECOND[p->type] >= 0));
     for (int j = 0; p->motion && j < p->starts; j++) {
@@ -201,6 +214,22 @@ static void change_by_theta(Work *w, double *change) {
 }
 
 static int first_load(const Problem *p) { return p->priors; }
+
+/* By ln d of the third lag: what it takes away is what it would take away once more. */
+static void change_by_third(Work *w, double *change) {
+    const Problem *p = &w->p;
+    memcpy(change, w->moved, (size_t)p->n * sizeof *change);
+    lagged(w, change), add(change, -1, w->moved, p->n);
+    for (int k = 0; k < p->priors + p->loads; k++) {
+        const double *column = w->column + k * p->n;
+        if ((p->ramp && k == p->priors - 1) || w->peak[k] == 0)
+            continue;
+        memcpy(w->scratch, column, (size_t)p->n * sizeof *w->scratch);
+        lagged(w, w->scratch), add(w->scratch, -1, column, p->n);
+        add(change, w->c[k], w->scratch, p->n);
+        add(change, -w->c[k] * w->scratch[w->peak_at[k]] / column[w->peak_at[k]], column, p->n);
+    }
+}
 
 static void change_by_load_time(Work *w, int j, double *change) {
     Form rise = is_corner(&w->p, j) ? step_form(&w->modes)
@@ -236,6 +265,8 @@ static void put_change(Work *w, int j, double *change) {
         memcpy(change, w->moved, (size_t)p->n * sizeof *change);
     else if (j == THETA)
         change_by_theta(w, change);
+    else if (j == THIRD[p->type])
+        change_by_third(w, change);
     else if (j < d)
         change_by_dynamics(w, j == INVERSE[p->type] ? 2 : j == SECOND[p->type], change);
     else if (j < d + p->loads)
@@ -339,6 +370,7 @@ static void load_gains(Work *w, const double *q, const double *r, const double *
         memset(w->moved, 0, (size_t)n * sizeof *w->moved);
         run_step(p, &w->modes, w->steps, basis.a, basis.b, at[k], basis.first);
         add_form(w, &basis, step, w->moved);
+        lagged(w, w->moved);
         double most = fmax(fabs(w->moved[largest(w->moved, n)]), DBL_MIN);
         multiply(w->moved, 1 / most, n);
         whiten(p, w->moved, whitened);

@@ -191,6 +191,7 @@ static void valve_costs(Work *w, const double *p, const double *valves, Py_ssize
         run_late(w, 0);
         for (Py_ssize_t i = 0; i < n; i++)
             w->moved[i] = w->gain * (lane[0] * w->a[i] + lane[1] * w->b[i]);
+        lagged(w, w->moved);
         double whole = dot(w->moved, w->moved, n);
         leave(w->rotated, kept, w->moved, n);
         double size = dot(w->moved, w->moved, n), along = dot(w->moved, y, n);

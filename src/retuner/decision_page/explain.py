@@ -69,7 +69,8 @@ def response_text(decision: Decision | Document) -> str:
 def process_text(m: ProcessModel) -> str:
     """The parameters that a process has."""
     gain = "k'" if m.type in INTEGRATING else "k"
-    lags = "".join(f" {name} {brief(lag)} s" for name, lag in (("tau1", m.tau1_s), ("tau2", m.tau2_s)) if lag)
+    times = (("tau1", m.tau1_s), ("tau2", m.tau2_s), ("tau3", m.tau3_s))
+    lags = "".join(f" {name} {brief(lag)} s" for name, lag in times if lag)
     return f"{gain} {brief(m.k)}{lags} theta {brief(m.theta_s)} s"
 
 

@@ -89,7 +89,7 @@ def decided_on(decision: Document) -> ProcessModel | None:
 
 
 def model_of(document: Document) -> ProcessModel | None:
-    """A process {type, k, tau1, tau2, theta, zeta}, or None where the numbers make none."""
+    """A process {type, k, tau1, tau2, theta, zeta, inverse, tau3}, or None where the numbers make none."""
     k = number(document, "k")
     kind = words(document, "type")
     if k is None or kind not in set(ProcessType):
@@ -97,10 +97,9 @@ def model_of(document: Document) -> ProcessModel | None:
     tau1, tau2, theta = (number(document, name) or 0.0 for name in ("tau1", "tau2", "theta"))
     if not _sane(k, tau1, tau2, theta):
         return None
+    zeta, inverse, tau3 = number(document, "zeta") or 1.0, number(document, "inverse"), number(document, "tau3")
     try:
-        return ProcessModel(
-            ProcessType(kind), k, tau1, tau2, theta, number(document, "zeta") or 1.0, number(document, "inverse") or 0.0
-        )
+        return ProcessModel(ProcessType(kind), k, tau1, tau2, theta, zeta, inverse or 0.0, tau3 or 0.0)
     except ValueError:
         return None
 

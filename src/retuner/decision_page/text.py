@@ -20,6 +20,7 @@ STRUCTURES = {
     ProcessType.DOUBLE_INTEGRATING: "double integrating with dead time",
     ProcessType.DELAY: "pure dead time",
     ProcessType.SOPDT_INVERSE: "second order with an inverse response and dead time",
+    ProcessType.TOPDT: "third order with dead time",
 }
 DONE = {
     "commit": "Written to the controller",
@@ -154,6 +155,7 @@ def parameters(model: ProcessModel, std: dict[str, float], unit: str) -> list[tu
         (gain, "k", model.k, per),
         ("tau1 (lag)", "tau1", model.tau1_s, " s"),
         ("tau2 (second lag)", "tau2", model.tau2_s, " s"),
+        ("tau3 (third lag)", "tau3", model.tau3_s, " s"),
         ("theta (dead time)", "theta", model.theta_s, " s"),
     ]
     return [(label, f"{value:.4g}{_spread(value, std.get(name))}{unit}") for label, name, value, unit in rows if value]

@@ -238,7 +238,8 @@ def _proved(verdict: Document, reason: str) -> str:
         return said
     before, step = ms_words(number(part(verdict, "ms"), "before")), number(verdict, "step")
     was = "" if f"Ms {before} ->" in said else f"; Ms before {before}"
-    share = "" if step is None or step > WHOLE_STEP else f"; {step:.0%} of the full change"
+    part_of = "" if step is None or step > WHOLE_STEP else f"{step:.0%} of the "
+    share = "" if not part_of or part_of in said else f"; {part_of}full change"
     return f"{said}{was}{share}"
 
 

@@ -162,6 +162,7 @@ def test_a_further_load_step_brings_the_same() -> None:
         at = judged(refine(misfit, p, evaluations=3))
         instants = np.linspace(0, misfit.record.span_s, 32)[1:-1]
         steps = dynamics_at(type_, at.fit.p).step(misfit.record.t_s[:, None] - instants[None, :])
+        steps = misfit.lagged(at.fit.p, steps)
         expected = linear_gains(at, steps / np.max(np.abs(steps), axis=0))
         found = compiled.load_gains(misfit, at.fit.p, instants)
         np.testing.assert_allclose(found, expected, atol=1e-7 * np.max(expected) + 1e-9)

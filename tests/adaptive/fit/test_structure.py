@@ -35,6 +35,15 @@ def test_an_inverse_response_is_a_zero_in_the_right_half_plane() -> None:
     assert rise[0] < 0 < rise[1] == pytest.approx(6.0, rel=1e-3)
 
 
+def test_a_third_lag_lies_behind_the_second_order() -> None:
+    x = np.log([0.5, 1.0, 6.0, 4.0, 0.8])
+    w = np.geomspace(1e-2, 1e2, 30)
+    plain = model_at(ProcessType.SOPDT, x[:4], 1).linear().response(w)
+    model = model_at(ProcessType.TOPDT, x, 1)
+    assert model.zeta < 1
+    np.testing.assert_allclose(model.linear().response(w), plain / (1 + 0.8j * w), rtol=1e-9)
+
+
 @given(logs=st.lists(LOGS, min_size=4, max_size=4))
 def test_model_and_dynamics_have_the_same_frequency_response(logs: list[float]) -> None:
     x = np.array(logs)

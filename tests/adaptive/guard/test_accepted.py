@@ -44,6 +44,16 @@ def test_a_step_back_towards_the_commissioned_set_passes_and_says_that_it_leads_
 def test_a_step_beyond_the_commissioned_set_goes_no_farther() -> None:
     verdict = prove(of_pattern(times(0.15, 0.15), times(0.12, 0.12), GAINS), SETTINGS)
     assert verdict.ruling == Ruling.OUTSIDE_TOTAL
+    limit = "refused: the largest allowed distance from the baseline gains leaves no room for the change"
+    assert verdict.sentence.startswith(f"{limit}; kc limited to ")
+    assert "requested" not in verdict.sentence
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_was_cut_is_told_as_the_settings_show_it(sign: float) -> None:
+    to, at = (PidGains(sign * share * GAINS.kp, sign * share * GAINS.ki) for share in (0.12, 0.15))
+    verdict = prove(of_pattern(at, to, PidGains(sign * GAINS.kp, sign * GAINS.ki)), SETTINGS)
+    assert f"kc limited to {0.15 * sign * GAINS.kp:.4g} instead of {0.12 * sign * GAINS.kp:.4g} by " in verdict.sentence
 
 
 def test_what_is_only_safer_says_so() -> None:

@@ -31,9 +31,10 @@ def ids(pairs: list[tuple[Rule, ControllerKind]]) -> list[str]:
 
 def models(types: tuple[ProcessType, ...]) -> st.SearchStrategy[ProcessModel]:
     def build(type_: ProcessType, k: float, tau1: float, share: float, theta: float) -> ProcessModel:
-        lag1 = tau1 if type_ in (T.FOPDT, T.SOPDT, T.SOPDT_INVERSE) else 0.0
-        lag2 = tau1 * share if type_ in (T.SOPDT, T.INTEGRATING_LAG, T.SOPDT_INVERSE) else 0.0
-        return ProcessModel(type_, k, lag1, lag2, theta, inverse_s=theta * share if type_ == T.SOPDT_INVERSE else 0.0)
+        lag1 = tau1 if type_ in (T.FOPDT, T.SOPDT, T.SOPDT_INVERSE, T.TOPDT) else 0.0
+        lag2 = tau1 * share if type_ in (T.SOPDT, T.INTEGRATING_LAG, T.SOPDT_INVERSE, T.TOPDT) else 0.0
+        zero, third = (theta * share if type_ == own else 0.0 for own in (T.SOPDT_INVERSE, T.TOPDT))
+        return ProcessModel(type_, k, lag1, lag2, theta, inverse_s=zero, tau3_s=third)
 
     return st.builds(
         build, st.sampled_from(types), st.floats(0.01, 100), st.floats(1, 50), st.floats(0.05, 1), st.floats(0.5, 20)
@@ -43,7 +44,9 @@ def models(types: tuple[ProcessType, ...]) -> st.SearchStrategy[ProcessModel]:
 def scaled(model: ProcessModel, a: float, g: float) -> ProcessModel:
     per_second = {T.INTEGRATING: 1, T.INTEGRATING_LAG: 1, T.DOUBLE_INTEGRATING: 2}.get(model.type, 0)
     times = (model.tau1_s * a, model.tau2_s * a, model.theta_s * a)
-    return ProcessModel(model.type, model.k * g / a**per_second, *times, inverse_s=model.inverse_s * a)
+    return ProcessModel(
+        model.type, model.k * g / a**per_second, *times, inverse_s=model.inverse_s * a, tau3_s=model.tau3_s * a
+    )
 
 
 def answer(rule: Rule, kind: ControllerKind, model: ProcessModel, a: float = 1.0, g: float = 1.0) -> PidGains | str:

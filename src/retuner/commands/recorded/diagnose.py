@@ -202,7 +202,7 @@ def _process_lines(found: DiagnosedRecord) -> list[str]:
     if model is None or found.result.estimate is None:
         return []
     std = found.result.estimate.log.std()
-    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "theta": model.theta_s}
+    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "tau3": model.tau3_s, "theta": model.theta_s}
     numbers = (
         f"{name} {values[name]:.4g} +- {std[name]:.2g}{' s' if name != 'k' else ''}" for name in values if name in std
     )

@@ -141,8 +141,8 @@ def _contradiction(other: Diagnosis | None) -> list[str]:
 def process_lines(found: Identification) -> list[str]:
     """The model with its standard deviations."""
     model, std = found.estimate.log.model(), found.estimate.log.std()
-    units = {"k": "", "tau1": " s", "tau2": " s", "theta": " s"}
-    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "theta": model.theta_s}
+    units = {"k": "", "tau1": " s", "tau2": " s", "tau3": " s", "theta": " s"}
+    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "tau3": model.tau3_s, "theta": model.theta_s}
     return [f"  {'type':<6} {model.type:>10}"] + [
         f"  {name:<6} {values[name]:10.4g} +- {std[name]:.2g}{unit}" for name, unit in units.items() if name in std
     ]

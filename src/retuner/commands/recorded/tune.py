@@ -32,13 +32,16 @@ class TuneOptions:
 
     type: Annotated[
         str | None,
-        typer.Option(help="fopdt, sopdt, integrating, integrating-lag, double-integrating, delay or sopdt-inverse."),
+        typer.Option(
+            help="fopdt, sopdt, integrating, integrating-lag, double-integrating, delay, sopdt-inverse, topdt."
+        ),
     ] = None
     k: Annotated[float | None, typer.Option(help="Steady-state gain; slope gain of integrating types.")] = None
     tau1: Annotated[float, typer.Option(help="Lag, s.")] = 0.0
     tau2: Annotated[float, typer.Option(help="Second lag, s.")] = 0.0
     theta: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0
     inverse: Annotated[float, typer.Option(help="Inverse response b of 1 - b s, s (sopdt-inverse).")] = 0.0
+    tau3: Annotated[float, typer.Option(help="Third lag, s (topdt).")] = 0.0
     rule: Annotated[str, typer.Option(help="Tuning rule; a wrong name shows the list.")] = "simc"
     kind: Annotated[str | None, typer.Option(help="p, pi or pid; default pi where the rule has it.")] = None
     form: Annotated[str | None, typer.Option(help="series, ideal or parallel; default the rule's own.")] = None
@@ -80,7 +83,7 @@ class TuneOptions:
             Only a part of a model is given, or a value is out of its range.
         """
         if self.type is None:
-            if self.k is not None or any((self.tau1, self.tau2, self.theta, self.inverse)):
+            if self.k is not None or any((self.tau1, self.tau2, self.theta, self.inverse, self.tau3)):
                 raise UserError(f"--type is missing: give one of {', '.join(ProcessType)}")
             return None
         if self.type not in set(ProcessType):
@@ -90,7 +93,7 @@ class TuneOptions:
         self._refuse_inverse()
         with user_input("retuner tune"):
             lags = (self.tau1, self.tau2, self.theta)
-            return ProcessModel(ProcessType(self.type), self.k, *lags, inverse_s=self.inverse)
+            return ProcessModel(ProcessType(self.type), self.k, *lags, inverse_s=self.inverse, tau3_s=self.tau3)
 
     def _refuse_inverse(self) -> None:
         """Refuse an inverse response out of its range, or where the type has none."""
