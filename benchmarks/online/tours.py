@@ -11,9 +11,9 @@ own       the gains of the demo (oven only)
 Counted are responses, and those of them that taught; regions whose set is in spec on the process linearised at their
 centre from their first, second, third, fourth visit on, of those that were visited so often. Some have no such set
 that the guard may let through: SIMC with perfect knowledge of their centre has Ms over 2.1 at their own border; those
-that have are counted apart. Then places in spec and IAE (noise aside) from the second third on, beside a table of SIMC
-with perfect knowledge of each centre; changes that made Ms too large, or a region unstable, at its centre; and the
-largest Ms of what runs at any of PROBES places in the end, beside that of the perfect table.
+that have are counted apart, and the places in them. Then places in spec and IAE (noise aside) from the second third on,
+beside a table of SIMC with perfect knowledge of each centre; changes that made Ms too large, or a region unstable, at
+its centre; and the largest Ms of what runs at any of PROBES places in the end, beside that of the perfect table.
 """
 
 import math
@@ -169,6 +169,7 @@ def run(task: Task) -> Row:
         "opened": task.opened,
         "who": found,
         "bearable": bearable(tour),
+        "where": [sum(sp >= bound for bound in tour.regions.law().bounds) for sp in tour.sps],
         "worst": [_worst(tour, table(list(gains))) for gains in (watching.retuner.table.gains, tour.best)],
         **_told(watching),
         **_harm(tour, watching),
@@ -268,6 +269,12 @@ def _borne(row: Row) -> list[bool]:
     return good_after([visit for visit, ok in zip(visits, row["bearable"], strict=True) if ok], VISITS)
 
 
+def _where_one_can_be(row: Row, who: str) -> list[bool]:
+    """Whether the later places were in spec, of regions that have a set which the guard may let through."""
+    pairs = zip(row["who"][who]["spec"], row["where"], strict=True)
+    return [ok for ok, region in _later(list(pairs)) if row["bearable"][region]]
+
+
 def line(row: Row) -> str:
     """A tour for people."""
     good, borne, parts = good_after(row["who"]["retuner"]["visits"], VISITS), _borne(row), []
@@ -308,10 +315,13 @@ def _line_of(name: str, rows: list[Row]) -> str:
     told = {who: counted(sum(each), len(each)) for who, each in spec.items()}
     borne = [ok for row in rows for ok in _borne(row)]
     told["can"] = counted(sum(borne), len(borne))
+    there = {who: [ok for row in rows for ok in _where_one_can_be(row, who)] for who in ("retuner", "perfect")}
+    told["there"] = " and ".join(f"{sum(each)} ({who})" for who, each in there.items())
     harm = f"worse {sum(row['ms_worse'] for row in rows)}, unstable {sum(row['made_unstable'] for row in rows)}"
     lost = sum(row["who"]["retuner"]["lost"] for row in rows)
     return (
         f"{name:<34}{taught:>12}{good:>34}{statistics.median(ratios):>7.2f}{max(ratios):>7.2f}  "
         f"{told['retuner']} (perfect {told['perfect']}, fixed {told['fixed']}); "
-        f"good after {VISITS} where one set can be: {told['can']}; {harm}, lost {lost}"
+        f"good after {VISITS} where one set can be: {told['can']}; of {len(there['perfect'])} places there "
+        f"{told['there']}; {harm}, lost {lost}"
     )
