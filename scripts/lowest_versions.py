@@ -22,7 +22,9 @@ ENVIRONMENT = ROOT / ".venv-lowest"
 PYTHON = ENVIRONMENT / "bin" / "python"
 STAMP = ENVIRONMENT / "versions.txt"
 TESTS = (
-    "tests/schedule",
+    "tests/schedule/test_table.py",
+    "tests/schedule/test_document.py",
+    "tests/schedule/test_pid.py",
     "tests/adaptive/rules/test_published.py",
     "tests/adaptive/trial/test_judge.py",
     "tests/adaptive/test_experiments.py",

@@ -26,7 +26,7 @@ from retuner.adaptive.controller_settings.search import (
 )
 from retuner.adaptive.indexes.condition import Condition, record_condition
 from retuner.adaptive.indexes.limits import at_limits
-from retuner.adaptive.indexes.recording_quality import recording_quality
+from retuner.adaptive.indexes.recording_quality import quantum, recording_quality
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.forms import Form, in_form
 from retuner.schedule.gains import PidGains
@@ -147,8 +147,9 @@ def settings_in_force(
 
 def _compressed(window: Window, usable: BoolArray, settings: LawSettings) -> str:
     """Whether a recorder left out the movements of pv or co: the sentence, or nothing."""
+    coarse = quantum(window.pv) > 0  # while such a pv stands, integral action draws straight lines
     for name, values in (("pv", window.pv), ("co", window.co[1:][usable])):
-        quality = recording_quality(values)
+        quality = None if coarse and name == "co" else recording_quality(values)
         if quality is not None and quality.compression > settings.compression_limit:
             return f"{name} was compressed {quality.compression:.0f} times by its recorder: its movements are lost"
     return ""

@@ -158,8 +158,12 @@ def _doubt(found: Regression) -> float:
 
 
 def _plausible(found: Regression, window: Window) -> bool:
-    """Whether all gains act one way, and a derivative is more than a shift in time between pv and co."""
-    least = LEAST_DERIVATIVE * window.sample_time_s * abs(found.values.get("kp", 0.0))
+    """Whether all gains act one way, and a derivative is more than a shift in time between pv and co.
+
+    Behind a filter that is slower than itself it is none: a slow one makes a proportional term of it.
+    """
+    slowest = max(LEAST_DERIVATIVE * window.sample_time_s, found.structure.tau_f_s)
+    least = slowest * abs(found.values.get("kp", 0.0))
     return signs_agree(found.values) and abs(found.values.get("kd", math.inf)) > least
 
 

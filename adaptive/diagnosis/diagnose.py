@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, counted
+from retuner.adaptive.diagnosis.enough_data import FEWEST_SAMPLES
 from retuner.adaptive.diagnosis.rival_fits import external, linear, sharper
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
@@ -190,8 +191,13 @@ def diagnose_window(
 
 
 def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> Found:
-    """Undecided, where too much of a record was filled with the last values for a verdict on the tuning."""
+    """Undecided, where a record has too few samples to be called noise, or too much of it was filled with the last
+    values for a verdict on the tuning.
+    """
     told = found.diagnosis
+    if told.cause == Cause.NOISE and len(window.t_s) < FEWEST_SAMPLES:
+        reason = TOO_FEW.format(samples=len(window.t_s), fewest=FEWEST_SAMPLES)
+        return replace(found, diagnosis=replace(told, cause=Cause.UNKNOWN, confidence=0.9, reason=reason))
     decided = told.cause == Cause.UNKNOWN and told.confidence > UNDECIDED
     if decided or told.cause not in TUNING_CAUSES | {Cause.OK, Cause.UNKNOWN}:
         return found
@@ -206,6 +212,7 @@ def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> F
     return replace(found, diagnosis=verdict, tuning=None, aim=None)
 
 
+TOO_FEW = "{samples} samples do not tell movement from noise: {fewest} and more are needed"
 UNDECIDED = 0.5
 """Confidence of an answer that leaves the cause open."""
 

@@ -113,12 +113,12 @@ def unconfirmed(
     excitation: Excitation,
     swing: SwingSettings,
     settings: DiagnosisSettings,
-    wanted: Cause | None = None,
+    wanted: Diagnosis | None = None,
 ) -> Diagnosis | None:
     """Why a case that is not clear may not change gains, None when the whole diagnosis names the tuning.
 
-    samples : kept, the newest last. gains : in force. excitation : this response included. wanted : cause for which
-    they would be changed, None where no model named one.
+    samples : kept, the newest last. gains : in force. excitation : this response included. wanted : why they would
+    be changed, None where no model said so.
     """
     if not excitation.setpoints and excitation.loads < swing.fewest_loads:
         reason = "one load response is not enough: another one, or a setpoint step, is needed"
@@ -133,8 +133,8 @@ def unconfirmed(
     length_s = response.t_end_s - response.t_start_s
     seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
     found = _diagnosed(from_rest(seen, response, swing), response, gains, swing, settings)
-    if found.cause in TUNING_CAUSES and _other_way(found.cause, wanted):
-        reason = f"the model of this region gives {wanted}, this record alone gives {found.cause}: {found.reason}"
+    if found.cause in TUNING_CAUSES and wanted is not None and _swings(found, settings) != _swings(wanted, settings):
+        reason = f"the model of this region gives {wanted.cause}, this record alone gives {found.cause}: {found.reason}"
         found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
     return None if found.cause in TUNING_CAUSES else found  # the settings are those of the region's model
 
@@ -175,9 +175,10 @@ def last_two(samples: list[LoopSample], response: Response, settings: SwingSetti
     return samples
 
 
-def _other_way(found: Cause, wanted: Cause | None) -> bool:
-    """Whether two causes of tuning ask for opposite changes."""
-    return wanted is not None and (found in SWINGING) != (wanted in SWINGING)
+def _swings(told: Diagnosis, settings: DiagnosisSettings) -> bool:
+    """Whether a loop is to be calmed. A gain that could be larger at a good Ms asks for more, by whichever name."""
+    peak = told.evidence.get("ms", math.inf)
+    return told.cause is Cause.AGGRESSIVE or (told.cause is Cause.SLOW_INTEGRATING and peak > settings.cause.ms_high)
 
 
 def from_rest(samples: list[LoopSample], response: Response, settings: SwingSettings) -> list[LoopSample]:

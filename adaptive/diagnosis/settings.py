@@ -48,7 +48,8 @@ class DiagnosisSettings:
     tone_cycles : of a tone that is believed where the loop's own explanation leaves the cause open; default 3.
         tone_size : and its amplitude in standard deviations of pv; 0.2 to 1.2, default 0.4.
     many_loads : load steps from which a record is taken to be disturbed all along; 3 to 12, default 5.
-        many_loads_beside : the same beside setpoint steps; default 4 (a slipping valve looks like loads).
+        many_loads_beside : the same beside setpoint steps, where these are not more; default 4 (a slipping valve looks
+        like loads).
     spread_limit : largest spread of ln |C| over the plausible models with which the cause may still be told where
         identification alone would not give settings; 0.2 to 1, default 0.5.
     second_explained : what a fit may leave, in times the noise, for a doubt by load steps or by a tone to be put to a

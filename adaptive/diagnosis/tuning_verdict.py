@@ -347,7 +347,7 @@ def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSet
     if left > (settings.explained_steps if steps > 1 else settings.explained):
         leave = "1 load step leaves" if loads == 1 else f"{loads:.0f} load steps leave"
         return f"an unexplained disturbance: {leave} a residual of {left:.1f} times the noise"
-    if loads >= (settings.many_loads_beside if steps else settings.many_loads):
+    if loads >= (max(settings.many_loads_beside, steps) if steps else settings.many_loads):
         return f"an unexplained disturbance: {loads:.0f} load steps explain the record, and so many explain any"
     return ""
 

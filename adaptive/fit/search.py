@@ -224,7 +224,7 @@ def with_inverse(smaller: Fit, type_: ProcessType, count: int = 2) -> Fit:
     return min((refine(misfit, points[i]) for i in order), key=lambda f: f.deviance)
 
 
-def with_third(smaller: Fit, type_: ProcessType, count: int = 2) -> Fit:
+def with_third(smaller: Fit, type_: ProcessType, count: int = 1) -> Fit:
     """The structure with a third lag, refined from shares of the dead time that become one.
 
     Also from a pair of poles that swings, in the place of dead time and second lag, behind the long one.
@@ -238,15 +238,19 @@ def with_third(smaller: Fit, type_: ProcessType, count: int = 2) -> Fit:
         x[THETA] = math.log(theta * (1 - share))
         times = np.maximum(smaller.p[d : d + loads] - lag, 0.0)
         points.append(np.concatenate([x[: THIRD[type_]], [math.log(lag)], times, smaller.p[d + loads :]]))
-    points.append(_behind_a_lag(smaller, misfit))
+    points.append(behind_a_lag(smaller, misfit))
     order = np.argsort(misfit.costs(points), kind="stable")[:count]
     return min((_sorted(refine(misfit, points[i])) for i in order), key=lambda f: f.deviance)
 
 
-def _behind_a_lag(smaller: Fit, misfit: Misfit) -> FloatArray:
-    """p of a long lag and a pair of poles that is as late as dead time and second lag together."""
+def behind_a_lag(smaller: Fit, misfit: Misfit) -> FloatArray:
+    """p of a long lag and a pair of poles that is as late as dead time and second lag together.
+
+    smaller : of first or second order. misfit : of third order.
+    """
     d, loads, type_ = SIZE[smaller.misfit.type], smaller.misfit.loads, smaller.misfit.type
-    theta, total, c2 = (math.exp(smaller.x[place]) for place in (THETA, LAG[type_], SECOND[type_]))
+    theta, total = math.exp(smaller.x[THETA]), math.exp(smaller.x[LAG[type_]])
+    c2 = math.exp(smaller.x[SECOND[type_]]) if type_ in SECOND else 0.0
     pair = min(c2 + theta * THIRD_SHARES[-1], total)
     gain = smaller.x[SLOPE] + math.log(total / pair)
     x = [gain, math.log(theta * (1 - THIRD_SHARES[-1])), *np.log([pair, SWINGING_THIRD * pair, total])]

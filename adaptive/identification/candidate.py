@@ -30,6 +30,12 @@ class Candidate:
         """Whether it was fitted with the filter that its remainder asks for."""
         return self.fit.misfit.ar == self.colour.ar
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether its loads are steps that come at once, without a drift beside them."""
+        misfit = self.fit.misfit
+        return not (misfit.rounded or misfit.ramp or misfit.corners)
+
 
 def judged(fit: Fit, prior: Prior | None = None) -> Candidate:
     """What a fit leaves, and its criterion: the share of a prior belongs to it, and what rests say (rests.py)."""
@@ -72,9 +78,12 @@ class Seen:
             key=lambda c: c.criterion,
         )
 
-    def by_loads(self, type_: ProcessType, sign: int, most: int) -> list[Candidate]:
-        """The best of a structure and sign with 0, 1, ... load steps, up to `most` of them; those that were tried."""
-        of = sorted(self._all, key=lambda c: -c.criterion)
+    def by_loads(self, type_: ProcessType, sign: int, most: int, *, plain: bool = False) -> list[Candidate]:
+        """The best of a structure and sign with 0, 1, ... load steps, up to `most` of them; those that were tried.
+
+        plain : of those whose loads are steps at once, without a drift beside them.
+        """
+        of = sorted((c for c in self._all if not plain or c.is_plain), key=lambda c: -c.criterion)
         found = {c.fit.misfit.loads: c for c in of if (c.fit.misfit.type, c.fit.misfit.sign) == (type_, sign)}
         return [found[loads] for loads in sorted(found) if loads <= most]
 

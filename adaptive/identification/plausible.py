@@ -43,6 +43,8 @@ SHORTER, SHORTER_STEPS = 0.5, 5
 """Factor by which an axis is shortened where it rises more, so many times at the most."""
 REACH_EVALUATIONS = 6
 """Evaluations of the misfit at one of its ends."""
+SAME = 1e-3
+"""Two optima of a structure whose logarithms differ by no more are one."""
 VALLEY_EVALUATIONS = 15
 """Evaluations of the misfit at one point of the valley."""
 
@@ -72,18 +74,33 @@ def _rivals(found: list[Candidate]) -> list[Plausible]:
     The price of one parameter more tells which structure to name, not that the other is wrong: an integrator under a
     drifting load and a lag with thirty times the dead time were seen to leave the same.
     """
-    best = found[0]
+    best, others = found[0], _different(found)
     n, size = len(best.fit.misfit.record.pv), SIZE[best.fit.misfit.type]
     rounding = 0 if best.fit.misfit.rounded else ROUNDING_COST
     more = [
-        (max(SIZE[c.fit.misfit.type] - size, 0) + rounding * int(c.fit.misfit.rounded)) * math.log(n) for c in found[1:]
+        (max(SIZE[c.fit.misfit.type] - size, 0) + rounding * int(c.fit.misfit.rounded)) * math.log(n) for c in others
     ]
-    excess = [max(c.criterion - best.criterion - price, 0.0) for c, price in zip(found[1:], more, strict=True)]
+    excess = [max(c.criterion - best.criterion - price, 0.0) for c, price in zip(others, more, strict=True)]
     return [
         Plausible(model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign), e)
-        for c, e in zip(found[1:], excess, strict=True)
+        for c, e in zip(others, excess, strict=True)
         if e < MOST_EXCESS
     ]
+
+
+def _different(found: list[Candidate]) -> list[Candidate]:
+    """All but the best, each optimum once: a model found from two starts is not twice as likely."""
+    kept = found[:1]
+    for c in found[1:]:
+        if not any(c.fit.misfit.type == k.fit.misfit.type and _apart(c, k) < SAME for k in kept):
+            kept.append(c)
+    return kept[1:]
+
+
+def _apart(one: Candidate, other: Candidate) -> float:
+    """Largest difference of a logarithm; infinite for another sign of the gain."""
+    same = one.fit.misfit.sign == other.fit.misfit.sign
+    return float(np.max(np.abs(one.fit.x - other.fit.x))) if same else math.inf
 
 
 def _axes(fit: Fit, covariance: FloatArray, prior: Prior | None, at: float) -> list[tuple[FloatArray, float]]:

@@ -16,7 +16,7 @@ import numpy as np
 from retuner.adaptive.fit.misfit import MOST_ORDER, Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import EXACT, Fit, refine
-from retuner.adaptive.fit.search import long_lag, starts, with_inverse, with_second_lag, with_third
+from retuner.adaptive.fit.search import behind_a_lag, long_lag, starts, with_inverse, with_second_lag, with_third
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.identification.corners import asked_for, with_corners
@@ -39,6 +39,10 @@ RELATIVE_MOVES = 2
 """Moves with which the other structures may still improve in the winner's clothes."""
 FAR = 1.3
 """A remainder this many times the noise asks for a wider search."""
+SWALLOWED = 5.0
+"""What is left over the noise of pv from which a filter hides loads: noise itself is seen at a third of it at least."""
+WHITE_MOVES = 40
+"""Moves tried for loads in what is taken for white: a dozen of them, each found, shifted and tried without."""
 CLOSE = 12.0
 """Rivals within this of the best criterion are kept (a likelihood ratio of e^-6)."""
 
@@ -86,6 +90,10 @@ def candidates(
     for seed in _seeds(rivals):
         improved(seed, settings.most_loads, seen)
     winner = seen.best()
+    if settings.most_loads and _swallows(winner):
+        for found in _loads_first(rivals, settings.most_loads):
+            seen.add(improved(found, settings.most_loads, seen, RELATIVE_MOVES))
+        winner = seen.best()
     if asked_for(winner) and not np.any(np.diff(window.sp)):
         with_corners([winner, *_few_loads(rivals)], settings.most_loads, seen)
         winner = seen.best()
@@ -121,6 +129,27 @@ def _seeds(rivals: list[Candidate]) -> list[Candidate]:
     calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
     drifting = {c.fit.misfit.type: c for c in reversed(same) if c.fit.misfit.ramp}
     return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting.values()]))
+
+
+def _swallows(winner: Candidate) -> bool:
+    """Whether a filter takes for coloured noise what is many times the noise: loads that were not found yet."""
+    record = winner.fit.misfit.record
+    return bool(winner.colour.ar) and float(np.std(record.pv - winner.fit.explained)) > SWALLOWED * record.noise_std
+
+
+def _loads_first(rivals: list[Candidate], most_loads: int) -> list[Candidate]:
+    """The best of each sign where all that is left counts as white, so that it pays to find its loads one by one.
+
+    Beside a filter each load alone pays little while the others are still in what is left: the way to all of them goes
+    uphill.
+    """
+    found = []
+    for sign in {c.fit.misfit.sign for c in rivals}:
+        first = next(c.fit for c in rivals if (c.fit.misfit.sign, c.fit.misfit.type) == (sign, FIRST))
+        white = judged(refine(replace(first.misfit, most_order=0), first.p))
+        fit = improved(white, most_loads, Seen([]), WHITE_MOVES).fit
+        found.append(judged(replace(fit, misfit=replace(fit.misfit, most_order=first.misfit.most_order))))
+    return found
 
 
 def _few_loads(rivals: list[Candidate]) -> list[Candidate]:
@@ -192,10 +221,16 @@ def _relatives(winner: Candidate, seen: Seen, *, inverse: bool) -> list[Candidat
 
 
 def _larger(winner: Candidate, seen: Seen) -> list[Candidate]:
-    """An inverse response and a third lag, with as many load steps as the winner or fewer: these can pass for one."""
+    """An inverse response and a third lag, with as many load steps as the winner or fewer: these can pass for one.
+
+    So can a load's own lag and a drift: behind a first order, the third lag is looked for without them.
+    """
     misfit = winner.fit.misfit
-    found = []
-    for type_, enlarged in ((INVERSE, with_inverse), (THIRD, with_third)):
-        tried = [judged(enlarged(c.fit, type_)) for c in seen.by_loads(SECOND, misfit.sign, misfit.loads)]
-        found.append(min(tried, key=lambda c: c.criterion))
-    return found
+    seconds = seen.by_loads(SECOND, misfit.sign, misfit.loads)
+    firsts = seen.by_loads(FIRST, misfit.sign, misfit.loads, plain=True)
+    zeros = [judged(with_inverse(c.fit, INVERSE)) for c in seconds]
+    thirds = [judged(with_third(c.fit, THIRD)) for c in seconds]
+    for c in firsts:
+        larger = replace(c.fit.misfit, type=THIRD)
+        thirds.append(judged(refine(larger, behind_a_lag(c.fit, larger))))
+    return [min(tried, key=lambda c: c.criterion) for tried in (zeros, thirds)]

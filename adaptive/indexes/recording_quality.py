@@ -16,6 +16,7 @@ signal stands still as well; its compression cannot be told and counts as 1.
                   have missed the signal by more. So the smallest misses of the kept points tell it.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,10 @@ from retuner.adaptive.signals.sample import FloatArray
 
 STRAIGHT = 1e-6
 """A second difference below this share of the signal's range is zero."""
+FURTHER = 10
+"""Samples on either side over which a line of printed values must be straight as well: a slow curve is not."""
+MOST_DECIMALS = 5
+"""Values printed with more decimals than these are straight enough without them."""
 ON_GRID = 0.05
 """How near to a whole number of quanta a value must be, in quanta."""
 GRID_SHARE = 0.99
@@ -56,11 +61,53 @@ def recording_quality(x: FloatArray) -> RecordingQuality | None:
         return None
     steps = np.diff(x)
     step = quantum(x)
-    straight = 0 if step else int(np.sum(np.abs(np.diff(steps)) <= STRAIGHT * span))
+    straight = 0 if step else int(np.sum(_on_lines(x)))
     noise = min(noise_sigma(x) ** 2 / float(np.var(x)), 1.0)
     return RecordingQuality(noise, step, float(np.mean(steps == 0)), len(x) / (len(x) - straight))
 
 
+def _on_lines(x: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which samples but the first and the last lie on a straight line with their neighbours, shape (n - 2,).
+
+    Lines that were printed with few decimals are straight to twice the last digit only, near by and further off.
+    """
+    bend, span = np.abs(np.diff(x, 2)), float(np.ptp(x))
+    straight = np.asarray(bend <= STRAIGHT * span, dtype=np.bool_)
+    digit = _last_digit(x)
+    if digit and len(x) > 2 * FURTHER:
+        wide = np.full(len(bend), math.inf)
+        wide[FURTHER - 1 : len(bend) - FURTHER + 1] = np.abs(
+            x[: -2 * FURTHER] - 2 * x[FURTHER:-FURTHER] + x[2 * FURTHER :]
+        )
+        straight |= (bend <= PRINTED * digit) & (wide <= PRINTED * digit)
+    return straight
+
+
+PRINTED = 2.0 + 1e-6
+"""Digits by which a second difference of rounded values on a line may be off."""
+
+
+def _kept(x: FloatArray) -> npt.NDArray[np.int64]:
+    """The samples at which lines meet; where they were printed with few decimals, the sharpest of each bend."""
+    bends = np.flatnonzero(~_on_lines(x)) + 1
+    if not len(bends) or not _last_digit(x):
+        return bends
+    groups = np.split(bends, np.flatnonzero(np.diff(bends) > 1) + 1)
+    sharp = np.abs(np.diff(x, 2))
+    return np.array([int(group[np.argmax(sharp[group - 1])]) for group in groups])
+
+
+def _last_digit(x: FloatArray) -> float:
+    """The last decimal with which values were printed, in their units; 0 where they have too many."""
+    for decimals in range(MOST_DECIMALS + 1):
+        scaled = x * 10**decimals
+        if float(np.max(np.abs(scaled - np.round(scaled)))) < PRINTED_TO:
+            return 10.0**-decimals
+    return 0.0
+
+
+PRINTED_TO = 1e-6
+"""Rounding of doubles, in last digits."""
 LEAST_STRAIGHT = 0.4
 """Share of the samples on straight lines from which a recorder drew them."""
 SMALLEST_MISSES = 0.2
@@ -76,12 +123,15 @@ def hidden_sigma(x: FloatArray) -> float:
     span = float(np.ptp(x))
     if span <= 0 or quantum(x):
         return 0.0
-    bends = np.flatnonzero(np.abs(np.diff(x, 2)) > STRAIGHT * span) + 1
-    straight, steps = 1 - len(bends) / len(x), np.diff(x)
+    on_lines, bends, steps = _on_lines(x), _kept(x), np.diff(x)
+    straight = (float(np.sum(on_lines)) + 2) / len(x)
     if len(bends) < FEWEST_KEPT or straight < LEAST_STRAIGHT:
         return 0.0
     held = float(np.mean(steps == 0)) > HELD * straight
     misses = np.abs(steps)[steps != 0] if held else _misses(x, bends)
+    misses = misses[misses > _last_digit(x)]
+    if not misses.size:
+        return 0.0
     return float(np.quantile(misses, SMALLEST_MISSES)) / 3**0.5
 
 

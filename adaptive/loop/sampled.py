@@ -9,11 +9,15 @@ one turn (Cauchy's formula by fast Fourier transform, Abate & Whitt 1992).
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+
+Spectrum = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +47,30 @@ OVERSAMPLED = 4
 """Points on the circle for each sample."""
 ALIAS = 1e-14
 """What the first term of the next turn round the circle counts in this one."""
+BEFORE = 1e-6
+"""Share of the largest value that rounding may leave in the last quarter of the turn, which is before the step."""
+
+
+@lru_cache(maxsize=64)
+def _on_the_circle(law: SampledLaw, n: int, size: int) -> tuple[Spectrum, Spectrum]:
+    """c_r and c_y on the circle: the same for every process that is tried."""
+    shrunk = ALIAS ** (np.arange(n) / size)
+    from_sp, from_pv = (np.fft.rfft(series * shrunk, size) for series in law.series(n))
+    return from_sp, from_pv
 
 
 def setpoint_response(held: FloatArray, law: SampledLaw) -> FloatArray:
     """pv after a unit setpoint step in sample 0, shape (n,).
 
-    held : pv after co has stepped by one in sample 0, shape (n,), 0 in sample 0: co acts from then on. Of a loop that
-    runs away the numbers are as large as its response, and wrong.
+    held : pv after co has stepped by one in sample 0, shape (n,), 0 in sample 0: co acts from then on. Not a number
+    where the loop runs away so fast that its poles lie outside the circle: what is found then came before the step.
     """
     n = len(held)
     size = 1 << (OVERSAMPLED * n - 1).bit_length()
     shrunk = ALIAS ** (np.arange(n) / size)
     pulse = np.fft.rfft(np.diff(held, prepend=0.0) * shrunk, size)
-    from_sp, from_pv = (np.fft.rfft(series * shrunk, size) for series in law.series(n))
-    turned = np.fft.irfft(pulse * from_sp / (1 + pulse * from_pv), size)[:n]
-    return np.asarray(np.cumsum(turned / shrunk), dtype=np.float64)
+    from_sp, from_pv = _on_the_circle(law, n, size)
+    turned = np.fft.irfft(pulse * from_sp / (1 + pulse * from_pv), size)
+    if not np.max(np.abs(turned[-size // OVERSAMPLED :])) <= BEFORE * np.max(np.abs(turned)):
+        return np.full(n, np.nan)
+    return np.asarray(np.cumsum(turned[:n] / shrunk), dtype=np.float64)

@@ -57,7 +57,13 @@ class Nudger:
         wanted = self._wanted() if free and retuner.open_question is None else ""
         low, high = self._room()
         hour = self._hour_of(sample.t_s)
-        return LoopAround(retuner.at_rest, wanted, hour, retuner.band, low, high, self._may_write())
+        return LoopAround(retuner.at_rest, wanted, hour, retuner.band, low, high, self._may_write(), self._reset_s())
+
+    def _reset_s(self) -> float:
+        """Integral time of the gains in force, seconds; 0 without integral action."""
+        region = self._retuner.region
+        gains = self._retuner.table.gains_of(region) if region is not None else None
+        return abs(gains.kp / gains.ki) if gains is not None and gains.ki else 0.0
 
     def _may_write(self) -> bool:
         """Whether the mode of the region allows retuner to write by itself."""
@@ -81,6 +87,8 @@ class Nudger:
             return f'what is known of the process in region "{name}" does not carry settings'
         if not retuner.excitation.get(region, Excitation()).setpoints:
             return f'what is known of the process in region "{name}" rests on loads alone'
+        if self.planner.restless and not model.sequences:
+            return f'loads move the loop all the time, and what is known of region "{name}" rests on single responses'
         if model.records <= ONCE:
             return f'region "{name}" has shown its process once only'
         return ""

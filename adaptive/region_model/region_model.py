@@ -10,7 +10,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.signals.to_and_fro import Averaged
+from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 
 POINTS = 12
 """So many of the last records are remembered by what they said alone."""
@@ -85,7 +85,7 @@ class RegionModel:
     points : the last POINTS records by themselves, oldest first. plausible : models that the posterior still allows,
     by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
     windows : the records themselves while they are few, for the next one to be fitted with them (together.py).
-    averages : of setpoint steps to and fro, where what is known rests on these (averages.py); the newest last.
+    sequences : setpoint steps to and fro that were made here (sequences.py); the newest last.
     """
 
     known: tuple[StructureModel, ...]
@@ -97,7 +97,7 @@ class RegionModel:
     identifiable: bool = True
     reason: str = ""
     windows: tuple[Window, ...] = ()
-    averages: tuple[Averaged, ...] = ()
+    sequences: tuple[SetpointSteps, ...] = ()
 
     @property
     def log(self) -> LogModel:

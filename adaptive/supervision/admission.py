@@ -31,6 +31,9 @@ EVERYWHERE = (-math.inf, math.inf)
 RANGE_ROOM = 0.1
 """Share of the transmitter's range by which pv may stand outside of it: ranges are rounded, sensors reach further."""
 
+AT_END = 1e-3
+"""Share of the range by which pv may be off its end and count as clipped there: converters end a count before it."""
+
 
 class Ground(StrEnum):
     """Grounds for admitting a response or not; the value is the sentence, with its numbers by name."""
@@ -44,6 +47,9 @@ class Ground(StrEnum):
     PV_STUCK = (
         "pv stood at exactly {stuck_at:g} for {stuck:.0f} samples, without its noise: a sensor or a signal that is "
         "stuck"
+    )
+    PV_CLIPPED = (
+        "pv stood at {stuck_at:g}, the end of its range, for {stuck:.0f} samples: where it really was is not known"
     )
     LOST_SAMPLES = "{lost_share:.0%} of the samples were lost (limit {limit:.0%})"
     IRREGULAR = "{uneven_share:.0%} of the samples came at uneven times (limit {limit:.0%})"
@@ -318,7 +324,10 @@ def _sensor_lives(seen: _Seen) -> _Counted:
     found = stood_still(seen.kept, len(seen.window.t_s))
     if found is None:
         return _Counted(AdmissionNumbers())
-    return _Counted(AdmissionNumbers(stuck=float(found.samples), stuck_at=found.pv), Ground.PV_STUCK)
+    room = AT_END * (seen.pv_range[1] - seen.pv_range[0])
+    clipped = any(abs(found.pv - end) <= room for end in seen.pv_range if math.isfinite(end))
+    numbers = AdmissionNumbers(stuck=float(found.samples), stuck_at=found.pv)
+    return _Counted(numbers, Ground.PV_CLIPPED if clipped else Ground.PV_STUCK)
 
 
 def _telemetry(seen: _Seen) -> _Counted:

@@ -6,7 +6,6 @@ A swing without a setpoint step is put to its rivals before anything is learned 
 open, after; and a change that follows from a case that is not clear, before the gains change.
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -40,13 +39,14 @@ from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.guard.request import Support
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import log_controller
-from retuner.adaptive.region_model.averages import update_by_averages
 from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.sequences import update_by_sequences
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, Averaged, ToAndFro, averaged, joined, to_and_fro
+from retuner.adaptive.signals.setpoint_steps import setpoint_steps
+from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, ToAndFro, to_and_fro
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import tuning_of, unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
@@ -64,9 +64,9 @@ __all__ = [
     "NOT_CONFIRMED",
     "SWINGING",
     "TOWARDS_SAFETY",
-    "beside_averages",
+    "beside_sequences",
     "borne_out",
-    "by_averages",
+    "by_sequences",
     "clear_case",
     "cut_refuted",
     "doubt_of",
@@ -97,75 +97,75 @@ SURELY_TO_AND_FRO = 2
 """Whole steps from which large ones are taken for steps to and fro: a person may set back by twice what he had set."""
 SMALL_STEP = 0.05
 """Share of pv's span up to which one whole step is enough: as large as bumps are made."""
+WHOLE = 2.01
+"""A whole step of a bump to and fro over the bump, rounding included."""
 PART = "to_and_fro"
 """Code: the response is a part of what is judged as a whole."""
 
 
 def joining(found: Findings) -> None:
     """Is the response one of several to setpoint steps to and fro, which say together what none says alone?"""
-    record = found.record
-    steps = to_and_fro(record.samples)
-    if steps is None or record.entered_s > record.samples[steps.whole[0]].t_s:  # in another region
+    record, sequence = found.record, to_and_fro(found.record.samples)
+    if sequence is None or record.entered_s > record.samples[sequence.whole[0]].t_s:  # in another region
         return
-    began_s, seen = record.response.t_start_s, len(steps.whole)
-    half = abs(record.samples[steps.opened].sp - steps.base)
+    began_s, seen = record.response.t_start_s, len(sequence.whole)
+    half = abs(record.samples[sequence.opened].sp - sequence.base)
     if seen < SURELY_TO_AND_FRO and half > SMALL_STEP * found.settings.pv_span:
         return
-    closed_s = record.samples[steps.closed].t_s if steps.closed is not None else math.inf
-    after = closed_s - record.samples[steps.whole[-1]].t_s
-    if began_s > closed_s + after:
+    if sequence.closed is None or seen < WHOLE_STEPS:
+        found.stop(
+            PART, "one of several setpoint steps to and fro: they are judged together, when the setpoint is back"
+        )
         return
-    late_s = began_s - record.samples[steps.whole[-1]].t_s
-    last = abs(late_s) <= TAKEN_SAMPLES * found.settings.sample_time_s
-    if seen < WHOLE_STEPS or not (last and record.response.sp_changed):
-        found.stop(PART, f"one of {WHOLE_STEPS} setpoint steps to and fro: they are judged together, at the last one")
+    closed_s = record.samples[sequence.closed].t_s
+    if began_s > closed_s + TAKEN_SAMPLES * found.settings.sample_time_s:
         return
-    one = joined(record.samples, steps, found.settings.band_sigmas)
-    if one is None:
-        found.stop(PART, "the setpoint steps to and fro show nothing together: the output stood at a limit, or no step")
-        return
-    found.joined = WHOLE_STEPS
-    found.averaged = _averaged(found, steps)
-    found.question = replace(
-        found.question, record=replace(record, response=one.response, window=one.window, samples=tuple(one.samples))
-    )
+    _as_one(found, sequence)
 
 
-def _averaged(found: Findings, steps: ToAndFro) -> Averaged | None:
-    """What is kept of the steps, where what is known of the region rests on such steps or on loads alone."""
+def _as_one(found: Findings, sequence: ToAndFro) -> None:
+    """The steps as one record, once."""
     record, settings = found.record, found.settings
     known = record.region_models.get(record.region)
-    apart = known is not None and known.identifiable and record.excitation.setpoints and not known.averages
-    if apart or record.crossed or record.table.lookup is Lookup.INTERPOLATED:
-        return None
-    return averaged(record.samples, steps, record.in_force, (settings.setpoint_weight, settings.filter_s))
+    began_s = record.samples[sequence.opened].t_s
+    if known is not None and any(one.t_s > began_s for one in known.sequences):
+        found.stop(PART, "the setpoint steps to and fro were judged together before")
+        return
+    law = settings.setpoint_weight, settings.filter_s
+    apart = record.crossed or record.table.lookup is Lookup.INTERPOLATED
+    found.steps = None if apart else setpoint_steps(record.samples, sequence, record.in_force, law)
+    if found.steps is None:
+        found.stop(PART, "the setpoint steps to and fro show nothing: co did not follow its control law all the time")
+        return
+    found.joined = len(sequence.whole) + 2
+    calm = replace(record, response=replace(record.response, peaks=()))  # its peaks are the load's as well
+    found.question = replace(found.question, record=calm)
 
 
-def by_averages(found: Findings) -> Learned | None:
-    """What setpoint steps to and fro teach by what is known of the setpoint alone; None for anything else."""
-    if found.averaged is None:
-        return None
+def by_sequences(found: Findings) -> Learned | None:
+    """What setpoint steps to and fro teach by what is known of the setpoint alone."""
+    assert found.steps is not None
     record, settings = found.record, found.settings
     known = record.region_models.get(record.region)
-    averages = (*(known.averages if known is not None else ()), found.averaged)
+    sequences = (*(known.sequences if known is not None else ()), found.steps)
     law, sign = (settings.setpoint_weight, settings.filter_s), record.in_force.direction
-    return update_by_averages(known, averages, sign, settings.tracker, settings.fit, law, record.at)
+    return update_by_sequences(known, sequences, sign, settings.tracker, settings.fit, law, record.at)
 
 
-def beside_averages(found: Findings, learned: Learned) -> Learned:
-    """What is learned, where what is known rests on averages of steps to and fro: no load may add to these, and no
-    small step by itself.
+def beside_sequences(found: Findings, learned: Learned) -> Learned:
+    """What is learned, where what is known rests on steps to and fro: no load may add to these, and no small step by
+    itself.
 
     They are made where loads never rest, and one response shows such a load as much as its process.
     """
     before = found.record.region_models.get(found.record.region)
-    if before is None or not before.averages or found.averaged is not None:
+    if before is None or not before.sequences or found.steps is not None:
         return learned
     moved = float(np.ptp(found.record.window.sp))
-    if not found.record.response.sp_changed or moved <= SMALL_STEP * found.settings.pv_span:
+    if not found.record.response.sp_changed or moved <= WHOLE * SMALL_STEP * found.settings.pv_span:
         return replace(learned, region_model=before, agreement=Agreement.SILENT)
     now = learned.region_model
-    return learned if now is None else replace(learned, region_model=replace(now, averages=before.averages))
+    return learned if now is None else replace(learned, region_model=replace(now, sequences=before.sequences))
 
 
 def wrong_way(found: Findings) -> Diagnosis | None:
@@ -264,9 +264,9 @@ STILL_ALIVE = (
 
 
 def hidden(found: Findings) -> Diagnosis | None:
-    """What hides under a response that its own model leaves open; of averaged steps their scatter has told."""
+    """What hides under a response that its own model leaves open; the loads before steps to and fro have told it."""
     record, settings = found.record, found.settings
-    if found.averaged is not None:
+    if found.steps is not None:
         return None
     if found.growth is not None or found.unexplained <= settings.swing.unexplained:
         return None
@@ -343,8 +343,8 @@ def clear_case(found: Findings, learned: Learned) -> bool:
     One that crossed a border is where it is a setpoint step that the process in motion explains by itself.
     """
     record, loads = found.record, len(learned.estimate.load_times_s)
-    if found.averaged is not None:
-        return learned.estimate.identifiable
+    if found.steps is not None:
+        return learned.estimate.identifiable and learned.agreement is not Agreement.CONTRADICTS
     if record.crossed:
         return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
     return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
@@ -353,7 +353,7 @@ def clear_case(found: Findings, learned: Learned) -> bool:
 def not_as_modelled(found: Findings) -> Diagnosis | None:
     """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
     record, cause, settings = found.record, found.diagnosis, found.settings
-    if record.pattern is None or (found.averaged is not None and not record.response.peaks):
+    if record.pattern is None or found.steps is not None:
         return None
     allowed = found.verdict.allowed if found.verdict else ()
     if cause is None or cause.cause not in SWINGING or not allowed or _swings_wider(record, settings):
@@ -405,10 +405,10 @@ def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionMo
     )
 
 
-def doubt_of(found: Findings, wanted_for: Cause | None = None) -> Diagnosis | None:
+def doubt_of(found: Findings, wanted_for: Diagnosis | None = None) -> Diagnosis | None:
     """Why the whole diagnosis does not confirm a change, None when it does.
 
-    wanted_for : cause for which the gains would be changed, None where no model named one.
+    wanted_for : why the gains would be changed, None where no model says so.
     """
     record, settings = found.record, found.settings
     return unconfirmed(

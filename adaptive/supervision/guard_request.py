@@ -32,9 +32,10 @@ from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
-from retuner.adaptive.trial.judge import JudgedResponse
+from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
+from retuner.adaptive.trial.random_walk import explained_by_a_walk
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.wander import wander_of
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
@@ -297,13 +298,13 @@ def promise_of(
 
 
 def promised(found: Findings, verdict: Verdict) -> Promise | None:
-    """What the gains of a verdict promise; how the averaged stretches differ is what loads do by themselves."""
+    """What the gains of a verdict promise; how pv moved before steps to and fro is what loads do by themselves."""
     record = found.record
     at = record.table, record.region, record.at
     told = promise_of(verdict, *at, record.pattern, found.settings, record.samples)
-    if told is None or found.averaged is None:
+    if told is None or found.steps is None:
         return told
-    return replace(told, wander=max(told.wander, found.averaged.wander))
+    return replace(told, wander=max(told.wander, found.steps.wander))
 
 
 def posterior_of(
@@ -331,6 +332,20 @@ def posterior_of(
     return replace(found, settled=estimate.identifiable, agreed=agreed)
 
 
+def wanders(case: ResponseRecord, against: Sequence[Plausible], trial: Trial, settings: RetunerSettings) -> bool:
+    """Whether a load that wanders explains what the loop did lately, on a process on which the set on trial is robust,
+    as well as the models do. Asked where the error was seen to wander before the change.
+    """
+    promised, noise = trial.promise, case.response.band / NOISE_RISES
+    if promised is None or promised.wander <= WANDERS * noise:
+        return False
+    models = [found.model for found in sorted(against, key=lambda found: found.excess)]
+    limits = (settings.trial.harmless_ms, settings.trial.level)
+    return explained_by_a_walk(case.samples, models, case.in_force, settings.sample_time_s, settings.filter_s, *limits)
+
+
+WANDERS = 2.0
+"""Standard deviation of the error before a change over that of the noise, from which a load wanders."""
 AGREED = 2
 """Records that agree, from which on one that does not identify the process says nothing against what they show."""
 
@@ -368,4 +383,5 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
     safer_due = outcome.verdict is not None and outcome.verdict.accepted and outcome.verdict.urgent
-    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed, safer_due)
+    told = (outcome.posterior, case.crossed, safer_due, outcome.wandering)
+    return JudgedResponse(case.response, window, limited, outside, *told)

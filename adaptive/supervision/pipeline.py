@@ -25,9 +25,9 @@ from retuner.adaptive.supervision.causes import (
     FOREIGN,
     NOT_CONFIRMED,
     SWINGING,
-    beside_averages,
+    beside_sequences,
     borne_out,
-    by_averages,
+    by_sequences,
     clear_case,
     cut_refuted,
     doubt_of,
@@ -52,6 +52,7 @@ from retuner.adaptive.supervision.guard_request import (
     promised,
     request_of,
     unproved_request,
+    wanders,
 )
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
@@ -91,6 +92,8 @@ def action(found: Findings) -> None:
 def admission(found: Findings) -> None:
     """May this response teach its region?"""
     record = found.record
+    if found.steps is not None:  # co followed its law from sample to sample: nothing is missing or at a limit
+        return
     refused = admitted(record, found.settings)
     if refused.admitted:
         return
@@ -114,15 +117,23 @@ def swing(found: Findings) -> None:
 
 def identification(found: Findings) -> None:
     """The record is taken into what is known of the region, or of its neighbours where nothing is."""
-    record, settings = found.record, found.settings
     try:
-        known = _known(found) or _from_neighbours(record, settings)
-        learned = by_averages(found) or (_across(found, known) if record.crossed else _inside(found, known))
+        learned = by_sequences(found) if found.steps is not None else _by_itself(found)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
-    found.learned = learned = beside_averages(found, learned)
-    found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
+    if learned is None:
+        found.stop(NOT_KNOWN, "no loop explains what the setpoint makes of pv")
+        return
+    found.learned = learned = beside_sequences(found, learned)
+    found.unexplained = learned.estimate.unexplained(float(np.ptp(found.record.window.pv)))
+
+
+def _by_itself(found: Findings) -> Learned:
+    """What one response as it came teaches."""
+    record = found.record
+    known = record.region_models.get(record.region) or _from_neighbours(record, found.settings)
+    return _across(found, known) if record.crossed else _inside(found, known)
 
 
 def _inside(found: Findings, known: RegionModel | None) -> Learned:
@@ -158,14 +169,6 @@ def _across(found: Findings, known: RegionModel | None) -> Learned:
     return update_across(crossing, shown, record.region, known)
 
 
-def _known(found: Findings) -> RegionModel | None:
-    """What is known of the region; what rests on loads alone is nothing beside steps that were joined."""
-    record = found.record
-    if found.joined and not record.excitation.setpoints:
-        return None
-    return record.region_models.get(record.region)
-
-
 def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
     """What the neighbours' models say of a region without a record."""
     now, sign = float(record.window.t_s[-1]), record.in_force.direction
@@ -186,7 +189,7 @@ def region_model(found: Findings) -> None:
     found.excitation_now = record.excitation.with_response(record.response)
     if learned.region_model is None:
         return
-    swinging = None if record.crossed or found.averaged is not None else known_of_swing(record, settings)
+    swinging = None if record.crossed or found.steps is not None else known_of_swing(record, settings)
     found.in_use = found.region_model = swinging or learned.region_model
     found.rested_on = record.excitation if swinging else rested_on(record, learned.agreement)
     found.clear = clear_case(found, learned)
@@ -204,7 +207,7 @@ def without_a_model(found: Findings) -> None:
     if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or stands_out(found)):
         return
     record, learned = found.record, _learned(found)
-    if found.averaged is not None:
+    if found.steps is not None:
         found.stop(NOT_KNOWN, learned.estimate.reason)
         return
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
@@ -370,7 +373,7 @@ def confirmation(found: Findings) -> None:
         found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
         return
     if not (found.clear or is_known(found, learned) or is_sure(found, verdict, learned, _in_use(found))):
-        doubt = doubt_of(found, wanted.diagnosis.cause)
+        doubt = doubt_of(found, wanted.diagnosis)
         if doubt is not None and not borne_out(found, _in_use(found), doubt):
             _not_confirmed(found, doubt)
             return
@@ -406,6 +409,16 @@ def check_after_trial(found: Findings) -> None:
     trial = found.question.trial
     if trial.phase is TrialPhase.TRIAL and found.end is not None and found.end.code != Ground.SATURATED.name.lower():
         found.posterior = posterior_of(found.record, found.learned, trial, found.settings)
+    found.wandering = trial.phase is TrialPhase.TRIAL and _wandering(found)
+
+
+def _wandering(found: Findings) -> bool:
+    """Whether what speaks against the set on trial may be a load that wanders."""
+    record, learned = found.record, found.learned
+    model = found.region_model or record.region_models.get(record.region)
+    known = model.plausible if model is not None else ()
+    against = learned.estimate.plausible if learned is not None and found.posterior is not None else known
+    return wanders(record, against or known, found.question.trial, found.settings)
 
 
 def _learned(found: Findings) -> Learned:

@@ -19,7 +19,8 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.signals.to_and_fro import Averaged
+from retuner.adaptive.signals.setpoint_steps import SetpointSteps
+from retuner.adaptive.signals.to_and_fro import to_and_fro
 from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region, setpoint_led
 from retuner.adaptive.supervision.decision import Basis, Decision
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
@@ -115,7 +116,8 @@ class StageResult:
     excitation : what the region model rests on.
     promise : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
-    elsewhere : what is due in a region where the loop is not, by its index; nothing for none.
+    elsewhere : what is due in a region where the loop is not, by its index; nothing for none. wandering : a load that
+    wanders as before the change explains what the loop did lately, on a process on which the set on trial is robust.
     """
 
     code: str
@@ -134,6 +136,7 @@ class StageResult:
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, "StageResult"] = field(default_factory=dict)
+    wandering: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,8 +256,7 @@ class Findings:
     growth : of a swing that only the loop itself can make. learned : what the record taught.
     unexplained : share of the record's pv that its model leaves open.
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
-    joined : setpoint steps to and fro of which the record was made, 0 for one response as it came. averaged : what is
-    kept of them, None where it is not to be fitted by itself.
+    joined : setpoint steps to and fro of which the record was made, 0 for one response as it came. steps : these.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
     no second opinion. expected : why the change is worth it. The others are those of StageResult, None for as before.
     """
@@ -262,7 +264,7 @@ class Findings:
     question: Question
     end: End | None = None
     joined: int = 0
-    averaged: Averaged | None = None
+    steps: SetpointSteps | None = None
     growth: Growth | None = None
     learned: Learned | None = None
     unexplained: float = 0.0
@@ -283,6 +285,7 @@ class Findings:
     promise: Promise | None = None
     expected: str = ""
     posterior: PosteriorCheck | None = None
+    wandering: bool = False
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, StageResult] = field(default_factory=dict)
 
@@ -339,6 +342,7 @@ class Findings:
             forget=self.forget,
             promise=self.promise,
             posterior=self.posterior,
+            wandering=self.wandering,
             beside=self.beside,
             elsewhere=self.elsewhere,
         )
@@ -364,6 +368,10 @@ def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
 # controller that acts the wrong way) is said as ever.
 
 
+TOLD_STEPS = 2
+"""Whole steps to and fro after which the next ones are no news."""
+
+
 def admitted(record: ResponseRecord, settings: RetunerSettings) -> Admission:
     """Whether a response may teach; the gains of an interpolated table move with it, and the fit allows that."""
     rules = settings.admission
@@ -374,16 +382,21 @@ def admitted(record: ResponseRecord, settings: RetunerSettings) -> Admission:
 
 
 def passed_over(led: Led, record: ResponseRecord, settings: RetunerSettings) -> bool:
-    """Whether a response says nothing but what was said lately, that the setpoint is led.
+    """Whether a response says nothing but what was said lately: that the setpoint is led, or goes to and fro.
 
     One that ends with the output at a limit is asked: that is how a controller ends that acts the wrong way.
     """
     newest, rules = record.samples[-1], settings.admission
-    if newest.t_s - led.said_s >= rules.led_again_s or newest.limited:
-        return False
-    if not setpoint_led(record.window, record.response, rules):
-        return False
-    return admitted(record, settings).ground is Ground.SETPOINT_LED
+    lately = newest.t_s - led.said_s < rules.led_again_s and not newest.limited
+    if lately and setpoint_led(record.window, record.response, rules):
+        return admitted(record, settings).ground is Ground.SETPOINT_LED
+    return _half_way(record)
+
+
+def _half_way(record: ResponseRecord) -> bool:
+    """Whether it is one of many setpoint steps to and fro that go on: the first of them has said so."""
+    found = to_and_fro(record.samples)
+    return found is not None and found.closed is None and len(found.whole) > TOLD_STEPS
 
 
 def said(led: Led, record: ResponseRecord, code: str) -> Led:

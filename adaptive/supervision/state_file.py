@@ -21,7 +21,8 @@ from retuner.adaptive.region_model.region_model import Drift, RecordPoint, Regio
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.signals.to_and_fro import Averaged
+from retuner.adaptive.signals.setpoint_steps import SetpointSteps
+from retuner.adaptive.signals.to_and_fro import SetpointMove
 from retuner.adaptive.supervision.pipeline_types import Led, RetunerState
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner
@@ -52,7 +53,7 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
         "identifiable": region_model.identifiable,
         "reason": region_model.reason,
         "windows": [_window_out(window) for window in region_model.windows],
-        "averages": [_averaged_out(one) for one in region_model.averages],
+        "sequences": [_steps_out(one) for one in region_model.sequences],
     }
 
 
@@ -78,7 +79,7 @@ def region_model_in(body: Mapping[str, Any]) -> RegionModel:
         bool(body["identifiable"]),
         str(body["reason"]),
         tuple(_window_in(window) for window in body.get("windows", ())),
-        tuple(_averaged_in(one) for one in body.get("averages", ())),
+        tuple(_steps_in(one) for one in body.get("sequences", ())),  # averages of before have none
     )
 
 
@@ -93,18 +94,18 @@ def _window_in(body: Mapping[str, Any]) -> Window:
     return Window(t_s, sp, pv, co, float(body["noise_std"]))
 
 
-def _averaged_out(one: Averaged) -> dict[str, object]:
-    """An average of steps to and fro."""
-    series = {name: list(getattr(one, name)) for name in ("steps", "pv", "scatter")}
-    gains = [one.gains.kp, one.gains.ki, one.gains.kd]
-    return {"gains": gains, "dt_s": one.dt_s, "apart": one.apart, "t_s": one.t_s, **series}
+def _steps_out(one: SetpointSteps) -> dict[str, object]:
+    """Setpoint steps to and fro."""
+    gains, steps = [one.gains.kp, one.gains.ki, one.gains.kd], [list(step) for step in one.steps]
+    return {"gains": gains, "dt_s": one.dt_s, "steps": steps, "pv": list(one.pv), "t_s": one.t_s}
 
 
-def _averaged_in(body: Mapping[str, Any]) -> Averaged:
+def _steps_in(body: Mapping[str, Any]) -> SetpointSteps:
     """And back."""
     gains = PidGains(*(float(value) for value in body["gains"]))
-    steps, pv, scatter = (tuple(float(value) for value in body[name]) for name in ("steps", "pv", "scatter"))
-    return Averaged(gains, float(body["dt_s"]), int(body["apart"]), steps, pv, scatter, float(body["t_s"]))
+    steps = tuple(SetpointMove(int(at), float(size)) for at, size in body["steps"])
+    pv = tuple(float(value) for value in body["pv"])
+    return SetpointSteps(gains, float(body["dt_s"]), steps, pv, float(body["t_s"]))
 
 
 def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:

@@ -122,7 +122,8 @@ class JudgedResponse:
     tuning that was found behind the response, empty when none was. crossed : part of it ran in another region, under
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
     say of both sets, None where there are none. safer_due : by this response the tried set swings, and a safer one is
-    proved.
+    proved. wandering : a load that wanders as before the change explains what the loop did lately on a process on
+    which the tried set is robust (random_walk.py).
     """
 
     response: Response
@@ -132,6 +133,7 @@ class JudgedResponse:
     posterior: PosteriorCheck | None = None
     crossed: bool = False
     safer_due: bool = False
+    wandering: bool = False
 
 
 class _Swings(NamedTuple):
@@ -154,7 +156,7 @@ def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: Tr
     nothing = _says_nothing(seen, promised, settings)
     if nothing:
         return Judgement(TrialFinding.INCONCLUSIVE, nothing, TrialNumbers(peaks))
-    objection = against(seen.posterior, promised, settings) if seen.posterior else None
+    objection = against(seen.posterior, promised, settings, seen.wandering) if seen.posterior else None
     worse, posterior = objection or ("", None)
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
@@ -174,12 +176,24 @@ def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: Tr
     costs = _costs(seen, gains, now, before, sigma, settings)
     numbers = TrialNumbers(peaks, posterior, swings.numbers, costs.numbers)
     told = "; ".join(filter(None, (swings.words, costs.words)))
-    if told and not worse and seen.posterior and seen.posterior.agreed and in_favour(seen.posterior, settings):
-        by_loads = f"the models explain this response by its loads: {told.replace(WORSE_WORDS, '')}"
+    by_loads = "" if worse else _by_loads(seen, told, costs, settings)
+    if by_loads:
         return _by_posterior(by_loads, seen.posterior, settings, numbers)
     if told or worse:
         return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (told, worse))), numbers)
     return _not_worse(seen, now, swings.numbers, numbers, settings)
+
+
+def _by_loads(seen: JudgedResponse, told: str, costs: _Costs, settings: TrialSettings) -> str:
+    """Which loads explain what the response by itself says against the set; empty where none do, or it says nothing."""
+    if not told:
+        return ""
+    words = told.replace(WORSE_WORDS, "")
+    if seen.wandering and not costs.words:
+        return f"a load that wanders explains this response as well: {words}"
+    if seen.posterior and seen.posterior.agreed and in_favour(seen.posterior, settings):
+        return f"the models explain this response by its loads: {words}"
+    return ""
 
 
 def _not_worse(

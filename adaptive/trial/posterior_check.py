@@ -121,10 +121,14 @@ class Objection(NamedTuple):
     numbers: PosteriorNumbers
 
 
-def against(found: PosteriorCheck, promised: Promise, settings: TrialSettings) -> Objection:
-    """What it says against the tried set, if anything."""
+def against(found: PosteriorCheck, promised: Promise, settings: TrialSettings, wandering: bool = False) -> Objection:
+    """What it says against the tried set, if anything.
+
+    wandering : a load that wanders explains the samples as well on a process on which the tried set is robust: then the
+    models, which know no such load, say nothing of its robustness.
+    """
     robustness = _robustness(found, promised, settings)
-    words = _less_robust(found, robustness.ms_limit)
+    words = "" if wandering else _less_robust(found, robustness.ms_limit)
     if words:
         return Objection(words, PosteriorNumbers(robustness))
     said = promised_cost(promised)

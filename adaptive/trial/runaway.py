@@ -10,6 +10,8 @@ before the change; r is the ratio of one's extreme to the last one's.
     at one limit for limited_s         SATURATED the trial shows nothing of the gains
 
 A half wave that was under way when the trial began may have had its extreme before: nothing is measured against it.
+A half wave in which the output stood at a limit is that of an open loop under a known input: it is passed over, and the
+next one is measured against the last free one.
 All counts begin anew with a setpoint change that could make such a swing, not with one that is small against it (a
 setpoint that another loop moves at every sample would blind the watch), and after a rest: when the error kept to its
 band for longer than the half wave before took, what comes is another upset. `grows` and `stays` are never below what
@@ -50,7 +52,8 @@ class RunawayState(NamedTuple):
     """Where the watch stands: setpoint; extreme of the half wave under way and of the one before (signed, 0: none);
     how many have grown and stayed in a row; last limit touched (-1, 0, 1), swings between limits, and since when the
     output stands at one (infinite when it does not); since when the half wave under way lasts, and since when the error
-    is back in its band (infinite when it is not). joined : the half wave under way began before the watch.
+    is back in its band (infinite when it is not). joined : the half wave under way began before the watch. held : the
+    output stood at a limit in it.
     """
 
     sp: float
@@ -64,6 +67,7 @@ class RunawayState(NamedTuple):
     wave_s: float = math.inf
     inside_s: float = math.inf
     joined: bool = False
+    held: bool = False
 
 
 def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> RunawayLaw:
@@ -102,7 +106,9 @@ def runaway_step(
     if abs(e) <= max(SEEN_BANDS * band, law.least):
         return state if math.isfinite(state.inside_s) else state._replace(inside_s=sample.t_s), None
     state = _follow(law, _rested(state, sample), e, sample.t_s)
-    growing = state.grown + (state.last != 0 and abs(state.extreme) >= law.grows * abs(state.last))
+    state = state._replace(held=True) if sample.limited and not state.held else state
+    grows = state.last != 0 and not state.held and abs(state.extreme) >= law.grows * abs(state.last)
+    growing = state.grown + grows
     runs = growing >= TWICE or state.stayed >= law.stays_for
     return state, TrialEvent.RUNAWAY if runs else None
 
@@ -120,7 +126,7 @@ def _rested(state: RunawayState, sample: LoopSample) -> RunawayState:
     """Out of the band again: after a rest, half waves are counted anew."""
     rest_s, wave_s = sample.t_s - state.inside_s, state.inside_s - state.wave_s
     if rest_s > wave_s:
-        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0, joined=False)
+        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0, joined=False, held=False)
     return state._replace(inside_s=math.inf)
 
 
@@ -131,7 +137,9 @@ def _follow(law: RunawayLaw, state: RunawayState, e: float, t_s: float) -> Runaw
     if e * state.extreme > 0:
         return state._replace(extreme=e) if abs(e) > abs(state.extreme) else state
     if state.joined:
-        return state._replace(extreme=e, wave_s=t_s, joined=False)
+        return state._replace(extreme=e, wave_s=t_s, joined=False, held=False)
+    if state.held:
+        return state._replace(extreme=e, wave_s=t_s, held=False)
     ratio = abs(state.extreme / state.last) if state.last else 0.0
     grown = state.grown + 1 if ratio >= law.grows else 0
     stayed = state.stayed + 1 if ratio >= law.stays else 0

@@ -280,20 +280,23 @@ class TrialSupervisor:
             if kept >= self.settings.responses:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         else:
-            return self.silent(region, found, t_s, enough=seen.safer_due and not ask)
+            return self.silent(region, found, t_s, enough=seen.safer_due and not ask, wandering=seen.wandering)
         return found
 
-    def silent(self, region: int, found: Judgement, t_s: float, *, enough: bool = False) -> Judgement:
+    def silent(
+        self, region: int, found: Judgement, t_s: float, *, enough: bool = False, wandering: bool = False
+    ) -> Judgement:
         """A response said nothing for or against: enough of them end the trial. found : why it did not; with that.
 
-        enough : this one does, because a change towards safety is due that must not wait for others.
+        enough : this one does, because a change towards safety is due that must not wait for others. wandering : what
+        the models say against the tried set, a load that wanders explains as well.
         """
         trial = self.of(region)
         if trial.phase != P.TRIAL:
             return found
         self._trials[region] = replace(trial, silent=trial.silent + 1)
         few = trial.silent + 1 < self.settings.inconclusive and not enough
-        if few or not self._end(region, E.TIMED_OUT, t_s):
+        if few or not self._end(region, E.TIMED_OUT, t_s, NOTHING_KNOWN if wandering else None):
             return found
         what = AFTER_SILENCE.get(self.phase(region), "stay")
         why = "a safer change is due" if enough else f"{trial.silent + 1} responses were inconclusive"
@@ -327,13 +330,13 @@ class TrialSupervisor:
         stays = trial.back is not None and trial.back.stays
         return stays and trial.cause == cause and trial.phase in {P.PAUSED, P.AWAY, P.ENSURING}
 
-    def _way_back(self, region: int, cause: TrialEvent) -> WayBack:
-        """What is to run after a cause."""
-        return way_back(cause, self.of(region).sets, self._known(region), self.settings)
+    def _way_back(self, region: int, cause: TrialEvent, known: StillAllowed | None = None) -> WayBack:
+        """What is to run after a cause. known : of the process; None for what the region's models say."""
+        return way_back(cause, self.of(region).sets, known or self._known(region), self.settings)
 
-    def _end(self, region: int, cause: TrialEvent, t_s: float) -> bool:
-        """A cause that may end an undecided trial; whether anything was decided by it."""
-        found = self._way_back(region, cause)
+    def _end(self, region: int, cause: TrialEvent, t_s: float, known: StillAllowed | None = None) -> bool:
+        """A cause that may end an undecided trial; whether anything was decided by it. known : see _way_back."""
+        found = self._way_back(region, cause, known)
         if not found.stays or cause in UNDOS:
             return self._move(region, cause, t_s, found)
         self._trials[region] = replace(self.of(region), cause=cause, back=found)

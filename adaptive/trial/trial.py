@@ -171,4 +171,5 @@ def _seen_in(body: Mapping[str, Any] | None) -> RunawayState | None:
         at["wave_s"],
         at["inside_s"],
         bool(at["joined"]),
+        bool(at.get("held", 0.0)),
     )

@@ -11,7 +11,9 @@ not Ms that decides. The commissioned set has no privilege, nor has the one befo
 
 Models on which the tried set is robust do not count after evidence against it: they are refuted. One thing they still
 say: where the set before is not robust on any of them, and acts more in everything, a swing under the tried one is no
-reason to go back to it (a loop whose gain grew in the meantime became unstable by that). Nor do models that
+reason to go back to it (a loop whose gain grew in the meantime became unstable by that). The same holds where every
+model calls the set before unstable, also after a runaway: then an earlier set that acts less still and is robust
+runs, else the tried one until a safer one is proved. Nor do models that
 now say of the set before what neither was seen of it nor was known when the change was proved: it has worked. Where
 both are no robust sets, those that ran before are asked as well. Without a model the set before has been seen to work
 and the tried one has not, unless the one before was seen to swing on and the tried one is less of everything;
@@ -116,9 +118,9 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     ms_tried, ms_before = known.ms(ran.tried), known.ms(ran.before)
     left = [i for i, ms in enumerate(ms_tried) if cause not in UNDOS or ms > settings.harmless_ms]
     if has_worked or not left:
-        least_ms = min(ms_before, default=0.0)
-        if cause is TrialEvent.WORSE and not left and least_ms > settings.harmless_ms and _acts_less(ran):
-            return WayBack(ran.tried, stays=True, reason=_no_way_back(least_ms))
+        least_ms, most = min(ms_before, default=0.0), math.inf if left else settings.harmless_ms
+        if cause in UNDOS and least_ms >= most and least_ms > settings.harmless_ms and _acts_less(ran):
+            return _calmer(cause, ran, ran.tried, known, least_ms, settings)
         return WayBack(ran.before, stays=False) if has_worked else _without_model(cause, ran, ran.tried)
 
     def robustness(ms: Sequence[float]) -> Robustness:
@@ -138,6 +140,19 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
 def _acts_less(ran: SetsThatRan) -> bool:
     """Whether the tried set is less of everything than the one before."""
     return ran.tried is not None and less_of_everything(ran.before, ran.tried)
+
+
+def _calmer(
+    cause: TrialEvent, ran: SetsThatRan, tried: PidGains, known: StillAllowed, least_ms: float, settings: TrialSettings
+) -> WayBack:
+    """Where the set before acts more and no model holds it for robust: the tried set, or after a runaway the newest
+    earlier one that acts less still and is robust on every model.
+    """
+    reason = _no_way_back(least_ms)
+    for one in ran.earlier if cause is TrialEvent.RUNAWAY else ():
+        if less_of_everything(tried, one) and max(known.ms(one)) <= settings.harmless_ms:
+            return WayBack(one, stays=False, reason=f"{reason}; an earlier gain set acts less still")
+    return WayBack(tried, stays=True, reason=reason)
 
 
 def _no_way_back(least_ms: float) -> str:

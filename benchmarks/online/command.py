@@ -131,9 +131,9 @@ def _loads(options: argparse.Namespace) -> tuple[list[loads.Row], bool]:
 
 
 def _oracle(options: argparse.Namespace) -> tuple[list[oracle.Row], bool]:
-    tasks = oracle.tasks(options.seed, options.loops, options.nudge)[options.offset :: options.every]
+    tasks = oracle.tasks(options.seed, options.loops, options.nudge, options.moves)[options.offset :: options.every]
     rows, whole = collect(oracle.run, tasks, options.jobs, options.out, oracle.line if options.verbose else None)
-    bumps = f", a setpoint bump of {options.nudge:g} % a period" if options.nudge else ""
+    bumps = f", a setpoint bump of {options.nudge:g} % a period ({options.moves})" if options.nudge else ""
     _say([f"what loads alone could tell, seed {options.seed}{bumps}", *oracle.table(rows)])
     return rows, whole
 
@@ -311,6 +311,7 @@ def _more_parts(parts: "argparse._SubParsersAction[argparse.ArgumentParser]", co
     eleven = parts.add_parser("oracle", parents=[common], help="Cramer-Rao bounds of what loads alone could tell")
     eleven.add_argument("--loops", type=int, default=60, help="loops of each kind")
     eleven.add_argument("--nudge", type=float, default=0.0, help="percent of pv's range of a bump once a period")
+    eleven.add_argument("--moves", choices=tuple(oracle.MOVES), default="one", help="to one side, or to and fro")
     nine = parts.add_parser("own", parents=[common], help="loops that swing by their own fault, Ms over 3")
     nine.add_argument("--kind", choices=("all", *own_fault.KINDS), default="all")
     nine.add_argument("--loops", type=int, default=20, help="loops of each kind")

@@ -27,6 +27,7 @@ from online.batch import NOISE, SAMPLES_PER_THETA, STARTS
 from online.counting import counted
 from online.judge import Judge
 from online.loads import CALM, LENGTH_THETA, PERIODS
+from retuner.adaptive.nudge.planner import HOLDS
 from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
@@ -37,17 +38,22 @@ KNOWN = 0.25
 """Standard deviation of ln Kc and ln ki with which settings may come out in spec."""
 STEP = 1e-4
 BUMP_THETA = 20.0
+HALF_THETA = 1.6
+"""Dead times in which the error after a setpoint step falls to half, where the gain is the best one."""
+MOVES = {"one": (BUMP_THETA / HALF_THETA,), "even": (sum(HOLDS) / 5,) * 5, "uneven": HOLDS}
+"""Times for which the setpoints of a bump are held, in such times: one to one side, five at even times, as they are."""
 PV_SPAN = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One loop. bump : of the setpoint once a period, percent of pv's range, or 0."""
+    """One loop. bump : of the setpoint once a period, percent of pv's range, or 0. moves : of MOVES."""
 
     kind: str
     seed: int
     index: int
     bump: float = 0.0
+    moves: str = "one"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +77,7 @@ def run(task: Task) -> Row:
         kc, tau_i = STARTS[int(rng.integers(len(STARTS)))]
     slow = max(1.0, 1 / kc)
     n = int(LENGTH_THETA * SAMPLES_PER_THETA * slow)
-    r = np.zeros(n)
-    first = n // 5
-    r[first : first + int(BUMP_THETA * SAMPLES_PER_THETA * slow)] = task.bump / 100 * PV_SPAN
+    r = _moved(n, MOVES[task.moves], HALF_THETA * SAMPLES_PER_THETA * slow, task.bump / 100 * PV_SPAN)
     judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
     size = judge.load_like_setpoint() * (CALM if task.kind.startswith("calm") else 1.0)
     walks = task.kind.endswith("walk")
@@ -84,10 +88,20 @@ def run(task: Task) -> Row:
         "part": "oracle",
         "kind": task.kind,
         "bump": task.bump,
+        "moves": task.moves,
         "seed": task.seed,
         "index": task.index,
         "known": [known / math.sqrt(i + 1) for i in range(PERIODS)],
     }
+
+
+def _moved(n: int, holds: tuple[float, ...], half: float, size: float) -> FloatArray:
+    """The setpoint of a period, shape (n,): from a tenth of it on to one side and the other. half : samples."""
+    r, at = np.zeros(n), n // 10
+    for i, hold in enumerate(holds):
+        r[at : at + round(hold * half)] = size if i % 2 == 0 else -size
+        at += round(hold * half)
+    return r
 
 
 def bound(seen: Seen) -> float:
@@ -118,7 +132,7 @@ def _told(seen: Seen, p: FloatArray) -> tuple[Complex, FloatArray]:
     w = 2 * np.pi * np.arange(1, n // 2) / n
     z, s = np.exp(1j * w), 1j * w / dt
     lags = 2 + len(seen.process.lags_s)
-    g = _response(_moved(seen.process, p[:lags]), s) * (1 - 1 / z) / (s * dt)
+    g = _response(_varied(seen.process, p[:lags]), s) * (1 - 1 / z) / (s * dt)
     c = seen.gains.kp + seen.gains.ki * dt / (1 - 1 / z)
     pole = math.exp(-1 / (seen.corner * math.exp(p[lags + 2]))) if seen.corner else 1.0
     size = (1 - pole**2) if seen.corner else 1.0
@@ -134,14 +148,14 @@ def _response(process: LinearProcess, s: Complex) -> Complex:
     return np.asarray(g, dtype=np.complex128)
 
 
-def _moved(process: LinearProcess, p: FloatArray) -> LinearProcess:
+def _varied(process: LinearProcess, p: FloatArray) -> LinearProcess:
     f = [float(x) for x in np.exp(p)]
     lags = tuple(lag * x for lag, x in zip(process.lags_s, f[2:], strict=True))
     return replace(process, k=process.k * f[0], theta_s=process.theta_s * f[1], lags_s=lags)
 
 
 def _ln(seen: Seen, p: FloatArray, name: str) -> float:
-    model = later(half_rule(_moved(seen.process, p)), seen.dt_s / 2)
+    model = later(half_rule(_varied(seen.process, p)), seen.dt_s / 2)
     return math.log(abs(getattr(simc_of(model, model.theta_s), name)))
 
 
@@ -152,9 +166,9 @@ def _reduced(process: LinearProcess) -> LinearProcess:
     return LinearProcess(process.k, lags, (), model.theta_s, process.integrators)
 
 
-def tasks(seed: int, count: int, bump: float) -> list[Task]:
+def tasks(seed: int, count: int, bump: float, moves: str = "one") -> list[Task]:
     """The first `count` loops of every kind."""
-    return [Task(kind, seed, index, bump) for kind in KINDS for index in range(count)]
+    return [Task(kind, seed, index, bump, moves) for kind in KINDS for index in range(count)]
 
 
 def line(row: Row) -> str:

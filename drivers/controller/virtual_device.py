@@ -15,7 +15,7 @@ from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.controller.gain_memory import GainPages, GainSet
 from retuner.drivers.controller.lease_server import NOBODY, LeaseDesk
-from retuner.drivers.plants.plant import MeasuresMore, Plant
+from retuner.drivers.plants.plant import Plant
 from retuner.drivers.protocol.authentication import CodeDesk, fresh_nonce
 from retuner.drivers.protocol.checksum import CO_STEP, co_steps, sample_crc
 from retuner.drivers.protocol.codec import Codec, Refusal, Refused, schema
@@ -149,8 +149,8 @@ class VirtualDevice:
 
     def _measured_more(self) -> list[can.Message]:
         """What the plant measures beside pv, before the telemetry of its sample."""
-        plant = self.plant
-        return [plant_message(self.settings.node, plant.aux)] if isinstance(plant, MeasuresMore) else []
+        aux: float | None = getattr(self.plant, "aux", None)  # of MeasuresMore; to ask isinstance a sample costs more
+        return [] if aux is None else [plant_message(self.settings.node, aux)]
 
     def receive(self, message: can.Message) -> list[can.Message]:
         """Take a frame from the bus; the frames that answer it. Anything whatsoever may come."""

@@ -7,27 +7,68 @@ behind is written without interruption as well: a second, impatient Ctrl-C waits
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
 
 STOPS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that stop a run beside SIGINT; Windows has no SIGHUP."""
 
 
-@contextmanager
-def stoppable() -> Iterator[None]:
-    """Inside, the signals of STOPS raise KeyboardInterrupt; the old handlers come back afterwards."""
+class _Ear:
+    """Hears SIGINT and STOPS while it listens; what comes while it waits is raised when the wait is over.
 
-    def stop(number: int, frame: FrameType | None) -> None:
+    Handlers are put in once for a session and not at each of its polls: that took a twentieth of a simulated run.
+    """
+
+    def __init__(self) -> None:
+        self.listening = False
+        self.waiting = 0
+        self.came = False
+
+    def hear(self, number: int, frame: FrameType | None) -> None:
+        """The handler."""
         del number, frame
-        raise KeyboardInterrupt
+        if not self.waiting:
+            raise KeyboardInterrupt
+        self.came = True
 
-    before = {number: signal.signal(number, stop) for number in STOPS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    @contextmanager
+    def listen(self) -> Iterator[None]:
+        """Inside, signals are heard that are not ignored, as after nohup; the old handlers come back afterwards."""
+        if self.listening:
+            yield
+            return
+        heard = [number for number in (signal.SIGINT, *STOPS) if signal.getsignal(number) is not signal.SIG_IGN]
+        before = {number: signal.signal(number, self.hear) for number in heard}
+        self.listening = True
+        try:
+            yield
+        finally:
+            self.listening = False
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    @contextmanager
+    def wait(self) -> Iterator[None]:
+        """Inside, signals wait; if one came, KeyboardInterrupt is raised at the end of the outermost wait."""
+        self.waiting += 1
+        came = False
+        try:
+            yield
+        finally:
+            self.waiting -= 1
+            if not self.waiting:
+                came, self.came = self.came, False
+        if came:
+            raise KeyboardInterrupt
+
+
+_EAR = _Ear()
+
+
+def stoppable() -> AbstractContextManager[None]:
+    """Inside, the signals of STOPS raise KeyboardInterrupt as SIGINT does; the old handlers come back afterwards."""
+    return _EAR.listen()
 
 
 @contextmanager
@@ -38,17 +79,5 @@ def unstoppable() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        del frame
-        came.append(number)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, *STOPS)}
-    try:
+    with _EAR.listen(), _EAR.wait():
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    if came:
-        raise KeyboardInterrupt

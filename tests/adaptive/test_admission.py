@@ -64,6 +64,7 @@ FAULTS: dict[Ground, Callable[[Samples], Samples]] = {
     Ground.MANUAL: lambda s: changed(s, range(60, 61), mode=LoopMode.MANUAL),
     Ground.OUT_OF_RANGE: lambda s: changed(s, range(60, 62), pv=1e6),
     Ground.PV_STUCK: lambda s: stood(s, range(50, 75)),
+    Ground.PV_CLIPPED: lambda s: changed(stood(s, range(1)), range(50, 75), pv=RANGE[1]),
     Ground.LOST_SAMPLES: lambda s: [x for i, x in enumerate(s) if i % 6 < 3],
     Ground.IRREGULAR: lambda s: [x._replace(t_s=x.t_s + (0.8 if i % 5 == 0 else 0.0)) for i, x in enumerate(s)],
     Ground.REPEATED: stuck,

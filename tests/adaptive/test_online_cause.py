@@ -150,9 +150,16 @@ def test_the_whole_diagnosis_must_not_ask_for_the_opposite(monkeypatch: pytest.M
     says = Diagnosis(Cause.SLOW_INTEGRATING, 1.0, {}, "it swings")
     monkeypatch.setattr(second_opinion, "diagnose_window", lambda *_, **__: Found(says))
     stretch_of = samples([0.0] * 101)
-    for wanted, agrees in ((Cause.SLUGGISH, False), (Cause.AGGRESSIVE, True), (None, True)):
+    for cause, peak, agrees in (
+        (Cause.SLUGGISH, 1.2, False),
+        (Cause.AGGRESSIVE, 2.0, True),
+        (Cause.SLOW_INTEGRATING, 2.0, True),
+        (Cause.SLOW_INTEGRATING, 1.5, False),  # a gain that could be larger is no calm
+    ):
+        wanted = Diagnosis(cause, 1.0, {"ms": peak}, "")
         doubt = unconfirmed(stretch_of, response(1.0), GOOD, Excitation(1, 2), SWING, DIAGNOSIS, wanted)
         assert (doubt is None) is agrees
+    assert unconfirmed(stretch_of, response(1.0), GOOD, Excitation(1, 2), SWING, DIAGNOSIS, None) is None
 
 
 @pytest.mark.parametrize("bad", [{"setpoints": -1}, {"loads": -1}, {"clear": -1}])

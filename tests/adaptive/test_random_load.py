@@ -23,7 +23,7 @@ def test_only_a_regular_swing_is_asked_for_again(regular: bool, monkeypatch: pyt
     monkeypatch.setattr(oscillation_online, "linear", lambda *_: [None])
     monkeypatch.setattr(oscillation_online, "against_rivals", lambda *_: SimpleNamespace(verdict=TONE))
     seen = SimpleNamespace(oscillates=regular, period_s=12.0)
-    monkeypatch.setattr(oscillation_online, "screen", lambda *_: seen)
+    monkeypatch.setattr(oscillation_online, "screen", lambda *_, **__: seen)
     found, again = hidden_cause(SAMPLES, RESPONSE, PidGains(1.0, 0.1), SwingSettings(), DiagnosisSettings())
     assert found is not None
     assert found.cause is Cause.EXTERNAL

@@ -1,11 +1,11 @@
-"""Setpoint steps to and fro: they are found in the samples, and joined they obey the loop's own equations."""
+"""Setpoint steps to and fro: they are found in the samples, and judged once and together."""
 
 import numpy as np
 import pytest
 from loop_bench import Bench, made, scaled
 
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, Joined, joined, to_and_fro
+from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, to_and_fro
 from retuner.adaptive.supervision.decision import Decision
 
 HOLD, SIZE, REST = 150, 0.5, 200
@@ -33,20 +33,11 @@ def quiet(load: float = 0.0, noise: float = 0.0) -> list[LoopSample]:
     return stepped(bench, load=load)
 
 
-def one(samples: list[LoopSample]) -> Joined:
-    found = to_and_fro(samples)
-    assert found is not None
-    together = joined(samples, found, 4.0)
-    assert together is not None
-    return together
-
-
 def test_the_steps_are_found_with_their_ends() -> None:
     found = to_and_fro(quiet())
     assert found is not None
     assert (found.base, found.opened, found.closed) == (0.0, REST, REST + HOLD * len(LEVELS))
     assert found.whole == tuple(REST + HOLD * i for i in range(1, WHOLE_STEPS + 1))
-    assert found.apart == HOLD
 
 
 @pytest.mark.parametrize("levels", [(0.5,), (0.5, 0.0, -0.5), (0.5, -0.5, 0.4, -0.5, 0.5), (0.5, -0.5, 1.0)])
@@ -55,9 +46,18 @@ def test_other_moves_are_no_steps_to_and_fro(levels: tuple[float, ...]) -> None:
     assert to_and_fro(samples[: REST + HOLD * len(levels) - 5]) is None
 
 
-def test_steps_at_uneven_times_are_none() -> None:
+def test_steps_at_uneven_times_are_as_good() -> None:
     samples = quiet()
-    assert to_and_fro(samples[: REST + HOLD + 30] + samples[REST + 2 * HOLD :]) is None
+    found = to_and_fro(samples[: REST + HOLD + 30] + samples[REST + 2 * HOLD :])
+    assert found is not None
+    assert len(found.whole) == WHOLE_STEPS
+
+
+def test_steps_that_never_come_back_are_none_in_the_end() -> None:
+    samples = stepped(made(scaled(1.0, 1.0)), LEVELS)
+    samples = [s._replace(sp=SIZE) if i >= REST + HOLD * len(LEVELS) else s for i, s in enumerate(samples)]
+    assert to_and_fro(samples[: REST + HOLD * len(LEVELS) + 5]) is not None
+    assert to_and_fro(samples) is None
 
 
 def test_steps_under_other_gains_belong_to_another_loop() -> None:
@@ -65,34 +65,6 @@ def test_steps_under_other_gains_belong_to_another_loop() -> None:
     changed = [s._replace(revision=int(i > REST + 2 * HOLD + 20)) for i, s in enumerate(samples)]
     found = to_and_fro(changed)
     assert found is None or len(found.whole) < WHOLE_STEPS
-
-
-def test_of_a_loop_without_loads_the_joined_response_is_each_of_them() -> None:
-    samples = quiet()
-    together = one(samples)
-    last = REST + WHOLE_STEPS * HOLD
-    own = {s.t_s: s for s in samples}
-    late = [s for s in together.samples if s.t_s >= samples[last].t_s]
-    assert [s.pv for s in late] == pytest.approx([own[s.t_s].pv for s in late], abs=0.02)
-    assert together.response.sp_changed
-    assert (together.samples[0].sp, together.samples[-1].sp) == (-SIZE, SIZE)
-
-
-def test_a_load_that_walks_shrinks_and_what_is_left_is_known() -> None:
-    free, loaded = one(quiet()), one(quiet(load=0.03))
-    left = np.array([a.pv - b.pv for a, b in zip(loaded.samples, free.samples, strict=True)])
-    alone = np.array([a.pv - b.pv for a, b in zip(quiet(load=0.03), quiet(), strict=True)])
-    assert left.std() < 0.7 * alone.std()
-    assert 0.4 < left.std() / loaded.noise_std < 2.5
-    assert loaded.window.noise_std == loaded.noise_std
-
-
-def test_an_output_at_its_limit_is_not_linear_and_joins_nothing() -> None:
-    samples = quiet()
-    samples[REST + 2 * HOLD] = samples[REST + 2 * HOLD]._replace(limited=1)
-    found = to_and_fro(samples)
-    assert found is not None
-    assert joined(samples, found, 4.0) is None
 
 
 def decided(load: float) -> list[Decision]:
@@ -113,7 +85,12 @@ def test_a_person_may_set_back_by_twice_what_he_had_set() -> None:
 def test_under_a_load_that_walks_they_are_judged_once_and_together() -> None:
     decisions = [d for d in decided(0.03) if d.t_s > REST]  # what the load did before them stands by itself
     assert [d.reason for d in decisions if d.records] == [d.reason for d in decisions if "joined:" in d.reason]
-    (whole,) = [d for d in decisions if "4 setpoint steps to and fro, joined: " in d.reason]
+    (whole,) = [d for d in decisions if "6 setpoint steps to and fro, joined: " in d.reason]
     assert whole.known is not None
     model = whole.known.model()
     assert model.k / model.tau1_s == pytest.approx(1 / 50, rel=0.3)
+
+
+def test_steps_on_their_way_are_told_twice_at_most() -> None:
+    parts = [d for d in decided(0.03) if "one of several setpoint steps to and fro" in d.reason]
+    assert 1 <= len(parts) <= 2

@@ -57,6 +57,7 @@ noise = 0.05
 duration_s = 1300.0
 steps = [{{ at_s = 0.0, sp = 50.0 }}]
 """
+SHORT_S = 2200.0
 SOON = NudgeSettings(allowed=True, percent=2.0, after_h=0.0, announce_s=0.0)
 
 
@@ -83,6 +84,21 @@ def test_without_leave_the_setpoint_is_never_moved(tmp_path: Path, capsys: pytes
     run = ran(tmp_path, "false")
     assert json.loads(capsys.readouterr().out)["decisions"] == []
     assert bodies(run, "nudge") == []
+
+
+def test_the_example_bumps_to_and_fro_within_its_budget_and_tells_it_beforehand(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (Path(__file__).parents[2] / "examples" / "bumps.toml").read_text(encoding="utf-8")
+    early = [line for line in text.splitlines() if "at_s" not in line or float(line.split()[3].strip(",")) < SHORT_S]
+    short, run = tmp_path / "bumps.toml", tmp_path / "run"
+    short.write_text("\n".join(early).replace("9600.0", f"{SHORT_S}").replace("after_h = 0.5 ", "after_h = 0.2 "))
+    assert main(["run", str(short), "--no-compare", "--out", str(run), "--json"]) == 0
+    committed = [d for d in json.loads(capsys.readouterr().out)["decisions"] if d["action"] == "commit"]
+    assert "setpoint steps to and fro" in committed[0]["reason"]
+    rows = [row for row in bodies(run, "nudge") if row["cause"] in {"due", "begun", "back"}]
+    assert [row["cause"] for row in rows] == ["due", "begun", "back"]
+    assert "in 60 s the setpoint goes from 50 to 52 and 48 in turn" in rows[0]["reason"]
 
 
 @pytest.fixture

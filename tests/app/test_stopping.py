@@ -26,6 +26,46 @@ def test_what_is_left_behind_is_written_before_a_signal_takes_effect(number: sig
     assert handlers == (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM))
 
 
+def test_a_wait_within_a_wait_ends_with_the_outer_one_and_one_signal_is_raised_once() -> None:
+    done = []
+
+    def twice() -> None:
+        with stoppable():
+            with unstoppable():
+                with unstoppable():
+                    os.kill(os.getpid(), signal.SIGTERM)
+                done.append("outer")
+            done.append("never")
+
+    with pytest.raises(KeyboardInterrupt):
+        twice()
+    with stoppable(), unstoppable():
+        done.append("next session")
+    assert done == ["outer", "next session"]
+
+
+def test_between_two_waits_a_signal_stops_at_once() -> None:
+    def told() -> None:
+        with stoppable():
+            with unstoppable():
+                pass
+            os.kill(os.getpid(), signal.SIGTERM)
+            pytest.fail("went on")
+
+    with pytest.raises(KeyboardInterrupt):
+        told()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has none")
+def test_what_is_ignored_from_outside_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stoppable(), unstoppable():
+            os.kill(os.getpid(), signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_without_a_signal_nothing_is_raised() -> None:
     with unstoppable():
         pass

@@ -145,3 +145,25 @@ def test_a_setpoint_that_moves_is_no_runaway_of_calm_gains(steps: float) -> None
         (sample,) = rig.run(1)
         state, found = runaway_step(LAW, state, sample, 0.1)
         assert found is None
+
+
+def watched(waves: list[tuple[float, int]]) -> TrialEvent | None:
+    """Half waves of four samples, by extreme and by the limit at which the output stands in them."""
+    state, t_s = runaway_begin(0.0, joined=False), 0.0
+    for extreme, limited in waves:
+        for e in (0.5 * extreme, extreme, 0.8 * extreme, 0.4 * extreme):
+            t_s += 1.0
+            state, found = runaway_step(LAW, state, LoopSample(t_s, 0.0, -e, 0.0, limited=limited), 0.1)
+            if found:
+                return found
+    return None
+
+
+def test_half_waves_of_an_output_at_its_limit_are_no_growth() -> None:
+    """A load that is beyond the output's range: pv runs off as far as the load goes, whatever the gains are."""
+    pushed = [(1.0, 0), (-1.5, 1), (2.5, 0), (-1.0, 0), (0.4, 0)]
+    assert watched([(extreme, 0) for extreme, _ in pushed]) is TrialEvent.RUNAWAY
+    assert watched(pushed) is None
+    assert watched([(1.0, 0), (-1.5, 1), (2.0, 0), (-3.0, 0), (4.0, 0)]) is TrialEvent.RUNAWAY, "free ones still count"
+    one_sided = [(2.0 * (-1) ** i, i % 2) for i in range(2 * S.stays_for + 4)]
+    assert watched(one_sided) is TrialEvent.RUNAWAY, "a lasting swing against one limit"

@@ -78,7 +78,7 @@ def test_every_undecided_phase_under_every_cause_with_either_set_the_more_robust
         assert now in {old, tried}
         if cause is E.ORDERED_BACK or not bench.ran:
             assert now == old
-        elif cause is E.WORSE and ms(tried) <= HARMLESS < ms(old) and less_of_everything(old, tried):
+        elif cause in UNDOS and ms(tried) <= HARMLESS < ms(old) and less_of_everything(old, tried):
             assert now == tried, "the old gains act more, and are not robust on any model"
         elif cause in UNDOS and ms(tried) <= HARMLESS:
             assert now == old, "the model that calls the trial gains robust is refuted"
@@ -131,6 +131,21 @@ def test_evidence_against_a_set_leads_to_the_most_robust_that_ran() -> None:
     assert found.gains == SETS["right"]
     assert "an earlier gain set" in found.reason
     assert not found.stays
+
+
+@pytest.mark.parametrize("cause", UNDOS, ids=lambda c: c.name)
+def test_no_evidence_leads_back_to_more_action_that_is_unstable_on_every_model(cause: TrialEvent) -> None:
+    """The old gains have worked, then the process changed: what swings under less of them runs away under them."""
+    known, old, tried = StillAllowed((PROCESS,)), SETS["unstable"], PidGains(9.5, 0.22)
+    assert ms(tried) > HARMLESS
+    stays = way_back(cause, SetsThatRan(old, tried, swings=0.1), known, TrialSettings())
+    assert stays.gains == tried
+    assert "are unstable" in stays.reason
+    earlier = (SETS["swinging more"], SETS["right"], SETS["weak"])
+    found = way_back(cause, SetsThatRan(old, tried, earlier, swings=0.1), known, TrialSettings())
+    assert found.gains == (SETS["right"] if cause is E.RUNAWAY else tried)
+    one_is_stable = StillAllowed((PROCESS, LinearProcess(0.2, (50.0,), (), 5.5)))
+    assert way_back(cause, SetsThatRan(old, tried, swings=0.1), one_is_stable, TrialSettings()).gains == old
 
 
 def test_without_a_model_what_was_seen_decides() -> None:
@@ -190,4 +205,4 @@ def test_a_swing_under_calmer_gains_is_no_reason_to_go_back_to_more_action() -> 
     back = way_back(E.WORSE, swung, StillAllowed((PROCESS,)), TrialSettings())
     assert back.gains == SETS["right"]
     assert "the trial gains act less" in back.reason
-    assert way_back(E.RUNAWAY, swung, StillAllowed((PROCESS,)), TrialSettings()).gains == SETS["unstable"]
+    assert way_back(E.RUNAWAY, swung, StillAllowed((PROCESS,)), TrialSettings()).gains == SETS["right"]
