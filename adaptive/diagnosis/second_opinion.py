@@ -1,11 +1,9 @@
 """Before a change: is the response a clear case, or must the whole diagnosis confirm that it is the tuning?
 
     clear        a setpoint step excited a loop that was at rest, and the loop by itself explains the response with at
-                 most one load step; or the change makes a loop safer that is over its limit, a setpoint step is
-                 among what the model rests on, and this response swings and agrees with it, or the loop runs away at
-                 such a step, or it swings at its own crossover between the output's limits (limit_swing.py)
-    known        a clear case before this response already called for a change that its model proves (the rest of a
-                 limited one, mostly), and this response agrees with that model: it adds nothing and takes nothing away
+                 most one load step; or the loop runs away at such a step, or the change makes a loop safer that
+                 swings at its own crossover between the output's limits (swing_checks.py)
+    known        a clear setpoint step is among what the model rests on, and this response agrees with it
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
                  load responses at the earliest.
@@ -27,8 +25,6 @@ from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
 
-SWING_PEAKS = 2
-"""Peaks that a swing shows at least."""
 TOWARDS_SAFETY = frozenset({Ruling.SAFER, Ruling.URGENT})
 """Rulings of the guard that make a loop over its limit safer."""
 SWINGING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
@@ -76,15 +72,6 @@ def is_clear(
     explained = left <= settings.unexplained and loads <= settings.loads_beside
     from_rest = response.taken_over or was_at_rest(samples, response, settings)
     return bool(response.sp_changed) and explained and from_rest
-
-
-def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation, calm: bool, peaks: int) -> bool:
-    """Whether a change towards safety may be believed as it is.
-
-    agrees : this response agrees with what was known. excitation : what that rested on. calm : see calm_before; a step
-    on top of a swing that was there before it proves nothing. peaks : of this response; a swing has two at least.
-    """
-    return ruling in TOWARDS_SAFETY and agrees and excitation.setpoints > 0 and calm and peaks >= SWING_PEAKS
 
 
 def runs_away(samples: Sequence[LoopSample], response: Response, explained: float, settings: SwingSettings) -> bool:

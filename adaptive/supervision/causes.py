@@ -23,9 +23,7 @@ from retuner.adaptive.diagnosis.second_opinion import (
     SWINGING,
     TOWARDS_SAFETY,
     Excitation,
-    calm_before,
     is_clear,
-    is_safer_and_known,
     runs_away,
     unconfirmed,
 )
@@ -74,6 +72,7 @@ __all__ = [
     "doubt_of",
     "foreign_swing",
     "hidden",
+    "is_known",
     "is_sure",
     "joining",
     "known_of_swing",
@@ -379,6 +378,14 @@ def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
     return damping is not None and damping > settings.swing.grows
 
 
+def is_known(found: Findings, learned: Learned) -> bool:
+    """Whether a response agrees with what a clear setpoint step has shown: it is one record more of that.
+
+    That something else is behind them all is in the cost that the change is expected to have.
+    """
+    return found.rested_on.clear > 0 and learned.agreement == Agreement.AGREES
+
+
 def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionModel) -> bool:
     """Whether a change by a response that is not clear needs no confirmation (see diagnosis/second_opinion.py).
 
@@ -389,9 +396,6 @@ def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionMo
     if verdict.ruling in TOWARDS_SAFETY and (found.growth is not None or known_to_swing(record, settings)):
         return True
     if runs_away(*seen, learned.estimate.explained, swing):
-        return True
-    calm, agrees = calm_before(*seen, swing), learned.agreement == Agreement.AGREES
-    if is_safer_and_known(verdict.ruling, agrees, found.rested_on, calm, len(record.response.peaks)):
         return True
     process = model.log.model().seen_by_controller(settings.sample_time_s)
     return (

@@ -33,6 +33,7 @@ from retuner.adaptive.supervision.causes import (
     doubt_of,
     foreign_swing,
     hidden,
+    is_known,
     is_sure,
     joining,
     known_of_swing,
@@ -367,11 +368,11 @@ def confirmation(found: Findings) -> None:
     """Before gains change: a case that is not clear is put to the whole diagnosis, unless the change is sure anyway."""
     learned, verdict, wanted = _learned(found), found.verdict, _wanted(found)
     assert verdict is not None
-    if found.record.crossed and not (found.clear or _was_known(found)):
+    if found.record.crossed and not (found.clear or is_known(found, learned)):
         found.verdict = found.basis = None
         found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
         return
-    if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
+    if not (found.clear or is_known(found, learned) or is_sure(found, verdict, learned, _in_use(found))):
         doubt = doubt_of(found, wanted.diagnosis)
         if doubt is not None and not borne_out(found, _in_use(found), doubt):
             _not_confirmed(found, doubt)
@@ -389,26 +390,6 @@ def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
             found.excitation = found.record.excitation.with_response(found.record.response)
     wanted = found.diagnosis.reason if found.diagnosis is not None else ""
     found.doubted(replace(doubt, reason=NOT_CONFIRMED.format(wanted=wanted, doubt=doubt.reason)))
-
-
-def _was_known(found: Findings) -> bool:
-    """Whether the change was known to be due before this response, by a clear case with which it agrees: then that is
-    the change.
-    """
-    before = found.record.region_models.get(found.record.region)
-    if before is None or not found.rested_on.clear or _learned(found).agreement != Agreement.AGREES:
-        return False
-    wanted = wanted_of(found.record, before, found.settings)
-    if not before.identifiable or not wanted.diagnosis.retune:
-        return False
-    verdict = _proved(found, before, wanted)
-    if not verdict.accepted:
-        return False
-    choice, best = _chosen(found, before, wanted, verdict)
-    if choice.index:
-        found.diagnosis, found.proposal, found.verdict = wanted.diagnosis, wanted.tuning, best
-        found.numbers, found.expected, found.promise = choice.numbers, choice.reason, None
-    return choice.index > 0
 
 
 def expectation(found: Findings) -> None:

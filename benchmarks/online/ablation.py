@@ -44,12 +44,11 @@ PIECES = (
     Piece("swing_known", f"{SUPERVISION}.pipeline", "known_of_swing"),
     Piece("known_to_swing", f"{SUPERVISION}.causes", "known_to_swing", neutral=False),
     Piece("at_rest", "retuner.adaptive.diagnosis.second_opinion", "was_at_rest", neutral=True),
-    Piece("calm_before", f"{SUPERVISION}.causes", "calm_before", neutral=True),
+    Piece("calm_before", "retuner.adaptive.diagnosis.second_opinion", "calm_before", neutral=True),
     Piece("not_seen", f"{SUPERVISION}.causes", "not_seen", ""),
-    Piece("safer_known", f"{SUPERVISION}.causes", "is_safer_and_known", neutral=False),
     Piece("runs_away", f"{SUPERVISION}.causes", "runs_away", neutral=False),
     Piece("crossover", f"{SUPERVISION}.causes", "at_own_crossover", neutral=False),
-    Piece("was_known", f"{SUPERVISION}.pipeline", "_was_known", neutral=False),
+    Piece("known", f"{SUPERVISION}.pipeline", "is_known", neutral=False),
     Piece("confirming", f"{SUPERVISION}.causes", "unconfirmed"),
 )
 

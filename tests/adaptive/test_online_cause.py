@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Iterable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,6 @@ from retuner.adaptive.diagnosis.second_opinion import (
     Excitation,
     from_rest,
     is_clear,
-    is_safer_and_known,
     runs_away,
     unconfirmed,
     was_at_rest,
@@ -21,10 +22,11 @@ from retuner.adaptive.diagnosis.second_opinion import (
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.swing_checks import LimitSwingSettings, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.tuning_verdict import Found
-from retuner.adaptive.guard import Ruling
 from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision.causes import is_known
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -105,14 +107,15 @@ def test_a_growing_swing_after_a_setpoint_step_needs_no_rest() -> None:
     assert not runs_away(small, response(1.0, -1.2, 1.5), 1.0, SWING)
 
 
-@pytest.mark.parametrize("ruling", list(Ruling))
-def test_only_changes_towards_safety_are_believed_on_agreement(ruling: Ruling) -> None:
-    safe = ruling in {Ruling.SAFER, Ruling.URGENT}
-    assert is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=True, peaks=2) is safe
-    assert not is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=False, peaks=2)
-    assert not is_safer_and_known(ruling, False, Excitation(setpoints=1), calm=True, peaks=2)
-    assert not is_safer_and_known(ruling, True, Excitation(loads=9), calm=True, peaks=2)
-    assert not is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=True, peaks=1)
+@pytest.mark.parametrize("agreement", list(Agreement))
+def test_one_record_more_of_what_a_clear_step_has_shown_needs_no_confirmation(agreement: Agreement) -> None:
+    def known(excitation: Excitation) -> bool:
+        found: Any = SimpleNamespace(rested_on=excitation)
+        learned: Any = SimpleNamespace(agreement=agreement)
+        return is_known(found, learned)
+
+    assert known(Excitation(setpoints=1, clear=1)) is (agreement is Agreement.AGREES)
+    assert not known(Excitation(setpoints=3, loads=9))
 
 
 def test_one_load_response_alone_is_not_enough() -> None:

@@ -42,7 +42,7 @@ def weighed(
         "_chosen": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),
         "not_as_modelled": lambda *_: None,
         "is_sure": lambda *_: False,
-        "_was_known": lambda *_: False,
+        "is_known": lambda *_: False,
         "without_model": lambda *_: SimpleNamespace(sentence="", numbers=NO_NUMBERS, tuning=None),
         "doubt_of": lambda *_: Diagnosis(doubt, 0.9, {}, "") if doubt else None,
     }
