@@ -13,7 +13,8 @@ Models on which the tried set is robust do not count after evidence against it: 
 say: where the set before is not robust on any of them, and acts more in everything, a swing under the tried one is no
 reason to go back to it (a loop whose gain grew in the meantime became unstable by that). The same holds where every
 model calls the set before unstable, also after a runaway: then an earlier set that acts less still and is robust
-runs, else the tried one until a safer one is proved. Nor do models that
+runs, else the tried one until a safer one is proved. A set before that every model calls unstable, and that was seen
+to swing on, does not come back for a worse response, whatever the tried one acts. Nor do models that
 now say of the set before what neither was seen of it nor was known when the change was proved: it has worked. Where
 both are no robust sets, those that ran before are asked as well. Without a model the set before has been seen to work
 and the tried one has not, unless the one before was seen to swing on and the tried one is less of everything;
@@ -119,7 +120,8 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     left = [i for i, ms in enumerate(ms_tried) if cause not in UNDOS or ms > settings.harmless_ms]
     if has_worked or not left:
         least_ms, most = min(ms_before, default=0.0), math.inf if left else settings.harmless_ms
-        if cause in UNDOS and least_ms >= most and least_ms > settings.harmless_ms and _acts_less(ran):
+        worse = cause in UNDOS and least_ms >= most and least_ms > settings.harmless_ms
+        if worse and (_acts_less(ran) or (math.isinf(least_ms) and cause is TrialEvent.WORSE and _swung_on(ran))):
             return _calmer(cause, ran, ran.tried, known, least_ms, settings)
         return WayBack(ran.before, stays=False) if has_worked else _without_model(cause, ran, ran.tried)
 
@@ -148,28 +150,36 @@ def _calmer(
     """Where the set before acts more and no model holds it for robust: the tried set, or after a runaway the newest
     earlier one that acts less still and is robust on every model.
     """
-    reason = _no_way_back(least_ms)
+    reason = _no_way_back(least_ms, ran)
     for one in ran.earlier if cause is TrialEvent.RUNAWAY else ():
         if less_of_everything(tried, one) and max(known.ms(one)) <= settings.harmless_ms:
             return WayBack(one, stays=False, reason=f"{reason}; an earlier gain set acts less still")
     return WayBack(tried, stays=True, reason=reason)
 
 
-def _no_way_back(least_ms: float) -> str:
+def _no_way_back(least_ms: float, ran: SetsThatRan) -> str:
     """Why a trial set that swings stays where the set before is worse on every model."""
     ms = "are unstable" if math.isinf(least_ms) else f"have Ms of at least {least_ms:.2f}"
-    return f"on every plausible model the previous gains {ms}, and the trial gains act less"
+    why = "the trial gains act less" if _acts_less(ran) else f"kept oscillating ({_ratio(ran)})"
+    return f"on every plausible model the previous gains {ms}, and {why}"
+
+
+def _swung_on(ran: SetsThatRan) -> bool:
+    """Whether the set before was seen to swing on."""
+    return ran.swung is not None and ran.swung >= SWINGS_ON
+
+
+def _ratio(ran: SetsThatRan) -> str:
+    """How it swung, for people."""
+    return f"half-cycle decay ratio {ran.swung:.2f}" if ran.swung is not None else "not seen"
 
 
 def _without_model(cause: TrialEvent, ran: SetsThatRan, tried: PidGains) -> WayBack:
     """What was seen is all there is: responses that were watched to no end have spoken for neither set."""
     if cause is TrialEvent.TIMED_OUT:
         return WayBack(tried, stays=True, reason="no response spoke against the trial gains")
-    swung = ran.swung is not None and ran.swung >= SWINGS_ON
-    if cause not in UNDOS and swung and less_of_everything(ran.before, tried):
-        words = (
-            f"the previous gains kept oscillating (half-cycle decay ratio {ran.swung:.2f}), the trial gains act less"
-        )
+    if cause not in UNDOS and _swung_on(ran) and less_of_everything(ran.before, tried):
+        words = f"the previous gains kept oscillating ({_ratio(ran)}), the trial gains act less"
         return WayBack(tried, stays=True, reason=words)
     return WayBack(ran.before, stays=False)
 

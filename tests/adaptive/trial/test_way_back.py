@@ -206,3 +206,21 @@ def test_a_swing_under_calmer_gains_is_no_reason_to_go_back_to_more_action() -> 
     assert back.gains == SETS["right"]
     assert "the trial gains act less" in back.reason
     assert way_back(E.RUNAWAY, swung, StillAllowed((PROCESS,)), TrialSettings()).gains == SETS["right"]
+
+
+def test_what_swung_on_and_is_unstable_on_every_model_does_not_come_back_for_a_worse_response() -> None:
+    """Tried gains that act less in kp alone had gone back to a swing that grew: no model was left that said why not."""
+    grows = StillAllowed((PROCESS,))
+    before, acts_more = PidGains(18.0, 0.1), PidGains(4.5, 0.11)
+    assert math.isinf(ms(before))
+    assert ms(acts_more) <= HARMLESS
+    assert not less_of_everything(before, acts_more)
+    found = way_back(E.WORSE, SetsThatRan(before, acts_more, swung=1.3, swings=1.3), grows, TrialSettings())
+    assert found.stays
+    assert "kept oscillating" in found.reason
+    for other in (
+        SetsThatRan(before, acts_more, swung=0.5, swings=1.3),
+        SetsThatRan(before, acts_more, swung=None, swings=1.3),
+    ):
+        assert not way_back(E.WORSE, other, grows, TrialSettings()).stays
+    assert not way_back(E.RUNAWAY, SetsThatRan(before, acts_more, swung=1.3), grows, TrialSettings()).stays
