@@ -75,6 +75,8 @@ def rival_verdict(
         return None
     if tone_left > settings.rival_explains and cause == Cause.EXTERNAL:
         return _neither(evidence, settings)
+    if cause == Cause.EXTERNAL and not _helps(evidence, settings):
+        return None
     apart = abs(math.log(stuck_left / tone_left / (1 if cause == Cause.EXTERNAL else allowed)))
     confidence = 0.5 + 0.5 * math.tanh(min(leads[cause] / needed / 2, 4 * apart))
     return Diagnosis(cause, confidence, evidence, _reason(cause, tone, valve, evidence))
@@ -83,6 +85,14 @@ def rival_verdict(
 def _repeats(tone: Candidate, settings: DiagnosisSettings) -> bool:
     """Whether a tone goes on for as many cycles as make an oscillation; with fewer it is a load like any other."""
     return tone.fit.misfit.record.span_s >= settings.tone_cycles * _period_s(tone)
+
+
+def _helps(evidence: dict[str, float], settings: DiagnosisSettings) -> bool:
+    """Whether a tone leaves the noise alone, or clearly less than the loop by itself: what wanders always holds some
+    sinusoid that takes two percent of it (real flow loops: 1.30 times the noise with one, 1.33 without).
+    """
+    left, without = evidence["external_left"], evidence["linear_left"]
+    return left <= settings.tone_explains or left < settings.tone_as_good * without
 
 
 def _period_s(tone: Candidate) -> float:

@@ -288,11 +288,10 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     if unexplained:
         seen = _overshoots(evidence, settings) or _not_brought_back(window)
         return Doubt(Cause.UNKNOWN, unexplained + seen, explained)
-    as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
-    lead = evidence.get("external_lead", -math.inf)
-    as_likely = lead > -settings.tone_odds
-    if lead > 0 or (as_likely and evidence["external_left"] < as_good * left):
-        return _by_tone_instead(loop, evidence, explained and not oscillates and lead < settings.least_lead)
+    by_tone = _tone_doubt(loop, evidence, explained and not oscillates)
+    if by_tone is not None:
+        return by_tone
+    as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if oscillates and not steps and (as_likely or not explained):
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
     share = _explained(loop.best, evidence.get("noise_share", 0.0))
@@ -305,6 +304,19 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
         return Doubt(Cause.UNKNOWN, reason)
     if refuted:
         return Doubt(Cause.UNKNOWN, UNSTABLE)
+    return None
+
+
+def _tone_doubt(loop: Loop, evidence: Mapping[str, float], explained: bool) -> Doubt | None:
+    """The doubt where a tone explains a record as well or better than load steps."""
+    settings, lead = loop.settings, evidence.get("external_lead", -math.inf)
+    as_good = settings.tone_as_good if evidence.get("setpoint_steps", 0.0) else settings.tone_as_good_loads
+    may_be_asked = explained and lead < settings.least_lead
+    if lead > -settings.tone_odds and evidence["external_left"] < as_good * evidence["linear_left"]:
+        return _by_tone_instead(loop, evidence, may_be_asked)
+    if lead > 0:
+        reason = "load steps explain the record, and an external oscillation does so about as well"
+        return Doubt(Cause.UNKNOWN, reason + _overshoots(evidence, settings), may_be_asked)
     return None
 
 
