@@ -381,9 +381,15 @@ def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
 def is_known(found: Findings, learned: Learned) -> bool:
     """Whether a response agrees with what a clear setpoint step has shown: it is one record more of that.
 
-    That something else is behind them all is in the cost that the change is expected to have.
+    That something else is behind them all is in the cost that the change is expected to have. Where this response has
+    put another structure in the lead, it is so only if a change was due before it: one record turned a loop that five
+    held for robust into an integrator in danger.
     """
-    return found.rested_on.clear > 0 and learned.agreement == Agreement.AGREES
+    record, now = found.record, learned.region_model
+    before = record.region_models.get(record.region)
+    if not found.rested_on.clear or learned.agreement != Agreement.AGREES or before is None or now is None:
+        return False
+    return before.log.type is now.log.type or wanted_of(record, before, found.settings).diagnosis.retune
 
 
 def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionModel) -> bool:

@@ -26,6 +26,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision import causes
 from retuner.adaptive.supervision.causes import is_known
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
@@ -107,15 +108,37 @@ def test_a_growing_swing_after_a_setpoint_step_needs_no_rest() -> None:
     assert not runs_away(small, response(1.0, -1.2, 1.5), 1.0, SWING)
 
 
+def model_led_by(structure: ProcessType) -> Any:
+    return SimpleNamespace(log=SimpleNamespace(type=structure))
+
+
+def known(
+    excitation: Excitation, agreement: Agreement, before: ProcessType | None, now: ProcessType = ProcessType.SOPDT
+) -> bool:
+    models = {} if before is None else {0: model_led_by(before)}
+    record = SimpleNamespace(region=0, region_models=models)
+    found: Any = SimpleNamespace(rested_on=excitation, record=record, settings=None)
+    learned: Any = SimpleNamespace(agreement=agreement, region_model=model_led_by(now))
+    return is_known(found, learned)
+
+
 @pytest.mark.parametrize("agreement", list(Agreement))
 def test_one_record_more_of_what_a_clear_step_has_shown_needs_no_confirmation(agreement: Agreement) -> None:
-    def known(excitation: Excitation) -> bool:
-        found: Any = SimpleNamespace(rested_on=excitation)
-        learned: Any = SimpleNamespace(agreement=agreement)
-        return is_known(found, learned)
+    clear = Excitation(setpoints=1, clear=1)
+    assert known(clear, agreement, ProcessType.SOPDT) is (agreement is Agreement.AGREES)
+    assert not known(clear, agreement, None)
+    assert not known(Excitation(setpoints=3, loads=9), agreement, ProcessType.SOPDT)
 
-    assert known(Excitation(setpoints=1, clear=1)) is (agreement is Agreement.AGREES)
-    assert not known(Excitation(setpoints=3, loads=9))
+
+@pytest.mark.parametrize("due", [True, False])
+def test_a_record_that_puts_another_structure_in_the_lead_is_known_only_where_a_change_was_due_before(
+    due: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One record turned a loop that five held for robust into an integrator with an Ms of 10."""
+    before = SimpleNamespace(diagnosis=SimpleNamespace(retune=due))
+    monkeypatch.setattr(causes, "wanted_of", lambda *_: before)
+    clear = Excitation(setpoints=1, clear=1)
+    assert known(clear, Agreement.AGREES, ProcessType.SOPDT, ProcessType.INTEGRATING) is due
 
 
 def test_one_load_response_alone_is_not_enough() -> None:
