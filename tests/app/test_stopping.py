@@ -56,16 +56,6 @@ def test_between_two_waits_a_signal_stops_at_once() -> None:
         told()
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has none")
-def test_what_is_ignored_from_outside_stays_ignored() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with stoppable(), unstoppable():
-            os.kill(os.getpid(), signal.SIGHUP)
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
 def test_without_a_signal_nothing_is_raised() -> None:
     with unstoppable():
         pass
