@@ -14,7 +14,7 @@ STOPS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr
 """Signals that stop a run beside SIGINT; Windows has no SIGHUP."""
 
 
-class _Ear:
+class _StopSignals:
     """Hears SIGINT and STOPS while it listens; what comes while it waits is raised when the wait is over.
 
     Handlers are put in once for a session and not at each of its polls: that took a twentieth of a simulated run.
@@ -62,12 +62,12 @@ class _Ear:
             raise KeyboardInterrupt
 
 
-_EAR = _Ear()
+_SIGNALS = _StopSignals()
 
 
 def stoppable() -> AbstractContextManager[None]:
     """Inside, the signals of STOPS raise KeyboardInterrupt as SIGINT does; the old handlers come back afterwards."""
-    return _EAR.listen()
+    return _SIGNALS.listen()
 
 
 @contextmanager
@@ -78,5 +78,5 @@ def unstoppable() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    with _EAR.listen(), _EAR.wait():
+    with _SIGNALS.listen(), _SIGNALS.wait():
         yield
