@@ -6,7 +6,7 @@ steps are added one by one where they take away most of the misfit. The best nod
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -213,13 +213,8 @@ def with_inverse(smaller: Fit, type_: ProcessType, count: int = 2) -> Fit:
 
     smaller : optimum of the structure without it. count : refinements.
     """
-    misfit, d, loads = replace(smaller.misfit, type=type_), SIZE[smaller.misfit.type], smaller.misfit.loads
-    theta, points = math.exp(smaller.x[THETA]), []
-    for share in (0.0, *INVERSE_SHARES):
-        x, b = smaller.x.copy(), max(theta * share, LEAST_TIME * 2 * misfit.record.sample_time_s)
-        x[THETA] = math.log(theta * (1 - share))
-        times = np.maximum(smaller.p[d : d + loads] - b, 0.0)
-        points.append(np.concatenate([x[: INVERSE[type_]], [math.log(b)], times, smaller.p[d + loads :]]))
+    misfit = replace(smaller.misfit, type=type_)
+    points = _out_of_dead_time(smaller, INVERSE_SHARES, INVERSE[type_])
     order = np.argsort(misfit.costs(points), kind="stable")[:count]
     return min((refine(misfit, points[i]) for i in order), key=lambda f: f.deviance)
 
@@ -231,16 +226,22 @@ def with_third(smaller: Fit, type_: ProcessType, count: int = 1) -> Fit:
 
     smaller : optimum of the structure without it. count : refinements.
     """
-    misfit, d, loads = replace(smaller.misfit, type=type_), SIZE[smaller.misfit.type], smaller.misfit.loads
-    theta, points = math.exp(smaller.x[THETA]), []
-    for share in (0.0, *THIRD_SHARES):
-        x, lag = smaller.x.copy(), max(theta * share, LEAST_TIME * 2 * misfit.record.sample_time_s)
-        x[THETA] = math.log(theta * (1 - share))
-        times = np.maximum(smaller.p[d : d + loads] - lag, 0.0)
-        points.append(np.concatenate([x[: THIRD[type_]], [math.log(lag)], times, smaller.p[d + loads :]]))
-    points.append(behind_a_lag(smaller, misfit))
+    misfit = replace(smaller.misfit, type=type_)
+    points = [*_out_of_dead_time(smaller, THIRD_SHARES, THIRD[type_]), behind_a_lag(smaller, misfit)]
     order = np.argsort(misfit.costs(points), kind="stable")[:count]
     return min((_sorted(refine(misfit, points[i])) for i in order), key=lambda f: f.deviance)
+
+
+def _out_of_dead_time(smaller: Fit, shares: Sequence[float], place: int) -> list[FloatArray]:
+    """Starts p of a structure with one time more, at that place of x: none of the dead time, or a share of it."""
+    d, loads, theta = SIZE[smaller.misfit.type], smaller.misfit.loads, math.exp(smaller.x[THETA])
+    least, points = LEAST_TIME * 2 * smaller.misfit.record.sample_time_s, []
+    for share in (0.0, *shares):
+        x, time_s = smaller.x.copy(), max(theta * share, least)
+        x[THETA] = math.log(theta * (1 - share))
+        times = np.maximum(smaller.p[d : d + loads] - time_s, 0.0)
+        points.append(np.concatenate([x[:place], [math.log(time_s)], times, smaller.p[d + loads :]]))
+    return points
 
 
 def behind_a_lag(smaller: Fit, misfit: Misfit) -> FloatArray:
