@@ -1,9 +1,12 @@
 """Causes of a loop's behaviour, and the diagnosis that names one of them."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.robust_simc import asks_for_integral
 from retuner.adaptive.loop.margins import EDGE, Margins, margins, sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains
@@ -105,10 +108,12 @@ def counted(told: Diagnosis) -> Diagnosis:
 #     Ms high, small gain margin    aggressive: too much gain
 #     Ms high, LARGE gain margin    slow_integrating: too much integral action for the gain (the loop swings slowly)
 #     little integral action        sluggish: ki well under what SIMC gives, with robustness to spare
-#     little gain                   sluggish, or slow_integrating where the integral time is short as well
+#     little gain                   sluggish, or slow_integrating where the integral time is short as well; not asked
+#                                   where hardly more than the integral counts (robust_simc.py)
 #     otherwise                     ok
 #     Ms high with derivative       what the derivative does hangs on a second lag, which a first-order model does not
-#                                   have: unknown where one that hides in its dead time would make the loop robust
+#                                   have: unknown where one that may hide in its dead time would make the loop robust.
+#                                   Models with a second lag that the record allows say how long it may be
 #
 # 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3), so
 # the ratio of ki to SIMC's says how much worse than necessary loads are rejected. The margins separate the classes
@@ -134,14 +139,20 @@ class CauseSettings:
 
 
 def tuning_cause(
-    model: ProcessModel, gains: PidGains, best: PidGains, gain_uncertainty: float, settings: CauseSettings
+    model: ProcessModel,
+    gains: PidGains,
+    best: PidGains,
+    gain_uncertainty: float,
+    settings: CauseSettings,
+    lagged: Sequence[ProcessModel] = (),
 ) -> Diagnosis:
     """Diagnose the gains in force on an identified process.
 
     Parameters
     ----------
     model : the process. gains : in force. best : what the rule gives for it.
-    gain_uncertainty : standard deviation of ln |G(j/theta)|, for the confidence.
+    gain_uncertainty : standard deviation of ln |G(j/theta)|, for the confidence. lagged : models with a second lag that
+        the same records allow.
     """
     found = margins(model.linear(), gains)
     slack = best.ki / gains.ki if gains.ki else math.inf
@@ -152,11 +163,12 @@ def tuning_cause(
         "ki_ratio": slack,
         "kp_ratio": best.kp / gains.kp if gains.kp else math.inf,
     }
-    cause, reason = _name(found, slack, evidence["kp_ratio"], settings)
-    if gains.kd and not model.tau2_s and found.ms > settings.ms_high and cured(model, gains, settings.ms_high):
+    weak = min(evidence["kp_ratio"], slack) if asks_for_integral(model) else evidence["kp_ratio"]
+    cause, reason = _name(found, slack, weak, settings)
+    if gains.kd and not model.tau2_s and found.ms > settings.ms_high and cured(model, gains, settings.ms_high, lagged):
         unsure = "the controller has derivative action, and a model without a second lag cannot judge it"
         return Diagnosis(Cause.UNKNOWN, 1.0, evidence, unsure)
-    room = max(slack, evidence["kp_ratio"])
+    room = max(slack, weak)
     return Diagnosis(cause, _confidence(found, room, cause, gain_uncertainty, settings), evidence, reason)
 
 
@@ -166,7 +178,11 @@ Skogestad 2003)."""
 WITH_LAG = {ProcessType.FOPDT: ProcessType.SOPDT, ProcessType.INTEGRATING: ProcessType.INTEGRATING_LAG}
 
 
-def cured(model: ProcessModel, gains: PidGains, limit: float) -> bool:
+TWICE = 2.0
+"""A second lag is known to this factor where the best fit with one names it."""
+
+
+def cured(model: ProcessModel, gains: PidGains, limit: float, lagged: Sequence[ProcessModel] = ()) -> bool:
     """Whether a second lag in place of a part of its dead time brings the loop under an Ms limit, or none has a place.
 
     limit : of Ms. A good PID loop is robust with its second lag, and unstable on the first-order model of the same
@@ -174,12 +190,25 @@ def cured(model: ProcessModel, gains: PidGains, limit: float) -> bool:
     """
     if model.type not in WITH_LAG:
         return True
-    for share in HIDDEN_LAGS:
-        lags = sorted((model.tau1_s, share * model.theta_s)) if model.tau1_s else (share * model.theta_s, 0.0)
-        lagged = ProcessModel(WITH_LAG[model.type], model.k, lags[1], lags[0], (1 - share) * model.theta_s)
-        if sensitivity_peak(lagged.linear(), gains) <= limit:
-            return True
-    return False
+    named = [m for m in lagged if m.type == WITH_LAG[model.type] and m.zeta >= 1.0]
+    longer = [_with_second_lag(m.k, m.tau1_s, TWICE * m.tau2_s, m.theta_s + (1.0 - TWICE) * m.tau2_s) for m in named]
+    hidden = [share * model.theta_s for share in HIDDEN_LAGS]
+    guessed = [_with_second_lag(model.k, model.tau1_s, lag, model.theta_s - lag) for lag in hidden]
+    asked = [*named, *longer] or guessed
+    return any(sensitivity_peak(one.linear(), gains) <= limit for one in asked)
+
+
+def _with_second_lag(k: float, tau1_s: float, tau2_s: float, theta_s: float) -> ProcessModel:
+    """tau1_s : 0 of an integrating process."""
+    if not tau1_s:
+        return ProcessModel(ProcessType.INTEGRATING_LAG, k, 0.0, tau2_s, max(theta_s, 0.0))
+    lags = sorted((tau1_s, tau2_s))
+    return ProcessModel(ProcessType.SOPDT, k, lags[1], lags[0], max(theta_s, 0.0))
+
+
+def with_second_lag(allowed: Sequence[Plausible], sample_time_s: float) -> list[ProcessModel]:
+    """The models with a second lag among those that are allowed, as a sampled controller sees them."""
+    return [p.model.seen_by_controller(sample_time_s) for p in allowed if p.model.type in WITH_LAG.values()]
 
 
 def over_words(ms: float, limit: float) -> str:
@@ -201,6 +230,8 @@ def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) ->
                 f"{found.gm:.1f}: integral action too strong for the gain"
             )
         return Cause.AGGRESSIVE, f"{over_words(found.ms, settings.ms_high)}, gain margin {found.gm:.2f}"
+    if math.isinf(slack):
+        return Cause.SLUGGISH, f"without integral action a load leaves an offset (Ms {found.ms:.2f})"
     if slack > settings.slack:
         return (
             Cause.SLUGGISH,

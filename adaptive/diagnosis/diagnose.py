@@ -27,7 +27,6 @@ from retuner.adaptive.diagnosis.rival_fits import external, linear, sharper
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
 from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, standing_verdict
-from retuner.adaptive.diagnosis.sticking_valve import Sticking, sticking, turns_s
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found, linear_verdict
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
@@ -39,6 +38,7 @@ from retuner.adaptive.indexes.limits import switches_between
 from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.valve.sticking_valve import Sticking, sticking, turns_s
 from retuner.schedule.gains import PidGains
 
 # Stiction or an oscillation from outside, where one of them explains a record clearly better than the loop by itself.

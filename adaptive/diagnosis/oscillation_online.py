@@ -1,13 +1,12 @@
 """On line: is it the tuning at all? What swings, or what the loop by itself does not explain, is put to its rivals.
 
-    swings on without a setpoint step, too few cycles yet     wait: one and a half cycles fit anything
-    something else was behind what these gains showed before   asked again, of all that they have shown
-    swings on, cycles enough                                  the whole diagnosis (diagnose.py) of the stretch
+    swings on without a setpoint step                         the whole diagnosis (diagnose.py) of the stretch
+    something else was behind what these gains showed before  the same, of all that they have shown
     a response of which the linear fit leaves too much        rivals alone: stiction or a tone under the response
     otherwise                                                 the model may learn, and its margins decide
 
-A response of three peaks is one and a half cycles; a stretch is everything since the gains last changed. Cause before
-cure: what a rival explains teaches the model nothing.
+A stretch is everything since the gains last changed. Whether its cycles are enough for a verdict is the diagnosis's to
+say. Cause before cure: what a rival explains teaches the model nothing.
 """
 
 from collections.abc import Sequence
@@ -30,7 +29,6 @@ class SwingSettings:
 
     damping : (E3 - E2)/(E1 - E2) from which a load response of three peaks swings on, or the overshoot of one of two;
         0.3 to 0.9, default 0.5 (a quarter of the amplitude after a period; a well-tuned loop leaves far less).
-    cycles : cycles of a swing that are waited for before anything is said; 3 to 10, default 4.
     most_cycles : cycles of the stretch that are looked at; 5 to 30, default 12.
     most_counted : responses that count at most for what else was found; 1 to 10, default 3.
     unexplained : standard deviations of the noise that a linear fit may leave before its rivals are asked; 1.1 to 3,
@@ -61,7 +59,6 @@ class SwingSettings:
     """
 
     damping: float = 0.5
-    cycles: float = 4.0
     most_cycles: float = 12.0
     most_counted: int = 3
     unexplained: float = 1.5
@@ -101,18 +98,6 @@ def stretch(samples: Sequence[LoopSample], from_s: float, same_gains: bool = Tru
             break
         kept.append(sample)
     return kept[::-1]
-
-
-def too_few_cycles(samples: Sequence[LoopSample], response: Response, swing: SwingSettings) -> Diagnosis | None:
-    """That a swing is too young for any verdict, None where it is not. response : it swings (see swings)."""
-    period_s = response.period_s
-    assert period_s is not None
-    seen = stretch(samples, response.t_end_s - swing.most_cycles * period_s, swing.same_gains)
-    cycles = (response.t_end_s - seen[0].t_s) / period_s
-    if cycles >= swing.cycles:
-        return None
-    reason = f"lasting oscillation without a setpoint step: {cycles:.1f} cycles seen, {swing.cycles:g} are needed"
-    return Diagnosis(Cause.UNKNOWN, 0.5, {"period_s": period_s, "cycles": cycles}, reason)
 
 
 def whole_cause(

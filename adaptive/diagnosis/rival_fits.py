@@ -2,7 +2,7 @@
 
     linear     pv = G co + load steps + random walk                          the loop's own doing, and ordinary upsets
     external   the same + a sinusoid with harmonics at a free frequency      an oscillation from outside
-    stuck      the same with co replaced by the output of a stuck valve      see sticking_valve.py
+    stuck      the same with co replaced by the output of a stuck valve      see valve/sticking_valve.py
 
 Harmonics belong to the second, because what comes from outside is often another loop's limit cycle, a triangle or a
 saw, which one sinusoid leaves to the valve. What is left counts as it is, not whitened: even one real pole takes an
@@ -32,8 +32,6 @@ MORE_HARMONICS = 11
 """The same where a loop shows its slope instead, as squares with sharp corners."""
 SHARP = 4
 """Samples in the shortest wave of those, at least."""
-WHITE = 0
-"""Order of the filter for what is left: a filter would whiten any slow oscillation without naming its cause."""
 WEAKENED = 3.0
 """The process is also tried with a gain e^-3 of the linear one: next to a tone it may have no part at all."""
 

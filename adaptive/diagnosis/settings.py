@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
-from retuner.adaptive.diagnosis.rival_fits import WHITE
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings
+from retuner.adaptive.fit.misfit import WHITE
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
 from retuner.adaptive.identification.structure_choice import ChoiceSettings

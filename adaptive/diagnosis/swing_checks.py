@@ -113,10 +113,10 @@ def not_seen(response: Response, foretold: Trace, settings: SwingSettings) -> st
     if len(seen) < THIRD:  # a swing that rides on a slow return does not cross over, and shows no peaks
         due = _due(response, foretold, said, settings) * seen[0] / said[0]
         missing = response.ending == Ending.QUIET and min(second, due) > least
-        return f"{_says(third)}, and the error came to rest after {len(seen)}: no model to go by" if missing else ""
+        return f"{_says(third)}, but the error came to rest after {len(seen)}" if missing else ""
     if seen[2] + least > settings.shown * third:
         return ""
-    return f"{_says(third)}, and it was {seen[2]:.3g}: no model to go by"
+    return f"{_says(third)}, and was {seen[2]:.3g}"
 
 
 def _due(response: Response, trace: Trace, said: list[float], settings: SwingSettings) -> float:
@@ -148,4 +148,6 @@ def foretold(response: Response, loop: Loop, ramp_s: float = 0.0) -> Trace:
 
 
 def _says(third: float) -> str:
-    return f"by the model that fits, the loop swings: the third peak would be {third:.3g}"
+    return (
+        f"the loop refutes the model that fits: by it the third peak of the error would be {third:.3g} in units of pv"
+    )

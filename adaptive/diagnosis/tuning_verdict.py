@@ -12,10 +12,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, CauseSettings, Diagnosis, tuning_cause
+from retuner.adaptive.diagnosis.cause import (
+    TUNING_CAUSES,
+    Cause,
+    CauseSettings,
+    Diagnosis,
+    tuning_cause,
+    with_second_lag,
+)
 from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.sticking_valve import with_play
 from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.candidate import Candidate
@@ -30,6 +36,7 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.valve.sticking_valve import with_play
 from retuner.schedule.gains import PidGains
 
 
@@ -360,7 +367,7 @@ def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSet
         leave = "1 load step leaves" if loads == 1 else f"{loads:.0f} load steps leave"
         return f"an unexplained disturbance: {leave} a residual of {left:.1f} times the noise"
     if loads >= (max(settings.many_loads_beside, steps) if steps else settings.many_loads):
-        return f"an unexplained disturbance: {loads:.0f} load steps explain the record, and so many explain any"
+        return f"an unexplained disturbance: {loads:.0f} load steps explain the record, but so many would explain any"
     return ""
 
 
@@ -436,9 +443,10 @@ def weighed(
     """The verdict that most of the models share that the record allows; its weight is the confidence."""
     weights: dict[Cause, float] = defaultdict(float)
     firsts: dict[Cause, Diagnosis] = {}
+    lagged = with_second_lag(estimate.plausible, sample_time_s)
     for p in estimate.plausible:
         model = p.model.seen_by_controller(sample_time_s)
-        verdict = tuning_cause(model, gains, tuning.tuning.gains, 0.1, settings)
+        verdict = tuning_cause(model, gains, tuning.tuning.gains, 0.1, settings, lagged)
         weights[verdict.cause] += math.exp(-p.excess / 2)
         firsts.setdefault(verdict.cause, verdict)
     cause = max(weights, key=lambda c: weights[c])

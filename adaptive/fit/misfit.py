@@ -55,6 +55,8 @@ from retuner.adaptive.signals.sample import FloatArray
 
 MOST_ORDER = 4
 """Highest order: a random walk through two lags with white noise on top needs no more."""
+WHITE = 0
+"""The same where causes are compared: a filter would whiten any slow oscillation without naming its cause."""
 LEAST_SAMPLES = 12
 """Below this many samples colour is not told from white."""
 

@@ -40,3 +40,14 @@ def test_an_integrating_process_with_derivative_action_is_asked_with_a_lag_as_we
     lagged = ProcessModel(ProcessType.INTEGRATING_LAG, 0.01, 0.0, 9.0, 5.5)
     assert sensitivity_peak(lagged.linear(), good) < 1.8 < sensitivity_peak(process.linear(), good)
     assert tuning_cause(process, good, simc(process).gains, 0.05, CAUSES).cause == Cause.UNKNOWN
+
+
+def test_a_second_lag_that_the_record_names_answers_in_place_of_one_that_might_hide() -> None:
+    reduced = ProcessModel(ProcessType.FOPDT, 53.2, 22.8, 0.0, 18.8)
+    gains = PidGains(0.0249, 0.000272, 0.171)  # a lag of half the dead time would make it robust
+    asked = (reduced, gains, simc(reduced).gains, 0.05, CAUSES)
+    assert tuning_cause(*asked).cause == Cause.UNKNOWN
+    short = ProcessModel(ProcessType.SOPDT, 53.2, 22.8, 0.3, 18.5)
+    assert tuning_cause(*asked, (short,)).cause == Cause.AGGRESSIVE
+    long = ProcessModel(ProcessType.SOPDT, 53.2, 22.8, 8.0, 10.8)
+    assert tuning_cause(*asked, (short, long)).cause == Cause.UNKNOWN

@@ -10,10 +10,10 @@ from test_coincident_loads import recorded
 from retuner import api
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
-from retuner.adaptive.diagnosis.sticking_valve import Family, StuckValve
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.stuck_valve import Family, StuckValve
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.sticking_valve import Family, StuckValve, sticking, with_play
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.sticking_valve import sticking, with_play
+from retuner.adaptive.valve.stuck_valve import Family, StuckValve
 
 TRIANGLE = np.interp(np.arange(400) % 80, [0, 40, 80], [0.0, 10.0, 0.0])
 

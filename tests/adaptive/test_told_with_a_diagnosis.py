@@ -12,7 +12,6 @@ from test_diagnose import DT, GOOD, loop, times, to_and_fro
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.first_step import MOST_AT_ONCE, first_step
-from retuner.adaptive.diagnosis.sticking_valve import Family, StuckValve
 from retuner.adaptive.diagnosis.stretches import SAMPLES_A_CYCLE, over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found
 from retuner.adaptive.identification.robust_simc import RobustTuning
@@ -21,6 +20,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.stuck_valve import Family, StuckValve
 from retuner.schedule.gains import PidGains
 
 INTEGRATING = ProcessModel(ProcessType.INTEGRATING, 0.02, 0.0, 0.0, 3.0)

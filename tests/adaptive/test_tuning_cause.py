@@ -47,6 +47,12 @@ def test_margins_tell_the_causes_apart(kp: float, ki: float, cause: Cause) -> No
     assert found.to_dict()["cause"] == cause.value
 
 
+def test_a_loop_without_integral_action_is_told_as_that() -> None:
+    found = tuning_cause(MODEL, PidGains(BEST.kp, 0.0), BEST, 0.05, CAUSES)
+    assert found.cause is Cause.SLUGGISH
+    assert found.reason.startswith("without integral action a load leaves an offset (Ms ")
+
+
 def test_a_diagnosis_refuses_what_is_no_number() -> None:
     with pytest.raises(ValueError, match="confidence"):
         Diagnosis(Cause.OK, 1.2, {}, "")

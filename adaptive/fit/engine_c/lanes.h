@@ -11,7 +11,7 @@ static const int SIZE[] = {3, 4, 2, 3, 5, 5}, LAG[] = {2, 2, -1, -1, 2, 2}, SECO
 static const int INVERSE[] = {-1, -1, -1, -1, 4, -1}, THIRD[] = {-1, -1, -1, -1, -1, 4};
 enum { SLOPE, THETA };
 
-static const double LEAST_ZETA = 0.35, SWING_WEIGHT = 30.0; /* structure.py, misfit.py */
+static const double LEAST_ZETA = 0.15, SWING_WEIGHT = 30.0; /* structure.py, misfit.py */
 
 /* ---------------------------------------------------------------- problem and workspace */
 

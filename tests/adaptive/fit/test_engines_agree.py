@@ -8,7 +8,6 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from retuner.adaptive.diagnosis.sticking_valve import Nodes, StuckValve, _costs, _grid, _moved, _through, _travel
 from retuner.adaptive.fit import engine
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
 from retuner.adaptive.fit.record import Record
@@ -20,6 +19,8 @@ from retuner.adaptive.identification.candidate import judged
 from retuner.adaptive.identification.loads import linear_gains
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.valve.sticking_valve import Nodes, _grid, _moved, _through, _travel, valve_costs
+from retuner.adaptive.valve.stuck_valve import StuckValve
 
 compiled = pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
 POINTS = 1000
@@ -179,7 +180,7 @@ def test_sticking_valves_move_and_explain_alike() -> None:
         fit = refine(Misfit(record, ProcessType.FOPDT, 1, 0, record.noise_std, 0.3), np.log([1, period / 9, period]))
         with engine.using("numpy"):
             left, gain = _through(record, valves, nodes)
-            costs, moved = _costs(fit, valves), [_moved(record, v) for v in valves]
+            costs, moved = valve_costs(fit, valves), [_moved(record, v) for v in valves]
         for valve, expected in zip(valves, moved, strict=True):
             np.testing.assert_allclose(compiled.valve_travel(valve.numbers(), record.co), expected, atol=1e-12)
         found = compiled.valves_scanned(record, [v.numbers() for v in valves], nodes)

@@ -1,27 +1,21 @@
-"""A valve that sticks: the two published two-parameter models, S the stick band, J the slip jump, in units of co.
+"""The explanation of a record by a valve that sticks (valve/stuck_valve.py).
 
-    f_s = (S + J)/2 static and f_d = (S - J)/2 kinetic friction
-
-    Kano et al. (2004)   at rest: stays until |u - y| > f_s; in motion: y = u - d f_d, and rests when u stops or turns
-    He et al. (2007)     friction is overcome anew at every sample: y moves by the push less f_d whenever the push,
-                         what was left plus the change of u, exceeds f_s
-
-After a reversal Kano's valve rests until co has travelled S, He's until S to S + J, then it jumps by J; going on in
-one direction, Kano's follows and He's moves in steps of J. J = 0 is backlash. Real valves do either (Garcia 2008).
+The sum of squares has a valley in S that is narrower than 5 %, and many others; a wrong band makes up for a lag or a
+dead time that the scan does not have. So bands, jumps and both valve models are scanned on a grid with one lag and
+with two, each of the best valleys again with band, jump, lag and dead time together; then they are refined with their
+process, scanned finely round S, J and where the valve stood when the record began, and refined again with loads.
 """
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.rival_fits import WHITE
 from retuner.adaptive.fit.dynamics import Dynamics
 from retuner.adaptive.fit.engine import compiled
-from retuner.adaptive.fit.misfit import USEFUL, Misfit
+from retuner.adaptive.fit.misfit import USEFUL, WHITE, Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Fit, refine
 from retuner.adaptive.fit.search import with_second_lag
@@ -29,87 +23,7 @@ from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
-
-
-class Family(StrEnum):
-    """Which of the two models."""
-
-    KANO = "kano"
-    HE = "he"
-
-
-@dataclass(frozen=True, slots=True)
-class StuckValve:
-    """A valve.
-
-    family : model. stick : S > 0. jump : J, 0 <= J <= 2 S (S at the most in He's model).
-    start : where the valve stands in its band when the record begins, -1 to 1 in units of f_s.
-
-    Raises
-    ------
-    ValueError
-        A number is outside its range.
-    """
-
-    family: Family
-    stick: float
-    jump: float
-    start: float = 0.0
-
-    def __post_init__(self) -> None:
-        most = 2 * self.stick if self.family == Family.KANO else self.stick
-        if not (0 < self.stick < math.inf and 0 <= self.jump <= most * (1 + 1e-12)):
-            raise ValueError(f"stiction band {self.stick}, jump {self.jump}: band above 0, jump up to {most}")
-        if not -1 <= self.start <= 1:
-            raise ValueError(f"start {self.start} is outside the band, -1 to 1")
-
-    def position(self, co: FloatArray) -> FloatArray:
-        """Position of the valve for the controller output co, shape (n,)."""
-        f_static, f_kinetic = (self.stick + self.jump) / 2, (self.stick - self.jump) / 2
-        run = _kano if self.family == Family.KANO else _he
-        return np.array(run(co.tolist(), f_static, f_kinetic, self.start * f_static))
-
-    def numbers(self) -> tuple[float, float, float, float]:
-        """Family (0 Kano, 1 He), stick, jump and start, as the compiled engine takes them."""
-        return float(self.family == Family.HE), self.stick, self.jump, self.start
-
-
-def _kano(co: list[float], f_static: float, f_kinetic: float, start: float) -> list[float]:
-    y, direction, moving = co[0] + start, 0, False
-    found = [y]
-    for before, u in pairwise(co):
-        change = u - before
-        if moving and change * direction <= 0:
-            moving = False
-        if not moving and abs(u - y) > f_static:
-            moving, direction = True, 1 if u > y else -1
-        if moving:
-            y = u - direction * f_kinetic
-        found.append(y)
-    return found
-
-
-def _he(co: list[float], f_static: float, f_kinetic: float, start: float) -> list[float]:
-    y, left = co[0] + start, -start
-    found = [y]
-    for before, u in pairwise(co):
-        push = left + u - before
-        if push > f_static or -push > f_static:
-            left = math.copysign(f_kinetic, push)
-            y += push - left
-        else:
-            left = push
-        found.append(y)
-    return found
-
-
-# The explanation of a record by a valve that sticks: which band, which jump, and which process behind it.
-#
-# The sum of squares has a valley in S that is narrower than 5 %, and many others; a wrong band makes up for a lag or a
-# dead time that the scan does not have. So bands, jumps and both valve models are scanned on a grid with one lag and
-# with two, each of the best valleys again with band, jump, lag and dead time together; then they are refined with their
-# process, scanned finely round S, J and where the valve stood when the record began, and refined again with loads.
-
+from retuner.adaptive.valve.stuck_valve import Family, StuckValve
 
 STICK_NODES = 45
 STICK_RANGE = (0.1, 1.2)
@@ -188,9 +102,9 @@ def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
         harmonics=0,
         most_order=WHITE,
     )
-    firsts = [_with_lag(_fine(_refined(replace(misfit, type=type_), valve, x))) for valve, type_, x in ranked]
+    firsts = [with_lag(fine(refined(replace(misfit, type=type_), valve, x))) for valve, type_, x in ranked]
     closest = sorted(firsts, key=lambda s: s.fit.criterion)[:POLISHED]
-    best = min((_settled(s) for s in closest), key=lambda s: s.fit.criterion)
+    best = min((settled(s) for s in closest), key=lambda s: s.fit.criterion)
     return replace(best, fit=improved(best.fit, most_loads, Seen([best.fit])))
 
 
@@ -202,9 +116,9 @@ def with_play(linear: Candidate, most_loads: int) -> Sticking:
     """
     kept = linear.fit.misfit
     bare = replace(kept, loads=0, corners=0, rounded=False)
-    rivals = [_fine(_played(linear.fit, kept, linear.fit.p))]
+    rivals = [fine(_played(linear.fit, kept, linear.fit.p))]
     if kept.loads:
-        plain = _fine(_played(linear.fit, bare, linear.fit.x))
+        plain = fine(_played(linear.fit, bare, linear.fit.x))
         rivals.append(replace(plain, fit=improved(plain.fit, most_loads, Seen([plain.fit]))))
     return min(rivals, key=lambda s: s.fit.criterion)
 
@@ -215,19 +129,19 @@ def _played(fit: Fit, misfit: Misfit, p: FloatArray) -> Sticking:
     found = []
     for share in PLAYS:
         valves = [StuckValve(Family.KANO, share * co_range, 0.0, start) for start in STARTS]
-        costs = _costs(fit, valves)
-        found.append(_refined(misfit, valves[int(np.argmin(costs))], p))
+        costs = valve_costs(fit, valves)
+        found.append(refined(misfit, valves[int(np.argmin(costs))], p))
     return min(found, key=lambda s: s.fit.criterion)
 
 
-def _settled(at: Sticking) -> Sticking:
+def settled(at: Sticking) -> Sticking:
     """Fine scans and refinements in turn, until neither helps."""
     for _ in range(ROUNDS):
-        after = _fine(at)
+        after = fine(at)
         if after.fit.criterion >= at.fit.criterion - ENOUGH:
-            return _with_lag(at)
+            return with_lag(at)
         at = after
-    return _with_lag(at)
+    return with_lag(at)
 
 
 Ranked = tuple[StuckValve, ProcessType, FloatArray]
@@ -238,15 +152,15 @@ def _scanned(record: Record, sign: int, period_s: float) -> list[Ranked]:
     """The best valves, each of another valley, with x of their process."""
     travel, nodes = _travel(record, period_s), Nodes.of(record, period_s)
     valves = [valve for plain in _grid(travel) for valve in _centred(plain, record, period_s)]
-    left, _ = _explained(record, sign, valves, nodes)
+    left, _ = explained(record, sign, valves, nodes)
     node = np.argmin(left, axis=1)
     best = left[np.arange(len(valves)), node]
     found: list[tuple[float, Ranked]] = []
-    for i in _valleys(valves, best):
+    for i in valleys(valves, best):
         lags, theta = nodes.at(int(node[i]))
         near = nodes.near(record, lags, theta, period_s)
         around = list(_near(valves[i]))
-        closer, gain = _explained(record, sign, around, near)
+        closer, gain = explained(record, sign, around, near)
         j, k = np.unravel_index(int(np.argmin(closer)), closer.shape)
         found.append((float(closer[j, k]), (around[j], *near.started(int(k), float(gain[j, k])))))
     if not found:
@@ -255,7 +169,7 @@ def _scanned(record: Record, sign: int, period_s: float) -> list[Ranked]:
     return [ranked for _, ranked in sorted(found, key=lambda f: f[0])]
 
 
-def _valleys(valves: Sequence[StuckValve], left: FloatArray) -> list[int]:
+def valleys(valves: Sequence[StuckValve], left: FloatArray) -> list[int]:
     """Numbers of the best valves, none of them beside a better one."""
     found: list[int] = []
     for i in np.argsort(left, kind="stable").tolist():
@@ -281,7 +195,7 @@ def _near(valve: StuckValve) -> Iterator[StuckValve]:
         yield StuckValve(valve.family, valve.stick * factor, share * valve.stick * factor, start)
 
 
-def _explained(record: Record, sign: int, valves: list[StuckValve], nodes: "Nodes") -> tuple[FloatArray, FloatArray]:
+def explained(record: Record, sign: int, valves: list[StuckValve], nodes: "Nodes") -> tuple[FloatArray, FloatArray]:
     """Sum of squares, infinite where the gain has the wrong sign, and gain of every valve at every node."""
     engine = compiled()
     if engine is not None:
@@ -341,15 +255,16 @@ class Nodes:
     def of(cls, record: Record, period_s: float) -> "Nodes":
         """The nodes for a record with a swing."""
         lags = [(lag * period_s, second * period_s) for lag, second in LAGS_PER_PERIOD]
-        return cls._made(record, _rows(record, period_s), lags, [share * period_s for share in THETAS_PER_PERIOD])
+        return cls.made(record, _rows(record, period_s), lags, [share * period_s for share in THETAS_PER_PERIOD])
 
     def near(self, record: Record, lags_s: tuple[float, float], theta_s: float, period_s: float) -> "Nodes":
         """Nodes round one of them."""
         lags = [(lags_s[0] * f, lags_s[1] * f) for f in NEAR_LAGS]
-        return Nodes._made(record, self.rows, lags, [theta_s + more * period_s for more in NEAR_THETAS])
+        return Nodes.made(record, self.rows, lags, [theta_s + more * period_s for more in NEAR_THETAS])
 
     @classmethod
-    def _made(cls, record: Record, rows: slice, lags: list[tuple[float, float]], thetas: list[float]) -> "Nodes":
+    def made(cls, record: Record, rows: slice, lags: list[tuple[float, float]], thetas: list[float]) -> "Nodes":
+        """The nodes of given lags (a second one beside each, 0 for none) and dead times."""
         dt = record.sample_time_s
         t, pv = record.t_s[rows], record.pv[rows]
         longest = [max(lag, dt) for lag, _ in lags]
@@ -423,12 +338,12 @@ def _moved(record: Record, valve: StuckValve) -> FloatArray:
     return np.asarray(position - position[0], dtype=np.float64)
 
 
-def _refined(misfit: Misfit, valve: StuckValve, x: FloatArray) -> Sticking:
+def refined(misfit: Misfit, valve: StuckValve, x: FloatArray) -> Sticking:
     """One valve with its process refined."""
     return Sticking(valve, judged(refine(replace(misfit, co=_moved(misfit.record, valve)), x)))
 
 
-def _with_lag(at: Sticking) -> Sticking:
+def with_lag(at: Sticking) -> Sticking:
     """The same with a second lag, where that pays."""
     if at.fit.fit.misfit.type != ProcessType.FOPDT:
         return at
@@ -436,21 +351,21 @@ def _with_lag(at: Sticking) -> Sticking:
     return replace(at, fit=richer) if richer.criterion < at.fit.criterion else at
 
 
-def _fine(at: Sticking) -> Sticking:
+def fine(at: Sticking) -> Sticking:
     """Neighbouring bands, jumps and starts with the process held, then refined from the best of them."""
     fit: Fit = at.fit.fit
-    best, (cost,) = at.valve, _costs(fit, [at.valve])
+    best, (cost,) = at.valve, valve_costs(fit, [at.valve])
     for around in (_starts, _bands, _jumps, _sticks):
         valves = around(best)
-        for valve, tried in zip(valves, _costs(fit, valves), strict=True):
+        for valve, tried in zip(valves, valve_costs(fit, valves), strict=True):
             if tried < cost:
                 best, cost = valve, tried
     if best is at.valve:
         return at
-    return _refined(fit.misfit, best, fit.p)
+    return refined(fit.misfit, best, fit.p)
 
 
-def _costs(fit: Fit, valves: list[StuckValve]) -> list[float]:
+def valve_costs(fit: Fit, valves: list[StuckValve]) -> list[float]:
     """Sum of squares with lags and dead time held, and the gain, which another band changes, free as well."""
     misfit, record, engine = fit.misfit, fit.misfit.record, compiled()
     if engine is not None:

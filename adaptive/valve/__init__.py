@@ -1,0 +1,1 @@
+"""The valve between the output and the process: sticking and play, as an explanation of a record or of a step."""

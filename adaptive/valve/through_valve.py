@@ -1,0 +1,202 @@
+"""A valve between co and the process: what co does after a setpoint step, and what reaches the process.
+
+    pv = G v(co) + the rest of a fit        against        pv = G co + the rest of a fit
+
+with v a valve that sticks or has play (stuck_valve.py). Such a valve does not take part in the first of co's travel
+and keeps its place when co turns. A linear fit makes of that what it has: a gain too small where the valve keeps back
+what co adds, a lag or loads where it slips late, an integrator where co goes on and pv does not. So the settings come
+out wrong, with a covariance that says otherwise. In the fit, the valve is one more nuisance with a price, as a load is.
+
+    coarse    bands, jumps and starts on a grid, with lags and dead times round those of the linear explanation, and
+              with its own processes without their loads
+    refined   the best of each valley, with the process
+    searched  the record of the valve's position as any other record, in every structure with loads; the valve is then
+              refined round that, and so on while it helps
+
+It is believed where it beats the linear explanation by its price, 3 ln n for band, jump and start, and by a clear lead,
+and takes the place of loads: one that needs more of them explains a load that wanders. It is asked only where the
+linear explanation needs loads, a drift or a filter: white remainders leave it nothing.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.fit.misfit import WHITE, Misfit
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.refine import refine
+from retuner.adaptive.fit.structure import model_at
+from retuner.adaptive.identification.candidate import Candidate
+from retuner.adaptive.identification.identify import Fits, FitSettings
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.rules.simc import without_second_lag
+from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.sticking_valve import (
+    MOST_ROWS,
+    POLISHED,
+    Nodes,
+    Sticking,
+    explained,
+    fine,
+    refined,
+    settled,
+    valleys,
+    valve_costs,
+    with_lag,
+)
+from retuner.adaptive.valve.stuck_valve import Family, StuckValve
+
+BANDS = tuple(np.geomspace(0.02, 0.7, 20).tolist())
+"""Stick bands tried, as shares of co's range."""
+JUMP_SHARES = {Family.KANO: (0.0, 0.3, 0.6, 0.9, 1.2), Family.HE: (0.3, 0.6, 0.95)}
+"""Slip jumps tried, as shares of the band."""
+STARTS = tuple(np.linspace(-1.0, 1.0, 9).tolist())
+"""Where the valve may stand in its band when the record begins."""
+LAGS, SECOND_LAG = (0.5, 1.5, 4.0, 10.0), 0.6
+"""Lags tried, and a second one beside those that are longer, in effective dead times of the linear explanation."""
+THETAS = (0.1, 0.35, 0.7, 1.1)
+"""Dead times tried, in the same unit."""
+LINEAR = 3
+"""Linear explanations that tell how fast the process is; of the first two the processes are tried as they are."""
+OWN, OWN_VALLEYS = 2, 4
+VALVE_UNKNOWNS = 3
+"""Band, jump, and where the valve stood."""
+LOADS_BESIDE = 1
+"""Loads that it may need where the linear explanation needs fewer."""
+ROUNDS = 3
+"""Rounds of search and refinement of the valve."""
+ENOUGH = 0.5
+"""A round must lower the criterion by this."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenThrough:
+    """What stands between co and the process. left : what the linear explanation leaves, over the noise of pv."""
+
+    valve: StuckValve
+    left: float
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        return (
+            f"co reaches the process through a valve with a stiction band of {self.valve.stick:.3g} of co, "
+            f"slip jump {self.valve.jump:.3g}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Through:
+    """A record seen through a valve. window : with the valve's position for co. fits : of it."""
+
+    seen: SeenThrough
+    window: Window
+    fits: Fits
+
+
+def through_valve(window: Window, sign: int, fits: Fits, settings: FitSettings) -> Through | None:
+    """The record as the process sees it, where a valve that sticks or has play explains it clearly better.
+
+    Parameters
+    ----------
+    window : the record. sign : of the process gain. fits : the linear explanations.
+    """
+    linear = fits.free[0]
+    if not setpoint_changes(window) or not _open(linear):
+        return None
+    at = _search(fits.free, sign)
+    if at is None:
+        return None
+    valve, found = _searched(window, sign, at, settings)
+    record, behind = linear.fit.misfit.record, found.free[0]
+    price = VALVE_UNKNOWNS * math.log(len(record.pv)) + settings.valve_lead
+    if behind.criterion + price > linear.criterion:
+        return None
+    if behind.fit.misfit.loads > max(linear.fit.misfit.loads, LOADS_BESIDE):
+        return None
+    left = float(np.std(record.pv - linear.fit.explained)) / record.noise_std
+    return Through(SeenThrough(valve, left), _moved_by(window, valve), found)
+
+
+def _open(linear: Candidate) -> bool:
+    """Whether the linear explanation needs more than its process."""
+    misfit = linear.fit.misfit
+    return bool(misfit.loads or misfit.ramp or misfit.corners or linear.colour.ar)
+
+
+def _moved_by(window: Window, valve: StuckValve) -> Window:
+    """The record with the valve's position for co."""
+    return replace(window, co=valve.position(window.co))
+
+
+def _searched(window: Window, sign: int, at: Sticking, settings: FitSettings) -> tuple[StuckValve, Fits]:
+    """All structures behind the valve, and the valve refined round the best of them, while it helps."""
+    record, valve = at.fit.fit.misfit.record, at.valve
+    best: tuple[StuckValve, Fits] | None = None
+    for _ in range(ROUNDS):
+        fits = Fits(_moved_by(window, valve), (sign,), settings)
+        found = fits.free[0]
+        if best is not None and found.criterion > best[1].free[0].criterion - ENOUGH:
+            break
+        best = valve, fits
+        as_recorded = replace(found.fit, misfit=replace(found.fit.misfit, record=record))
+        valve = fine(Sticking(valve, replace(found, fit=as_recorded))).valve
+    assert best is not None
+    return best
+
+
+def _search(linear: list[Candidate], sign: int) -> Sticking | None:
+    """The best valve with one lag or two, or with a process of the linear explanations; None where none explains pv."""
+    record = linear[0].fit.misfit.record
+    valves = list(_grid(record.co_range))
+    found = [*_by_nodes(record, sign, valves, linear), *_by_processes(valves, linear[:OWN])]
+    closest = sorted(found, key=lambda s: s.fit.criterion)[:POLISHED]
+    return min((settled(s) for s in closest), key=lambda s: s.fit.criterion, default=None)
+
+
+def _grid(co_range: float) -> Iterator[StuckValve]:
+    """Valves of both models."""
+    for share, (family, jumps) in product(BANDS, JUMP_SHARES.items()):
+        for jump, start in product(jumps, STARTS):
+            yield StuckValve(family, share * co_range, jump * share * co_range, start)
+
+
+def _by_nodes(record: Record, sign: int, valves: list[StuckValve], linear: list[Candidate]) -> Iterator[Sticking]:
+    """The best of each valley with one lag or two."""
+    nodes = _nodes(record, linear)
+    left, gain = explained(record, sign, valves, nodes)
+    node = np.argmin(left, axis=1)
+    for i in valleys(valves, np.min(left, axis=1)):
+        type_, x = nodes.started(int(node[i]), float(gain[i, node[i]]))
+        yield with_lag(fine(refined(_bare(linear[0].fit.misfit, type_), valves[i], x)))
+
+
+def _by_processes(valves: list[StuckValve], linear: list[Candidate]) -> Iterator[Sticking]:
+    """The best of each valley with the process of a linear explanation, its loads left out."""
+    for candidate in linear:
+        bare = _bare(candidate.fit.misfit, candidate.fit.misfit.type)
+        costs = np.array(valve_costs(refine(bare, candidate.fit.x), valves))
+        for i in valleys(valves, costs)[:OWN_VALLEYS]:
+            yield fine(refined(bare, valves[i], candidate.fit.x))
+
+
+def _bare(misfit: Misfit, type_: ProcessType) -> Misfit:
+    """Of a structure without loads, drift and filter."""
+    return replace(
+        misfit, type=type_, loads=0, corners=0, sigma=misfit.record.noise_std, ar=(), ramp=False, rounded=False,
+        harmonics=0, most_order=WHITE,
+    )  # fmt: skip
+
+
+def _nodes(record: Record, linear: list[Candidate]) -> Nodes:
+    """Lags and dead times round those of the linear explanations."""
+    models = [model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in linear[:LINEAR]]
+    theta = float(np.exp(np.mean([math.log(without_second_lag(model).theta_s) for model in models])))
+    lags = [min(factor * theta, record.span_s) for factor in LAGS]
+    pairs = [(lag, 0.0) for lag in lags] + [(lag, SECOND_LAG * theta) for lag in lags[1:]]
+    rows = slice(0, None, -(-len(record.pv) // MOST_ROWS))
+    return Nodes.made(record, rows, pairs, [factor * theta for factor in THETAS])

@@ -1,0 +1,89 @@
+"""A setpoint step through a valve that sticks or has play: its process is found, and a valve where there is one."""
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.identification.identify import Fits, FitSettings
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.stuck_valve import Family, StuckValve
+from retuner.adaptive.valve.through_valve import Through, through_valve
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import law, start, step
+
+PROCESS = LinearProcess(2.0, (20.0,), theta_s=5.0)
+GAINS = PidGains(1.0, 0.05)
+DT_S, BAND = 0.5, 1.5
+"""The valve's band is a third of what it travels in the second step."""
+VALVES = (
+    StuckValve(Family.KANO, BAND, 0.0),
+    StuckValve(Family.KANO, BAND, 0.6 * BAND),
+    StuckValve(Family.HE, BAND, 0.6 * BAND),
+)
+BEFORE, KEPT, AFTER = 200, 40, 400
+"""Samples before the second step, those of them that are kept, and after it."""
+
+
+def stepped(valve: StuckValve | None, load: float = 0.0, seed: int = 1) -> Window:
+    """A loop at rest after a step down, and a step up of 10: the valve turns round at its beginning.
+
+    load : of a step that comes amid the response.
+    """
+    plant = LinearPlant(PROCESS, start_co=0.0, noise=0.05, seed=seed, co_min=-1e9, co_max=1e9)
+    rules = law(GAINS, co_min=-50.0, co_max=50.0)
+    state = start(rules, 0.0, 0.0, 0.0)
+    co, cos, rows = 0.0, [0.0], []
+    for i in range(BEFORE + AFTER):
+        moved = co if valve is None else float(valve.position(np.array(cos))[-1])
+        pv = plant.step(moved, load if i > BEFORE + AFTER // 4 else 0.0, DT_S)
+        sp = -4.0 if i < BEFORE else 6.0
+        state, co = step(rules, state, sp, pv, DT_S)
+        cos.append(co)
+        rows.append((i * DT_S, sp, pv, co))
+    return Window(*np.array(rows[BEFORE - KEPT :]).T)
+
+
+def through(window: Window, sign: int = 1) -> tuple[Fits, Through | None]:
+    """The linear fits, and the record through a valve."""
+    fits = Fits(window, (sign,), FitSettings())
+    return fits, through_valve(window, sign, fits, FitSettings())
+
+
+@pytest.mark.parametrize("valve", VALVES)
+def test_the_process_behind_a_valve_is_found(valve: StuckValve) -> None:
+    fits, found = through(stepped(valve))
+    assert found is not None
+    model, linear = (f.estimate().log.model() for f in (found.fits, fits))
+    assert model.k == pytest.approx(PROCESS.k, rel=0.1)
+    assert abs(np.log(model.k / PROCESS.k)) < 0.5 * abs(np.log(linear.k / PROCESS.k))
+    if not valve.jump:  # of one turn and one slip, band and jump are not told apart
+        assert found.seen.valve.stick == pytest.approx(BAND, rel=0.35)
+    assert "stiction band" in found.seen.sentence
+
+
+def test_no_valve_is_found_where_there_is_none() -> None:
+    for seed in range(3):
+        assert through(stepped(None, seed=seed))[1] is None
+
+
+def test_a_load_in_the_response_is_no_valve() -> None:
+    fits, found = through(stepped(None, load=1.5))
+    assert fits.free[0].fit.misfit.loads
+    assert found is None
+
+
+def test_loads_alone_are_not_asked() -> None:
+    window = stepped(VALVES[1])
+    still = Window(window.t_s, np.full(len(window.t_s), 6.0), window.pv, window.co)
+    assert through(still)[1] is None
+
+
+def test_the_same_valve_turned_round() -> None:
+    window = stepped(VALVES[1])
+    mirrored = Window(window.t_s, window.sp, window.pv, -window.co)
+    _, one = through(window)
+    _, other = through(mirrored, -1)
+    assert one is not None
+    assert other is not None
+    assert other.fits.estimate().log.model().k == pytest.approx(-one.fits.estimate().log.model().k, rel=0.02)
