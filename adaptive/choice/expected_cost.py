@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 
 from retuner.adaptive.choice.settings import ChoiceSettings
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on, swings
+from retuner.adaptive.identification.robust_simc import asks_for_integral, by_integral, less_damped
 from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
@@ -140,9 +140,9 @@ def outlooks(
 
 
 def _of_rule(model: ProcessModel) -> PidGains:
-    """Settings that J is over: SIMC's; of a process that swings by itself those that are robust there."""
-    if swings(model):
-        return robust_simc_on(model, (), 0.0, RobustSettings()).tuning.gains
+    """Settings that J is over: SIMC's, or those that take its place."""
+    if asks_for_integral(model):
+        return by_integral(less_damped(model)).gains
     return simc(model, without_second_lag(model).theta_s).gains
 
 
@@ -266,7 +266,7 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
     """The choice for people."""
     iae = f"IAE {numbers.iae:.0%} of the present" if numbers.iae >= 0 else "IAE not comparable"
     then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
-    sure = f"{_chance(numbers.doubt)} that something else is behind the records"
+    sure = f"{_chance(numbers.doubt)} probability that something else is behind the records"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
     why = "a second record must agree before a change" if waits else _too_little(numbers)
@@ -276,11 +276,11 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
 def _too_little(numbers: ChoiceNumbers) -> str:
     """Why a change is not made that brings less than its price, or whose first step brings nothing."""
     if numbers.gain > numbers.price:
-        return f"the whole way is worth {numbers.gain:.0%}, but the step that the limits allow does not pay"
+        return f"all of the change would be {numbers.gain:.0%} better, but the part that the limits allow does not pay"
     worth, needed = f"{numbers.gain:.0%}", f"{numbers.price:.0%}"
     if worth == needed:  # rounded down, so that what is too little reads as too little
         worth, needed = f"{math.floor(1000.0 * numbers.gain) / 1000.0:.1%}", f"{numbers.price:.1%}"
-    return f"worth {worth}, {needed} are needed"
+    return f"all weighed {worth.removeprefix('-')} {'worse' if numbers.gain < 0 else 'better'}, {needed} are needed"
 
 
 def _chance(p: float) -> str:

@@ -39,7 +39,7 @@ def evidence_checks(request: ChangeRequest, settings: GuardSettings, *, less: bo
     found = (
         Check("records", source, float(e.records), float(s.records_min), e.records >= s.records_min),
         Check("age", "age of the last record, s", e.age_s, s.age_max_s, e.age_s <= s.age_max_s),
-        Check("innovation", "innovation of the last record", e.innovation, e.gate, e.innovation <= e.gate),
+        Check("innovation", "misfit of the last record to the model", e.innovation, e.gate, e.innovation <= e.gate),
         Check("settled", "model accurate enough for tuning", float(e.settled), 1.0, e.settled),
     )
     return [_on_terms(check, less, "or less gain and integral action only") for check in found]

@@ -1,10 +1,11 @@
 """A goal cut to what the limits leave: locks, absolute limits, the commissioned set, the sampling time.
 
 Only the parameter that exceeds its limit is cut. A cut kc or tau_I changes the integral action kc/tau_I unless the
-other one goes with it; which of the two is better depends on the process (an integral that must stay on a
-delay-dominant one, a gain that must stay on an integrating one), so both are goals, and the proof decides. It takes the
-first that holds: where the dead time is longer than the lag, that is the one with the integral. A limit that would push
-a parameter, or the integral action, the other way than was wanted leaves no room: that goal is refused.
+other one goes with it; which of the two is better depends on the process (an integral that must stay where hardly more
+than it counts, a gain that must stay on an integrating one), so both are goals, and the proof decides. It takes the
+first that holds, and the order is that of identification/robust_simc.py: does the process ask for integral action? A
+limit that would push a parameter, or the integral action, the other way than was wanted leaves no room: that goal is
+refused.
 """
 
 import math
@@ -14,8 +15,7 @@ from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.guard.ruling import LimitNumbers, Ruling, text
 from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import change_factor
-from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.rules.simc import without_second_lag
+from retuner.adaptive.identification.robust_simc import asks_for_integral
 from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 
@@ -45,6 +45,10 @@ class Bound:
     ruling: Ruling | None
 
 
+Cut = tuple[str, float, float, Bound | None]
+"""A parameter's name, what was wanted of it, what the limits leave, and the limit that cut it."""
+
+
 def goals(
     wanted: PidGains, tau_c_s: float, request: ChangeRequest, settings: GuardSettings, *, over_limit: bool
 ) -> list[Goal]:
@@ -63,32 +67,37 @@ def goals(
     tau_i_cut, tau_i_by = _cut(tau_i, *limits.tau_i()) if unlocked.ki and not locks.tau_i else (tau_i, None)
     tau_d_cut, tau_d_by = limits.cut_tau_d(tau_d)
     cuts = [("kc", kc, kc_cut, kc_by), ("tau_I", tau_i, tau_i_cut, tau_i_by), ("tau_D", tau_d, tau_d_cut, tau_d_by)]
-    notes = tuple(_note(name, was, now, by, wanted.direction) for name, was, now, by in cuts if by is not None)
+    notes = _notes(cuts, wanted.direction)
     turned, cut_by, numbers = _limiting(cuts, request)
     made = _made(wanted.direction, kc_cut, tau_i_cut, tau_d_cut)
     first = Goal(made, unlocked, tau_c_s, notes, cut_by, numbers, turned)
-    found = [first]
     if turned:
-        return found
-    if tau_i_by is not None and not locks.kc:
-        kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
-        made = _made(wanted.direction, kept, tau_i_cut, tau_d_cut)
-        second = replace(first, gains=made, notes=(*notes, "kc moved with tau_I"))
-        found = [second, first] if tau_i_by.ruling is None else [first, second]
-    elif kc_cut < kc and unlocked.ki and not locks.tau_i:
-        shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
-        made = _made(wanted.direction, kc_cut, shorter, tau_d_cut)
-        moved = replace(first, gains=made, notes=(*notes, "tau_I moved with kc"))
-        found = [moved, first] if _delay_dominant(request) else [first, moved]
+        return [first]
+    found = _beside(first, cuts, limits, request)
     return [goal if over_limit else _integral_turned(goal, request.in_force) for goal in found]
 
 
-def _delay_dominant(request: ChangeRequest) -> bool:
-    """Whether the dead time of the most likely model is longer than its lag: hardly more than the integral counts."""
-    if not request.models:
-        return False
-    model = without_second_lag(request.models[0].model)
-    return model.type is ProcessType.FOPDT and model.tau1_s < model.theta_s
+def _beside(first: Goal, cuts: list[Cut], limits: "_Limits", request: ChangeRequest) -> list[Goal]:
+    """The goal as it was cut, and with the other one moved with a cut kc or tau_I, in the order to be tried."""
+    (_, kc, kc_cut, _), (_, tau_i, tau_i_cut, tau_i_by), (_, _, tau_d, _) = cuts
+    direction, locks, notes = first.wanted.direction, request.locks, first.notes
+    shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
+    moved = replace(first, gains=_made(direction, kc_cut, shorter, tau_d), notes=(*notes, "tau_I moved with kc"))
+    may_move = kc_cut < kc and not locks.tau_i and first.wanted.ki != 0.0
+    by_integral = may_move and _by_integral(request)
+    found = [first]
+    if tau_i_by is not None and not locks.kc:
+        kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
+        second = replace(first, gains=_made(direction, kept, tau_i_cut, tau_d), notes=(*notes, "kc moved with tau_I"))
+        found = [second, first] if tau_i_by.ruling is None else [first, second]
+    elif may_move and not by_integral:
+        found = [first, moved]
+    return [moved, *found] if by_integral else found
+
+
+def _by_integral(request: ChangeRequest) -> bool:
+    """Whether hardly more than the integral counts on the most likely model."""
+    return bool(request.models) and asks_for_integral(request.models[0].model)
 
 
 CALMER = (0.8, 0.64, 0.5, 0.35, 0.25)
@@ -156,7 +165,8 @@ class _Limits:
         values : commissioned and in force. What is in force beyond the ratio may stay there, but go no farther.
         """
         start, now = values
-        ratio, name = self._settings.total_ratio_max, "the distance from the baseline gains"
+        ratio = self._settings.total_ratio_max
+        name = f"the largest factor from the baseline gains, {ratio:g}"
         most, least = max(start * ratio, now), min(start / ratio, now or math.inf)
         if start and up and most < high.value:
             high = Bound(max(most, low.value), name, Ruling.OUTSIDE_TOTAL)
@@ -185,15 +195,19 @@ def _made(direction: int, kc: float, tau_i: float, tau_d: float) -> PidGains:
     return PidGains(direction * kc, direction * kc / tau_i, direction * kc * tau_d)
 
 
-def _note(name: str, was: float, now: float, by: Bound, direction: int) -> str:
-    """What was cut, in words; kc with its sign, as settings show it."""
-    sign = direction if name == "kc" else 1
-    return f"{name} limited to {text(name, sign * now)} instead of {text(name, sign * was)} by {by.name}"
+def _notes(cuts: list[Cut], direction: int) -> tuple[str, ...]:
+    """What was cut, in words, once for each thing that cuts; kc with its sign, as settings show it."""
+    found: dict[str, list[str]] = {}
+    for name, was, now, by in cuts:
+        if by is None:
+            continue
+        sign, told = (direction if name == "kc" else 1), found.setdefault(by.name, [])
+        limited = "" if told else " limited"
+        told.append(f"{name}{limited} to {text(name, sign * now)} instead of {text(name, sign * was)}")
+    return tuple(f"{', '.join(told)} by {by}" for by, told in found.items())
 
 
-def _limiting(
-    cuts: list[tuple[str, float, float, Bound | None]], request: ChangeRequest
-) -> tuple[bool, Ruling | None, Numbers]:
+def _limiting(cuts: list[Cut], request: ChangeRequest) -> tuple[bool, Ruling | None, Numbers]:
     """The bound that pushes a parameter away from where it was to go, or else the first that cuts one; and which."""
     old = request.in_force
     now = {

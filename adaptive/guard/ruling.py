@@ -14,7 +14,7 @@ class Ruling(StrEnum):
 
     ACCEPTED = "proved: nominal Ms {ms_nominal}, worst case {ms_worst} over the plausible models ({models})"
     URGENT = (
-        "proved, full change at once because the loop oscillates: Ms {ms_before} -> {ms_nominal}, "
+        "proved, without the limit of one change because the loop oscillates: Ms {ms_before} -> {ms_nominal}, "
         "worst case {ms_worst} over the plausible models ({models})"
     )
     SAFER = (
@@ -34,7 +34,7 @@ class Ruling(StrEnum):
     )
     OUTSIDE_LIMITS = "refused: the absolute limits leave no room for the change: requested {wanted}, limit {limit}"
     OUTSIDE_TOTAL = (
-        "refused: the largest allowed distance from the baseline gains leaves no room for the change: "
+        "refused: the largest factor from the baseline gains leaves no room for the change: "
         "requested {wanted}, limit {limit}"
     )
     LOCKED = "refused: the change needs a parameter that is locked (factor {factor})"
@@ -44,11 +44,15 @@ class Ruling(StrEnum):
     TOO_FEW_RECORDS = "refused: the model has {records} records, {limit} are needed"
     TOO_OLD = "refused: the last record of the process is {age_s} s old (limit {limit} s)"
     NOT_SETTLED = "refused: the model is not accurate enough for tuning"
-    CONTRADICTED = "refused: the last record contradicts the model: innovation {innovation} (gate {limit})"
+    CONTRADICTED = (
+        "refused: the last record contradicts the model (misfit {innovation}, limit {limit}): another one decides"
+    )
 
 
 CUT = frozenset({Ruling.OUTSIDE_LIMITS, Ruling.OUTSIDE_TOTAL})
 """Rulings of which the notes tell more: which parameter was cut, and by what."""
+NO_ROOM = "refused: the limits leave no room for the change"
+"""What they say then."""
 
 # What the sentences need, one value for the rulings of one kind.
 
@@ -188,7 +192,7 @@ class Verdict:
         shown = {name: text(name, value) for name, value in self.numbers.to_dict().items()}
         said = self.ruling.value.format(**shown)
         if self.ruling in CUT and self.notes:  # they name what was cut, and give the same two numbers
-            said = said.partition(": requested")[0]
+            said = NO_ROOM
         return "; ".join((said, *self.notes))
 
     def to_dict(self) -> dict[str, object]:

@@ -2,11 +2,10 @@
 
     tau_c >= theta,   Ms(best model) <= nominal limit,   Ms(every plausible model) <= worst limit
 
-A process that swings by itself (complex poles, zeta) has no two lags that a PI controller could take one of: SIMC's
-gains make it unstable at any tau_c. Its PI settings are those of internal model control without their derivative
-(Rivera, Morari & Skogestad 1986, table 1): the zero takes the damping, and tau_c what is left of the peak.
-
-    tau_I = 2 zeta tau,   kc = tau_I / (k (tau_c + theta))
+Where a dead time is longer than the lag, or the process swings by itself (complex poles), SIMC's lag is not what a PI
+controller should go by. Almost pure dead time would get next to no gain; a pair of poles has no lag to take, and SIMC's
+gains make such a loop unstable at any tau_c. There the settings have the most integral action that an Ms allows
+(loop/most_integral.py), and a larger tau_c is a smaller Ms. At tau1 = theta both are the same settings.
 
 The first remedy for doubt is a larger tau_c (by at most so much); what is still not robust then is for the guard, or
 for the user, to judge by the Ms that comes with the settings. Half a sampling interval counts as dead time.
@@ -19,8 +18,9 @@ from retuner.adaptive.fit.structure import LEAST_ZETA
 from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.loop.most_integral import most_integral
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.rules.rule import Tuning, tuning
+from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
 
 BISECTIONS = 8
@@ -29,8 +29,10 @@ SWINGS = 0.85
 """zeta under which a process counts as swinging by itself; over it SIMC's settings for two equal lags are as robust."""
 WALL = (0.9, 1.08)
 """Shares of the least damping that is fitted between which a fit has stopped there. Well below it evidence has won."""
-BEYOND_WALL = 3.0
-"""By what the damping of such a process is taken for less: 0.12, which few processes are below."""
+MS_AIM = 1.59
+"""Ms of the most integral action: that of SIMC with tau_c = theta (Grimholt & Skogestad 2012)."""
+BEYOND_WALL = 1.5
+"""By what the damping of such a process is taken for less: 0.1, which few processes are below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +84,7 @@ def robust_simc_on(
     calmer = 1.0 / model.zeta if swings(model) else 1.0  # the less damped, the larger tau_c may become
 
     def at(ratio: float) -> RobustTuning:
-        given = swinging(model, ratio * theta) if swings(model) else simc(model, ratio * theta)
+        given = by_integral(model, ratio) if asks_for_integral(model) else simc(model, ratio * theta)
         ms = sensitivity_peak(model.linear(), given.gains)
         worst = max([ms, *(sensitivity_peak(m.linear(), given.gains) for m in others)])
         return RobustTuning(given, ms, worst)
@@ -119,13 +121,16 @@ def swings(model: ProcessModel) -> bool:
     return model.zeta < SWINGS and model.tau3_s <= 2 * model.zeta * model.tau1_s
 
 
-def swinging(model: ProcessModel, tau_c_s: float) -> Tuning:
-    """PI settings for a process that swings by itself, see the head of this file.
+def asks_for_integral(model: ProcessModel) -> bool:
+    """Whether a process that comes to rest has no lag that a PI controller should go by (head of this file)."""
+    plain = without_second_lag(model)
+    return swings(model) or 0.0 < plain.tau1_s < plain.theta_s
 
-    model : with zeta under 1; a third lag counts as dead time. tau_c_s : closed-loop time constant, seconds.
-    """
-    tau_i_s, span = 2 * model.zeta * model.tau1_s, tau_c_s + model.theta_s + model.inverse_s + model.tau3_s
-    return tuning("imc", "ideal", tau_i_s / (model.k * span), tau_i_s, 0.0, tau_c_s)
+
+def by_integral(model: ProcessModel, ratio: float = 1.0) -> Tuning:
+    """PI settings with the most integral action. ratio : by which a calmer loop's distance of Ms from 1 is smaller."""
+    gains = most_integral(model.linear(), 1.0 + (MS_AIM - 1.0) / ratio)
+    return Tuning("most-integral", "ideal", gains)
 
 
 def third_lag(model: ProcessModel, share: float) -> ProcessModel | None:

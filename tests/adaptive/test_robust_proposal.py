@@ -49,7 +49,7 @@ def test_the_nominal_limit_is_kept_and_used(model: ProcessModel, most: float) ->
     gains, _, ready = of(known(model, 1e-3), PidGains(0.1, 0.001))
     assert ready
     assert ms(model, gains) <= most + 1e-9
-    if model is not FIRST:
+    if model is LAGGING:
         assert ms(model, gains) > most - 0.05
 
 
@@ -97,15 +97,15 @@ def test_no_more_action_is_less_of_everything(cause: Cause, sizes: list[float], 
 
 
 def test_where_the_fit_stopped_at_its_least_damping_a_process_that_swings_longer_is_safe() -> None:
-    found = ProcessModel(ProcessType.SOPDT, 7.3, 84.0, 84.0, 10.8, 0.346)
-    truth = replace(found, zeta=0.152)
+    found = ProcessModel(ProcessType.SOPDT, 7.3, 84.0, 84.0, 10.8, 0.148)
+    truth = replace(found, zeta=0.11)
     given = robust_simc_on(found, (), 1.0, RobustSettings()).tuning.gains
     assert sensitivity_peak(truth.seen_by_controller(1.0).linear(), given) < 1.7
     known = robust_simc_on(replace(found, zeta=0.4), (), 1.0, RobustSettings()).tuning.gains
     assert known.ki > 2 * given.ki
 
 
-@given(zeta=st.floats(0.1, 0.84).filter(lambda zeta: abs(zeta - 0.35) > 0.04), dead=st.floats(0.1, 3.0))
+@given(zeta=st.floats(0.1, 0.84).filter(lambda zeta: abs(zeta - 0.15) > 0.02), dead=st.floats(0.1, 3.0))
 @settings(max_examples=15, deadline=None)
 def test_a_process_that_swings_by_itself_gets_settings_that_are_robust_and_not_slow(zeta: float, dead: float) -> None:
     """1/ki, the IAE of a load, against that of pure integral action at the same Ms: at most a tenth more."""

@@ -44,7 +44,7 @@ def test_a_step_back_towards_the_commissioned_set_passes_and_says_that_it_leads_
 def test_a_step_beyond_the_commissioned_set_goes_no_farther() -> None:
     verdict = prove(of_pattern(times(0.15, 0.15), times(0.12, 0.12), GAINS), SETTINGS)
     assert verdict.ruling == Ruling.OUTSIDE_TOTAL
-    limit = "refused: the largest allowed distance from the baseline gains leaves no room for the change"
+    limit = "refused: the limits leave no room for the change"
     assert verdict.sentence.startswith(f"{limit}; kc limited to ")
     assert "requested" not in verdict.sentence
 
@@ -66,7 +66,10 @@ def test_what_is_only_safer_says_so() -> None:
 def test_doubtful_evidence_says_what_it_still_allows() -> None:
     doubted = Evidence(innovation=40.0, gate=20.0)
     verdict = prove(replace(request(times(3.0, 3.0)), evidence=doubted), SETTINGS)
-    assert words_of(verdict, "innovation") == "innovation of the last record (or less gain and integral action only)"
+    assert (
+        words_of(verdict, "innovation")
+        == "misfit of the last record to the model (or less gain and integral action only)"
+    )
 
 
 def test_a_derivative_on_its_way_is_left_out_while_it_is_too_short() -> None:

@@ -64,25 +64,25 @@ def test_within_the_limits_nothing_is_cut() -> None:
             (9.0, 20.0, 0.0),
             SETTINGS,
             (4.0, 20.0, 0.0),
-            "kc limited to 4 instead of 9 by the distance from the baseline gains",
+            "kc limited to 4 instead of 9 by the largest factor from the baseline gains, 4",
         ),
         (
             (0.1, 20.0, 0.0),
             SETTINGS,
             (0.25, 20.0, 0.0),
-            "kc limited to 0.25 instead of 0.1 by the distance from the baseline gains",
+            "kc limited to 0.25 instead of 0.1 by the largest factor from the baseline gains, 4",
         ),
         (
             (1.0, 100.0, 0.0),
             SETTINGS,
             (1.0, 80.0, 0.0),
-            "tau_I limited to 80 instead of 100 by the distance from the baseline gains",
+            "tau_I limited to 80 instead of 100 by the largest factor from the baseline gains, 4",
         ),
         (
             (1.0, 3.0, 0.0),
             SETTINGS,
             (1.0, 5.0, 0.0),
-            "tau_I limited to 5 instead of 3 by the distance from the baseline gains",
+            "tau_I limited to 5 instead of 3 by the largest factor from the baseline gains, 4",
         ),
         (
             (1.0, 8.0, 0.0),
@@ -314,3 +314,16 @@ def test_a_request_is_checked_at_the_door() -> None:
         ChangeRequest(GAINS, GAINS, proposal, tuple(reversed(known())), 1.0)
     with pytest.raises(ValueError, match="finite"):
         ChangeRequest(GAINS, GAINS, proposal, (replace(known()[0], excess=math.nan),), 1.0)
+
+
+def test_where_hardly_more_than_the_integral_counts_a_cut_of_both_keeps_it() -> None:
+    """A process that swings: kc and tau_I both cut at four times the baseline gains would leave ki as it was."""
+    rings = ProcessModel(ProcessType.SOPDT, 0.0965, 28.8, 28.8, 7.4, 0.2)
+    old, wanted = IdealGains(0.09, 2.6).to_parallel(), IdealGains(0.75, 15.0).to_parallel()
+    asked = request(old, models=(Plausible(rings, 0.0),))
+    first, *others = goals(wanted, 5.0, asked, SETTINGS, over_limit=False)
+    assert first.gains.kp == pytest.approx(4 * old.kp)
+    assert first.gains.ki == pytest.approx(wanted.ki)
+    assert all(goal.gains.ki < 1.05 * old.ki for goal in others)
+    lagging = replace(asked, models=(Plausible(ProcessModel(ProcessType.FOPDT, 0.1, 60.0, 0.0, 7.4), 0.0),))
+    assert all(goal.gains.ki < 1.05 * old.ki for goal in goals(wanted, 5.0, lagging, SETTINGS, over_limit=False))
