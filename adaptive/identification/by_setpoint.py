@@ -8,6 +8,10 @@ Then no model of the load can make the estimate wrong, it only weighs the sample
 tells these weights, and then all that the best model leaves: v is autoregressive, by least squares, and whitened before
 the fit (generalised least squares). That holds for random loads, and a ramp or a sinusoid is foretold by it as well.
 
+Loads tell of the process as well, where they come through it by a lag or as a walk (by_likelihood.py): of a loop with
+a small gain they tell more. That likelihood is asked beside this fit, and the criterion of Schwarz (1978) decides which
+noise is the loop's: a sinusoid's, or a load's of any kind beside the process, is this one's.
+
 No structure of two lags is the process. What it leaves open counts as white noise, a share of the step: with the exact
 noise alone the fit would believe its finest features most, which are those that it cannot have (stochastic embedding,
 Goodwin, Gevers & Ninness 1992). Records of many sequences are fitted as one, those under other gains too.
@@ -15,13 +19,14 @@ Goodwin, Gevers & Ninness 1992). Records of many sequences are fitted as one, th
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
+from retuner.adaptive.identification.by_likelihood import Likelihood, Likely, as_plausible, middle, runs_away
 from retuner.adaptive.identification.estimate import (
     Alternative,
     LogModel,
@@ -62,14 +67,15 @@ PRICE = 2.0
 the integral time with it."""
 BELIEVED = 4.0
 """Excess up to which a model counts for the integral action: two standard deviations."""
+UNSETTLED = 0.7
+"""Standard deviation of ln |C|, and of the integral gain, up to which settings may follow: a factor of two. Whoever
+changes gains asks all models that are left, so what is not known makes the change smaller; and the bumps go on."""
 FAR = 40.0
 """Largest logarithm of a parameter."""
 HALF_TIMES = 5.0
 """The first setpoint of steps to and fro is held for so many half times (nudge/planner.py): where the guesses begin."""
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)
 """Of the noise's filter; the information criterion of Schwarz (1978) chooses."""
-AT_MOST = 1.5
-"""Of a setpoint step: what pv of a stable loop comes to late, where it has not been farther before."""
 SAMPLES_A_TERM = 10
 """Samples of loads alone for each term of that filter, at least."""
 MISFIT = 0.1
@@ -147,7 +153,7 @@ class Fitting:
         since = np.arange(n, dtype=np.float64) * law.dt_s - math.exp(x[THETA])
         held = self.sign * math.exp(x[SLOPE]) * dynamics_at(type_, x).step(since)
         found = setpoint_response(np.asarray(held, dtype=np.float64), law)
-        return found if not _runs_away(found) else np.full(n, np.nan)
+        return found if not runs_away(found) else np.full(n, np.nan)
 
     def deviance(self, type_: ProcessType, x: FloatArray) -> float:
         """Sum of squares with what is unusual of x; infinite where the loop would run away."""
@@ -174,6 +180,19 @@ class Fitting:
         if found:
             self.weigh_by(min(found, key=lambda one: one.deviance + PRICE * len(one.x)))
         return [one for one in map(self.again, found) if one.is_finite]
+
+    def criterion(self, best: Found, likelihood: Likelihood) -> float:
+        """Of a structure with the noise that it leaves (Schwarz 1978), to be held beside that of a likelihood."""
+        left, total = self._left(best.type, best.x), PRICE * len(best.x)
+        for law in set(self._laws):
+            own = [v for v, other in zip(left, self._laws, strict=True) if other == law]
+            floor = likelihood.floor(law)
+            noise = noise_filter(own, math.sqrt(floor))
+            e = [_whitened(v[likelihood.order - len(noise.ar) :], noise.ar) for v in own]
+            squares, n = float(sum(x @ x for x in e)), sum(map(len, e))
+            misfit = floor * (1 + float(noise.ar @ noise.ar)) * n
+            total += (squares + misfit) / noise.std**2 + 2 * n * math.log(noise.std) + len(noise.ar) * math.log(n)
+        return total
 
     def again(self, one: Found) -> Found:
         """A structure refined under the weights of now."""
@@ -249,21 +268,65 @@ def process_behind(
     found = fitting.found_twice()
     if not found:
         return None
+    likelihood = Likelihood(records, sign, b, filter_s)
+    likely = likelihood.best(list(_ends(found)))
+    by_steps = min(found, key=lambda one: one.deviance + PRICE * len(one.x))
+    if likely is not None and likely.criterion < fitting.criterion(by_steps, likelihood):
+        return _by_likelihood(likelihood, likely, settings)
     n = sum(one.reach for one in records)
     inflation = max(min(one.deviance / max(n - len(one.x), 1) for one in found), 1.0)
     ranked = sorted(found, key=lambda one: one.deviance / inflation + PRICE * len(one.x))
     alternatives = tuple(_alternative(one, sign, inflation, n) for one in ranked)
-    log = alternatives[0].log
-    around = tuple(_plausible(fitting, ranked, log, inflation))
-    newest, noise = records[-1], fitting.filters[-1].std
-    open_ = left_open(log, around, newest.dt_s, newest.reach * newest.dt_s, settings)
-    open_ = open_ or _integral_open(around, newest.dt_s, settings)
+    around = tuple(_plausible(fitting, ranked, alternatives[0].log, inflation))
+    noise = fitting.filters[-1].std
+    return _told(records, alternatives, around, (noise * math.sqrt(inflation), noise), settings)
+
+
+def _told(
+    records: Sequence[SetpointSteps],
+    alternatives: tuple[Alternative, ...],
+    around: tuple[Plausible, ...],
+    left: tuple[float, float],
+    settings: FitSettings,
+) -> ModelEstimate:
+    """The estimate, and whether settings may follow. left : what is left, and the noise, pv units."""
+    log, newest, noise = alternatives[0].log, records[-1], left[1]
+    wide = replace(settings, gain_std_limit=UNSETTLED, lag_std_limit=math.inf)
+    open_ = left_open(log, around, newest.dt_s, newest.reach * newest.dt_s, wide)
+    open_ = open_ or _integral_open(around, newest.dt_s, wide)
     steps = sum(len(one.steps) for one in records)
     reason = f"{steps} setpoint steps to and fro: {open_ or NAMES[log.type]}"
     moved = float(np.var(newest.pv[newest.first :]))
     explained = 1.0 - min(noise**2 / max(moved, noise**2), 1.0)
-    left = noise * math.sqrt(inflation)
-    return ModelEstimate(not open_, reason, (), left, noise, alternatives, 0, around, explained)
+    return ModelEstimate(not open_, reason, (), *left, alternatives, 0, around, explained)
+
+
+def _ends(found: Sequence[Found]) -> Iterator[FloatArray]:
+    """What each structure found, as a point of the likelihood's one structure, in which all others are ends."""
+    for one in found:
+        if one.type in INVERSE:
+            continue
+        lag = float(one.x[LAG[one.type]]) if one.type in LAG else math.inf
+        second = float(one.x[SECOND[one.type]]) if one.type in SECOND else -math.inf
+        theta = float(one.x[THETA])
+        lag = min(lag, max(theta, second) + FARTHEST)
+        yield np.array([one.x[SLOPE], theta, lag, min(max(second, theta - NEAREST), lag)])
+
+
+FARTHEST, NEAREST = 2.5, 1.5
+"""e-folds by which an end of the structure is near enough: a lag beyond the dead time, a second lag below it."""
+
+
+def _by_likelihood(likelihood: Likelihood, likely: Likely, settings: FitSettings) -> ModelEstimate:
+    """The estimate by all that the records show."""
+    newest, sign = likelihood.records[-1], likelihood.sign
+    points = likelihood.around(likely)
+    leading = middle(points, sign, newest.dt_s)
+    around = as_plausible(points, leading, sign)
+    log = LogModel(points[leading][0], proper_covariance(likely.own), sign, likelihood.type)
+    information = np.linalg.cholesky(np.linalg.inv(log.p)).T
+    alternative = Alternative(log, likely.deviance, information, information @ log.x, likelihood.samples)
+    return _told(likelihood.records, (alternative,), around, (likely.noise, likely.noise), settings)
 
 
 def of_the_newest(records: Sequence[SetpointSteps], estimate: ModelEstimate, b: float, filter_s: float) -> float:
@@ -292,13 +355,18 @@ def _plausible(fitting: Fitting, ranked: Sequence[Found], log: LogModel, inflati
             yield Plausible(model_at(one.type, one.x, fitting.sign), excess)
 
 
-def _integral_open(around: Sequence[Plausible], dt_s: float, settings: FitSettings) -> str:
-    """That the models still allowed ask for integral actions too far from each other; empty where they agree.
+def integral_spread(around: Sequence[Plausible], dt_s: float) -> float:
+    """Standard deviation of ln ki over the models still allowed, as they ask for it.
 
     A record without its slow end leaves a lag open of which the gain knows nothing.
     """
     logs = [math.log(abs(simc(p.model.seen_by_controller(dt_s)).gains.ki)) for p in around if p.excess <= BELIEVED]
-    spread = (max(logs) - min(logs)) / (2 * OUT)
+    return (max(logs) - min(logs)) / (2 * OUT)
+
+
+def _integral_open(around: Sequence[Plausible], dt_s: float, settings: FitSettings) -> str:
+    """That the models still allowed ask for integral actions too far from each other; empty where they agree."""
+    spread = integral_spread(around, dt_s)
     if spread <= settings.gain_std_limit:
         return ""
     known, needed = factors_text(spread, settings.gain_std_limit)
@@ -339,13 +407,6 @@ def noise_filter(left: Sequence[FloatArray], misfit: float) -> NoiseFilter:
 def _past(v: FloatArray, most: int) -> FloatArray:
     """So many samples before each, the latest first, shape (n - most, most)."""
     return np.stack([v[most - k : len(v) - k] for k in range(1, most + 1)], 1) if most else np.zeros((len(v), 0))
-
-
-def _runs_away(response: FloatArray) -> bool:
-    """Whether a loop with this response to a setpoint step is unstable: no loop that still runs is."""
-    late = 3 * len(response) // 4
-    begun, end = (float(np.max(np.abs(part), initial=0.0)) for part in (response[:late], response[late:]))
-    return not end <= max(begun, AT_MOST)
 
 
 def _whitened(values: FloatArray, ar: FloatArray) -> FloatArray:

@@ -59,6 +59,9 @@ class FitSettings:
         model leaves of a real response is half of that).
     beside : what the model may leave beyond the noise, as a share of what it explains; 0.1 to 0.5, default 0.2 (drawn
         records of which settings came out right: up to 0.10; a noisy pressure loop's fiction: 0.5).
+    valve_lead : by how much (criterion) a valve that sticks or has play must explain a setpoint step better than none,
+        beyond its price; 0 to 50, default 15 (without a valve, beside noise or a load step, no record came near that;
+        ramps and walks did: benchmarks/through_valve.py).
     theta_share : longest effective dead time as a share of the record; 0.1 to 0.5, default 0.25: no event is seen for
         long enough after a longer one.
     hopeless : a rival model that leaves so many times as much is none; 1.3 to 3, default 1.5 (the fictions of three
@@ -78,6 +81,7 @@ class FitSettings:
     remainder_share: float = 0.01
     beside: float = 0.2
     theta_share: float = 0.25
+    valve_lead: float = 15.0
 
 
 OPEN_LOOP = FitSettings(ChoiceSettings(seeded_loads=0, most_loads=0, start_spread=0.0))

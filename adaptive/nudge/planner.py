@@ -67,11 +67,11 @@ class NudgeInput(StrEnum):
     TOO_SMALL = "a bump of the size that is allowed would not be seen in the noise"
     DUE = "nothing has shown the process for a while"
     PUT_OFF = "the loop is not at rest or not free for it any more"
-    BEGUN = "it was announced, and nobody said no"
+    BEGUN = "nobody objected after its announcement"
     TAKEN = "the controller has taken it"
     NOT_TAKEN = "the controller has not taken it"
     AT_REST = "the loop has come to rest"
-    NEXT = "it goes to the other side, to and fro"
+    NEXT = "the setpoint goes to the other side"
     TOO_LONG = "it has lasted as long as it may"
     EXCURSION = "the control error is larger than a bump should make it"
     LIMITED = "the output stands at a limit"
@@ -291,10 +291,12 @@ class NudgePlanner:
         self._holds = HOLDS if self.restless else ()
         way = "until the loop is at rest, and back"
         if self._holds:
-            way = f"and {2 * sample.sp - to:g} in turn, {len(HOLDS)} times in all, and back, for loads move this loop"
+            way = (
+                f"and {2 * sample.sp - to:g} in turn, {len(HOLDS)} times in all, and back, because loads move this loop"
+            )
         reason = (
             f"{around.wanted}: in {self.settings.announce_s:.0f} s the setpoint goes from {self._before:g} to {to:g} "
-            f"{way}; move the setpoint, or take the loop to manual, to put it off"
+            f"{way}; to put it off, move the setpoint or take the loop to manual"
         )
         return self._enter(NudgeInput.DUE, NudgePhase.ANNOUNCED, sample.t_s, reason)
 
@@ -342,7 +344,8 @@ class NudgePlanner:
             return NudgeInput.NOT_IN_AUTO
         if sample.limited:
             return NudgeInput.LIMITED
-        if abs(sample.sp - sample.pv) > self.settings.excursion * max(self.size, self._usual):
+        middle = self._before if self._holds else sample.sp  # to and fro, a step has put pv two bumps off by itself
+        if abs(middle - sample.pv) > self.settings.excursion * math.hypot(self.size, self._usual):
             return NudgeInput.EXCURSION
         if sample.t_s - self.made[-1] > self.settings.longest_s:
             return NudgeInput.TOO_LONG
@@ -369,7 +372,14 @@ class NudgePlanner:
     def _taken(self, cause: NudgeInput, t_s: float) -> NudgeNews | None:
         """The table's answer."""
         new = COURSE.get((self.phase, cause))
-        return None if new is None else self._enter(cause, new, t_s, f"setpoint bump: {cause}")
+        if new is None:
+            return None
+        told = str(cause)
+        if self._holds and cause is NudgeInput.NEXT:
+            told += f", from {self._to:g} to {2 * self._before - self._to:g}"
+        elif self._holds and cause is NudgeInput.AT_REST:
+            told = "the last of its steps is made"  # loads move the loop, so it never rests
+        return self._enter(cause, new, t_s, f"setpoint bump: {told}")
 
     def _enter(self, cause: NudgeInput, new: NudgePhase, t_s: float, reason: str) -> NudgeNews:
         """What entering a phase brings with it."""

@@ -64,7 +64,7 @@ class NudgeSettings:
     excursion: Annotated[
         float,
         Setting(
-            "A control error of so many bumps, or times its usual size where loads move it more, ends the bump", 1.5, 20
+            "A control error of so many times what a bump and the usual loads make together ends the bump", 1.5, 20
         ),
     ] = 4.0
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.nudge.planner import SECONDS_PER_HOUR, LoopAround, NudgeNews, NudgePlanner
 from retuner.adaptive.nudge.settings import HOURS, NudgeSettings
+from retuner.adaptive.region_model.sequences import unsure
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision, Mode
@@ -84,11 +85,14 @@ class Nudger:
         if model is None:
             return f'nothing is known of the process in region "{name}"'
         if not model.identifiable:
-            return f'what is known of the process in region "{name}" does not carry settings'
+            return f'the model of region "{name}" is not accurate enough yet'
         if not retuner.excitation.get(region, Excitation()).setpoints:
-            return f'what is known of the process in region "{name}" rests on loads alone'
+            return f'the model of region "{name}" rests on loads alone'
         if self.planner.restless and not model.sequences:
-            return f'loads move the loop all the time, and what is known of region "{name}" rests on single responses'
+            return f'loads move the loop all the time, and the model of region "{name}" rests on single responses'
+        open_ = unsure(model, retuner.settings.sample_time_s) if model.sequences else ""
+        if open_:
+            return f'the process in region "{name}" is {open_}'
         if model.records <= ONCE:
             return f'region "{name}" has shown its process once only'
         return ""

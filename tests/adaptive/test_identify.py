@@ -154,3 +154,16 @@ def test_seconds_since_1970_make_no_difference() -> None:
     loaded = pv - through(t, np.where(t < 120, 0.0, 1.0), 30.0, 0.0)
     shifted = identify_window(Window(t + 1.7e9, co, loaded, co))
     assert shifted.load_times_s == pytest.approx([1.7e9 + 120], abs=2)
+
+
+@pytest.mark.parametrize("zeta", [0.2, 0.34])
+def test_a_process_that_swings_long_is_found_with_its_damping(zeta: float) -> None:
+    """An open-loop step. Both used to come out at 0.35, the least damping that was fitted."""
+    t, tau = np.arange(0.0, 600.0, 2.0), 15.0
+    u = np.where(t < 40.0, 0.0, 1.0)
+    total = 2 * zeta * tau
+    pv = 3.0 * Dynamics(tau**2 / total, 1 / total).held(Clock.of(t), u, 7.0) / total
+    noise = 0.01 * np.random.default_rng(3).standard_normal(len(t))
+    model = identify_window(Window(t, np.zeros_like(t), pv + noise, u), sign=1).log.model()
+    assert model.zeta == pytest.approx(zeta, rel=0.05)
+    assert model.k == pytest.approx(3.0, rel=0.02)

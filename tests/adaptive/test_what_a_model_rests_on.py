@@ -61,7 +61,9 @@ def weighed(
         response=SimpleNamespace(sp_changed=clear, peaks=()),
         window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
     )
-    learned: Any = SimpleNamespace(region_model=NEW, agreement=agreement, estimate=SimpleNamespace(load_times_s=()))
+    learned: Any = SimpleNamespace(
+        region_model=NEW, agreement=agreement, estimate=SimpleNamespace(load_times_s=()), valve=None
+    )
     found = Findings(Question(record, SETTINGS, 1, Trial()), learned=learned, unexplained=1.0)
     names = [stage.name for stage in pipeline.STAGES]
     for stage in pipeline.STAGES[names.index("region model") : names.index("expectation")]:

@@ -385,3 +385,17 @@ def test_a_slow_controller_is_not_taken_for_a_quick_loop_by_a_load_that_helps() 
 def _causes_after(bench: Bench, moved: LoopAround) -> list[NudgeInput]:
     bench.run(60, moved)
     return bench.causes
+
+
+def test_a_step_to_the_other_side_is_no_excursion_by_itself() -> None:
+    """To and fro, pv stands two bumps from a setpoint that has just moved: what counts is how far it went."""
+    bench, moved = Bench(), around(at_rest=False)
+    bench.wander = 3.0
+    bench.run(3599, moved)
+    bench.wander = 0.2
+    bench.run(64, moved)
+    far = 4.0 * (1 + 3.0**2) ** 0.5
+    bench.run(1, moved, pv=50.0 - (far - 0.6))
+    assert NudgeInput.EXCURSION not in bench.causes
+    bench.run(1, moved, pv=50.0 - (far + 0.4))
+    assert bench.causes[-1] is NudgeInput.EXCURSION

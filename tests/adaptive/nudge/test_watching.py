@@ -5,9 +5,12 @@ from dataclasses import replace
 from loop_bench import GOOD, made
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.nudge.planner import NudgeInput, NudgeNews
 from retuner.adaptive.nudge.settings import NudgeSettings
 from retuner.adaptive.nudge.watching import Nudger
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.sequences import unsure
 
 SOON = NudgeSettings(allowed=True, percent=5.0, after_h=0.1, announce_s=0.0)
 
@@ -38,4 +41,16 @@ def test_a_loop_that_rests_and_is_known_from_two_records_needs_no_bump() -> None
 def test_where_loads_never_rest_what_single_responses_say_is_not_enough() -> None:
     first = news(1.0)[0]
     assert first.cause is NudgeInput.DUE
-    assert 'what is known of region "a" rests on single responses' in first.reason
+    assert 'the model of region "a" rests on single responses' in first.reason
+
+
+def test_bumps_go_on_until_they_have_told_the_settings_well() -> None:
+    """Not a count of them decides, but how far apart the settings are that the models still ask for."""
+    rough = Plausible(ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0), 0.0)
+    steep = Plausible(ProcessModel(ProcessType.FOPDT, 1.6, 50.0, 0.0, 5.0), 2.0)
+    bench = made(GOOD)
+    bench.run(400)
+    bench.run(400, 1.0)
+    known = replace(bench.retuner.region_models[0], records=6)
+    assert unsure(replace(known, plausible=(rough, rough)), 1.0) == ""
+    assert "known to a factor of" in unsure(replace(known, plausible=(rough, steep)), 1.0)
