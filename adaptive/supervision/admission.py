@@ -57,10 +57,10 @@ class Ground(StrEnum):
     LEFT_REGION = (
         "the scheduling variable was outside the region for {outside_share:.0%} of the samples (limit {limit:.0%})"
     )
-    GAINS_CHANGED = "the gains changed {changes:.0f} times during the response (limit {limit:.0f})"
+    GAINS_CHANGED = "the gains changed during the response (changes: {changes:.0f}, limit {limit:.0f})"
     SETPOINT_LED = (
-        "the setpoint moved {moves:.0f} times, at {moving_share:.0%} of the samples: a cascade or a ramp moves it "
-        "(limits {limit:.0f} and {limit_share:.0%})"
+        "a cascade or a ramp moves the setpoint: at {moving_share:.0%} of the samples (limit {limit_share:.0%}), "
+        "movements: {moves:.0f} (limit {limit:.0f})"
     )
     SATURATED = "the controller output was at a limit for {limited_share:.0%} of the response (limit {limit:.0%})"
     CO_FROZEN = "co does not move: no information for the model"

@@ -16,7 +16,6 @@ from retuner.adaptive.diagnosis.oscillation_online import (
     stretch,
     swings,
     through_a_change,
-    too_few_cycles,
     whole_cause,
 )
 from retuner.adaptive.diagnosis.second_opinion import (
@@ -202,13 +201,6 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     if known_to_swing(record, settings):
         found.foreign = max(record.foreign - 1, 0)
         return None
-    young = (
-        None
-        if record.foreign or period_s is not None
-        else too_few_cycles(record.samples, record.response, settings.swing)
-    )
-    if young is not None:
-        return None if _held_up(record, young, settings) else young
     asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis, period_s
     cause = whole_cause(*asked)
     own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
@@ -216,7 +208,15 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     found.foreign = min(max(found.foreign, 0), settings.swing.most_counted)
     if found.foreign and own:
         return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=found.foreign))
-    return cause if found.foreign or (swinging and not own) else None
+    return _with_a_way(record, cause) if found.foreign or (swinging and not own) else None
+
+
+def _with_a_way(record: ResponseRecord, cause: Diagnosis) -> Diagnosis:
+    """What stays open, with what would settle it where its reason does not say: a setpoint step shows the process."""
+    told = "setpoint step" in cause.reason or cause.reason.endswith("needed")
+    if cause.cause is not Cause.UNKNOWN or record.response.sp_changed or told:
+        return cause
+    return replace(cause, reason=f"{cause.reason}; a setpoint step would tell more")
 
 
 def known_to_swing(record: ResponseRecord, settings: RetunerSettings) -> bool:
@@ -254,11 +254,11 @@ def wanted_of(record: ResponseRecord, model: RegionModel, settings: RetunerSetti
     return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
 
 
-NOT_CONFIRMED = "{wanted}; the record alone does not confirm it: {doubt}"
+NOT_CONFIRMED = "by what is known of the region, {wanted}; this record alone does not confirm it: {doubt}"
 """The reason where a change is due by the model of the region, and the record alone does not name the tuning."""
 STILL_ALIVE = (
-    "this response by itself is the loop's own. Something else was behind more of those under these gains: {more} more "
-    "like this one are needed"
+    "this response by itself is the loop's own, but earlier ones under these gains had another cause; still needed "
+    "before the model is updated: {more} like this one"
 )
 """The reason where one response alone would be the loop's own."""
 
@@ -276,7 +276,7 @@ def hidden(found: Findings) -> Diagnosis | None:
         return None
     if again:
         found.foreign = min(record.foreign + 1, settings.swing.most_counted)
-    return cause
+    return _with_a_way(record, cause)
 
 
 def _held_up(record: ResponseRecord, cause: Diagnosis, settings: RetunerSettings) -> bool:
@@ -340,11 +340,14 @@ def _cut_from(trial: Trial, in_force: PidGains, harmless_decay: float) -> PidGai
 def clear_case(found: Findings, learned: Learned) -> bool:
     """Whether the response is the loop's own doing beyond doubt.
 
-    One that crossed a border is where it is a setpoint step that the process in motion explains by itself.
+    One that crossed a border is where it is a setpoint step that the process in motion explains by itself. One that is
+    seen through a valve is not.
     """
     record, loads = found.record, len(learned.estimate.load_times_s)
+    if learned.valve is not None:
+        return False
     if found.steps is not None:
-        return learned.estimate.identifiable and learned.agreement is not Agreement.CONTRADICTS
+        return learned.agreement is not Agreement.CONTRADICTS
     if record.crossed:
         return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
     return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
@@ -379,7 +382,8 @@ def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
 
 
 def is_known(found: Findings, learned: Learned) -> bool:
-    """Whether a response agrees with what a clear setpoint step has shown: it is one record more of that.
+    """Whether a response agrees with what is known, and that rests on a clear setpoint step or is borne out by records
+    that settle the process by themselves: it is one record more of that.
 
     That something else is behind them all is in the cost that the change is expected to have. Where this response has
     put another structure in the lead, it is so only if a change was due before it: one record turned a loop that five
@@ -387,9 +391,35 @@ def is_known(found: Findings, learned: Learned) -> bool:
     """
     record, now = found.record, learned.region_model
     before = record.region_models.get(record.region)
-    if not found.rested_on.clear or learned.agreement != Agreement.AGREES or before is None or now is None:
+    if learned.agreement != Agreement.AGREES or before is None or now is None:
         return False
-    return before.log.type is now.log.type or wanted_of(record, before, found.settings).diagnosis.retune
+    same = before.log.type is now.log.type or wanted_of(record, before, found.settings).diagnosis.retune
+    return same and (found.rested_on.clear > 0 or borne_out(now, found.excitation_now, found.settings))
+
+
+def borne_out(model: RegionModel, excitation: Excitation, settings: RetunerSettings) -> bool:
+    """Whether the newest records settle the process each by itself, and alike.
+
+    Loads that overlap can be explained in any way, but not twice in the same one. Setpoint responses must be among
+    them, for a tone under loads alone is the same fiction each time.
+    """
+    if excitation.setpoints < SETPOINTS:
+        return False
+    swing, dt_s = settings.swing, settings.sample_time_s
+    best = model.log.model()
+    at_s = best.seen_by_controller(dt_s).theta_s
+    usual = log_controller(best, dt_s, at_s)
+    settled = [
+        point.log
+        for point in model.points[-swing.alike_records :]
+        if point.log.gain_uncertainty(dt_s) <= settings.fit.gain_std_limit
+    ]
+    alike = [abs(log_controller(log.model(), dt_s, at_s) - usual) <= swing.alike for log in settled]
+    return len(alike) >= swing.alike_records and all(alike)
+
+
+SETPOINTS = 2
+"""Setpoint responses among the records that bear each other out."""
 
 
 def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionModel) -> bool:
@@ -426,32 +456,6 @@ def doubt_of(found: Findings, wanted_for: Diagnosis | None = None) -> Diagnosis 
         settings.diagnosis,
         wanted_for,
     )
-
-
-def borne_out(found: Findings, model: RegionModel, doubt: Diagnosis) -> bool:
-    """Whether a case that stays open is borne out: records that settle the process by themselves agree about it.
-
-    Loads that overlap can be explained in any way, but not twice in the same one. Setpoint responses must be among
-    them, for a tone under loads alone is the same fiction each time; what names another cause is listened to.
-    """
-    swing, dt_s = found.settings.swing, found.settings.sample_time_s
-    agrees = found.learned is not None and found.learned.agreement == Agreement.AGREES
-    if not agrees or doubt.cause is not Cause.UNKNOWN or found.excitation_now.setpoints < SETPOINTS:
-        return False
-    best = model.log.model()
-    at_s = best.seen_by_controller(dt_s).theta_s
-    usual = log_controller(best, dt_s, at_s)
-    settled = [
-        point.log
-        for point in model.points[-swing.alike_records :]
-        if point.log.gain_uncertainty(dt_s) <= found.settings.fit.gain_std_limit
-    ]
-    alike = [abs(log_controller(log.model(), dt_s, at_s) - usual) <= swing.alike for log in settled]
-    return len(alike) >= swing.alike_records and all(alike)
-
-
-SETPOINTS = 2
-"""Setpoint responses among the records that bear each other out."""
 
 
 def stands_out(found: Findings) -> bool:

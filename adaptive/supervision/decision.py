@@ -199,7 +199,11 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
     assert cause is not None  # of a trial that is being restored
     assert back is not None
     judged = decision.judgement.reason if decision.judgement else ""
-    done = "no earlier gains are as robust, so the trial gains stay" if back.stays else _WORDS[back.gains == trial.old]
+    done = (
+        "no earlier gains are expected to be better, so the trial gains stay"
+        if back.stays
+        else _WORDS[back.gains == trial.old]
+    )
     reason = "; ".join(filter(None, (f"{done}: {judged or cause}", back.reason)))
     reason += f"; also in {', '.join(also)}" if also else ""
     if promised_wrongly(trial, decision):

@@ -11,7 +11,7 @@ from itertools import islice
 import numpy as np
 
 from retuner.adaptive.choice.expected_cost import Choosable
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause, with_second_lag
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.guard.between import eased, worst_between
 from retuner.adaptive.guard.border import borders_of, likeliest_between, mixed
@@ -35,7 +35,7 @@ from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, pro
 from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
-from retuner.adaptive.trial.random_walk import explained_by_a_walk
+from retuner.adaptive.trial.random_walk import beside_a_walk
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.wander import wander_of
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
@@ -172,8 +172,9 @@ def tuning_of(
     easier = eased(found.tuning.gains, borders, process, limit, dt_s, settings.filter_s)
     if easier == found.tuning.gains:
         return found
-    given = (process.seen_by_controller(dt_s), own, easier, log.gain_uncertainty(dt_s))
-    found = replace(found, tuning=replace(found.tuning, gains=easier), diagnosis=tuning_cause(*given, settings.cause))
+    given = (process.seen_by_controller(dt_s), own, easier, log.gain_uncertainty(dt_s), settings.cause)
+    told = tuning_cause(*given, with_second_lag(model.plausible, dt_s))
+    found = replace(found, tuning=replace(found.tuning, gains=easier), diagnosis=told)
     worst = worst_between(borders, process, own, dt_s, settings.filter_s)
     if worst is None or worst.ms <= high or abs(easier.ki) >= abs(own.ki):
         return found
@@ -218,9 +219,11 @@ def known_of(
     if own is None:
         return NOTHING_KNOWN
     models, dt_s = allowed_where_gains_run(table, region_models, t_s, settings), settings.sample_time_s
-    alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in still_allowed(own, t_s, settings))
+    asked = still_allowed(own, t_s, settings)
+    alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in asked)
+    likely = tuple(math.exp(-found.excess / (2.0 * settings.choice.temper)) for found in asked)
     if table.lookup is Lookup.HARD:
-        return StillAllowed(alone, settings.filter_s)
+        return StillAllowed(alone, settings.filter_s, weights=likely)
     borders = borders_of(table, region, {i: allowed for i, allowed in models.items() if i != region})
     best = models[region][0].model
     halves = [
@@ -230,7 +233,7 @@ def known_of(
         )
         for border in borders
     ]
-    return StillAllowed(alone, settings.filter_s, tuple(halves))
+    return StillAllowed(alone, settings.filter_s, tuple(halves), likely)
 
 
 HALF = 0.5
@@ -332,16 +335,18 @@ def posterior_of(
     return replace(found, settled=estimate.identifiable, agreed=agreed)
 
 
-def wanders(case: ResponseRecord, against: Sequence[Plausible], trial: Trial, settings: RetunerSettings) -> bool:
-    """Whether a load that wanders explains what the loop did lately, on a process on which the set on trial is robust,
-    as well as the models do. Asked where the error was seen to wander before the change.
+def walked(
+    case: ResponseRecord, against: Sequence[Plausible], trial: Trial, settings: RetunerSettings
+) -> StillAllowed | None:
+    """What the loop did lately leaves of its process beside a load that wanders (trial/random_walk.py). Asked where the
+    error was seen to wander before the change, else None.
     """
     promised, noise = trial.promise, case.response.band / NOISE_RISES
     if promised is None or promised.wander <= WANDERS * noise:
-        return False
+        return None
     models = [found.model for found in sorted(against, key=lambda found: found.excess)]
     limits = (settings.trial.harmless_ms, settings.trial.level)
-    return explained_by_a_walk(case.samples, models, case.in_force, settings.sample_time_s, settings.filter_s, *limits)
+    return beside_a_walk(case.samples, models, case.in_force, settings.sample_time_s, settings.filter_s, *limits)
 
 
 WANDERS = 2.0
@@ -383,5 +388,5 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
     safer_due = outcome.verdict is not None and outcome.verdict.accepted and outcome.verdict.urgent
-    told = (outcome.posterior, case.crossed, safer_due, outcome.wandering)
+    told = (outcome.posterior, case.crossed, safer_due, outcome.walked)
     return JudgedResponse(case.response, window, limited, outside, *told)

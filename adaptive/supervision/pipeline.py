@@ -15,9 +15,9 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard import GuardSettings, Verdict, prove
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
-from retuner.adaptive.region_model.from_neighbours import borrowed
+from retuner.adaptive.region_model.from_neighbours import as_wide_as_known, borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, update_region_model
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, on_the_way, update_region_model
 from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground
@@ -26,7 +26,6 @@ from retuner.adaptive.supervision.causes import (
     NOT_CONFIRMED,
     SWINGING,
     beside_sequences,
-    borne_out,
     by_sequences,
     clear_case,
     cut_refuted,
@@ -52,7 +51,7 @@ from retuner.adaptive.supervision.guard_request import (
     promised,
     request_of,
     unproved_request,
-    wanders,
+    walked,
 )
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
@@ -60,6 +59,7 @@ from retuner.adaptive.supervision.proposal_without_model import Proposed, withou
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import decay_seen
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.adaptive.weighed import NO_NUMBERS
 
 NOT_KNOWN = "not_identifiable"
@@ -127,6 +127,8 @@ def identification(found: Findings) -> None:
         return
     found.learned = learned = beside_sequences(found, learned)
     found.unexplained = learned.estimate.unexplained(float(np.ptp(found.record.window.pv)))
+    if learned.valve is not None:  # what the loop by itself leaves open
+        found.unexplained = max(found.unexplained, learned.valve.left)
 
 
 def _by_itself(found: Findings) -> Learned:
@@ -139,8 +141,9 @@ def _by_itself(found: Findings) -> Learned:
 def _inside(found: Findings, known: RegionModel | None) -> Learned:
     """What a response teaches the region in which it began and ended.
 
-    One that went far is fitted in motion first. Where that does not agree with what is known, or does not settle it, it
-    is judged as any other: the process may have changed in time.
+    The farther it went, the less one linear model of it says of the region. One that went far is fitted in motion
+    first. Where that does not agree with what is known, or does not settle it, it is judged as any other: the process
+    may have changed in time.
     """
     record, settings = found.record, found.settings
     if record.moved:
@@ -148,7 +151,9 @@ def _inside(found: Findings, known: RegionModel | None) -> Learned:
         settled = learned.region_model is not None and learned.region_model.identifiable
         if settled and learned.agreement in {Agreement.FIRST, Agreement.AGREES}:
             return learned
-    return update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
+    tracker = on_the_way(settings.tracker, record.share)
+    learned = update_region_model(known, record.window, record.in_force, tracker, settings.fit, record.at)
+    return as_wide_as_known(learned) if record.share else learned
 
 
 def _across(found: Findings, known: RegionModel | None) -> Learned:
@@ -202,6 +207,12 @@ def region_model(found: Findings) -> None:
     found.tuning = wanted_of(record, found.in_use, settings)
 
 
+def _of_two_sets(why: str, *, crossed: bool) -> str:
+    """Why a pattern tells nothing; why : what is said before."""
+    came = "crossed a boundary" if crossed else "began under other gains"
+    return f"its pattern is that of two sets of gains{'' if came in why else f', because it {came}'}"
+
+
 def without_a_model(found: Findings) -> None:
     """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
     if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or stands_out(found)):
@@ -212,8 +223,7 @@ def without_a_model(found: Findings) -> None:
         return
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
     if record.pattern is None:
-        came = "crossed a boundary" if record.crossed else "began under other gains"
-        found.stop(NOT_KNOWN, f"{why}; the response {came}, so its pattern is that of two sets of gains")
+        found.stop(NOT_KNOWN, f"{why}; {_of_two_sets(why, crossed=record.crossed)}")
         return
     locks = found.settings.locks_of(record.region)
     own = _own_fault(found)
@@ -374,7 +384,7 @@ def confirmation(found: Findings) -> None:
         return
     if not (found.clear or is_known(found, learned) or is_sure(found, verdict, learned, _in_use(found))):
         doubt = doubt_of(found, wanted.diagnosis)
-        if doubt is not None and not borne_out(found, _in_use(found), doubt):
+        if doubt is not None:
             _not_confirmed(found, doubt)
             return
     assert found.verdict is not None
@@ -409,16 +419,16 @@ def check_after_trial(found: Findings) -> None:
     trial = found.question.trial
     if trial.phase is TrialPhase.TRIAL and found.end is not None and found.end.code != Ground.SATURATED.name.lower():
         found.posterior = posterior_of(found.record, found.learned, trial, found.settings)
-    found.wandering = trial.phase is TrialPhase.TRIAL and _wandering(found)
+    found.walked = _walked(found) if trial.phase is TrialPhase.TRIAL else None
 
 
-def _wandering(found: Findings) -> bool:
-    """Whether what speaks against the set on trial may be a load that wanders."""
+def _walked(found: Findings) -> StillAllowed | None:
+    """What may speak against the set on trial, beside a load that wanders."""
     record, learned = found.record, found.learned
     model = found.region_model or record.region_models.get(record.region)
     known = model.plausible if model is not None else ()
     against = learned.estimate.plausible if learned is not None and found.posterior is not None else known
-    return wanders(record, against or known, found.question.trial, found.settings)
+    return walked(record, against or known, found.question.trial, found.settings)
 
 
 def _learned(found: Findings) -> Learned:

@@ -9,6 +9,8 @@ from enum import StrEnum
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
+
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict
@@ -30,6 +32,7 @@ from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
@@ -90,11 +93,16 @@ class ResponseRecord:
         """Whether the process was at places so far apart, within a table of several regions, that one linear model of
         the response would be a fiction.
         """
+        return self.share > FAR
+
+    @cached_property
+    def share(self) -> float:
+        """How far the process went, as a share of the axis on which it went farthest; 0 in a table of one region."""
         regions = self.table.regions
         if len(regions) == 1:
-            return False
+            return 0.0
         ways = zip(regions.axes, ways_of(regions, self.own), strict=True)
-        return any(max(way) - min(way) > FAR * (axis.high - axis.low) for axis, way in ways)
+        return max(float(np.ptp(way)) / (axis.high - axis.low) for axis, way in ways)
 
     @property
     def pattern(self) -> Response | None:
@@ -116,8 +124,8 @@ class StageResult:
     excitation : what the region model rests on.
     promise : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
-    elsewhere : what is due in a region where the loop is not, by its index; nothing for none. wandering : a load that
-    wanders as before the change explains what the loop did lately, on a process on which the set on trial is robust.
+    elsewhere : what is due in a region where the loop is not, by its index; nothing for none. walked : what the loop
+    did lately leaves of its process beside a load that wanders as before the change of a trial; None where none did.
     """
 
     code: str
@@ -136,7 +144,7 @@ class StageResult:
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, "StageResult"] = field(default_factory=dict)
-    wandering: bool = False
+    walked: StillAllowed | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +293,7 @@ class Findings:
     promise: Promise | None = None
     expected: str = ""
     posterior: PosteriorCheck | None = None
-    wandering: bool = False
+    walked: StillAllowed | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, StageResult] = field(default_factory=dict)
 
@@ -305,7 +313,8 @@ class Findings:
     def stop(self, code: str, reason: str) -> None:
         """The stage decides: no later one runs, but those that always do."""
         together = f"{self.joined} setpoint steps to and fro, joined: " if self.joined else ""
-        self.end = End(code, together + reason)
+        valve = self.learned.valve if self.learned is not None else None
+        self.end = End(code, together + reason + (f"; {valve.sentence}" if valve is not None else ""))
 
     def explained_otherwise(self, cause: Diagnosis) -> None:
         """Something else than the tuning is behind the response: nothing follows."""
@@ -342,7 +351,7 @@ class Findings:
             forget=self.forget,
             promise=self.promise,
             posterior=self.posterior,
-            wandering=self.wandering,
+            walked=self.walked,
             beside=self.beside,
             elsewhere=self.elsewhere,
         )

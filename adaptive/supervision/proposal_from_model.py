@@ -8,7 +8,7 @@ model that is still allowed is given less of everything without waiting for a be
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause, with_second_lag
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
@@ -49,9 +49,11 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
     cause = settings.cause
     tuning = robust_simc_on(best, region_model.plausible, dt_s, robust).tuning
     given = (best.seen_by_controller(dt_s), in_force, tuning.gains, log.gain_uncertainty(dt_s))
-    diagnosis = tuning_cause(*given, cause)
+    lagged = with_second_lag(region_model.plausible, dt_s)
+    diagnosis = tuning_cause(*given, cause, lagged)
     if diagnosis.cause == Cause.OK:
-        closer = tuning_cause(*given, replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal)))
+        near = replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal))
+        closer = tuning_cause(*given, near, lagged)
         diagnosis = closer if closer.cause == Cause.AGGRESSIVE else diagnosis
     ready = region_model.identifiable or (
         diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}

@@ -414,7 +414,7 @@ class Retuner:
             return None
         if outcome.code == Ground.SATURATED.name.lower():
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
-            return self.trials.silent(case.region, silent, self.now_s, wandering=outcome.wandering)
+            return self.trials.silent(case.region, silent, self.now_s, walked=outcome.walked)
         ask = self._person_decides(case.region)
         return self.trials.judge(case.region, seen_of(case, outcome), case.in_force, self.now_s, ask=ask)
 

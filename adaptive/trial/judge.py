@@ -38,9 +38,11 @@ from retuner.adaptive.trial.expectation import Expected, Promise
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, PosteriorNumbers, against, in_favour
 from retuner.adaptive.trial.response_numbers import storable, swing, three
 from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
+NOT_ITSELF = "the response itself is not judged"
 MEAN_OF_NOISE = 0.8
 """Mean of |n| over the standard deviation of normal noise n."""
 NOISE_RISES = 4.0
@@ -122,8 +124,8 @@ class JudgedResponse:
     tuning that was found behind the response, empty when none was. crossed : part of it ran in another region, under
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
     say of both sets, None where there are none. safer_due : by this response the tried set swings, and a safer one is
-    proved. wandering : a load that wanders as before the change explains what the loop did lately on a process on
-    which the tried set is robust (random_walk.py).
+    proved. walked : what the loop did lately leaves of its process beside a load that wanders as before the change
+    (random_walk.py); None where none did.
     """
 
     response: Response
@@ -133,7 +135,12 @@ class JudgedResponse:
     posterior: PosteriorCheck | None = None
     crossed: bool = False
     safer_due: bool = False
-    wandering: bool = False
+    walked: StillAllowed | None = None
+
+    @property
+    def wandering(self) -> bool:
+        """Whether such a load explains it all, on a process on which the tried set is robust."""
+        return self.walked is not None and not self.walked.processes
 
 
 class _Swings(NamedTuple):
@@ -160,8 +167,8 @@ def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: Tr
     worse, posterior = objection or ("", None)
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
-    unlike = "not judged by itself: the response began under other gains" if seen.response.taken_over else unlike
-    unlike = "not judged by itself: the response crossed a boundary" if seen.crossed else unlike
+    unlike = f"{NOT_ITSELF}: it began under other gains" if seen.response.taken_over else unlike
+    unlike = f"{NOT_ITSELF}: it crossed a boundary" if seen.crossed else unlike
     if unlike and worse:
         return Judgement(TrialFinding.WORSE, worse, TrialNumbers(peaks, posterior))
     if unlike:
@@ -274,8 +281,8 @@ def _swings(response: Response, now: Expected, before: float, sigma: float, sett
     if sure is None or sure <= limit or sure <= before:
         return _Swings("", numbers)
     words = (
-        f"{WORSE_WORDS}half-cycle decay ratio {numbers.decay:.2f} (at least {sure:.2f} allowing for noise), "
-        f"predicted at most {now.decay.high:.2f}; previous gains {before:.2f}"
+        f"{WORSE_WORDS}half-cycle decay ratio {numbers.decay:.2f} (at least {sure:.2f} allowing for noise; limit "
+        f"{limit:.2f}), predicted at most {now.decay.high:.2f}; previous gains {before:.2f}"
     )
     return _Swings(words, numbers)
 
@@ -311,8 +318,8 @@ def _costs(
     if measured <= limit or measured <= before:
         return _Costs("", numbers)
     words = (
-        f"{WORSE_WORDS}IAE {measured:.3g} {_PER[response.sp_changed]}, predicted at most {now.iae.high:.3g}; "
-        f"previous gains {before:.3g}"
+        f"{WORSE_WORDS}IAE {measured:.3g} {_PER[response.sp_changed]} (limit {limit:.3g}), predicted at most "
+        f"{now.iae.high:.3g}; previous gains {before:.3g}"
     )
     return _Costs(words, numbers)
 

@@ -23,6 +23,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.process.state_space import state_space
 from retuner.adaptive.signals.sample import FloatArray, LoopSample
+from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 
 LONGEST = 2.5
@@ -152,7 +153,7 @@ def _held(whole: FloatArray, part: float) -> tuple[FloatArray, FloatArray]:
     return np.asarray(expm(whole)), np.asarray(expm(whole * part))
 
 
-def explained_by_a_walk(
+def beside_a_walk(
     samples: Sequence[LoopSample],
     models: Sequence[ProcessModel],
     tried: PidGains,
@@ -160,8 +161,11 @@ def explained_by_a_walk(
     filter_s: float,
     harmless_ms: float,
     level: float,
-) -> bool:
-    """Whether a process on which `tried` is robust explains the samples as well as any, under a load that wanders.
+) -> StillAllowed | None:
+    """What samples leave of the process, under a load that wanders: nothing where one on which `tried` is robust
+    explains them as well as any, else the one that explains them best. None where they are too few.
+
+    Where no model speaks against it, those for which it was made begin the search: they are no witnesses for it.
 
     Parameters
     ----------
@@ -172,20 +176,24 @@ def explained_by_a_walk(
     asked = list(models[:MOST]) or by_rule
     seen = stretches_of(samples, asked[len(asked) // 2].theta_s) if asked else None
     if seen is None:
-        return False
+        return None
+
+    def sampled(model: ProcessModel) -> LinearProcess:
+        return model.seen_by_controller(sample_time_s).linear()
 
     def robust(model: ProcessModel) -> bool:
-        return sensitivity_peak(model.seen_by_controller(sample_time_s).linear(), tried, filter_s) <= harmless_ms
+        return sensitivity_peak(sampled(model), tried, filter_s) <= harmless_ms
 
     best = min(asked, key=lambda model: deviance(model.linear(), seen))
-    free, least = (best, -math.inf) if robust(best) else _searched(best, seen, lambda _: True)
+    free, least = (best, -math.inf) if models and robust(best) else _searched(best, seen, lambda _: True)
     if robust(free):
-        return True
+        return NOTHING_KNOWN
     enough = least + level**2
     weaker = ([replace(near, k=share * near.k) for share in LESS] for near in (free, best))
     starts = [next(filter(robust, models), None) for models in weaker]
     starts.append(min(filter(robust, by_rule), key=lambda model: deviance(model.linear(), seen), default=None))
-    return any(_searched(start, seen, robust, enough)[1] <= enough for start in starts if start is not None)
+    as_well = any(_searched(start, seen, robust, enough)[1] <= enough for start in starts if start is not None)
+    return NOTHING_KNOWN if as_well else StillAllowed((sampled(free),), filter_s)
 
 
 def made_for(gains: PidGains) -> list[ProcessModel]:

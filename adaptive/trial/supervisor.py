@@ -280,23 +280,25 @@ class TrialSupervisor:
             if kept >= self.settings.responses:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         else:
-            return self.silent(region, found, t_s, enough=seen.safer_due and not ask, wandering=seen.wandering)
+            return self.silent(region, found, t_s, enough=seen.safer_due and not ask, walked=seen.walked)
         return found
 
     def silent(
-        self, region: int, found: Judgement, t_s: float, *, enough: bool = False, wandering: bool = False
+        self, region: int, found: Judgement, t_s: float, *, enough: bool = False, walked: StillAllowed | None = None
     ) -> Judgement:
         """A response said nothing for or against: enough of them end the trial. found : why it did not; with that.
 
-        enough : this one does, because a change towards safety is due that must not wait for others. wandering : what
-        the models say against the tried set, a load that wanders explains as well.
+        enough : this one does, because a change towards safety is due that must not wait for others. walked : what is
+        left of the process beside a load that wanders; it stands for the models where there are none, and where it is
+        nothing they say nothing.
         """
         trial = self.of(region)
         if trial.phase != P.TRIAL:
             return found
         self._trials[region] = replace(trial, silent=trial.silent + 1)
+        known = None if walked and walked.processes and self._known(region).processes else walked
         few = trial.silent + 1 < self.settings.inconclusive and not enough
-        if few or not self._end(region, E.TIMED_OUT, t_s, NOTHING_KNOWN if wandering else None):
+        if few or not self._end(region, E.TIMED_OUT, t_s, known):
             return found
         what = AFTER_SILENCE.get(self.phase(region), "stay")
         why = "a safer change is due" if enough else f"{trial.silent + 1} responses were inconclusive"

@@ -1,29 +1,26 @@
 """Where a change that is not decided by a response leads: which of the sets that ran is to run from now on.
 
-    r(set)  =  (models on which it is unstable, greatest Ms on the others)       over the models that are still allowed
+    expected(set) = sum_m P(m | seen) loss(set, m)  +  P(something else | seen) chance(set)
 
-The less, the more robust. A set whose Ms is at most harmless_ms on every model counts as robust: among such sets it is
-not Ms that decides. The commissioned set has no privilege, nor has the one before.
+    loss(set, m)  = 1 - harmless_ms / Ms     share of the distance to instability that is lost: 0 where robust, 1 where
+                                             unstable
+    P(m | seen)   ~ weight(m)  prod over the sets seen   b where it was bad, 1 - b where it was calm
+    b(set, m)     = by loads + (1 - 2 by loads) loss(set, m)
 
-    a cause that says nothing of the set       the tried set stays, unless the one before is more robust
-    evidence against it (worse, runaway)       the set before; where that is not robust on the models that the evidence
-                                               leaves, the most robust of all that ran, the tried one among them
+m are the models that are still allowed, with their likelihoods. Bad is a set that swung on or against which there is
+evidence (worse, runaway); calm one under which the loop did not swing, or whose trial no response decided. Loads are
+the rival of the process: they make a robust loop look bad now and then, seldom as a runaway; and since the set before
+was calm, the process may have changed. So evidence weighs the models and strikes none out. What none of them explains,
+something else is behind: there only what was seen counts, by Laplace's rule of succession, (1 + bad) / (2 + bad +
+calm), and a set that acts more in everything than a bad one is as bad.
 
-Models on which the tried set is robust do not count after evidence against it: they are refuted. One thing they still
-say: where the set before is not robust on any of them, and acts more in everything, a swing under the tried one is no
-reason to go back to it (a loop whose gain grew in the meantime became unstable by that). The same holds where every
-model calls the set before unstable, also after a runaway: then an earlier set that acts less still and is robust
-runs, else the tried one until a safer one is proved. A set before that every model calls unstable, and that was seen
-to swing on, does not come back for a worse response, whatever the tried one acts. Nor do models that
-now say of the set before what neither was seen of it nor was known when the change was proved: it has worked. Where
-both are no robust sets, those that ran before are asked as well. Without a model the set before has been seen to work
-and the tried one has not, unless the one before was seen to swing on and the tried one is less of everything;
-and the tried one stays where many responses were watched under it and none spoke against it.
-So what runs after it is never less robust, on the models that are still allowed, than what ran before it.
+The commissioned set has no privilege. After evidence against the tried set the one before is to run, also where there
+is no model; after a cause that says nothing of it the tried one stays. Another set takes their place where it is
+expected to lose less by more than the price of a change.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,21 +34,32 @@ from retuner.schedule.gains import PidGains
 
 SWINGS_ON = 0.9
 """Ratio of successive peaks from which a response was no decaying one (as the guard's urgent_damping)."""
+BY_LOADS = 0.05
+"""Chance that loads make a robust loop look bad, or a bad one calm."""
+BY_LOADS_AFTER = {TrialEvent.RUNAWAY: 0.01, TrialEvent.TIMED_OUT: 0.5}
+"""The same of a run of growing half waves, and of responses that decided nothing: every model explains these."""
+CHANGED = 0.2
+"""Chance that the process is another one than when the set before was calm."""
+SOMETHING_ELSE = 0.1
+"""Probability, before anything is seen of a set, that none of the models is the process."""
+PRICE = 0.05
+"""Expected loss by which a set must be better to take the place of the one that would run: as Ms 2.1 to 2.2."""
 
 
 class StillAllowed(NamedTuple):
     """What is known of a region's process.
 
     processes : the models that are still allowed where the region's own set runs alone, as a sampled controller sees
-        them; empty where nothing is known.
+        them; empty where nothing is known. weights : how likely each is; empty for all alike.
     filter_s : filter time of the controller's derivative, s.
     between : of an interpolated table, processes between this knot and others, each with what runs there for a set
-        that the region stores.
+        that the region stores; each as likely as the likeliest.
     """
 
     processes: tuple[LinearProcess, ...] = ()
     filter_s: float = 0.0
     between: tuple[tuple[LinearProcess, Callable[[PidGains], PidGains]], ...] = ()
+    weights: tuple[float, ...] = ()
 
     def ms(self, stored: PidGains) -> tuple[float, ...]:
         """Ms on each model, infinite where unstable."""
@@ -59,33 +67,42 @@ class StillAllowed(NamedTuple):
         mixed = [sensitivity_peak(process, runs(stored), self.filter_s) for process, runs in self.between]
         return (*alone, *mixed)
 
+    def likely(self) -> tuple[float, ...]:
+        """Weight of each model, their sum 1."""
+        alone = self.weights or (1.0,) * len(self.processes)
+        all_of_them = (*alone, *(max(alone) for _ in self.between))
+        return tuple(weight / sum(all_of_them) for weight in all_of_them)
+
 
 NOTHING_KNOWN = StillAllowed()
 
 
 class Robustness(NamedTuple):
-    """Of one set; sorts from robust to not robust. unstable : on so many models. ms : greatest on the others."""
+    """Of one set. unstable : on so many models. ms : greatest on the others."""
 
     unstable: int
     ms: float
 
     @classmethod
-    def of(cls, ms: Iterable[float], harmless_ms: float = 0.0) -> "Robustness":
-        """From Ms on each model; harmless_ms : up to this sets count as alike."""
+    def of(cls, ms: Iterable[float]) -> "Robustness":
+        """From Ms on each model."""
         values = tuple(ms)
         finite = [value for value in values if math.isfinite(value)]
-        return cls(len(values) - len(finite), max([harmless_ms, *finite]))
+        return cls(len(values) - len(finite), max(finite, default=0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class WayBackNumbers(Numbers):
-    """models : how many were asked. ms_tried, ms_before : greatest where stable; unstable_* : on so many models."""
+    """models : how many were asked. ms_* : greatest where stable; unstable_* : on so many models.
+    something_else : probability that none of the models is behind what was seen.
+    """
 
     models: float
     ms_tried: float
     unstable_tried: float
     ms_before: float
     unstable_before: float
+    something_else: float = 0.0
 
 
 class SetsThatRan(NamedTuple):
@@ -111,87 +128,86 @@ class WayBack(NamedTuple):
     numbers: WayBackNumbers | None = None
 
 
+class Seen(NamedTuple):
+    """Of one set: how often it was bad and calm, and the chance that what was seen is not its doing."""
+
+    bad: int = 0
+    calm: int = 0
+    by_loads: float = BY_LOADS
+
+    def likelihood(self, loss: float) -> float:
+        """On a model on which the set has this loss."""
+        bad = self.by_loads + (1.0 - 2.0 * self.by_loads) * loss
+        return bad**self.bad * (1.0 - bad) ** self.calm
+
+    @property
+    def chance(self) -> float:
+        """That it is bad, where no model says: rule of succession."""
+        return (1.0 + self.bad) / (2.0 + self.bad + self.calm)
+
+
 def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> WayBack:
     """Which set is to run after a cause that ends trials; see the head of this file."""
-    has_worked = cause in UNDOS and ran.swings <= settings.harmless_decay
-    if ran.tried is None or cause is TrialEvent.ORDERED_BACK:
+    if ran.tried in {None, ran.before} or cause is TrialEvent.ORDERED_BACK:
         return WayBack(ran.before, stays=False)
-    ms_tried, ms_before = known.ms(ran.tried), known.ms(ran.before)
-    left = [i for i, ms in enumerate(ms_tried) if cause not in UNDOS or ms > settings.harmless_ms]
-    if has_worked or not left:
-        least_ms, most = min(ms_before, default=0.0), math.inf if left else settings.harmless_ms
-        worse = cause in UNDOS and least_ms >= most and least_ms > settings.harmless_ms
-        if worse and (_acts_less(ran) or (math.isinf(least_ms) and cause is TrialEvent.WORSE and _swung_on(ran))):
-            return _calmer(cause, ran, ran.tried, known, least_ms, settings)
-        return WayBack(ran.before, stays=False) if has_worked else _without_model(cause, ran, ran.tried)
-
-    def robustness(ms: Sequence[float]) -> Robustness:
-        return Robustness.of((ms[i] for i in left), settings.harmless_ms)
-
-    tried, before = robustness(ms_tried), robustness(ms_before)
-    stays = tried < before or (tried == before and cause not in UNDOS)
-    gains, least = (ran.tried, tried) if stays else (ran.before, before)
-    if least.unstable or least.ms > settings.harmless_ms:
-        for other in ran.earlier:
-            found = robustness(known.ms(other))
-            gains, least = (other, found) if found < least else (gains, least)
-    numbers = _numbers(len(left), ms_tried, ms_before, left)
-    return WayBack(gains, gains == ran.tried, _words(numbers, gains, ran, settings), numbers)
+    stays = cause not in UNDOS and (known.processes or cause is TrialEvent.TIMED_OUT)
+    sets = [ran.tried, ran.before] if stays else [ran.before, ran.tried]
+    ms = {gains: known.ms(gains) for gains in (*sets, *ran.earlier)}
+    expected, else_ = expected_losses(ms, known.likely(), _seen(cause, ran, settings), settings.harmless_ms)
+    runs = sets[0]
+    for other in ms:
+        runs = other if expected[other] < expected[runs] - PRICE else runs
+    numbers = None
+    if known.processes:
+        tried, before = Robustness.of(ms[ran.tried]), Robustness.of(ms[ran.before])
+        models = len(ms[ran.tried])
+        numbers = WayBackNumbers(models, tried.ms, tried.unstable, before.ms, before.unstable, else_)
+    return WayBack(runs, runs == ran.tried, _words(cause, numbers, runs, ran, settings), numbers)
 
 
-def _acts_less(ran: SetsThatRan) -> bool:
-    """Whether the tried set is less of everything than the one before."""
-    return ran.tried is not None and less_of_everything(ran.before, ran.tried)
+def _seen(cause: TrialEvent, ran: SetsThatRan, settings: TrialSettings) -> dict[PidGains, Seen]:
+    """What was seen of the set before and of the tried one."""
+    swung = ran.swung is not None and ran.swung >= SWINGS_ON
+    worked = Seen(0, ran.swings <= settings.harmless_decay, CHANGED)
+    now = Seen(cause in UNDOS, cause is TrialEvent.TIMED_OUT, BY_LOADS_AFTER.get(cause, BY_LOADS))
+    return {ran.before: Seen(1) if swung else worked} | ({} if ran.tried is None else {ran.tried: now})
 
 
-def _calmer(
-    cause: TrialEvent, ran: SetsThatRan, tried: PidGains, known: StillAllowed, least_ms: float, settings: TrialSettings
-) -> WayBack:
-    """Where the set before acts more and no model holds it for robust: the tried set, or after a runaway the newest
-    earlier one that acts less still and is robust on every model.
+def expected_losses(
+    ms: Mapping[PidGains, Sequence[float]],
+    likely: Sequence[float],
+    seen: Mapping[PidGains, Seen],
+    harmless_ms: float,
+) -> tuple[dict[PidGains, float], float]:
+    """Of each set, and the probability of something else; see the head of this file.
+
+    ms : of each set on each model. likely : of each model. seen : of those sets of which anything was.
     """
-    reason = _no_way_back(least_ms, ran)
-    for one in ran.earlier if cause is TrialEvent.RUNAWAY else ():
-        if less_of_everything(tried, one) and max(known.ms(one)) <= settings.harmless_ms:
-            return WayBack(one, stays=False, reason=f"{reason}; an earlier gain set acts less still")
-    return WayBack(tried, stays=True, reason=reason)
+    losses = {gains: [1.0 - harmless_ms / max(one, harmless_ms) for one in row] for gains, row in ms.items()}
+    weights = [
+        (1.0 - SOMETHING_ELSE) * weight * math.prod(one.likelihood(losses[gains][i]) for gains, one in seen.items())
+        for i, weight in enumerate(likely)
+    ]
+    else_ = SOMETHING_ELSE * math.prod(0.5 ** (one.bad + one.calm) for one in seen.values())
+    whole = sum(weights) + else_
+    expected = {}
+    for gains, row in losses.items():
+        less = [one for other, one in seen.items() if one.bad and less_of_everything(gains, other)]
+        chance = max(one.chance for one in (seen.get(gains, Seen()), *less))
+        expected[gains] = (sum(w * x for w, x in zip(weights, row, strict=True)) + else_ * chance) / whole
+    return expected, else_ / whole
 
 
-def _no_way_back(least_ms: float, ran: SetsThatRan) -> str:
-    """Why a trial set that swings stays where the set before is worse on every model."""
-    ms = "are unstable" if math.isinf(least_ms) else f"have Ms of at least {least_ms:.2f}"
-    why = "the trial gains act less" if _acts_less(ran) else f"kept oscillating ({_ratio(ran)})"
-    return f"on every plausible model the previous gains {ms}, and {why}"
-
-
-def _swung_on(ran: SetsThatRan) -> bool:
-    """Whether the set before was seen to swing on."""
-    return ran.swung is not None and ran.swung >= SWINGS_ON
-
-
-def _ratio(ran: SetsThatRan) -> str:
-    """How it swung, for people."""
-    return f"half-cycle decay ratio {ran.swung:.2f}" if ran.swung is not None else "not seen"
-
-
-def _without_model(cause: TrialEvent, ran: SetsThatRan, tried: PidGains) -> WayBack:
-    """What was seen is all there is: responses that were watched to no end have spoken for neither set."""
-    if cause is TrialEvent.TIMED_OUT:
-        return WayBack(tried, stays=True, reason="no response spoke against the trial gains")
-    if cause not in UNDOS and _swung_on(ran) and less_of_everything(ran.before, tried):
-        words = f"the previous gains kept oscillating ({_ratio(ran)}), the trial gains act less"
-        return WayBack(tried, stays=True, reason=words)
-    return WayBack(ran.before, stays=False)
-
-
-def _numbers(models: int, tried: Sequence[float], before: Sequence[float], left: Sequence[int]) -> WayBackNumbers:
-    """What was weighed."""
-    one, other = (Robustness.of(ms[i] for i in left) for ms in (tried, before))
-    return WayBackNumbers(models, one.ms, one.unstable, other.ms, other.unstable)
-
-
-def _words(found: WayBackNumbers, gains: PidGains, ran: SetsThatRan, settings: TrialSettings) -> str:
-    """The reason for people."""
+def _words(
+    cause: TrialEvent, found: WayBackNumbers | None, runs: PidGains, ran: SetsThatRan, settings: TrialSettings
+) -> str:
+    """The reason for people; empty where nothing was weighed and the set before runs, as is usual then."""
+    if found is None and runs == ran.before:
+        return ""
+    if found is None and cause is TrialEvent.TIMED_OUT:
+        return "no response spoke against the trial gains"
+    if found is None:
+        return f"the previous gains kept oscillating (half-cycle decay ratio {ran.swung or math.nan:.2f})"
     tried = robustness_words(found.ms_tried, found.unstable_tried, found.models)
     before = robustness_words(found.ms_before, found.unstable_before, found.models)
     words = f"over {models_words(found.models)}: trial gains {tried}, previous gains {before}"
@@ -199,9 +215,9 @@ def _words(found: WayBackNumbers, gains: PidGains, ran: SetsThatRan, settings: T
         settings.harmless_ms
     ):
         words += f"; both are robust (up to {settings.harmless_ms:g})"
-    if gains in {ran.before, ran.tried}:
-        return words
-    return f"{words}; an earlier gain set was the most robust"
+    if found.something_else > SOMETHING_ELSE:
+        words += f"; {found.something_else:.0%} probability that something else explains what was seen"
+    return words if runs in {ran.before, ran.tried} else f"{words}; an earlier gain set is expected to be the best"
 
 
 def models_words(models: float) -> str:

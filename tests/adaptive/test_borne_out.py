@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.update import Agreement, TrackerSettings, update_region_model
+from retuner.adaptive.region_model.update import TrackerSettings, update_region_model
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.causes import borne_out
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -25,27 +24,20 @@ def record(k: float = 1.0, std: float = 0.02) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("points", "agreement", "setpoints", "doubt", "borne"),
+    ("points", "setpoints", "borne"),
     [
-        ([record(), record(1.02), record(0.97)], Agreement.AGREES, 2, Cause.UNKNOWN, True),
-        ([record(), record()], Agreement.AGREES, 2, Cause.UNKNOWN, False),  # too few
-        ([record(), record(1.5), record()], Agreement.AGREES, 2, Cause.UNKNOWN, False),  # one says another thing
-        ([record(), record(std=0.8), record()], Agreement.AGREES, 2, Cause.UNKNOWN, False),  # one settles nothing
-        ([record(), record(), record()], Agreement.CONTRADICTS, 2, Cause.UNKNOWN, False),
-        ([record(), record(), record()], Agreement.AGREES, 1, Cause.UNKNOWN, False),  # loads may agree on a fiction
-        ([record(), record(), record()], Agreement.AGREES, 2, Cause.EXTERNAL, False),  # another cause is listened to
+        ([record(), record(1.02), record(0.97)], 2, True),
+        ([record(), record()], 2, False),  # too few
+        ([record(), record(1.5), record()], 2, False),  # one says another thing
+        ([record(), record(std=0.8), record()], 2, False),  # one settles nothing
+        ([record(), record(), record()], 1, False),  # loads may agree on a fiction
     ],
 )
 def test_independent_records_that_agree_bear_a_change_out(
-    points: list[SimpleNamespace], agreement: Agreement, setpoints: int, doubt: Cause, borne: bool
+    points: list[SimpleNamespace], setpoints: int, *, borne: bool
 ) -> None:
-    found: Any = SimpleNamespace(
-        settings=RetunerSettings(1.0, 100.0),
-        learned=SimpleNamespace(agreement=agreement),
-        excitation_now=Excitation(setpoints=setpoints, loads=1),
-    )
     model: Any = SimpleNamespace(log=record().log, points=tuple(points))
-    assert borne_out(found, model, Diagnosis(doubt, 0.5, {}, "")) is borne
+    assert borne_out(model, Excitation(setpoints=setpoints, loads=1), RetunerSettings(1.0, 100.0)) is borne
 
 
 def test_a_short_record_takes_nothing_from_what_is_known(loop: Callable[..., Any]) -> None:

@@ -244,4 +244,4 @@ def test_what_the_trial_gains_took_over_in_motion_is_not_judged_by_its_peaks() -
     assert judge(seen, PROMISE, GOOD, S).finding is TrialFinding.WORSE
     found = judge(taken, PROMISE, GOOD, S)
     assert found.finding is TrialFinding.INCONCLUSIVE
-    assert found.reason == "not judged by itself: the response began under other gains"
+    assert found.reason == "the response itself is not judged: it began under other gains"

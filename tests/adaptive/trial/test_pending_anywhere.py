@@ -110,10 +110,11 @@ HAPPENS: dict[str, Callable[[World], object]] = {
 }
 
 
-def robustness(world: World, region: int, gains: PidGains) -> Robustness:
+def robustness(world: World, region: int, gains: PidGains) -> tuple[int, float]:
     known = known_of(world.retuner.region_models, world.retuner.table, region, world.t_s, SETTINGS)
     assert known.processes
-    return Robustness.of(known.ms(gains), HARMLESS)
+    found = Robustness.of(known.ms(gains))
+    return found.unstable, max(found.ms, HARMLESS)
 
 
 def do(world: World, name: str) -> None:

@@ -13,10 +13,10 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.trial.judge import TrialFinding, judge
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import check_posterior
-from retuner.adaptive.trial.random_walk import deviance, explained_by_a_walk, made_for, stretches_of
+from retuner.adaptive.trial.random_walk import beside_a_walk, deviance, made_for, stretches_of
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import TrialSupervisor
-from retuner.adaptive.trial.way_back import StillAllowed
+from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 
 S = TrialSettings()
@@ -36,7 +36,8 @@ def walked(k: float, seed: int, samples: int = 500) -> list[LoopSample]:
 
 
 def explained(samples: list[LoopSample], models: list[ProcessModel], gains: PidGains = GOOD) -> bool:
-    return explained_by_a_walk(samples, models, gains, DT_S, 0.0, S.harmless_ms, S.level)
+    found = beside_a_walk(samples, models, gains, DT_S, 0.0, S.harmless_ms, S.level)
+    return found is not None and not found.processes
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -87,17 +88,37 @@ def test_the_models_word_does_not_count_where_the_walk_explains_it() -> None:
     seen = responses(Rig(STRONG, noise=0.025), 400, load=10.0)[0]
     seen = replace(seen, posterior=check_posterior(TRUE, GOOD, STRONG, DT_S))
     assert judge(seen, PROMISE, STRONG, S).finding is TrialFinding.WORSE
-    assert judge(replace(seen, wandering=True), PROMISE, STRONG, S).finding is not TrialFinding.WORSE
+    assert judge(replace(seen, walked=NOTHING_KNOWN), PROMISE, STRONG, S).finding is not TrialFinding.WORSE
     swings = responses(Rig(STRONG, noise=0.025), 400, sp=5.0)[0]
     assert judge(swings, PROMISE, GOOD, S).finding is TrialFinding.WORSE
-    found = judge(replace(swings, wandering=True), PROMISE, GOOD, S)
+    found = judge(replace(swings, walked=NOTHING_KNOWN), PROMISE, GOOD, S)
     assert found.finding is TrialFinding.INCONCLUSIVE
     assert "a load that wanders explains this response as well" in found.reason
 
 
-@pytest.mark.parametrize("wandering", [True, False])
-def test_a_trial_without_an_answer_stays_where_the_walk_explains_the_models_word(wandering: bool) -> None:
-    known = StillAllowed((replace(MODEL, k=3.0 * MODEL.k).linear(),))
+def test_the_processes_for_which_a_set_was_made_are_no_witnesses_for_it() -> None:
+    found = beside_a_walk(walked(2.2, 1), [], GOOD, DT_S, 0.0, S.harmless_ms, S.level)
+    assert found is not None
+    assert min(found.ms(GOOD)) > S.harmless_ms
+    assert beside_a_walk(walked(2.2, 1)[:20], [], GOOD, DT_S, 0.0, S.harmless_ms, S.level) is None
+
+
+FICTION = StillAllowed((replace(MODEL, k=3.0 * MODEL.k).linear(),))
+
+
+@pytest.mark.parametrize(
+    ("known", "walked", "stays"),
+    [
+        (FICTION, NOTHING_KNOWN, True),  # what the models say against it, the walk explains
+        (FICTION, None, False),
+        (NOTHING_KNOWN, None, True),
+        (NOTHING_KNOWN, FICTION, False),  # where there is no model, the walk leaves one
+        (StillAllowed((MODEL.linear(),)), FICTION, True),  # what the records say counts more than the walk
+    ],
+)
+def test_what_a_walk_leaves_decides_a_trial_without_an_answer(
+    known: StillAllowed, walked: StillAllowed | None, *, stays: bool
+) -> None:
     weak, table = BAD["kc /4"], dict[int, PidGains]()
     trials = TrialSupervisor(S, DT_S, table.__setitem__, lambda _: known)
     trials.begin(0, weak, GOOD, PROMISE, 0.0)
@@ -105,6 +126,6 @@ def test_a_trial_without_an_answer_stays_where_the_walk_explains_the_models_word
     silent = judge(responses(Rig(GOOD, noise=0.025), 400, load=10.0)[0], replace(PROMISE, wander=100.0), GOOD, S)
     assert silent.finding is TrialFinding.INCONCLUSIVE
     for i in range(S.inconclusive):
-        trials.silent(0, silent, 10.0 + i, wandering=wandering)
-    assert trials.phase(0) is (TrialPhase.IDLE if wandering else TrialPhase.RESTORING)
-    assert table == ({} if wandering else {0: weak})
+        trials.silent(0, silent, 10.0 + i, walked=walked)
+    assert trials.phase(0) is (TrialPhase.IDLE if stays else TrialPhase.RESTORING)
+    assert table == ({} if stays else {0: weak})
