@@ -7,7 +7,7 @@ never passed on.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.along import Curves, centre_of, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
-from retuner.adaptive.region_model.update import TrackerSettings
+from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings
 from retuner.schedule.regions import Regions
 
 MOST_LOG_STEP = math.log(2.0)
@@ -116,3 +116,14 @@ def spread(log: LogModel) -> tuple[Plausible, ...]:
     ends = [log.x + side * axes[:, j] for j in range(len(log.x)) for side in (1.0, -1.0)]
     best = Plausible(model_at(log.type, log.x, log.sign), 0.0)
     return (best, *(Plausible(model_at(log.type, x, log.sign), OUT**2) for x in ends))
+
+
+def as_wide_as_known(learned: Learned) -> Learned:
+    """What was learned, and a proposal from it proved on the whole covariance of the region as well.
+
+    What the last record allows by itself is as narrow as a linear model of it claims.
+    """
+    model = learned.region_model
+    if model is None or learned.agreement in {Agreement.SILENT, Agreement.CONTRADICTS}:
+        return learned
+    return replace(learned, region_model=replace(model, plausible=(*model.plausible, *spread(model.log)[1:])))

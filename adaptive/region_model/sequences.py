@@ -7,13 +7,15 @@ what was known stays. When the next one says so as well, those two are all that 
 
 from dataclasses import replace
 
-from retuner.adaptive.identification.by_setpoint import of_the_newest, process_behind
-from retuner.adaptive.identification.estimate import ModelEstimate
+from retuner.adaptive.identification.by_setpoint import integral_spread, of_the_newest, process_behind
+from retuner.adaptive.identification.estimate import ModelEstimate, factors_text, gain_spread
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
 from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings, scattered
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 
+WELL_KNOWN = 0.15
+"""Standard deviation of ln |C| and of ln ki from which nothing more is asked: settings of that size off are in spec."""
 MOST_SEQUENCES = 6
 """So many are kept: a process is hardly the same for longer."""
 ANOTHER_PROCESS = 16.0
@@ -56,6 +58,15 @@ def update_by_sequences(
         return Learned(replace(region_model, sequences=kept), estimate, Agreement.SILENT, 0.0)
     agreement = Agreement.AGREES if len(kept) > 1 else Agreement.FIRST
     return Learned(_known(region_model, kept, estimate, settings, at), estimate, agreement, 0.0)
+
+
+def unsure(model: RegionModel, sample_time_s: float) -> str:
+    """How far settings by steps to and fro are still open, in words; empty where one more would tell little."""
+    spread = max(gain_spread(model.plausible, sample_time_s), integral_spread(model.plausible, sample_time_s))
+    if spread <= WELL_KNOWN:
+        return ""
+    known, enough = factors_text(spread, WELL_KNOWN)
+    return f"known to a factor of {known} by setpoint steps to and fro, and more of them tell it to {enough}"
 
 
 def _apart(

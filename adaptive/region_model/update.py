@@ -36,7 +36,9 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, moved_on, surprise_of, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
 from retuner.adaptive.region_model.together import MOST_RECORDS, joined, kept, may_be_joined, of_the_last, unit_of
+from retuner.adaptive.schedule_design.shapes import SLOPE_STD
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.through_valve import SeenThrough, through_valve
 from retuner.schedule.gains import PidGains
 
 
@@ -99,12 +101,16 @@ class TrackerSettings:
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """Outcome of one record: the region's model now, the estimate that the record gave, how it stood to the old one."""
+    """Outcome of one record: the region's model now, the estimate that the record gave, how it stood to the old one.
+
+    valve : what the record was seen through, where co did not reach the process as it is.
+    """
 
     region_model: RegionModel | None
     estimate: ModelEstimate
     agreement: Agreement
     innovation: float
+    valve: SeenThrough | None = None
 
 
 SECONDS_PER_DAY = 86400.0
@@ -167,7 +173,17 @@ def update_region_model(
     """
     sign = in_force.direction
     fits = Fits(window, (sign,), fit)
+    through = through_valve(window, sign, fits, fit)
+    if through is not None:
+        window, fits = through.window, through.fits
     record = NewRecord(window, fits.free, _estimate(fits, in_force, settings, fit), at, settings, fit)
+    learned = _taken_in(region_model, record, in_force)
+    return learned if through is None else replace(learned, valve=through.seen)
+
+
+def _taken_in(region_model: RegionModel | None, record: NewRecord, in_force: PidGains) -> Learned:
+    """One record taken into what is known."""
+    settings, fit, sign = record.settings, record.fit, in_force.direction
     if not teaches(record.alone, fit):
         kept = region_model if region_model is not None and region_model.records else None
         return Learned(kept, record.alone, Agreement.SILENT, 0.0)
@@ -342,6 +358,16 @@ def grown(known: StructureModel, elapsed_s: float, settings: TrackerSettings) ->
     days = max(elapsed_s, 0.0) / SECONDS_PER_DAY
     variance = settings.walk_per_day**2 * days + settings.walk_per_record**2
     return moved_on(known, variance, settings.drift_per_record, 1 - 1 / settings.drift_lasts)
+
+
+def on_the_way(settings: TrackerSettings, share: float) -> TrackerSettings:
+    """The settings for a record along which the process went over a share of an axis, 0 for one that stood.
+
+    One linear model of it stands for a process that is not the same at both ends of its way. By how much they differ,
+    nobody knows before the curves do: of every logarithm, by their prior, 2 SLOPE_STD over the whole axis. Steps up and
+    down differ by it, and the ends of a region, so records scatter by it about their mean.
+    """
+    return replace(settings, scatter=math.hypot(settings.scatter, 2 * SLOPE_STD * share))
 
 
 def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:

@@ -37,7 +37,6 @@ class Piece(NamedTuple):
 PIECES = (
     Piece("growth", f"{SUPERVISION}.pipeline", "grows"),
     Piece("lasting", f"{SUPERVISION}.causes", "lasting"),
-    Piece("young", f"{SUPERVISION}.causes", "too_few_cycles"),
     Piece("swing", f"{SUPERVISION}.pipeline", "foreign_swing"),
     Piece("hidden", f"{SUPERVISION}.causes", "hidden_cause", (None, False)),
     Piece("held_up", f"{SUPERVISION}.causes", "_held_up", neutral=False),
@@ -49,6 +48,8 @@ PIECES = (
     Piece("runs_away", f"{SUPERVISION}.causes", "runs_away", neutral=False),
     Piece("crossover", f"{SUPERVISION}.causes", "at_own_crossover", neutral=False),
     Piece("known", f"{SUPERVISION}.pipeline", "is_known", neutral=False),
+    Piece("borne_out", f"{SUPERVISION}.causes", "borne_out", neutral=False),
+    Piece("refuted", f"{SUPERVISION}.pipeline", "not_as_modelled"),
     Piece("confirming", f"{SUPERVISION}.causes", "unconfirmed"),
 )
 

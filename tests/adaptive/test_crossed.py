@@ -50,6 +50,13 @@ def test_one_that_went_far_inside_its_region_is_fitted_in_motion() -> None:
     assert not replace(record("pv", (55.0, 95.0), -math.inf), region=0, table=alone).moved
 
 
+def test_how_far_it_went_is_a_share_of_the_axis_and_nothing_where_there_is_one_region() -> None:
+    found = record("pv", (55.0, 62.0), -math.inf)
+    assert found.share == pytest.approx(0.07 * 49 / 59)  # of the response itself, which begins at 10 s
+    alone = GainTable("loop", Regions("pv", "-", ("all",), 0.0, (), 100.0), (GAINS,))
+    assert replace(found, region=0, table=alone).share == 0.0
+
+
 @pytest.mark.parametrize(
     ("agreement", "settles", "expected"),
     [
@@ -67,6 +74,7 @@ def test_where_the_fit_in_motion_does_not_agree_it_is_judged_as_any_other(
     in_motion: Any = SimpleNamespace(region_model=known, agreement=agreement)
     monkeypatch.setattr(pipeline, "_across", lambda *_: in_motion)
     monkeypatch.setattr(pipeline, "update_region_model", lambda *_: "linear")
+    monkeypatch.setattr(pipeline, "as_wide_as_known", lambda learned: learned)
     asked = Question(record("pv", (55.0, 70.0), -math.inf), RetunerSettings(1.0, 100.0), 1, Trial())
     found = pipeline._inside(Findings(asked), None)
     assert found == ("linear" if expected == "linear" else in_motion)

@@ -1,6 +1,7 @@
-"""A schedule that the regions' records ask for is proposed where the table in force does not keep its limits."""
+"""Another schedule is proposed where a region is too wide for one set, and nowhere else."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,12 @@ import pytest
 
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.region_model.refinement import Refinement, in_force, refinement
+from retuner.adaptive.region_model.refinement import MS_END, Refinement, in_force, refinement
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
+from retuner.adaptive.region_model.spots import Spot, best_of, spot_of
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.schedule_design.places import DesignLimits
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
@@ -19,11 +22,16 @@ from retuner.schedule.table import GainTable, Lookup
 REGIONS = Regions("pv", "degC", ("low", "middle", "high"), 0.0, (33.0, 67.0), 99.0, 1.0)
 STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, scatter=0.02)
 THETA_S, TAU_S = 8.0, 40.0
+STEEP = 60.0
+"""Factor of the gain from the lowest region's centre to the highest: 8 in each."""
+
+
+def log_of(k: float, variance: float = 2e-4) -> LogModel:
+    return LogModel(np.log([k / TAU_S, THETA_S, TAU_S]), variance * np.eye(3), 1)
 
 
 def known(k: float, variance: float = 2e-4) -> RegionModel:
-    log = LogModel(np.log([k / TAU_S, THETA_S, TAU_S]), variance * np.eye(3), 1)
-    return RegionModel((StructureModel(log, -500.0),), 5, 0.0)
+    return RegionModel((StructureModel(log_of(k, variance), -500.0),), 5, 0.0)
 
 
 def best(k: float) -> PidGains:
@@ -31,13 +39,19 @@ def best(k: float) -> PidGains:
     return simc(replace(model, theta_s=THETA_S + 0.5)).gains
 
 
-def rising(factor: float) -> dict[int, RegionModel]:
+def rising(factor: float, variance: float = 2e-4) -> dict[int, RegionModel]:
     """A gain that rises by a factor from the lowest region's centre to the highest."""
-    return {i: known(factor ** (i / 2)) for i in range(3)}
+    return {i: known(factor ** (i / 2), variance) for i in range(3)}
 
 
-def table_of(*gains: PidGains) -> GainTable:
-    return GainTable("oven", REGIONS, gains)
+def table_of(*gains: PidGains, regions: Regions = REGIONS, lookup: Lookup = Lookup.HARD) -> GainTable:
+    return GainTable("oven", regions, gains, lookup)
+
+
+def spot(k: float, x: float = 0.0, variance: float = 2e-4) -> Spot:
+    found = spot_of(x, log_of(k, variance), 1.0, DesignLimits())
+    assert found is not None
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -47,26 +61,38 @@ def one_set() -> GainTable:
 
 @pytest.fixture(scope="module")
 def found(one_set: GainTable) -> Refinement:
-    proposed = refinement(one_set, rising(3.0), 0.0, 1.0, STILL)
+    proposed = refinement(one_set, rising(STEEP), 0.0, 1.0, STILL)
     assert proposed is not None
     return proposed
 
 
-def test_one_set_for_a_gain_that_triples_is_refined(one_set: GainTable, found: Refinement) -> None:
+def test_regions_in_which_the_gain_grows_eightfold_are_too_wide(one_set: GainTable, found: Refinement) -> None:
     assert found.kept < found.kept_then <= found.places
-    assert found.ms_then < found.ms
+    assert found.ms_then <= MS_END
     assert found.table.revision == one_set.revision + 1
-    assert abs(in_force(found.table, 85.0).kp) < abs(in_force(found.table, 15.0).kp)
-    assert "Another schedule serves more places" in found.sentence
-    assert json.loads(json.dumps(found.to_dict()))["kind"] == "refine"
+    assert {one.region for one in found.wide} <= {"low", "middle", "high"}
+    assert all(one.share < one.share_then and 3 < one.kc_factor < 10 for one in found.wide)
+    assert "is too wide for one set" in found.sentence
+    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["kind"] == "refine"
+
+
+def test_what_is_proposed_serves_more_places_of_the_true_process(found: Refinement) -> None:
+    def served(table: GainTable) -> int:
+        xs = np.linspace(2.0, 97.0, 20).tolist()
+        places = [(spot(STEEP ** ((x - 16.5) / 66.5), x), in_force(table, x)) for x in xs]
+        return sum(place.chance(math.log(gains.kp), gains.kp / gains.ki) > 0.5 for place, gains in places)
+
+    centres = table_of(*(best(STEEP ** (i / 2)) for i in range(3)))
+    assert served(found.table) > served(centres)
 
 
 def test_the_same_values_give_the_same_proposal(one_set: GainTable, found: Refinement) -> None:
-    assert refinement(one_set, rising(3.0), 0.0, 1.0, STILL) == found
+    assert refinement(one_set, rising(STEEP), 0.0, 1.0, STILL) == found
 
 
-def test_a_table_that_serves_every_place_is_left_alone(one_set: GainTable) -> None:
-    assert refinement(one_set, rising(1.0), 0.0, 1.0, STILL) is None
+@pytest.mark.parametrize("factor", [1.0, 1.8])
+def test_wrong_sets_in_regions_that_one_set_can_serve_ask_for_no_other_regions(factor: float) -> None:
+    assert refinement(table_of(*[best(0.2)] * 3), rising(factor), 0.0, 1.0, STILL) is None
 
 
 @pytest.mark.parametrize(
@@ -74,35 +100,57 @@ def test_a_table_that_serves_every_place_is_left_alone(one_set: GainTable) -> No
     [
         {0: known(1.0)},
         {0: known(1.0), 2: replace(known(3.0), records=1)},
-        {i: known(3.0 ** (i / 2), 0.3) for i in range(3)},
-        {i: replace(known(3.0 ** (i / 2)), identifiable=False) for i in range(3)},
+        rising(STEEP, 0.3),
+        {i: replace(one, identifiable=False) for i, one in rising(STEEP).items()},
         {},
-        {0: known(1.0), 1: known(3.0)},
     ],
-    ids=["one region", "too few records", "vague", "not settled", "nothing", "a region that never was visited"],
+    ids=["one region", "too few records", "vague", "not settled", "nothing"],
 )
 def test_what_is_not_known_proposes_nothing(models: dict[int, RegionModel], one_set: GainTable) -> None:
     assert refinement(one_set, models, 0.0, 1.0, STILL) is None
 
 
-def test_a_table_that_is_unstable_somewhere_is_told_in_words_and_in_plain_json() -> None:
-    found = refinement(table_of(*[best(0.1)] * 3), rising(3.0), 0.0, 1.0, STILL)
-    assert found is not None
-    assert "instead of that of an unstable loop" in found.sentence
-    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["ms"][0] is None
-
-
 def test_age_takes_the_proposal_away(one_set: GainTable) -> None:
     walks = replace(STILL, walk_per_day=0.3)
-    assert refinement(one_set, rising(3.0), 86400.0 * 9, 1.0, walks) is None
+    assert refinement(one_set, rising(STEEP), 86400.0 * 9, 1.0, walks) is None
 
 
-def test_a_mean_of_two_sets_is_proposed_where_it_needs_fewer_than_steps(found: Refinement) -> None:
-    assert found.table.lookup is Lookup.INTERPOLATED
-    assert "interpolated sets about" in found.sentence
-    for x in np.linspace(5.0, 94.0, 12).tolist():
-        k = 3.0 ** ((x - 16.5) / 67.0)
-        assert sensitivity_peak(known(k).log.model().seen_by_controller(1.0).linear(), in_force(found.table, x)) < 1.8
-    level = refinement(table_of(*[best(3.0)] * 3), rising(1.0), 0.0, 1.0, STILL)
-    assert level is not None
-    assert (level.table.lookup, len(level.table.gains)) == (Lookup.HARD, 1)
+def test_a_table_that_is_interpolated_is_left_alone() -> None:
+    table = table_of(*[best(1.0)] * 3, lookup=Lookup.INTERPOLATED)
+    assert refinement(table, rising(STEEP), 0.0, 1.0, STILL) is None
+
+
+def test_no_boundary_stands_nearer_to_another_than_its_hysteresis() -> None:
+    narrow = Regions("pv", "degC", ("low", "middle", "high"), 0.0, (33.0, 67.0), 99.0, 16.0)
+    found = refinement(table_of(*[best(1.0)] * 3, regions=narrow), rising(STEEP), 0.0, 1.0, STILL)
+    assert found is None or found.table.lookup is Lookup.INTERPOLATED
+
+
+def test_the_interval_of_a_shape_ends_where_ms_and_j_do() -> None:
+    place = spot(2.0)
+    tau_i_s = place.own.kp / place.own.ki
+    low, high, end = place.interval(tau_i_s)
+
+    def ms(ln_kc: float) -> float:
+        kc = math.exp(ln_kc)
+        return sensitivity_peak(place.process, PidGains(kc, kc / tau_i_s, 0.0))
+
+    assert ms(high) == pytest.approx(1.8, abs=0.01)
+    assert ms(end) == pytest.approx(MS_END, abs=0.01)
+    assert low < math.log(place.own.kp) < high < end
+
+
+def test_doubt_takes_chances_from_what_is_right_and_gives_some_to_what_is_wrong() -> None:
+    sure, unsure = spot(2.0), spot(2.0, variance=8e-3)
+    tau_i_s = sure.own.kp / sure.own.ki
+    right, wrong = math.log(sure.own.kp), math.log(1.6 * sure.own.kp)
+    assert sure.chance(right, tau_i_s) > unsure.chance(right, tau_i_s)
+    assert sure.chance(wrong, tau_i_s) < unsure.chance(wrong, tau_i_s)
+    assert sure.chance(right, tau_i_s) == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_best_set_for_places_keeps_to_what_a_boundary_bears_at_both_ends() -> None:
+    row = [spot(k, x) for x, k in enumerate((1.0, 2.0, 4.0))]
+    chosen = best_of(row)
+    assert max(row[0].ms(chosen.gains), row[2].ms(chosen.gains)) <= MS_END + 0.01
+    assert 0.0 <= chosen.kept <= 3.0
