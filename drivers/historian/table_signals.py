@@ -340,7 +340,7 @@ def _trends(
         held = not everything and sparse  # a blank beside the loop takes no row from it
         missing = 0 if everything else int(np.sum(~np.isfinite(values[clock.rows])))
         if missing and not held:
-            told.append(Assumption(f"{missing} values of {role} missing: left out"))
+            told.append(Assumption(f"{missing} value{'s' * (missing != 1)} of {role} missing: left out"))
         if table.names[place] not in {*SILENT, role} and role not in form.columns:
             name = quoted(table.names[place])
             told.append(Assumption(f"{role} is {name}", f"columns.{role} = {name}"))

@@ -192,6 +192,29 @@ def schema_text(plans: Mapping[int, _Plan]) -> str:
     return "\n".join(parts)
 
 
+class _Encoded(can.Message):
+    """A message of this protocol; python-can's virtual bus makes a deep copy of each for every listener."""
+
+    __slots__ = ()
+
+    def __deepcopy__(self, _memo: dict[int, Any] | None) -> can.Message:
+        """The same, without the way through copy.deepcopy for eight bytes and a name: a quarter of the time."""
+        return can.Message(
+            self.timestamp,
+            self.arbitration_id,
+            self.is_extended_id,
+            self.is_remote_frame,
+            self.is_error_frame,
+            self.channel,
+            self.dlc,
+            bytearray(self.data),
+            self.is_fd,
+            self.is_rx,
+            self.bitrate_switch,
+            self.error_state_indicator,
+        )
+
+
 class Codec:
     """Frames of one node.
 
@@ -230,7 +253,7 @@ class Codec:
         data = plan.bits.pack(values)
         if plan.checked:
             data[-1] = frame_crc(id_, data[:-1])
-        return can.Message(arbitration_id=id_, is_extended_id=False, data=data)
+        return _Encoded(arbitration_id=id_, is_extended_id=False, data=data)
 
     def name_of(self, frame: Frame) -> str:
         """The frame's name in the DBC."""

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from retuner.adaptive.process.model import ProcessModel as ProcessModel
     from retuner.adaptive.process.model import ProcessType as ProcessType
     from retuner.adaptive.process.reduction import reduce as reduce
+    from retuner.adaptive.signals.sample import LoopMode as LoopMode
     from retuner.adaptive.signals.sample import LoopSample as LoopSample
     from retuner.adaptive.supervision.decision import Action as Action
     from retuner.adaptive.supervision.decision import Decision as Decision
@@ -74,6 +75,7 @@ __all__ = [
     "Identification",
     "LinearProcess",
     "Lookup",
+    "LoopMode",
     "LoopSample",
     "Mode",
     "PidController",
@@ -112,7 +114,7 @@ _HOMES = {
     "adaptive.loop.performance": ("performance",),
     "adaptive.process.model": ("LinearProcess", "ProcessModel", "ProcessType"),
     "adaptive.process.reduction": ("reduce",),
-    "adaptive.signals.sample": ("LoopSample",),
+    "adaptive.signals.sample": ("LoopMode", "LoopSample"),
     "adaptive.supervision.decision": ("Action", "Decision", "Mode"),
     "adaptive.supervision.operator_orders": ("approve_proposal", "found_running"),
     "adaptive.supervision.retuner": ("Retuner",),

@@ -75,9 +75,36 @@ def test_what_must_wait_is_told_with_what_the_rule_gives_and_not_as_proved() -> 
 
 def test_a_part_of_the_way_is_told_once() -> None:
     quarter = {**ACCEPTED, "allowed": [1], "step": 0.25}
-    assert tell(("decision", decision(1, "commit", verdict=quarter)))[0].verdict.endswith("; 25% of the full change")
+    told = tell(("decision", decision(1, "commit", verdict=quarter)))[0].verdict
+    assert told.endswith("; 25% of the full change: more is not proved robust")
+    at_limit = {**quarter, "step": 0.52, "checks": [{"name": "step_kc", "value": 1.99, "limit": 2.0}]}
+    told = tell(("decision", decision(1, "commit", verdict=at_limit)))[0].verdict
+    assert told.endswith("; 52% of the full change: one change is limited to a factor of 2")
     chosen = {**quarter, "reason": "proved: nominal Ms 1.40; 25% of the proved change, which is expected to cost less"}
     assert tell(("decision", decision(1, "commit", verdict=chosen)))[0].verdict.count("25%") == 1
+
+
+def test_what_is_refused_is_told_with_what_the_rule_gives() -> None:
+    refused = {"accepted": False, "reason": "refused: not robust"}
+    row = tell(("decision", decision(5, "none", verdict=refused, proposal={"parallel": OTHER})))[0]
+    assert row.verdict == "refused: not robust; the rule gives Kc 1 tau_I 10 s"
+
+
+def test_a_rollback_says_once_why() -> None:
+    why = "worse than predicted: IAE 3.2 pv s per unit load step"
+    undo = decision(5, "restore", code="undo_worse", reason=f"rolled back: {why}", surprise="agrees", records=3)
+    judged = {"region": "all", "finding": "worse", "reason": why, "trial": "rolling back to the verified gains"}
+    back = {"region": "all", "decision": "", "gains": OTHER, "reason": f"rolled back: {why}"}
+    rows = tell(("decision", undo), ("judged", judged), ("restore", back))
+    assert "IAE 3.2 bar s per unit load step" in rows[0].why
+    assert "agrees" not in rows[0].evidence
+    assert rows[1].verdict == "why: decision 5"
+
+
+def test_a_record_that_agrees_with_no_other_of_its_region_agrees_with_the_other_regions() -> None:
+    seen = {"estimate": {"model": MODEL}, "response": {"upset": "setpoint"}, "surprise": "agrees"}
+    assert tell(("decision", decision(1, "none", records=1, **seen)))[0].evidence.endswith("other regions foretell")
+    assert tell(("decision", decision(1, "none", records=2, **seen)))[0].evidence.endswith("this record agrees")
 
 
 def test_gains_that_stay_are_no_change() -> None:
@@ -102,6 +129,13 @@ def test_a_prediction_has_units() -> None:
     assert (
         row.verdict == "predicted IAE per unit step: setpoint 1,230 s (before 1,230), load 1,230 bar s (before 1,230)"
     )
+
+
+def test_a_loop_that_was_unstable_was_never_at_rest() -> None:
+    """The numbers of a prediction are the best model's, the least and the greatest; null is no rest on that model."""
+    promise = {"load": {"iae": [204.0, 203.0, 205.0]}, "load_before": {"iae": [None, 35.1, None]}}
+    row = tell(("trial", {"region": "all", "promise": promise}))[0]
+    assert row.verdict == "predicted IAE per unit step: load 204 bar s (never at rest before)"
 
 
 @pytest.mark.parametrize(

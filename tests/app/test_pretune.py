@@ -113,6 +113,15 @@ def test_in_advise_the_settings_are_a_proposal_and_nothing_is_written(
     assert not bodies(folder, "intent")
 
 
+def test_where_nothing_but_watching_is_allowed_nothing_is_moved(loop: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    status, folder = ran(loop(), "--mode", "off")
+    assert status == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "mode off only watches" in error
+    assert not folder.exists()
+
+
 def test_an_aborted_step_is_taken_back_and_the_run_goes_on_without_it(
     loop: Made, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

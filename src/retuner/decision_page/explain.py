@@ -7,7 +7,7 @@ import math
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.supervision.decision import Decision
-from retuner.decision_page.row_values import Document, brief, decided_on, gains_of, number, part, words
+from retuner.decision_page.row_values import Document, brief, decided_on, gains_of, number, part, parts, words
 from retuner.decision_page.shown_units import units_of
 from retuner.schedule.gains import PidGains
 
@@ -71,7 +71,8 @@ def process_text(m: ProcessModel) -> str:
     gain = "k'" if m.type in INTEGRATING else "k"
     times = (("tau1", m.tau1_s), ("tau2", m.tau2_s), ("tau3", m.tau3_s))
     lags = "".join(f" {name} {brief(lag)} s" for name, lag in times if lag)
-    return f"{gain} {brief(m.k)}{lags} theta {brief(m.theta_s)} s"
+    zeta = f" zeta {m.zeta:.2f}" if m.zeta < 1 else ""
+    return f"{gain} {brief(m.k)}{lags}{zeta} theta {brief(m.theta_s)} s"
 
 
 def model_text(decision: Decision | Document) -> str:
@@ -123,6 +124,29 @@ def change_text(decision: Decision | Document) -> str:
     verb = LATER if document.get("later") else verb
     moved = f"{verb}: {settings_text(before, loop)} -> {settings_text(after, loop)}"
     return f"{moved}{_robustness(part(document, 'verdict'))}"
+
+
+def part_words(verdict: Document) -> str:
+    """How much of the way to what the rule gives is gone, and why no more; empty where it is all of it."""
+    step = number(verdict, "step")
+    if step is None or step > WHOLE_STEP:
+        return ""
+    return f"{step:.0%} of the full change{_why_a_part(verdict, step)}"
+
+
+def _why_a_part(verdict: Document, step: float) -> str:
+    """Why it is a part of the way: a limit of one change, or one of Ms; empty where neither is seen."""
+    for check in parts(verdict, "checks"):
+        value, limit = number(check, "value"), number(check, "limit")
+        if words(check, "name").startswith("step_") and value and limit and value > (1.0 - AT_LIMIT) * limit:
+            return f": one change is limited to a factor of {limit:g}"
+    return ": more is not proved robust" if any(abs(step - share) < AT_LIMIT for share in HALVED) else ""
+
+
+AT_LIMIT = 0.02
+"""A factor that reaches its limit but for so much is held by it: controllers round."""
+HALVED = (0.5, 0.25)
+"""Steps that the guard tries where the whole is not robust."""
 
 
 def _robustness(verdict: Document) -> str:

@@ -7,7 +7,7 @@ from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.decision_page.decision_view import DecisionView
-from retuner.decision_page.explain import process_text, settings_text, stays
+from retuner.decision_page.explain import part_words, process_text, settings_text, stays
 from retuner.decision_page.row_values import number, part, parts, words
 from retuner.decision_page.shown_units import units_of
 from retuner.schedule.gains import PidGains
@@ -35,7 +35,6 @@ MS_LIMIT = GuardSettings().ms_nominal
 """Limit of the nominal Ms where a document names none."""
 SAME = 1e-3
 """Numbers closer than this share are one to a reader."""
-WHOLE_STEP = 0.999
 
 
 def seen(view: DecisionView) -> str:
@@ -88,13 +87,13 @@ def _or_none(value: float | None, unit: str) -> str:
 
 def how_far(view: DecisionView) -> str:
     """What share of the rule's step was taken, and what the guard said of it."""
-    step = number(view.verdict, "step")
-    if view.after is None or step is None or step > WHOLE_STEP:
+    share, _, why = part_words(view.verdict).partition(": ")
+    if view.after is None or not share:
         return ""
     notes = view.verdict.get("notes")
     cut = "; ".join(one for one in notes if isinstance(one, str)) if isinstance(notes, list) else ""
-    why = f" ({cut})" if cut else ""
-    return f"This is {step:.0%} of the full change (in the logarithm of the gains){why}."
+    told = "; ".join(one for one in (why, cut) if one)
+    return f"This is {share} (in the logarithm of the gains){f': {told}' if told else ''}."
 
 
 def robustness(view: DecisionView) -> str:

@@ -13,15 +13,25 @@ from retuner.adaptive.trial.judge import TrialFinding
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
 from retuner.decision_page.explain import (
     EDITED,
-    WHOLE_STEP,
     cause_text,
     model_text,
     ms_words,
+    part_words,
     response_text,
     settings_text,
     stays,
 )
-from retuner.decision_page.row_values import Document, brief, gains_of, number, numbers, part, parts, words
+from retuner.decision_page.row_values import (
+    Document,
+    brief,
+    gains_of,
+    number,
+    numbers,
+    numbers_or_none,
+    part,
+    parts,
+    words,
+)
 from retuner.errors import one_line
 from retuner.ledger import Row
 from retuner.ledger.decided import digest_of, without_place
@@ -57,6 +67,7 @@ HIDDEN = {
     "of",
     "on_trial",
     "in_place_of",
+    "said",
     "pv_unit",
     "kind",
 }
@@ -94,6 +105,7 @@ class Teller:
         self._decided: dict[tuple[str, str], tuple[str, int]] = {}
         self._tried: dict[tuple[str, str], str] = {}
         self._open: dict[tuple[str, str], str] = {}
+        self._said: dict[tuple[str, str], tuple[str, str]] = {}
         self._units: dict[str, str] = {}
         self._several = False
 
@@ -103,7 +115,9 @@ class Teller:
         where, kind = (words(body, "loop") if self._several else "", words(body, "region")), row.kind
         if kind == "session":
             self._begin(part(body, "config"))
-        elif kind == "decision" and words(body, "action") != "none":
+        elif kind == "decision":
+            self._said[where] = f"decision {int(number(body, 'number') or 0)}", words(body, "reason")
+        if kind == "decision" and words(body, "action") != "none":
             digest = digest_of(without_place(row.body))
             self._decided[where] = (digest, int(number(body, "number") or 0))
         elif kind == "trial":
@@ -112,9 +126,11 @@ class Teller:
             "of": self._decision(words(body, "decision"), where),
             "on_trial": self._tried.get(where, ""),
             "in_place_of": self._open.get(where, ""),
+            "said": list(self._said.get(where, ())),
             "pv_unit": self._units.get(words(body, "loop") or next(iter(self._units), ""), "pv"),
         }
-        texts = WORDS.get(kind, _event if kind in EVENTS else _other)({**body, **about, "kind": kind})
+        plain = WORDS.get(kind, _event if kind in EVENTS else _other)({**body, **about, "kind": kind})
+        texts = [_in_unit(text, words(about, "pv_unit")) for text in plain]
         self._propose(kind, body, where)
         head = kind, _who(kind, body), words(body, "loop"), words(body, "region")
         return Told(row.seq, row.clock_s, *map(one_line, (*head, *texts)))
@@ -184,12 +200,13 @@ def _proof(body: Document, action: str, reason: str) -> str:
     """The guard's word on what is written, proposed or refused; what the rule gives where that must wait."""
     verdict = part(body, "verdict")
     said = _proved(verdict, reason)
-    if action == "restore" or not said:
+    if action == "restore" or (not said and action != "none"):
         return ""
-    if action != "none" or verdict.get("accepted") is not True:
+    if action != "none":
         return said
-    given = gains_of(part(part(body, "proposal"), "parallel"))  # proved, and held back for now
-    return f"the rule gives {settings_text(given)}" if given else ""
+    refused = said if verdict and verdict.get("accepted") is not True else ""  # else proved, and held back for now
+    given = gains_of(part(part(body, "proposal"), "parallel"))
+    return "; ".join(filter(None, (refused, f"the rule gives {settings_text(given)}" if given else "")))
 
 
 ABOUT_A_TRIAL = ("undo_", "kept_")
@@ -199,7 +216,7 @@ OWN_WORDS = ("refused", "the trial gains stay", "rollback refused", "an operator
 STOOD = {
     "agrees": "this record agrees",
     "odd": "this record contradicts it, and is kept as an alternative",
-    "changed": "the process has changed",
+    "changed": "this record and the one that contradicted before replace the model",
     "opened": "this record contradicts what was known, near instability",
     "silent": "this record says nothing of it",
 }
@@ -219,7 +236,7 @@ def _known(body: Document) -> str:
     model = model_text(body)
     if not model:
         return ""
-    stood = STOOD.get(words(body, "surprise"), "")
+    stood = _stood(body)
     estimate = part(body, "estimate")
     loads, rival = len(numbers(estimate, "loads")), part(estimate, "rival")
     steps = f"{loads} load step{'s' * (loads != 1)}"
@@ -229,6 +246,18 @@ def _known(body: Document) -> str:
     return ", ".join(text for text in (model, beside, stood, other) if text)
 
 
+def _stood(body: Document) -> str:
+    """How the record stood to what was known; of the first one here that is what the other regions foretell."""
+    surprise, estimate = words(body, "surprise"), part(body, "estimate")
+    if surprise == "agrees" and words(body, "code").startswith("undo_"):
+        return ""  # the loop has refuted what it agrees with
+    if surprise == "agrees" and number(body, "records") == 1:
+        return "as the other regions foretell"
+    if surprise == "odd" and estimate.get("identifiable") is False:
+        return "this record contradicts it, but does not settle a model by itself"
+    return STOOD.get(surprise, "")
+
+
 def _proved(verdict: Document, reason: str) -> str:
     """The guard's word, what Ms was before, and how much of the way to what the rule gives was gone."""
     said = words(verdict, "reason")
@@ -236,11 +265,10 @@ def _proved(verdict: Document, reason: str) -> str:
         return ""
     if verdict.get("accepted") is not True or verdict.get("allowed") == []:
         return said
-    before, step = ms_words(number(part(verdict, "ms"), "before")), number(verdict, "step")
+    before, share = ms_words(number(part(verdict, "ms"), "before")), part_words(verdict)
     was = "" if f"Ms {before} ->" in said else f"; Ms before {before}"
-    part_of = "" if step is None or step > WHOLE_STEP else f"{step:.0%} of the "
-    share = "" if not part_of or part_of in said else f"; {part_of}full change"
-    return f"{said}{was}{share}"
+    part_of = share.partition("full change")[0]
+    return f"{said}{was}" + (f"; {share}" if share and part_of not in said else "")
 
 
 def _write(body: Document) -> Words:
@@ -278,8 +306,9 @@ def _trial(body: Document) -> Words:
     promised = part(body, "promise")
     told = []
     for upset, per in (("setpoint", "s"), ("load", f"{words(body, 'pv_unit') or 'pv'} s")):
-        now, then = (numbers(part(promised, name), "iae") for name in (upset, f"{upset}_before"))
-        told += [f"{upset} {brief(now[0])} {per} (before {brief(then[0])})"] if now and then else []
+        now, then = (numbers_or_none(part(promised, name), "iae")[:1] for name in (upset, f"{upset}_before"))
+        was = "never at rest before" if then == [None] else f"before {brief(then[0] or 0.0)}" if then else ""
+        told += [f"{upset} {brief(now[0])} {per} ({was})"] if now and now[0] is not None and was else []
     verdict = f"predicted IAE per unit step: {', '.join(told)}" if told else ""
     why = words(body, "reason") or f"{words(body, 'of') or 'a change'} is on trial"
     return why, _settings(body, "verified"), _settings(body, "gains"), "", verdict
@@ -287,7 +316,10 @@ def _trial(body: Document) -> Words:
 
 def _judged(body: Document) -> Words:
     """A response that was judged against the promise, and what that means for the change."""
-    return f"the trial of {words(body, 'on_trial') or 'a change'} {_outcome(body)}", "", "", "", words(body, "reason")
+    reason, said = words(body, "reason"), body.get("said")
+    if isinstance(said, list) and len(said) == 2 and reason and reason in said[1]:
+        reason = f"why: {said[0]}"
+    return f"the trial of {words(body, 'on_trial') or 'a change'} {_outcome(body)}", "", "", "", reason
 
 
 def _outcome(body: Document) -> str:
@@ -299,16 +331,28 @@ def _outcome(body: Document) -> str:
         return "has failed"
     if phase in UNDECIDED and phase != TrialPhase.WRITING:
         return "goes on"
-    return "has passed" if finding in PASSING else "is over without a verdict: its gains stay"
+    return "has passed" if finding in PASSING else "is over without a verdict"
 
 
 PASSING = {finding.name.lower() for finding in (TrialFinding.BETTER, TrialFinding.AS_PROMISED)}
 """Findings that speak for a change."""
 
 
+def _in_unit(text: str, unit: str) -> str:
+    """A sentence of the judge, who knows no units, with the unit of pv."""
+    return text.replace(" pv s per unit", f" {unit} s per unit").replace(" in units of pv", f" {unit}")
+
+
+def _over(_body: Document) -> Words:
+    """A loop of several whose samples are at their end."""
+    return "the samples of this loop are at their end", "", "", "", ""
+
+
 def _restore(body: Document) -> Words:
     """Verified gains that are to come back."""
-    return words(body, "reason"), "", _settings(body, "gains"), words(body, "of"), words(body, "cause")
+    of = words(body, "of")
+    why = f"the gains that {of} asks for are to run" if of else words(body, "reason")
+    return why, "", _settings(body, "gains"), "", ""
 
 
 def _session(body: Document) -> Words:
@@ -389,6 +433,7 @@ WORDS: dict[str, Callable[[Document], Words]] = {
     "trial": _trial,
     "judged": _judged,
     "restore": _restore,
+    "over": _over,
     "schedule": _schedule,
     "end": _end,
     "order_of_writes": _order_of_writes,

@@ -9,7 +9,7 @@ import math
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -168,9 +168,9 @@ def show(session: Path, selection: Selection, *, as_json: bool) -> int:
     else:
         console = Console()
         if console.width >= WIDE:
-            console.print(_table(lines))
+            console.print(_table(_folded(chosen, lines)))
         elif chosen:
-            console.print(_list(lines), highlight=False, soft_wrap=True)
+            console.print(_list(_folded(chosen, lines)), highlight=False, soft_wrap=True)
         ending = f"broken: {broken}" if broken else "the chain holds"
         if selection == Selection() and rows and rows[0].kind == "session":
             for line in _left_to_do(path.parent, rows):
@@ -220,6 +220,24 @@ def _in_words(rows: list[Row], chosen: list[Row]) -> list[Told]:
     """The chosen ones of all rows in words: a row is told by those before it."""
     wanted = {row.seq for row in chosen}
     return [line for line in told(rows) if line.row in wanted]
+
+
+def _folded(rows: list[Row], lines: list[Told]) -> list[Told]:
+    """The steps of a bump to and fro, and that the controller took each, as one line while nothing else happens."""
+    found, going = list[Told](), False
+    for row, line in zip(rows, lines, strict=True):
+        last = found[-1] if found else None
+        if last is not None and going and _is_step(row) and last.loop == line.loop:
+            found[-1] = replace(last, evidence=f"and so on, to row {line.row}")
+        else:
+            found.append(line)
+        going = _is_step(row)
+    return found
+
+
+def _is_step(row: Row) -> bool:
+    """Whether a row is of a bump to and fro on its way."""
+    return row.kind == "nudge" and row.body.get("cause") in {"next", "taken"}
 
 
 def _list(lines: list[Told]) -> str:

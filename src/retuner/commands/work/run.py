@@ -79,9 +79,7 @@ def run(options: RunOptions) -> int:
     show_units_of(config)
     if options.pretune:
         config = replace(config, loops=tuple(_pretuned(one) for one in config.loops))
-    if options.mode is not None and options.mode not in set(Mode):
-        raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
-    mode = Mode(options.mode) if options.mode else None
+    mode = _mode_of(options, config)
     if config.simulated:
         _look_at_benches(options.config, config)
     speed = real_time_speed(options.speed, simulated=config.simulated)
@@ -104,6 +102,16 @@ def run(options: RunOptions) -> int:
     except LedgerError:  # it could not be opened
         give_back(fresh)
         raise
+
+
+def _mode_of(options: RunOptions, session: SessionConfig) -> Mode | None:
+    """The mode for all loops, None for that of each; refuses to move co where nothing but watching is allowed."""
+    if options.mode is not None and options.mode not in set(Mode):
+        raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
+    mode = Mode(options.mode) if options.mode else None
+    if any(one.adaptation.pretune and (mode or one.adaptation.mode) == Mode.OFF for one in session.loops):
+        raise UserError("pretune moves co, and mode off only watches: leave pretune out, or give --mode advise")
+    return mode
 
 
 def _pretuned(config: Config) -> Config:
