@@ -5,6 +5,7 @@ PYTEST ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 DEV    := $(VENV)/.installed-dev
+unexport PYTHONDONTWRITEBYTECODE # every process would compile all that it imports: five seconds for `retuner run`
 PIP    := $(BIN)/python -m pip install -q --no-compile --disable-pip-version-check
 
 .PHONY: demo test lint docs lowest release bench nightly clean

@@ -89,9 +89,10 @@ def tried(trial: Trial) -> str:
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder) / "home"
         home.mkdir()
-        run(trial.interpreter, "-m", "venv", Path(folder) / "venv")
+        run(trial.interpreter, "-m", "venv", "--without-pip", Path(folder) / "venv")  # ours installs into it
         python = Path(folder) / "venv" / "bin" / "python"
-        run(python, "-m", "pip", "install", "-q", "--disable-pip-version-check", trial.wheel)
+        pip = (sys.executable, "-P", "-m", "pip", "--python", python)
+        run(*pip, "install", "-q", "--disable-pip-version-check", trial.wheel)
         retuner = python.with_name("retuner")
         told = json.loads(run(retuner, "doctor", "--json", cwd=home))
         engine = next(one for one in told["findings"] if one["name"] == "engine of fits")
