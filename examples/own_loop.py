@@ -15,6 +15,7 @@ Copy `watched`, and give it your device in place of `Rig`: `read` tells the next
 import argparse
 import asyncio
 import json
+import math
 import random
 import tempfile
 from collections import deque
@@ -41,6 +42,14 @@ from retuner import (
 DT_S = 0.1
 SETTINGS = RetunerSettings(sample_time_s=DT_S, pv_span=100.0, mode="auto")
 COMMISSIONED = GainTable("rig", Regions("sp", "%", ("all",), 0.0, (), 100.0), (PidGains(kp=0.6, ki=0.2),))
+
+
+async def good_sample(rig: "Rig") -> LoopSample:
+    """The next sample in which all are numbers: one of a sensor that has failed counts as lost."""
+    while True:
+        sample = await rig.read()
+        if all(map(math.isfinite, sample[:4])):
+            return sample
 
 
 async def watched(rig: "Rig", memory: Path, wishes: deque[str], watch: type = BackgroundRetuner) -> None:
@@ -75,7 +84,7 @@ async def watched(rig: "Rig", memory: Path, wishes: deque[str], watch: type = Ba
             obey(found_running(retuner, rig.gains))  # did a write come about? has a person set others meanwhile?
         try:
             while True:
-                sample = await rig.read()
+                sample = await good_sample(rig)
                 obey(retuner.edited(rig.gains))  # None while the device runs what the table says
                 obey(watcher.observe(sample))
                 wish = wishes.popleft() if wishes else ""
