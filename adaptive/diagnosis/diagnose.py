@@ -23,7 +23,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, counted
 from retuner.adaptive.diagnosis.enough_data import FEWEST_SAMPLES
-from retuner.adaptive.diagnosis.rival_fits import external, linear, sharper
+from retuner.adaptive.diagnosis.rival_fits import external, linear, room_for_a_tone, sharper
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
 from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, standing_verdict
@@ -223,6 +223,7 @@ def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> F
 
 
 TOO_FEW = "{samples} samples do not tell movement from noise: {fewest} and more are needed"
+TOO_SHORT = "{samples} samples are fewer than a process and a tone beside it have unknowns"
 UNDECIDED = 0.5
 """Confidence of an answer that leaves the cause open."""
 
@@ -292,6 +293,8 @@ def _compared(
     loads = best.fit.misfit.loads
     by_loads = loads >= SEVERAL_LOADS or (loads > 0 and not seen.evidence.get("setpoint_steps"))
     if seen.oscillates or by_loads or _left(best) > settings.oscillating_residual:
+        if not room_for_a_tone(best):
+            return Found(Diagnosis(Cause.UNKNOWN, 0.9, evidence, TOO_SHORT.format(samples=len(window.t_s))), fits=fits)
         against = against_rivals(best, seen, settings, len(setpoint_changes(window)))
         evidence, fits = against.evidence, against.fits
         verdict = against.verdict

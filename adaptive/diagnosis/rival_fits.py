@@ -42,18 +42,20 @@ def linear(window: Window, signs: tuple[int, ...], settings: ChoiceSettings, mos
 
 
 def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candidate:
-    """The best explanation with a tone from outside.
+    """The best explanation with a tone from outside, of as many harmonics and loads as a short record has samples for.
 
-    fit : the linear one. frequencies : where to look, rad/s.
+    fit : the linear one, with room for a tone beside it. frequencies : where to look, rad/s.
     """
     found = []
-    base = replace(fit.fit.misfit, harmonics=HARMONICS, ar=(), sigma=fit.fit.misfit.record.noise_std)
-    plain = replace(base, loads=0, corners=0, rounded=False)
+    plain = _with_tone(fit, HARMONICS)
+    plain = plain if plain.has_room else _with_tone(fit, SINUSOID)
+    base = replace(fit.fit.misfit, harmonics=plain.harmonics, ar=(), sigma=plain.sigma)
+    base = base if base.has_room else plain
     x = fit.fit.x
     weak = x.copy()
     weak[SLOPE] -= WEAKENED
     for w in frequencies:
-        found.append(judged(refine(base, np.append(fit.fit.p, np.log(w)))))
+        found.append(judged(refine(base, np.append(fit.fit.p if base.loads else x, np.log(w)))))
         starts = (x, weak) if base.loads else (weak,)  # without loads the first is the one above
         found += [judged(refine(plain, np.append(start, np.log(w)))) for start in starts]
         found.append(judged(refine(*_afresh(plain, w))))
@@ -62,13 +64,25 @@ def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candi
     return min(best, plainer, key=lambda c: c.criterion)
 
 
+def room_for_a_tone(fit: Candidate) -> bool:
+    """Whether the record has more samples than a process beside a sinusoid has unknowns."""
+    return _with_tone(fit, SINUSOID).has_room
+
+
+def _with_tone(fit: Candidate, harmonics: int) -> Misfit:
+    """The process of the linear explanation beside a tone, without its loads."""
+    sigma = fit.fit.misfit.record.noise_std
+    return replace(fit.fit.misfit, harmonics=harmonics, ar=(), sigma=sigma, loads=0, corners=0, rounded=False)
+
+
 def sharper(tone: Candidate) -> Candidate:
     """The same tone with as many harmonics as sharp corners need, where the record shows them and they pay."""
     record = tone.fit.misfit.record
     period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
-    if period_s < SHARP * MORE_HARMONICS * record.sample_time_s:
+    more = replace(tone.fit.misfit, harmonics=MORE_HARMONICS)
+    if period_s < SHARP * MORE_HARMONICS * record.sample_time_s or not more.has_room:
         return tone
-    finer = judged(refine(replace(tone.fit.misfit, harmonics=MORE_HARMONICS), tone.fit.p))
+    finer = judged(refine(more, tone.fit.p))
     return min(tone, finer, key=lambda c: c.criterion)
 
 

@@ -36,6 +36,8 @@ Rows = npt.NDArray[np.int64]
 
 MOST_SLIPS = 24
 """More slips than this in one record are a regular cycle, or noise."""
+ROWS_PER_STEP = 4
+"""So many samples a step at least: it has two unknowns, and as many samples must be left to speak against it."""
 TURN_SHARE = 0.08
 """co turns where it goes back by this share of its range, and by four times its noise."""
 TURN_NOISE = 4.0
@@ -251,7 +253,7 @@ def _greedy(pv: FloatArray, lag: float, second: float) -> tuple[float, list[int]
     along, free = left @ steps, whole - np.sum((basis.T @ steps) ** 2, axis=0)
     found: list[int] = []
     best, kept = n * math.log(float(left @ left) / n), 0
-    while len(found) < MOST_SLIPS:
+    while len(found) < min(MOST_SLIPS, n // ROWS_PER_STEP):
         usable = free > UNIQUE * whole
         j = int(np.argmax(np.where(usable, along**2 / np.where(usable, free, 1.0), 0.0)))
         new = steps[:, j] - basis @ (basis.T @ steps[:, j])

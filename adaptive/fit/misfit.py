@@ -225,6 +225,11 @@ class Misfit:
         kinds = 1 + int(self.type in SECOND) + 2 * int(self.record.motion_at_start > 0)
         return kinds * len(self.starts) + int(self.ramp)
 
+    @property
+    def has_room(self) -> bool:
+        """Whether the record has more samples than there are unknowns: else nothing is left to speak against it."""
+        return len(self.record.pv) > self.priors + self.loads + 2 * self.harmonics + 1 + self.size
+
     def columns(self, p: FloatArray) -> tuple[FloatArray, int]:
         """Columns of the linear unknowns, shape (n, c), each about one in size; the first `count` have a prior."""
         t, dynamics = self.record.t_s, dynamics_at(self.type, p)

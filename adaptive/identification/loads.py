@@ -62,7 +62,7 @@ def improved(seed: Candidate, most_loads: int, seen: Seen, most: int = MOST_MOVE
             break
         proposal = moves.pop(0)(best)
         fruitless += 1
-        if proposal is None:
+        if proposal is None or not proposal[0].has_room:
             continue
         tried += 1
         found = judged(refine(*proposal, evaluations=MOVE_EVALUATIONS))

@@ -1,0 +1,51 @@
+"""Records with hardly more samples than a hypothesis has unknowns: whatever they hold, an answer comes."""
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.slipping_valve import ROWS_PER_STEP, _greedy
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
+
+
+def _short(seed: int) -> tuple[Window, PidGains]:
+    """A loop of a few samples: setpoint steps, loads, noise, a coarse sensor and a valve that sticks, drawn."""
+    rng = np.random.default_rng([seed, 77])
+    n, dt_s = int(rng.integers(8, 90)), float(rng.choice([0.01, 0.1, 1, 60]))
+    noise, kp = float(rng.choice([0.0, 1e-3, 0.02, 0.2, 1.0])), float(rng.choice([0.1, 0.5, 1, 3]))
+    ki = kp / dt_s / float(rng.choice([2, 5, 20]))
+    tau, theta = float(rng.choice([1, 4, 20])), int(rng.integers(0, 6))
+    sp, load = np.zeros(n), np.zeros(n)
+    for _ in range(int(rng.integers(0, 3))):
+        sp[int(rng.integers(1, n)) :] = rng.normal()
+    for _ in range(int(rng.integers(0, 4))):
+        load[int(rng.integers(0, n)) :] += rng.normal()
+    quantum, band = float(rng.choice([0, 0, 0.05, 0.3])), float(rng.choice([0, 0, 0.1, 0.5]))
+    x = integral = stem = 0.0
+    pv, co, u = np.zeros(n), np.zeros(n), np.zeros(n)
+    for i in range(n):
+        seen = x + noise * rng.normal()
+        pv[i] = round(seen / quantum) * quantum if quantum else seen
+        integral += ki * dt_s * (sp[i] - pv[i])
+        co[i] = np.clip(kp * (sp[i] - pv[i]) + integral, -5, 5)
+        stem = co[i] if abs(co[i] - stem) > band else stem
+        u[i] = stem
+        x += ((u[i - theta] if i >= theta else 0.0) - x + load[i]) / tau
+    return Window(np.arange(n) * dt_s, sp, pv, co), PidGains(kp, ki, 0.0)
+
+
+@pytest.mark.parametrize("seed", [19, 112, 243])
+def test_more_unknowns_than_samples_are_not_asked_for(seed: int) -> None:
+    """These three stopped a tone, a load and the steps of a valve: "more unknowns than samples"."""
+    found = diagnose_window(*_short(seed)).diagnosis
+    assert found.cause in Cause
+    assert found.reason
+
+
+@pytest.mark.parametrize("n", [10, 23, 40])
+def test_steps_leave_samples_that_could_speak_against_them(n: int) -> None:
+    pv = np.random.default_rng(n).normal(size=n).round(0)
+    _, rows = _greedy(pv, 0.5, 0.0)
+    assert len(rows) <= n // ROWS_PER_STEP
