@@ -13,13 +13,14 @@ lines; numbers may differ by a per cent. A comment before a block says what is s
     <!-- status 1 -->            its exit status, where it is not 0
     <!-- with runs/demo -->      of a page: the session that `make demo` leaves lies in the folder
 
-A command with a <placeholder> is not run.
+A command with a <placeholder> is not run. The oven, which takes longest and stands on more pages than one, is run once.
 """
 
 import argparse
 import fcntl
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -42,6 +43,8 @@ TOLERANCE = 0.01
 LONGEST_S = 300
 WIDTH = "100"
 DEMO = "runs/demo"
+OVEN = "run examples/oven.toml --out runs/oven"
+"""The longest command, which more pages than one print: it is run once."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +84,12 @@ def pages() -> list[Path]:
     return [page for page in every if any(block.to_run for block in blocks(page.read_text(encoding="utf-8")))]
 
 
-def run_page(page: Path, folder: Path, demo: Callable[[], Path]) -> Iterator[tuple[Block, str, int]]:
+def run_page(
+    page: Path, folder: Path, demo: Callable[[], Path], oven: Callable[[], Path]
+) -> Iterator[tuple[Block, str, int]]:
     """Each block that can be run with what it printed and its exit status, in a fresh folder.
 
-    demo : where the session of `make demo` lies; asked when a page needs it.
+    demo, oven : where the session of `make demo` lies, and what make_oven left; asked when a page needs them.
     """
     shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("__pycache__"))
     text = page.read_text(encoding="utf-8")
@@ -95,7 +100,8 @@ def run_page(page: Path, folder: Path, demo: Callable[[], Path]) -> Iterator[tup
             if block.to_run and block.note == "in the background":
                 started.append(_start(block, folder))
             elif block.to_run:
-                yield (block, *_run(block, folder))
+                before = copying(oven()) if OVEN in block.code else ""
+                yield (block, *_run(block, folder, before))
 
 
 @cache
@@ -111,6 +117,33 @@ def make_demo(folder: Path) -> None:
     shutil.copytree(ROOT / "examples", folder / "examples")
     command = f"retuner run examples/oven.toml --out {DEMO} --no-compare"
     subprocess.run(["bash", "-c", command], cwd=folder, env=_environment(), check=True, capture_output=True)
+
+
+@cache
+def oven_here() -> Path:
+    """The run of the oven that pages print, run once."""
+    folder = Path(tempfile.mkdtemp(prefix="retuner-pages-"))
+    make_oven(folder)
+    return folder
+
+
+def make_oven(folder: Path) -> None:
+    """Run the oven in a folder, as pages print it; what it prints is kept in a file."""
+    shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("__pycache__"))
+    told, status = _run(Block("sh", f"retuner {OVEN}\n", "", None, 0), folder)
+    if status:
+        raise RuntimeError(f"retuner {OVEN}: status {status}\n{told}")
+    (folder / "printed").write_text(told, encoding="utf-8")
+
+
+def copying(oven: Path) -> str:
+    """Before a block of sh: what make_oven left in a folder stands for the run of the oven."""
+    there = shlex.quote(str(oven))
+    return f"""retuner() {{
+    if [ "$*" = "{OVEN}" ]; then mkdir -p runs; cp -r {there}/runs/oven runs/; cat {there}/printed
+    else command retuner "$@"; fi
+}}
+"""
 
 
 @contextmanager
@@ -138,9 +171,9 @@ def _start(block: Block, folder: Path) -> subprocess.Popen[bytes]:
     return subprocess.Popen(_command(block), cwd=folder, env=_environment(), start_new_session=True, **quiet)
 
 
-def _run(block: Block, folder: Path) -> tuple[str, int]:
+def _run(block: Block, folder: Path, before: str = "") -> tuple[str, int]:
     done = subprocess.run(
-        _command(block),
+        _command(block, before),
         cwd=folder,
         env=_environment(),
         stdout=subprocess.PIPE,
@@ -153,8 +186,8 @@ def _run(block: Block, folder: Path) -> tuple[str, int]:
     return "".join(f"{line.rstrip()}\n" for line in done.stdout.splitlines()), done.returncode
 
 
-def _command(block: Block) -> list[str]:
-    return [sys.executable, "-c", block.code] if block.kind == "python" else ["bash", "-e", "-c", block.code]
+def _command(block: Block, before: str = "") -> list[str]:
+    return [sys.executable, "-c", block.code] if block.kind == "python" else ["bash", "-e", "-c", before + block.code]
 
 
 def _environment() -> dict[str, str]:
@@ -225,7 +258,7 @@ def _tell(page: Path, *, write: bool) -> int:
     """Run one page and say what differs; how many blocks did."""
     text, wrong = page.read_text(encoding="utf-8"), 0
     with tempfile.TemporaryDirectory(prefix="retuner-page-") as folder:
-        for block, came, status in run_page(page, Path(folder), demo_here):
+        for block, came, status in run_page(page, Path(folder), demo_here, oven_here):
             differs = block.printed is not None and not agrees(block.printed, came)
             if status != block.status or differs:
                 wrong += 1

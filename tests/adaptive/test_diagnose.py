@@ -152,6 +152,7 @@ def test_a_dead_signal_is_never_tuned(name: str) -> None:
     assert "does not change" in found.reason
 
 
+@pytest.mark.uncounted
 def test_a_random_load_changes_no_gains() -> None:
     walk = np.cumsum(np.random.default_rng(5).standard_normal(N)) * 0.05
     found = diagnose_window(loop(load=lambda i: float(walk[i])), GOOD).diagnosis

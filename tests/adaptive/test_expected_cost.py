@@ -185,10 +185,12 @@ def test_a_loop_in_order_is_left_alone() -> None:
     assert "commit" not in {str(d.action) for d in found}
 
 
+@pytest.mark.uncounted
 def test_a_loop_that_is_over_its_limit_is_made_slower() -> None:
     assert "commit" in {str(d.action) for d in decided(USUAL, 2.0)}
 
 
+@pytest.mark.uncounted
 def test_small_steps_are_weighed_by_the_way_that_they_are_of() -> None:
     """Each of them brings less than a change must; together they bring much."""
     small = replace(USUAL, guard=replace(USUAL.guard, step_up_max=1.1))

@@ -110,6 +110,7 @@ def test_the_noise_of_a_signal_is_found_however_long_it_stood_still() -> None:
     assert state.median * MEDIAN_TO_SIGMA == pytest.approx(1.0, rel=0.25)
 
 
+@pytest.mark.uncounted
 def test_that_a_setpoint_is_led_is_said_once_and_then_with_a_count() -> None:
     every, few = told(made(again_s=0.0), samples(led())), told(made(AGAIN_S), samples(led()))
     rows = [d for d in few if d.code == LED]
@@ -129,6 +130,7 @@ def test_once_a_person_sets_the_setpoint_again_the_loop_learns_again() -> None:
     assert [d.code for d in late if d.estimate is not None]
 
 
+@pytest.mark.uncounted
 def test_what_else_is_wrong_is_said_while_the_setpoint_is_led() -> None:
     def uneven(s: LoopSample) -> LoopSample:
         return s._replace(t_s=s.t_s + (0.8 if s.t_s > 1000 and s.t_s % 4 == 0 else 0.0))
@@ -137,6 +139,7 @@ def test_what_else_is_wrong_is_said_while_the_setpoint_is_led() -> None:
     assert Ground.IRREGULAR.name.lower() in {d.code for d in decisions}
 
 
+@pytest.mark.uncounted
 def test_a_response_that_ends_at_a_limit_is_asked() -> None:
     limited = [s._replace(limited=int(s.t_s > 1000)) for s in samples(led())]
     assert len([d for d in told(made(), limited) if d.t_s > 1000]) > 5

@@ -284,6 +284,7 @@ def test_a_loop_that_a_setpoint_step_has_shown_to_swing_is_not_called_external_w
     assert causes == [Cause.AGGRESSIVE] * 3
 
 
+@pytest.mark.uncounted
 def test_a_lasting_swing_between_the_limits_teaches_nothing_more() -> None:
     rig = Rig(PidGains(4 * GOOD.kp, 4 * GOOD.ki), co_max=1.5, mode=Mode.ADVISE)
     rig.run(60)

@@ -176,6 +176,7 @@ def test_the_posterior_is_the_joint_fit_of_all_records(loop: Callable) -> None:
     np.testing.assert_allclose((region_model.log.x - joint) / np.sqrt(np.diag(region_model.log.p)), 0.0, atol=0.35)
 
 
+@pytest.mark.uncounted
 def test_records_that_do_not_settle_the_process_alone_settle_it_together(loop: Callable) -> None:
     weak = [loop(noise=0.25, n=400, kc=1.0, at=40.0, sp=1.0).run(seed=i, t0=i * 400.0) for i in range(12)]
     region_model, alone = None, []

@@ -24,6 +24,7 @@ from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.schedule.gains import PidGains
 
 
+@pytest.mark.uncounted
 @pytest.mark.parametrize(
     ("kp", "ki", "cause", "sign"),
     [
@@ -59,6 +60,7 @@ def test_a_load_that_agrees_lets_the_rest_of_a_limited_change_through(monkeypatc
     assert all(d.gains_after and d.gains_after.ki > 1.5 * d.gains_before.ki for d in steps)
 
 
+@pytest.mark.uncounted
 def test_a_load_that_confirms_what_a_setpoint_step_had_shown_changes_the_gains() -> None:
     """The process loses more than half of its gain at rest: one step is odd, the load after it is the second record."""
     bench = made(GOOD)
@@ -96,6 +98,7 @@ def test_good_gains_are_left_alone() -> None:
     assert {d.diagnosis.cause for d in decisions if d.diagnosis} == {Cause.OK}
 
 
+@pytest.mark.uncounted
 def test_advise_changes_nothing_but_says_what_it_would() -> None:
     decisions = made(scaled(0.25, 0.25), Mode.ADVISE).exercise()
     assert {d.action for d in decisions} <= {Action.ADVISE, Action.NONE}
@@ -113,6 +116,7 @@ def test_a_quiet_loop_gives_no_decision() -> None:
     assert made(GOOD).run(3000) == []
 
 
+@pytest.mark.uncounted
 def test_the_same_samples_give_the_same_bytes() -> None:
     first, second = (made(scaled(0.25, 0.4), seed=3).exercise(3) for _ in range(2))
     assert [d.canonical() for d in first] == [d.canonical() for d in second]
@@ -149,6 +153,7 @@ def bad(values: Iterable[float]) -> list[dict[str, float]]:
     return [{field: value} for field in ("t_s", "sp", "pv", "co", "x") for value in values]
 
 
+@pytest.mark.uncounted
 def test_what_is_not_finite_is_refused_and_changes_nothing() -> None:
     bench, twin = made(scaled(0.25, 0.25)), made(scaled(0.25, 0.25))
     for seconds, sp in ((400, 0.0), (7, 1.0), (40, 1.0), (500, 1.0), (600, 0.0)):  # at rest, in a response, behind one
@@ -180,6 +185,7 @@ def test_a_loop_whose_output_never_leaves_its_limit_is_not_retuned() -> None:
     assert all(d.action == Action.NONE for d in found)
 
 
+@pytest.mark.uncounted
 def test_a_restored_memory_decides_as_if_never_stopped() -> None:
     bench, twin = made(scaled(0.25, 0.4), seed=5), made(scaled(0.25, 0.4), seed=5)
     bench.run(400)
@@ -237,6 +243,7 @@ def test_a_damaged_memory_is_refused_in_one_line(damage: dict[str, object]) -> N
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.uncounted
 def test_a_response_longer_than_what_is_kept_is_cut_and_still_teaches() -> None:
     short = RetunerSettings(1.0, 10.0, Mode.AUTO, wait_s=2000.0, history=150)
     bench = Bench(Retuner(table(scaled(0.25, 0.02)), short))

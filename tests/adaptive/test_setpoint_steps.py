@@ -74,6 +74,7 @@ def test_pv_without_loads_is_what_its_steps_make_of_the_loops_response() -> None
     assert np.array(one.pv) == pytest.approx(one.said(setpoint_response(held, SampledLaw(GOOD, 1.0))), abs=0.05)
 
 
+@pytest.mark.uncounted
 def test_a_load_as_large_as_the_steps_leaves_the_process_and_how_surely_is_told() -> None:
     held = []
     for seed in range(1, 6):

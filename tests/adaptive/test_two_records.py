@@ -17,6 +17,7 @@ def first_two(gains: PidGains, doubt: float = ChoiceSettings().doubt) -> list[De
     return [d for d in found if d.estimate is not None][:2]
 
 
+@pytest.mark.uncounted
 def test_a_loop_that_behaves_is_moved_when_a_second_record_agrees() -> None:
     first, second = first_two(scaled(0.6, 0.6), doubt=2.0)
     assert first.code == "one_record"
@@ -27,6 +28,7 @@ def test_a_loop_that_behaves_is_moved_when_a_second_record_agrees() -> None:
     assert second.records == 2
 
 
+@pytest.mark.uncounted
 @pytest.mark.parametrize("share", [0.2, 0.6, 2.5])
 def test_a_loop_that_is_slow_or_swings_is_moved_at_once_by_a_setpoint_step_from_rest(share: float) -> None:
     assert first_two(scaled(share, share))[0].action is Action.COMMIT

@@ -126,6 +126,7 @@ def in_manual(session: LoopSession, sample: LoopSample) -> bool:
     return session.retuner.trials.phase(0) != TrialPhase.TRIAL and not session.writer.restoring
 
 
+@pytest.mark.uncounted
 def test_an_approval_and_its_trial_that_manual_mode_interrupts_are_replayed(
     with_person: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,6 +162,7 @@ def test_a_change_that_was_tried_waits_for_a_person(with_person: Any, capsys: py
     assert main(["replay", str(folder)]) == 0
 
 
+@pytest.mark.uncounted
 def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(
     with_person: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -249,6 +251,7 @@ def test_a_revert_names_a_decision_that_is_there(copy: Path, capsys: pytest.Capt
     assert json.loads(Path(told["file"]).read_text())["decision"] == 1
 
 
+@pytest.mark.uncounted
 def test_what_is_no_order_is_refused_with_a_row_and_nothing_else_happens(
     with_person: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -140,6 +140,7 @@ def test_a_person_who_orders_it_back_is_told_why_not(make_wire: Callable[..., Wi
     assert wire.trials.phase(0) is P.TRIAL
 
 
+@pytest.mark.uncounted
 def test_in_mode_trial_what_no_response_decides_waits_for_a_person(make_wire: Callable[..., Wire]) -> None:
     wire = cured(make_wire(mode=Mode.TRIAL, settles=1.0))
     wire.until(P.WAITING, most=2000)

@@ -68,6 +68,7 @@ def ran(folder: Path, allowed: str) -> Path:
     return run
 
 
+@pytest.mark.uncounted
 def test_a_quiet_loop_learns_by_bumps_and_a_replay_decides_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -119,6 +119,7 @@ def test_no_crossing_bumps_on_the_device(lookup: str, derivative: str, loop: str
     assert max(bumps) <= BUMP
 
 
+@pytest.mark.uncounted
 def test_gains_in_force_follow_temperature_and_flow() -> None:
     with bench(config("interpolated"), "map-follow") as b:
         table = b.session.table

@@ -51,6 +51,7 @@ def without_end(row: Row) -> dict[str, Any] | None:
     return None if row.kind == "end" else row.body
 
 
+@pytest.mark.uncounted
 def test_a_session_is_decided_again_byte_for_byte(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, found = replayed(session, capsys)
     assert (status, found["identical"], found["first_difference"]) == (0, True, None)
@@ -71,6 +72,7 @@ def test_the_configuration_is_kept_as_it_was_run(session: Path) -> None:
     assert set(first["versions"]) == set(session_identity.versions())
 
 
+@pytest.mark.uncounted
 def test_the_session_of_the_kept_configuration_is_the_same_again(session: Path, tmp_path: Path) -> None:
     assert main(["run", str(session / "config.toml"), "--out", str(tmp_path / "run"), "--no-compare"]) == 0
     assert bodies(tmp_path / "run", "decision") == bodies(session, "decision")

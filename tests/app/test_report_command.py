@@ -29,6 +29,7 @@ def first_with_verdict(session: Path) -> dict[str, object]:
     return next(body for body in bodies(session, "decision") if body["verdict"])
 
 
+@pytest.mark.uncounted
 def test_the_report_is_made_again_with_the_same_decisions(session: Path, tmp_path: Path, capsys) -> None:
     capsys.readouterr()
     assert main(["report", str(session), "--out", str(tmp_path / "again.html"), "--json"]) == 0
@@ -103,6 +104,7 @@ def test_a_damaged_session_is_told_in_one_line(session: Path, tmp_path: Path, da
     assert told.out == ""
 
 
+@pytest.mark.uncounted
 @pytest.mark.parametrize(
     ("out", "said"),
     [("none/r.html", "none does not exist; make it first"), (".", "is a folder; give the name of a file")],

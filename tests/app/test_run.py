@@ -75,6 +75,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     return Finished(folder / "out", (folder / "shown").read_text(encoding="utf-8"))
 
 
+@pytest.mark.uncounted
 def test_a_sluggish_loop_is_cured_over_can_and_everything_is_left_behind(finished: Finished) -> None:
     assert "sluggish" in finished.shown
     assert "written: Kc 5" in finished.shown
@@ -123,6 +124,7 @@ def test_the_bus_log_decodes_with_the_shipped_dbc(finished: Finished) -> None:
     assert {"TELEMETRY_PV", "TELEMETRY_SP", "STAGE", "COMMIT", "ACK", "SETPOINT", "HEARTBEAT"} <= seen
 
 
+@pytest.mark.uncounted
 def test_the_same_seed_gives_the_same_ledger_and_another_seed_another(quick: Path, finished: Finished) -> None:
     for seed in (3, 4):
         quick.write_text(QUICK.replace("seed = 3", f"seed = {seed}"), encoding="utf-8")
@@ -131,6 +133,7 @@ def test_the_same_seed_gives_the_same_ledger_and_another_seed_another(quick: Pat
     assert same == finished.head() != other
 
 
+@pytest.mark.uncounted
 def test_a_run_that_ends_just_after_a_setpoint_step_has_its_report_and_summary(quick: Path) -> None:
     ending = QUICK.replace("duration_s = 160.0", "duration_s = 140.5")
     assert ending != QUICK
@@ -148,6 +151,7 @@ def test_gains_of_the_wrong_sign_are_told_before_anything_runs(quick: Path, caps
     assert "needs a reverse-acting controller; these gains are direct acting" in told[0]
 
 
+@pytest.mark.uncounted
 def test_advise_changes_nothing(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(quick), "--mode", "advise", "--no-compare", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -257,6 +261,7 @@ def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
     assert commits == kinds.count("intent") == summary["revision"]  # what was written had been recorded before
 
 
+@pytest.mark.uncounted
 def test_a_bus_log_that_fails_is_told_and_the_run_goes_on(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -289,6 +294,7 @@ def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
         assert list(reader.rows())[-1].kind == "end"
 
 
+@pytest.mark.uncounted
 def test_ctrl_c_in_the_comparison_run_keeps_the_run_that_is_over(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = Run.simulated
     began: list[Run] = []

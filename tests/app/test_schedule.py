@@ -196,6 +196,7 @@ def test_a_column_of_the_record_may_be_the_variable_and_others_the_gains(tmp_pat
     assert "--gain-columns" in capsys.readouterr().err
 
 
+@pytest.mark.uncounted
 def test_gains_are_shown_in_the_units_of_the_controller(tmp_path: Path, capsys: Capture) -> None:
     record = level(tmp_path / "level.csv")
     try:

@@ -81,6 +81,7 @@ def test_the_next_session_refuses_it_as_well(copy: Path, tmp_path: Path) -> None
     assert bodies(tmp_path / "run", "committed") == []
 
 
+@pytest.mark.uncounted
 def test_the_running_session_refuses_it_as_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

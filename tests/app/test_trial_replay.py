@@ -22,6 +22,7 @@ SHORT = two_regions(
 """A sluggish loop: its first response ends three seconds before the run does."""
 
 
+@pytest.mark.uncounted
 def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_again_by_a_replay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

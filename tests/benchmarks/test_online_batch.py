@@ -114,6 +114,7 @@ def test_gains_change_without_a_bump_and_hold_from_the_next_sample():
     assert loop.changes == 1
 
 
+@pytest.mark.uncounted
 @pytest.mark.parametrize("name", ["P1 T=2", "P6 L=0.5"])
 def test_retuner_brings_a_sluggish_loop_into_spec_in_a_whole_run(name):
     task = batch.tasks(5, opened=True, every=1, only=name, noise=0.01, verbose=True, starts=1)[0]

@@ -57,6 +57,7 @@ def all_heard() -> list[PatternAdvice]:
     return [advice for case in cases for advice in heard(*case)]
 
 
+@pytest.mark.uncounted
 def test_nearly_all_pairs_of_upsets_are_refused(all_heard: list[PatternAdvice]) -> None:
     assert len(all_heard) >= len(PROCESSES) * len(SECOND) * len(GAPS_THETA)
     fooled = [advice for advice in all_heard if advice.reading in MOVING]

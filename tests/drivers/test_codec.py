@@ -124,6 +124,7 @@ def test_any_bytes_are_a_frame_or_a_refusal(id_: int, data: bytes, extended: boo
     _is_frame_or_refusal(can.Message(arbitration_id=id_, is_extended_id=extended, data=data))
 
 
+@pytest.mark.uncounted
 @given(command=st.sampled_from(sorted(_plans())), data=st.binary(min_size=8, max_size=8), fix=st.booleans())
 @settings(max_examples=examples(3000))
 def test_any_bytes_under_a_right_id_are_a_frame_or_a_refusal(command: int, data: bytes, fix: bool) -> None:

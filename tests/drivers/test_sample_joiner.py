@@ -39,6 +39,7 @@ def test_counter_wraps() -> None:
     assert {j.lost for j in got} == {0}
 
 
+@pytest.mark.uncounted
 @given(seed=st.integers(0, 10**6), loss=st.floats(0.0, 0.6))
 @settings(max_examples=examples(100))
 def test_whatever_arrives_the_samples_are_true_and_the_loss_is_counted(seed: int, loss: float) -> None:

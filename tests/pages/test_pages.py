@@ -35,7 +35,10 @@ def test_what_a_page_prints_is_what_comes(page: Path, tmp_path: Path, tmp_path_f
     def demo() -> Path:
         return once(tmp_path_factory, "pages-demo", run_pages.make_demo) / run_pages.DEMO
 
-    for block, came, status in run_pages.run_page(page, tmp_path, demo):
+    def oven() -> Path:
+        return once(tmp_path_factory, "pages-oven", run_pages.make_oven)
+
+    for block, came, status in run_pages.run_page(page, tmp_path, demo, oven):
         said = f"{page.name}:{block.line}: {block.code}\n--- came, status {status}:\n{came}"
         assert status == block.status, said
         assert block.printed is None or agrees(block.printed, came), (

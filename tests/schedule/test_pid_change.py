@@ -52,6 +52,7 @@ def random_case(rng: random.Random) -> Case:
     return old, new, state, sp + rng.gauss(0.0, far), pv + rng.gauss(0.0, far), dt_s
 
 
+@pytest.mark.uncounted
 def test_the_step_after_a_change_gives_what_the_old_law_would_have_given():
     """20,000 random changes, most of which would bump hard without."""
     rng = random.Random(2)
@@ -73,6 +74,7 @@ def test_the_step_after_a_change_gives_what_the_old_law_would_have_given():
     assert moved > 10_000
 
 
+@pytest.mark.uncounted
 def test_between_samples_the_changed_law_stands_where_the_old_one_stood():
     """Without dt_s: at the last sample's sp and pv both laws give the same co, D as it stands included."""
     rng = random.Random(3)

@@ -7,6 +7,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from effort import sized
 
 from retuner.adaptive.fit import engine
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
@@ -23,7 +24,7 @@ from retuner.adaptive.valve.sticking_valve import Nodes, _grid, _moved, _through
 from retuner.adaptive.valve.stuck_valve import StuckValve
 
 compiled = pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
-POINTS = 1000
+POINTS = sized(250, 250, 1000)
 """Random points of every structure."""
 CLOSE = 1e-9
 """Largest difference, as a share of the largest value."""

@@ -126,6 +126,7 @@ def limits_of(draw: st.DrawFn) -> GuardSettings:
     )
 
 
+@pytest.mark.uncounted
 @settings(max_examples=examples(200), deadline=None)
 @given(
     sets=st.tuples(KC, KC, KC),

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 from loop_bench import GOOD, made
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
@@ -38,6 +39,7 @@ def test_a_loop_that_rests_and_is_known_from_two_records_needs_no_bump() -> None
     assert news(0.0) == []
 
 
+@pytest.mark.uncounted
 def test_where_loads_never_rest_what_single_responses_say_is_not_enough() -> None:
     first = news(1.0)[0]
     assert first.cause is NudgeInput.DUE

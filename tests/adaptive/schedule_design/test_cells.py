@@ -42,6 +42,7 @@ def test_a_variable_that_changes_nothing_needs_no_border() -> None:
     assert len(only.sets) == 1
 
 
+@pytest.mark.uncounted
 def test_the_table_looks_up_what_was_proved() -> None:
     places = over(2.5, 2.0)
     for lookup in ("hard", "interpolated"):

@@ -25,6 +25,7 @@ def truth(y: float, growth: float) -> ProcessModel:
     return ProcessModel(ProcessType.FOPDT, C * tau_s(y, growth), tau_s(y, growth), 0.0, THETA_S)
 
 
+@pytest.mark.uncounted
 def test_the_course_of_the_lag_lies_inside_its_band_and_the_rest_is_constant() -> None:
     design = found()
     curves = design.design.curves
@@ -45,6 +46,7 @@ def test_every_place_of_the_true_process_is_in_spec_with_the_schedule() -> None:
         assert place.judged(design.gains_at(place.x)).j <= 1.25
 
 
+@pytest.mark.uncounted
 @pytest.mark.parametrize("load", [0.0, 15.0])
 def test_a_process_that_is_the_same_everywhere_gets_one_region(load: float) -> None:
     design = found(0.0, load)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -130,6 +131,7 @@ def do(world: World, name: str) -> None:
         assert robustness(world, region, now) <= robustness(world, region, was), f"{name}: {was} -> {now}"
 
 
+@pytest.mark.uncounted
 @settings(max_examples=examples(100), deadline=None)
 @given(
     st.tuples(*[st.sampled_from(FACTORS)] * 3),

@@ -59,6 +59,7 @@ def test_every_kind_of_decision_has_a_page(kind: str) -> None:
     assert "nan" not in words_of(text)
 
 
+@pytest.mark.uncounted
 @pytest.mark.parametrize(
     ("document", "said", "unsaid"),
     [
@@ -115,6 +116,7 @@ def test_margins_in_the_page_are_those_of_the_model() -> None:
     assert f"<td>delay margin</td><td>{found.delay_margin_s:.3g} s</td>" in article(shown)
 
 
+@pytest.mark.uncounted
 def test_the_formula_is_shown_only_where_it_gives_the_proposal() -> None:
     proposal: Any = COMMIT["proposal"]
     assert "<pre>" not in article(view(drawn=False))
@@ -130,6 +132,7 @@ def test_the_formula_is_shown_only_where_it_gives_the_proposal() -> None:
     assert "Skogestad 2003" in text
 
 
+@pytest.mark.uncounted
 def test_no_text_becomes_markup() -> None:
     bad = '<script>alert("x")</script>&'
     document = changed(loop=bad, region=bad, reason=bad, mode=bad, code=bad)
@@ -137,6 +140,7 @@ def test_no_text_becomes_markup() -> None:
     assert "<b>&$x" not in page(view(document, unit="<b>&$x$</b>"))
 
 
+@pytest.mark.uncounted
 def test_a_promise_is_told_with_its_spread_and_the_settings_before() -> None:
     text = words_of(article(view(drawn=False)))
     for told in (
