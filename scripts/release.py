@@ -102,9 +102,9 @@ def tried(trial: Trial) -> str:
         found = json.loads(run(retuner, "identify", "step.csv", "--open-loop", "--json", cwd=home))
         run(retuner, "init", "loop.toml", cwd=home)
         run(retuner, "check", "loop.toml", cwd=home)
-        shutil.copy(ROOT / "examples" / "oven.toml", home)
+        shutil.copy(ROOT / "examples" / "bench.toml", home)
         if trial.compiled:
-            run(retuner, "run", "oven.toml", "--no-compare", "--out", "out", "-q", cwd=home)
+            run(retuner, "run", "bench.toml", "--no-compare", "--out", "out", "-q", cwd=home)
             run(retuner, "ledger", "verify", "out", cwd=home)
     gain = found["model"]["k"]
     return f"{trial.version}: {trial.wheel.name}: installed and used; {engine['what']}; k {gain:.4g}"
