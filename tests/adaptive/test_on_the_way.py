@@ -5,20 +5,21 @@ import math
 import numpy as np
 import pytest
 
-from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.region_model.from_neighbours import as_wide_as_known
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings, on_the_way, scattered
 
 SETTINGS = TrackerSettings(scatter=0.06)
+UNTOLD = ModelEstimate(False, "nothing seen", (), 0.0, 0.0, ())
 LOG = LogModel(np.log([0.02, 8.0, 100.0]), 1e-4 * np.eye(3), 1)
 
 
 def learned(agreement: Agreement) -> Learned:
     only_best = (Plausible(LOG.model(), 0.0),)
     model = RegionModel((StructureModel(scattered(LOG, SETTINGS), -500.0),), 1, 0.0, plausible=only_best)
-    return Learned(model, None, agreement, 0.0)  # type: ignore[arg-type]
+    return Learned(model, UNTOLD, agreement, 0.0)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.07, 0.1])
@@ -42,5 +43,5 @@ def test_what_was_not_believed_opens_nothing(agreement: Agreement) -> None:
 
 
 def test_nothing_known_stays_nothing() -> None:
-    nothing = Learned(None, None, Agreement.FIRST, 0.0)  # type: ignore[arg-type]
+    nothing = Learned(None, UNTOLD, Agreement.FIRST, 0.0)
     assert as_wide_as_known(nothing) is nothing
