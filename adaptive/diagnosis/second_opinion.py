@@ -131,12 +131,15 @@ def unconfirmed(
         )
         return _unknown(reason, excitation)
     length_s = response.t_end_s - response.t_start_s
-    seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
-    found = _diagnosed(from_rest(seen, response, swing), response, gains, swing, settings)
+    stretched = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
+    seen = from_rest(stretched, response, swing)
+    found = _diagnosed(seen, response, gains, swing, settings)
     if found.cause in TUNING_CAUSES and wanted is not None and _swings(found, settings) != _swings(wanted, settings):
-        reason = f"the model of this region gives {wanted.cause}, this record alone gives {found.cause}: {found.reason}"
+        reason = f"{found.cause}, where the model of this region gives {wanted.cause}: {found.reason}"
         found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
-    return None if found.cause in TUNING_CAUSES else found  # the settings are those of the region's model
+    if found.cause in TUNING_CAUSES:  # the settings are those of the region's model
+        return None
+    return replace(found, reason=f"what is seen since {seen[0].t_s:,.0f} s does not confirm it: {found.reason}")
 
 
 def _diagnosed(

@@ -254,7 +254,7 @@ def wanted_of(record: ResponseRecord, model: RegionModel, settings: RetunerSetti
     return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
 
 
-NOT_CONFIRMED = "by what is known of the region, {wanted}; this record alone does not confirm it: {doubt}"
+NOT_CONFIRMED = "by what is known of the region, {wanted}; {doubt}"
 """The reason where a change is due by the model of the region, and the record alone does not name the tuning."""
 STILL_ALIVE = (
     "this response by itself is the loop's own, but earlier ones under these gains had another cause; still needed "

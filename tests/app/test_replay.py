@@ -246,6 +246,18 @@ def test_what_is_no_session_is_one_line(
     assert told in error
 
 
+def test_the_folder_of_one_of_several_loops_leads_to_the_ledger_of_all(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop = tmp_path / "run" / "loops" / "level"
+    loop.mkdir(parents=True)
+    (tmp_path / "run" / "ledger.sqlite").write_bytes(b"")
+    assert main(["ledger", "show", str(loop)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"the ledger of all loops is in {tmp_path / 'run'}: give that with --loop" in error
+
+
 @pytest.mark.parametrize(
     ("then", "now", "found"),
     [
