@@ -354,9 +354,13 @@ def clear_case(found: Findings, learned: Learned) -> bool:
 
 
 def not_as_modelled(found: Findings) -> Diagnosis | None:
-    """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
+    """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say.
+
+    Loads of unknown shape beside it let a model explain any swing. A setpoint step from rest that needs none has shown
+    the loop as the model says it is, wherever the peaks of it lie.
+    """
     record, cause, settings = found.record, found.diagnosis, found.settings
-    if record.pattern is None or found.steps is not None:
+    if record.pattern is None or found.steps is not None or _by_the_setpoint_alone(found):
         return None
     allowed = found.verdict.allowed if found.verdict else ()
     if cause is None or cause.cause not in SWINGING or not allowed or _swings_wider(record, settings):
@@ -368,6 +372,11 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
     said = foretold(record.response, loop, _learned_ramp_s(found))
     reason = not_seen(record.response, said, settings.swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
+
+
+def _by_the_setpoint_alone(found: Findings) -> bool:
+    """Whether the loop by itself explains a setpoint step from rest, to the noise and without a load."""
+    return found.clear and found.learned is not None and not found.learned.estimate.load_times_s
 
 
 def _learned_ramp_s(found: Findings) -> float:
