@@ -351,9 +351,10 @@ def clear_case(found: Findings, learned: Learned) -> bool:
         return learned.agreement is not Agreement.CONTRADICTS
     if record.crossed:
         return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
-    swing = found.settings.swing
-    from_rest = is_clear(record.samples, record.response, found.unexplained, loads, swing)
-    return from_rest or (is_explained(record.response, found.unexplained, loads, swing) and _shown_before(found, learned))
+    swing, left = found.settings.swing, found.unexplained
+    if is_clear(record.samples, record.response, left, loads, swing):
+        return True
+    return is_explained(record.response, left, loads, swing) and _shown_before(found, learned)
 
 
 def _shown_before(found: Findings, learned: Learned) -> bool:
@@ -363,8 +364,7 @@ def _shown_before(found: Findings, learned: Learned) -> bool:
     not one that gives the same process twice.
     """
     model = learned.region_model
-    agrees = learned.agreement is Agreement.AGREES and model is not None and len(model.points) >= TWICE
-    return agrees and model is not None and _alike(model, TWICE, found.settings)
+    return learned.agreement is Agreement.AGREES and model is not None and _alike(model, TWICE, found.settings)
 
 
 TWICE = 2
