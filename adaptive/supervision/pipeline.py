@@ -50,6 +50,7 @@ from retuner.adaptive.supervision.guard_request import (
     posterior_of,
     promised,
     request_of,
+    runaway,
     unproved_request,
     walked,
 )
@@ -479,6 +480,7 @@ STAGES = (
     Stage("proof", proof),
     Stage("refutation", refutation),
     Stage("worth", worth),
+    Stage("runaway", runaway),
     Stage("confirmation", confirmation),
     Stage("return", cut_refuted, always=True),
     Stage("expectation", expectation, always=True),
