@@ -202,9 +202,11 @@ class _Fit:
         self.pv, self.law, self.sign = pv, law, law.gains.direction
 
     def process(self, x: FloatArray) -> Runaway:
-        """Of a point."""
+        """Of a point; its dead time no longer than the record, its pole no faster than a sample."""
         k, theta, tau = (math.exp(min(max(value, -FAR), FAR)) for value in x[:3])
-        return Runaway(self.sign * k, float(x[3]), tau, theta)
+        fastest = 1.0 / self.law.dt_s
+        theta = min(theta, len(self.pv) * self.law.dt_s)
+        return Runaway(self.sign * k, min(max(float(x[3]), -fastest), fastest), tau, theta)
 
     def left(self, x: FloatArray) -> FloatArray:
         """Residuals in steps."""
@@ -217,20 +219,21 @@ class _Fit:
 
         scale = np.array([1.0, 1.0, 1.0, abs(start[3])])
         done = least_squares(self.left, start, x_scale=scale, max_nfev=MOST_TRIES)
-        residual, cost = done.fun, float(done.fun @ done.fun)
-        along = float(residual[1:] @ residual[:-1]) / max(cost, 1e-300)
-        variance = cost / max(len(residual) - len(start), 1) * (1 + max(along, 0.0)) / max(1 - along, TINY)
-        information = done.jac.T @ done.jac / np.outer(1 / scale, 1 / scale)
+        x, left = np.asarray(done.x, dtype=np.float64), np.asarray(done.fun, dtype=np.float64)
+        slopes = np.asarray(done.jac, dtype=np.float64) * scale
+        cost = float(left @ left)
+        along = float(left[1:] @ left[:-1]) / max(cost, LEAST**2)
+        variance = cost / max(len(left) - len(x), 1) * (1 + max(along, 0.0)) / max(1 - along, TINY)
         try:
-            covariance = np.linalg.inv(information) * np.outer(scale, scale)
+            covariance = np.linalg.inv(slopes.T @ slopes)
         except np.linalg.LinAlgError:
-            return cost, done.x, math.inf
-        return cost, done.x, math.sqrt(max(float(covariance[3, 3]) * variance, 0.0))
+            return cost, x, math.inf
+        return cost, x, float(scale[3]) * math.sqrt(max(float(covariance[3, 3]) * variance, 0.0))
 
 
 FAR = 40.0
 """Largest logarithm of a parameter."""
-MOST_TRIES = 60
+MOST_TRIES = 30
 """Of one refinement."""
 TINY = 0.01
 """Least share that white noise has in a remainder."""

@@ -37,7 +37,7 @@ def record(pole: float, law: SampledLaw = LAW, noise: float = 0.002, load: float
             return [(u - x[0]) / TAU, x[0] - pole * x[1]]
 
         state = solve_ivp(moves, (0.0, DT), state, rtol=1e-8, atol=1e-10).y[:, -1]
-    return Window(DT * np.arange(N), sp, pv, co)
+    return Window(DT * np.arange(N, dtype=np.float64), sp, pv, co)
 
 
 def test_the_gains_that_held_it_show_its_pole() -> None:
@@ -88,8 +88,8 @@ class Doubted(SimpleNamespace):
 
 def asked(window: Window, gains: PidGains, *, setpoint: bool = True, limited: bool = False) -> Any:
     """The stage on a record, with a proved change to these gains."""
-    rows = zip(window.t_s, window.sp, window.pv, window.co, strict=True)
-    samples = [LoopSample(*map(float, row), int(LoopMode.AUTO), int(limited)) for row in rows]
+    rows = zip(*(part.tolist() for part in (window.t_s, window.sp, window.pv, window.co)), strict=True)
+    samples = [LoopSample(t, sp, pv, co, int(LoopMode.AUTO), int(limited)) for t, sp, pv, co in rows]
     start_s = STEP_AT * DT if setpoint else N * DT / 2
     response = Response(start_s, samples[-1].t_s, (Peak(start_s + 5, 1.0),), Ending.QUIET, setpoint, 0.01)
     table = SimpleNamespace(with_gains=lambda *_: SimpleNamespace(at=lambda *_: gains))
@@ -118,3 +118,12 @@ def test_other_changes_are_none_of_its_business() -> None:
     assert asked(record(-0.08), PidGains(0.2, 0.002)) is None
     assert asked(record(0.0), LESS) is None
     assert asked(record(-0.08), LESS, limited=True) is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_no_process_explains_is_none_that_runs_away(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sp = np.where(np.arange(120) >= STEP_AT, 1.0, 0.0)
+    wander = np.cumsum(rng.standard_normal(120)) if seed % 2 else 5.0 * rng.standard_normal(120)
+    law = SampledLaw(PidGains(0.1 * 10.0 ** rng.uniform(-3, 3), 0.01), DT)
+    assert runaway_process(Window(DT * np.arange(120, dtype=np.float64), sp, wander, wander), law) is None
