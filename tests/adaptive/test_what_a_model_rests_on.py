@@ -33,7 +33,9 @@ def weighed(
     setpoint: bool | None = None,
 ) -> StageResult:
     """The pipeline's last stages on one response, with what comes before them given. setpoint : as clear."""
-    verdict: Any = SimpleNamespace(accepted=True, ruling=Ruling.ACCEPTED, allowed=(), urgent=True, ms_before=2.0)
+    verdict: Any = SimpleNamespace(
+        accepted=True, ruling=Ruling.ACCEPTED, allowed=(), urgent=True, ms_before=2.0, gains=None
+    )
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "clear_case": lambda *_: clear,
