@@ -1,8 +1,9 @@
 """Before a change: is the response a clear case, or must the whole diagnosis confirm that it is the tuning?
 
-    clear        a setpoint step excited a loop that was at rest, and the loop by itself explains the response with at
-                 most one load step; or the loop runs away at such a step, or the change makes a loop safer that
-                 swings at its own crossover between the output's limits (swing_checks.py)
+    clear        a setpoint step excited a loop that was at rest, or that the record before shows alike, and the loop by
+                 itself explains the response with at most one load step; or the loop runs away at such a step, or the
+                 change makes a loop safer that swings at its own crossover between the output's limits
+                 (swing_checks.py)
     known        a clear setpoint step is among what the model rests on, and this response agrees with it
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
@@ -21,6 +22,9 @@ from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings, stretch
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.guard import Ruling
+from retuner.adaptive.identification.estimate import log_controller
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.region_model.region_model import RecordPoint
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
@@ -69,9 +73,32 @@ def is_clear(
     samples : kept, the newest last. left : what the linear fit leaves, in noise standard deviations. loads : load steps
     that it needed. One that other gains took over in motion goes on with what was judged when they came.
     """
-    explained = left <= settings.unexplained and loads <= settings.loads_beside
     from_rest = response.taken_over or was_at_rest(samples, response, settings)
-    return bool(response.sp_changed) and explained and from_rest
+    return is_explained(response, left, loads, settings) and from_rest
+
+
+def is_explained(response: Response, left: float, loads: int, settings: SwingSettings) -> bool:
+    """Whether the loop by itself explains a setpoint response. left, loads : see is_clear."""
+    return bool(response.sp_changed) and left <= settings.unexplained and loads <= settings.loads_beside
+
+
+def settle_alike(
+    points: Sequence[RecordPoint],
+    best: ProcessModel,
+    sample_time_s: float,
+    fewest: int,
+    gain_std_limit: float,
+    settings: SwingSettings,
+) -> bool:
+    """Whether so many records settle the process each by itself, and all that do give about the same settings.
+
+    points : the records by themselves. best : what all say. gain_std_limit : up to which a record settles it.
+    """
+    at_s = best.seen_by_controller(sample_time_s).theta_s
+    usual = log_controller(best, sample_time_s, at_s)
+    settled = [point.log for point in points if point.log.gain_uncertainty(sample_time_s) <= gain_std_limit]
+    alike = [abs(log_controller(log.model(), sample_time_s, at_s) - usual) <= settings.alike for log in settled]
+    return len(alike) >= fewest and all(alike)
 
 
 def runs_away(samples: Sequence[LoopSample], response: Response, explained: float, settings: SwingSettings) -> bool:

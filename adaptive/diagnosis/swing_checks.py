@@ -105,21 +105,33 @@ def not_seen(response: Response, foretold: Trace, settings: SwingSettings) -> st
     foretold : the error after an upset like this one, by the model (see `foretold`).
     """
     seen = [abs(peak.e) for peak in response.peaks]
-    said = [abs(e) for e in peaks_of(foretold.e)[:THIRD]]
-    if not seen or len(said) < THIRD or not said[0]:
+    if not seen:
+        return ""
+    least = settings.unseen_bands * response.band
+    said = [abs(e) for e in peaks_of(foretold.e, THIRD + 1)]
+    unnoticed = int(_is_unnoticed(said, seen[0], least))
+    said = said[unnoticed:]
+    if len(said) < THIRD or not said[0]:
         return ""
     second, third = (said[i] / said[0] * seen[0] for i in (1, 2))
-    least = settings.unseen_bands * response.band
     if len(seen) < THIRD:  # a swing that rides on a slow return does not cross over, and shows no peaks
-        due = _due(response, foretold, said, settings) * seen[0] / said[0]
-        missing = response.ending == Ending.QUIET and min(second, due) > least
+        due = _due(response, foretold, said, unnoticed, settings) * seen[0] / said[0]
+        missing = response.ending == Ending.QUIET and settings.shown * min(second, due) > least
         return f"{_says(third)}, but the error came to rest after {len(seen)}" if missing else ""
     if seen[2] + least > settings.shown * third:
         return ""
     return f"{_says(third)}, and was {seen[2]:.3g}"
 
 
-def _due(response: Response, trace: Trace, said: list[float], settings: SwingSettings) -> float:
+def _is_unnoticed(said: list[float], first: float, least: float) -> bool:
+    """Whether the model's first peak is none that a response shows: pv goes the wrong way at first, by hardly anything.
+
+    said : its peaks. first : peak that was seen. least : what stands out.
+    """
+    return len(said) > 1 and said[0] < said[1] and said[0] / said[1] * first < least
+
+
+def _due(response: Response, trace: Trace, said: list[float], unnoticed: int, settings: SwingSettings) -> float:
     """How high the third peak would have been by the end of the response, by the model.
 
     A slow swing may pass its band for longer than rest takes. After a setpoint step that can be told; when a load began
@@ -128,7 +140,7 @@ def _due(response: Response, trace: Trace, said: list[float], settings: SwingSet
     if not response.sp_changed or said[2] > settings.shown * said[0]:
         return said[2]
     looked = trace.e[: int((response.t_end_s - response.t_start_s) / trace.step_s) + 1]
-    by_then = peaks_of(looked)[THIRD - 1 : THIRD]
+    by_then = peaks_of(looked, THIRD + unnoticed)[THIRD + unnoticed - 1 :]
     return abs(by_then[0]) if by_then else 0.0
 
 

@@ -23,7 +23,9 @@ from retuner.adaptive.diagnosis.second_opinion import (
     TOWARDS_SAFETY,
     Excitation,
     is_clear,
+    is_explained,
     runs_away,
+    settle_alike,
     unconfirmed,
 )
 from retuner.adaptive.diagnosis.swing_checks import (
@@ -37,7 +39,6 @@ from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.guard.request import Support
 from retuner.adaptive.guard.step_size import less_of_everything
-from retuner.adaptive.identification.estimate import log_controller
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.sequences import update_by_sequences
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
@@ -341,7 +342,7 @@ def clear_case(found: Findings, learned: Learned) -> bool:
     """Whether the response is the loop's own doing beyond doubt.
 
     One that crossed a border is where it is a setpoint step that the process in motion explains by itself. One that is
-    seen through a valve is not.
+    seen through a valve is not. One that did not begin at rest is where the record before shows the same.
     """
     record, loads = found.record, len(learned.estimate.load_times_s)
     if learned.valve is not None:
@@ -350,13 +351,34 @@ def clear_case(found: Findings, learned: Learned) -> bool:
         return learned.agreement is not Agreement.CONTRADICTS
     if record.crossed:
         return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
-    return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
+    swing, left = found.settings.swing, found.unexplained
+    if is_clear(record.samples, record.response, left, loads, swing):
+        return True
+    return is_explained(record.response, left, loads, swing) and _shown_before(found, learned)
+
+
+def _shown_before(found: Findings, learned: Learned) -> bool:
+    """Whether a record and the one before it settle the process each by itself, and alike.
+
+    A sluggish loop is hardly ever at rest when its setpoint moves. What of the load before goes on is a rival then, but
+    not one that gives the same process twice.
+    """
+    model = learned.region_model
+    return learned.agreement is Agreement.AGREES and model is not None and _alike(model, TWICE, found.settings)
+
+
+TWICE = 2
+"""Records that show the same."""
 
 
 def not_as_modelled(found: Findings) -> Diagnosis | None:
-    """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
+    """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say.
+
+    Loads of unknown shape beside it let a model explain any swing. A setpoint step from rest that needs none has shown
+    the loop as the model says it is, wherever the peaks of it lie.
+    """
     record, cause, settings = found.record, found.diagnosis, found.settings
-    if record.pattern is None or found.steps is not None:
+    if record.pattern is None or found.steps is not None or _by_the_setpoint_alone(found):
         return None
     allowed = found.verdict.allowed if found.verdict else ()
     if cause is None or cause.cause not in SWINGING or not allowed or _swings_wider(record, settings):
@@ -368,6 +390,11 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
     said = foretold(record.response, loop, _learned_ramp_s(found))
     reason = not_seen(record.response, said, settings.swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
+
+
+def _by_the_setpoint_alone(found: Findings) -> bool:
+    """Whether the loop by itself explains a setpoint step from rest, to the noise and without a load."""
+    return found.clear and found.learned is not None and not found.learned.estimate.load_times_s
 
 
 def _learned_ramp_s(found: Findings) -> float:
@@ -405,17 +432,13 @@ def borne_out(model: RegionModel, excitation: Excitation, settings: RetunerSetti
     """
     if excitation.setpoints < SETPOINTS:
         return False
-    swing, dt_s = settings.swing, settings.sample_time_s
-    best = model.log.model()
-    at_s = best.seen_by_controller(dt_s).theta_s
-    usual = log_controller(best, dt_s, at_s)
-    settled = [
-        point.log
-        for point in model.points[-swing.alike_records :]
-        if point.log.gain_uncertainty(dt_s) <= settings.fit.gain_std_limit
-    ]
-    alike = [abs(log_controller(log.model(), dt_s, at_s) - usual) <= swing.alike for log in settled]
-    return len(alike) >= swing.alike_records and all(alike)
+    return _alike(model, settings.swing.alike_records, settings)
+
+
+def _alike(model: RegionModel, fewest: int, settings: RetunerSettings) -> bool:
+    """Whether at least so many of the newest records settle the process by themselves, and all of these alike."""
+    given = model.points[-fewest:], model.log.model(), settings.sample_time_s
+    return settle_alike(*given, fewest, settings.fit.gain_std_limit, settings.swing)
 
 
 SETPOINTS = 2

@@ -50,6 +50,7 @@ from retuner.adaptive.supervision.guard_request import (
     posterior_of,
     promised,
     request_of,
+    runaway,
     unproved_request,
     walked,
 )
@@ -387,9 +388,18 @@ def confirmation(found: Findings) -> None:
         if doubt is not None:
             _not_confirmed(found, doubt)
             return
+        _confirmed(found)
     assert found.verdict is not None
     assert found.diagnosis is not None
     found.stop(found.verdict.ruling.name.lower(), f"{found.diagnosis.reason}; {found.expected}")
+
+
+def _confirmed(found: Findings) -> None:
+    """A setpoint response that the whole diagnosis has confirmed is as good as a clear one: what agrees with it later
+    needs no second confirmation.
+    """
+    if found.record.response.sp_changed and found.excitation is not None:
+        found.excitation = replace(found.excitation, clear=found.excitation.clear + 1)
 
 
 def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
@@ -470,6 +480,7 @@ STAGES = (
     Stage("proof", proof),
     Stage("refutation", refutation),
     Stage("worth", worth),
+    Stage("runaway", runaway),
     Stage("confirmation", confirmation),
     Stage("return", cut_refuted, always=True),
     Stage("expectation", expectation, always=True),

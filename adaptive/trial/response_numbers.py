@@ -41,15 +41,15 @@ class Shape:
     settle_s: float
 
 
-def peaks_of(e: FloatArray) -> list[float]:
-    """The extremes of the half waves of an error, in order, at most three; small ripple is passed over."""
+def peaks_of(e: FloatArray, most: int = 3) -> list[float]:
+    """The extremes of the half waves of an error, in order, at most so many; small ripple is passed over."""
     kept = np.flatnonzero(np.abs(e) > SMALL * np.max(np.abs(e), initial=0.0))
     if not kept.size:
         return []
     signs = np.sign(e[kept])
     starts = np.concatenate([[0], np.flatnonzero(np.diff(signs)) + 1, [kept.size]])
     halves = [e[kept[a:b]] for a, b in pairwise(starts)]
-    return [float(half[np.argmax(np.abs(half))]) for half in halves[:3]]
+    return [float(half[np.argmax(np.abs(half))]) for half in halves[:most]]
 
 
 def swing(peaks: list[float], unseen: float = 0.0) -> tuple[float, float, float]:

@@ -83,10 +83,10 @@ def test_a_model_that_the_loop_refutes_is_forgotten(monkeypatch: pytest.MonkeyPa
     assert [d.action for d in bench.run(500, 1.0)] == [Action.ADVISE]
     assert bench.retuner.excitation[0].setpoints == 1
     monkeypatch.setattr(causes, "not_seen", lambda *_: "the loop came to rest")
-    (refuted,) = bench.run(500, 0.0)
+    (refuted,) = bench.run(500, 1.0, 2.0)  # a load: a setpoint step that needs none is not asked
     assert (refuted.code, refuted.action, refuted.agreement) == ("unconfirmed", Action.NONE, Agreement.AGREES)
     assert (bench.retuner.region_models, bench.retuner.excitation) == ({}, {})
-    (again,) = bench.run(500, 1.0)
+    (again,) = bench.run(500, 0.0, 2.0)
     assert again.agreement == Agreement.FIRST
 
 

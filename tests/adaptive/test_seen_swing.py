@@ -9,6 +9,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.trial.batch_responses import Loop
+from retuner.adaptive.trial.response_numbers import peaks_of
 from retuner.schedule.gains import PidGains
 
 MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)
@@ -33,6 +34,23 @@ def test_a_loop_that_came_to_rest_refutes_a_swing() -> None:
 def test_a_swing_that_rides_on_a_slow_return_need_not_cross_over() -> None:
     assert said(SWINGS, 1.0, setpoint=False) == ""  # by the model: -1, 0.02, -0.6 of the first peak
     assert said(GOOD, 1.0, setpoint=False) == ""
+
+
+@pytest.mark.parametrize(("third", "refuted"), [(0.6, False), (0.02, True)])
+def test_a_half_wave_the_wrong_way_that_nobody_sees_is_no_first_peak(third: float, *, refuted: bool) -> None:
+    inverse = ProcessModel(ProcessType.SOPDT_INVERSE, 1.0, 10.0, 3.0, 2.0, inverse_s=1.0)
+    loop = Loop(inverse.linear(), PidGains(2.2, 0.4))
+    response = Response(0.0, 100.0, (Peak(9.0, -1.0), Peak(25.0, 0.75), Peak(41.0, -third)), Ending.COMPLETE, False, BAND)  # fmt: skip  # noqa: E501
+    trace = foretold(response, loop)
+    first, second, *_ = peaks_of(trace.e)
+    assert abs(first) < BAND * abs(second)
+    assert bool(not_seen(response, trace, SWING)) is refuted
+
+
+def test_a_peak_of_which_half_would_be_lost_in_the_noise_may_be_missed() -> None:
+    said_third = 3.0 * BAND / 0.6  # by the model more than 0.6 of the first peak
+    assert said(SWINGS, said_third, -0.9 * said_third) == ""
+    assert "came to rest" in said(SWINGS, 3 * said_third, -0.9 * said_third)
 
 
 def test_a_swing_that_may_still_come_or_is_too_small_to_be_seen_is_not_refuted() -> None:

@@ -30,9 +30,12 @@ def weighed(
     *,
     clear: bool = False,
     ready: bool = True,
+    setpoint: bool | None = None,
 ) -> StageResult:
-    """The pipeline's last stages on one response, with what comes before them given."""
-    verdict: Any = SimpleNamespace(accepted=True, ruling=Ruling.ACCEPTED, allowed=(), urgent=True, ms_before=2.0)
+    """The pipeline's last stages on one response, with what comes before them given. setpoint : as clear."""
+    verdict: Any = SimpleNamespace(
+        accepted=True, ruling=Ruling.ACCEPTED, allowed=(), urgent=True, ms_before=2.0, gains=None
+    )
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "clear_case": lambda *_: clear,
@@ -58,7 +61,7 @@ def weighed(
         crossed=False,
         at=(0.0, None),
         pattern=None,
-        response=SimpleNamespace(sp_changed=clear, peaks=()),
+        response=SimpleNamespace(sp_changed=clear if setpoint is None else setpoint, peaks=()),
         window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
     )
     learned: Any = SimpleNamespace(
@@ -106,3 +109,12 @@ def test_a_first_record_rests_on_itself_ready_or_not(monkeypatch: pytest.MonkeyP
 
 def test_a_response_that_cannot_tell_is_nothing_that_a_model_rests_on(monkeypatch: pytest.MonkeyPatch) -> None:
     assert weighed(monkeypatch, Agreement.SILENT, Cause.NOISE).excitation == BEFORE
+
+
+@pytest.mark.parametrize(("doubt", "setpoint", "clear"), [(None, True, 1), (None, False, 0), (Cause.UNKNOWN, True, 0)])
+def test_a_setpoint_response_that_the_whole_diagnosis_confirms_counts_as_clear(
+    monkeypatch: pytest.MonkeyPatch, doubt: Cause | None, clear: int, *, setpoint: bool
+) -> None:
+    found = weighed(monkeypatch, Agreement.AGREES, doubt, setpoint=setpoint)
+    assert found.excitation is not None
+    assert found.excitation.clear == clear
