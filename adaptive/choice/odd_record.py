@@ -16,9 +16,10 @@ Where a record is odd, what was known before it holds. What a set is expected to
 """
 
 import math
-import statistics
 from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from retuner.adaptive.choice.expected_cost import FARTHEST, Outlook
 from retuner.adaptive.choice.settings import ChoiceSettings
@@ -35,7 +36,7 @@ def oddness(innovation: float, before: Sequence[float], freedom: int, settings: 
     innovation : of the record, chi-square of `freedom` degrees. before : the same of the last records.
     """
     foretold = _median(freedom)
-    usual = statistics.median([*before, *[foretold] * AS_FORETOLD])
+    usual = float(np.median([*before, *[foretold] * AS_FORETOLD]))
     chi2 = innovation * max(foretold / max(usual, settings.odd_least * foretold), 1.0)
     spread = settings.odd_spread
     exponent = chi2 * (1.0 - spread**-2) / 2.0 - freedom * math.log(spread)

@@ -35,12 +35,12 @@ def unusual(type_: ProcessType, x: FloatArray) -> float:
         return 0.0
     if type_ in INVERSE:  # which is as good as a dead time
         return max(float(x[INVERSE[type_]] - x[SECOND[type_]]) - math.log(MOST_TIMES), 0.0) / SPREAD
-    return max(math.log(LEAST_SHARE) + float(x[_shortest(type_, x)] - x[THETA]), 0.0) / SPREAD
+    return max(math.log(LEAST_SHARE) + float(x[SECOND[type_]] - x[_dead(type_, x)]), 0.0) / SPREAD
 
 
-def _shortest(type_: ProcessType, x: FloatArray) -> int:
-    """Place of the shortest lag after the first: c2, or a third lag."""
-    return THIRD[type_] if type_ in THIRD and x[THIRD[type_]] < x[SECOND[type_]] else SECOND[type_]
+def _dead(type_: ProcessType, x: FloatArray) -> int:
+    """Place of what delays most: the dead time, or a third lag that is as good as one."""
+    return THIRD[type_] if type_ in THIRD and x[THIRD[type_]] > x[THETA] else THETA
 
 
 def usual(type_: ProcessType, x: FloatArray) -> Prior | None:
@@ -48,9 +48,6 @@ def usual(type_: ProcessType, x: FloatArray) -> Prior | None:
     if unusual(type_, x) <= 0:
         return None
     row = np.zeros((1, SIZE[type_]))
-    inverse = type_ in INVERSE
-    place, beside, ratio = (
-        (INVERSE[type_], SECOND[type_], MOST_TIMES) if inverse else (THETA, _shortest(type_, x), LEAST_SHARE)
-    )
-    row[0, place], row[0, beside] = 1 / SPREAD, -1 / SPREAD
+    place, ratio = (INVERSE[type_], MOST_TIMES) if type_ in INVERSE else (_dead(type_, x), LEAST_SHARE)
+    row[0, place], row[0, SECOND[type_]] = 1 / SPREAD, -1 / SPREAD
     return Prior(row, np.array([math.log(ratio) / SPREAD]))

@@ -43,9 +43,11 @@ from retuner.adaptive.supervision.causes import (
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import (
+    chosen,
     may_follow,
     posterior_of,
     promised,
+    proved,
     unproved_request,
     walked,
 )
@@ -53,7 +55,6 @@ from retuner.adaptive.supervision.pipeline_types import Findings, Question, Resp
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.supervision.worth import chosen, proved
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.adaptive.weighed import NO_NUMBERS
