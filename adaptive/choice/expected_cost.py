@@ -209,7 +209,7 @@ class ChoiceNumbers(Numbers):
     gain : expected, as a natural logarithm of IAE, with its price. doubt : probability of something else. odd : that
     the newest record is odd, so that what was known before it holds.
     iae : J over J in force on the most likely model. ms, ms_most : Ms there and on the worst one; ms_before : in force.
-    -1 where it is not known or unstable.
+    -1 where it is not known or unstable; odd is None where it is not worth telling.
     """
 
     gain: float
@@ -219,7 +219,7 @@ class ChoiceNumbers(Numbers):
     ms: float
     ms_most: float
     ms_before: float
-    odd: float = 0.0
+    odd: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +261,8 @@ def choose(
     now, then = found[0], found[best]
     iae = then.j / now.j if math.isfinite(now.j) and math.isfinite(then.j) else -1.0
     told = storable(then.ms), storable(then.ms_most), storable(now.ms)
-    numbers = ChoiceNumbers(brings, settings.price, p, iae, *told, seen.odd)
+    odd = seen.odd if seen.odd >= LEAST_SAID else None
+    numbers = ChoiceNumbers(brings, settings.price, p, iae, *told, odd)
     return Choice(best if goes else 0, best, waits, numbers, _words(numbers, goes=goes, waits=waits))
 
 
@@ -280,7 +281,7 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
     iae = f"IAE {numbers.iae:.0%} of the present" if numbers.iae >= 0 else "IAE not comparable"
     then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
     sure = f"{_chance(numbers.doubt)} probability that something else is behind the records"
-    if numbers.odd >= LEAST_SAID:
+    if numbers.odd is not None:
         sure += f", {_chance(numbers.odd)} that this one is odd beside those before it"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
