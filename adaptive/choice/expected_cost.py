@@ -23,7 +23,7 @@ no part of this: that is the guard's (guard/proof.py), and only what it proved i
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from retuner.adaptive.choice.settings import ChoiceSettings
 from retuner.adaptive.identification.plausible import Plausible
@@ -51,6 +51,7 @@ class Seen:
     loads : load steps that the fit of this one needed. limited : its output stood at a limit. left : more than noise
     is left of it.
     decay : half-cycle decay ratio of the response; None where it does not tell.
+    odd : probability that the newest record is odd (odd_record.py).
     """
 
     records: int
@@ -59,6 +60,7 @@ class Seen:
     limited: bool = False
     left: bool = False
     decay: float | None = None
+    odd: float = 0.0
 
 
 def doubt(seen: Seen, settings: ChoiceSettings) -> float:
@@ -204,9 +206,10 @@ def if_unknown(now: PidGains, new: PidGains, decay: float | None, settings: Choi
 class ChoiceNumbers(Numbers):
     """What was weighed, of the best set that may be written.
 
-    gain : expected, as a natural logarithm of IAE, with its price. doubt : probability of something else.
+    gain : expected, as a natural logarithm of IAE, with its price. doubt : probability of something else. odd : that
+    the newest record is odd, so that what was known before it holds.
     iae : J over J in force on the most likely model. ms, ms_most : Ms there and on the worst one; ms_before : in force.
-    -1 where it is not known or unstable.
+    -1 where it is not known or unstable; odd is None where it is not worth telling.
     """
 
     gain: float
@@ -216,6 +219,7 @@ class ChoiceNumbers(Numbers):
     ms: float
     ms_most: float
     ms_before: float
+    odd: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,13 +235,20 @@ class Choice:
     reason: str = field(default="")
 
 
-def choose(found: Sequence[Outlook], way: Outlook | None, seen: Seen, settings: ChoiceSettings) -> Choice:
+def choose(
+    found: Sequence[Outlook],
+    way: Outlook | None,
+    seen: Seen,
+    settings: ChoiceSettings,
+    agreed: Sequence[Outlook] = (),
+) -> Choice:
     """Which set shall run.
 
     Parameters
     ----------
     found : the set in force first, then at least one that is proved.
     way : of the whole way on which limits allow a step only; such a step need not bring its price by itself.
+    agreed : the same as found if the next record agrees with the newest, where that may be odd.
     """
     p = doubt(seen, settings)
     gains = [_gain(found[0], outlook, p) for outlook in found]
@@ -245,10 +256,13 @@ def choose(found: Sequence[Outlook], way: Outlook | None, seen: Seen, settings: 
     brings = max(gains[best], _gain(found[0], way, p) if way is not None else 0.0)
     goes = gains[best] > 0.0 and brings > settings.price
     more = doubt(_once_more(seen), settings)
-    waits = not goes and _gain(found[0], found[best], more) > settings.price
+    then_found = agreed or found
+    waits = not goes and _gain(then_found[0], then_found[best], more) > settings.price
     now, then = found[0], found[best]
     iae = then.j / now.j if math.isfinite(now.j) and math.isfinite(then.j) else -1.0
-    numbers = ChoiceNumbers(brings, settings.price, p, iae, storable(then.ms), storable(then.ms_most), storable(now.ms))
+    told = storable(then.ms), storable(then.ms_most), storable(now.ms)
+    odd = seen.odd if seen.odd >= LEAST_SAID else None
+    numbers = ChoiceNumbers(brings, settings.price, p, iae, *told, odd)
     return Choice(best if goes else 0, best, waits, numbers, _words(numbers, goes=goes, waits=waits))
 
 
@@ -259,7 +273,7 @@ def _gain(now: Outlook, then: Outlook, p: float) -> float:
 
 def _once_more(seen: Seen) -> Seen:
     """With another record like it."""
-    return Seen(seen.records + 1, seen.clear, seen.loads, seen.limited, seen.left, seen.decay)
+    return replace(seen, records=seen.records + 1)
 
 
 def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
@@ -267,6 +281,8 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
     iae = f"IAE {numbers.iae:.0%} of the present" if numbers.iae >= 0 else "IAE not comparable"
     then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
     sure = f"{_chance(numbers.doubt)} probability that something else is behind the records"
+    if numbers.odd is not None:
+        sure += f", {_chance(numbers.odd)} that this one is odd beside those before it"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
     why = "a second record must agree before a change" if waits else _too_little(numbers)

@@ -1,6 +1,6 @@
 """What the decision on a change weighs with (expected_cost.py), each number with where it comes from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from retuner.adaptive.setting import Setting, require_in_range
@@ -26,6 +26,15 @@ class ChoiceSettings:
             "How far ln Ms of a model is from the truth", 0.01, 0.3, source="0.04 on 204 changes of batch, seed 51"
         ),
     ] = 0.04
+    ms_width_loads: Annotated[
+        float,
+        Setting(
+            "The same where no setpoint step is among the records: a load does not tell its own time from a dead time",
+            0.01,
+            0.3,
+            source="0.08 on 41 decisions of harm, seed 9531, and 36 of loads alone, seed 602; else 0.012",
+        ),
+    ] = 0.08
     j_width: Annotated[float, Setting("The same of ln J", 0.01, 0.5, source="the same changes")] = 0.06
     ms_slope: Annotated[
         float,
@@ -76,6 +85,36 @@ class ChoiceSettings:
     most_agree: Annotated[
         int, Setting("Further records that count", 1, 20, "records", source="odds of 1 in 250 are no longer counted")
     ] = 3
+    odd: Annotated[
+        float,
+        Setting(
+            "Odds that a record is odd, before it is looked at",
+            0.0,
+            1.0,
+            source="one in ten: innovations over the 95 % point in four loops of harm, seed 9531",
+        ),
+    ] = 0.1
+    odd_spread: Annotated[
+        float, Setting("How many times farther an odd record lies", 1.5, 10.0, source="contaminated normal, Tukey 1960")
+    ] = 3.0
+    odd_most: Annotated[
+        float,
+        Setting(
+            "Of records that look odd, the share that is; the others are the first of a changed process",
+            0.0,
+            1.0,
+            source="one in five has changed, as in way_back.py",
+        ),
+    ] = 0.8
+    odd_least: Annotated[
+        float,
+        Setting(
+            "Least innovation that is usual in a region, over what is foretold",
+            0.01,
+            1.0,
+            source="a third of the foretold spread: no record repeats better",
+        ),
+    ] = 0.1
     risk: Annotated[
         float,
         Setting("Risk of more action on an unknown process, per unit of ln", 0.0, 10.0, source="kc x2 costs kc x2"),
@@ -96,3 +135,7 @@ class ChoiceSettings:
 
     def __post_init__(self) -> None:
         require_in_range(self, "choice")
+
+    def by_loads(self) -> "ChoiceSettings":
+        """The same for models that rest on loads alone."""
+        return replace(self, ms_width=max(self.ms_width, self.ms_width_loads))

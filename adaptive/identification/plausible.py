@@ -41,6 +41,8 @@ WIDE = 0.15
 """Standard deviation of a logarithm up to which a derivative is believed."""
 SHORTER, SHORTER_STEPS = 0.5, 5
 """Factor by which an axis is shortened where it rises more, so many times at the most."""
+BOUND_ROOM = 0.5
+"""Share of WIDE by which the end of a short step may lie outside the bounds: axes are never quite along a parameter."""
 REACH_EVALUATIONS = 6
 """Evaluations of the misfit at one of its ends."""
 SAME = 1e-3
@@ -126,15 +128,28 @@ def within_reach(fit: Fit, covariance: FloatArray, prior: Prior | None, inflatio
 
     Where three lags are nearly equal, or the dead time nearly nothing, a derivative says that all goes. It does not:
     the misfit rises with the second power of what the derivative leaves free. inflation : as for the residuals.
+
+    A side that leads out of what is fitted at all is not asked: a dead time of nothing cannot be less, and may be more.
+    To count it as a wall made such a dead time "known to 15 %", and every later record was held to it.
     """
     values, vectors = np.linalg.eigh(covariance)
     at = _deviance(fit.misfit, fit.p, prior)
     for axis, vector in enumerate(vectors.T):
         std = math.sqrt(max(float(values[axis]), 0.0))
         if std > WIDE:
-            share = min(_reach(fit, side * std * vector, prior, at + ONE * inflation**2) for side in (1.0, -1.0))
+            open_ = [side * std * vector for side in (1.0, -1.0) if _within_bounds(fit, side * WIDE * vector)]
+            share = min((_reach(fit, step, prior, at + ONE * inflation**2) for step in open_), default=1.0)
             values[axis] = max(share * std, WIDE) ** 2
     return np.asarray(vectors * values @ vectors.T, dtype=np.float64)
+
+
+def _within_bounds(fit: Fit, step: FloatArray) -> bool:
+    """Whether a step of x stays within what is fitted."""
+    low, high = bounds(fit.misfit)
+    d = len(step)
+    there = fit.x + step
+    room = BOUND_ROOM * WIDE
+    return bool(np.all(there >= low[:d] - room) and np.all(there <= high[:d] + room))
 
 
 def _reach(fit: Fit, step: FloatArray, prior: Prior | None, most: float) -> float:

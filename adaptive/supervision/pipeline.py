@@ -10,10 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.choice.expected_cost import Choice, LoopSettings, Seen, choose, outlooks
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.guard import GuardSettings, Verdict, prove
-from retuner.adaptive.guard.step_size import along
+from retuner.adaptive.guard import prove
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import as_wide_as_known, borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -45,11 +43,11 @@ from retuner.adaptive.supervision.causes import (
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import (
-    choosable,
+    chosen,
     may_follow,
     posterior_of,
     promised,
-    request_of,
+    proved,
     runaway,
     unproved_request,
     walked,
@@ -58,7 +56,6 @@ from retuner.adaptive.supervision.pipeline_types import Findings, Question, Resp
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import decay_seen
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.adaptive.weighed import NO_NUMBERS
@@ -283,16 +280,10 @@ def cause(found: Findings) -> None:
 def proof(found: Findings) -> None:
     """May the region have the gains that the rule gives?"""
     wanted = _wanted(found)
-    found.verdict = _proved(found, _in_use(found), wanted)
+    found.verdict = proved(found, _in_use(found), wanted)
     found.proposal, found.basis = wanted.tuning, Basis.MODEL
     if not found.verdict.accepted:
         found.stop(found.verdict.ruling.name.lower(), found.verdict.sentence)
-
-
-def _proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: GuardSettings | None = None) -> Verdict:
-    """The guard's word on what the rule gives for a model. guard : its settings, None for those of the loop."""
-    request = request_of(found.record, model, wanted.tuning, found.learned, found.settings)
-    return prove(request, guard or found.settings.guard)
 
 
 def refutation(found: Findings) -> None:
@@ -313,7 +304,7 @@ def worth(found: Findings) -> None:
     """
     if found.verdict is None or not found.verdict.accepted:
         return
-    choice, verdict = _chosen(found, _in_use(found), _wanted(found), found.verdict)
+    choice, verdict = chosen(found, _in_use(found), _wanted(found), found.verdict)
     found.numbers = choice.numbers
     if choice.index == 0:
         found.verdict = found.basis = None
@@ -327,52 +318,6 @@ ONE_RECORD = "one_record"
 """Code: a second record that agrees would make the change worth it."""
 NOT_WORTH = "not_worth"
 """Code: the gains in force are expected to cost no more, or hardly more, than others."""
-
-
-def _chosen(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> tuple[Choice, Verdict]:
-    """The choice between the gains in force, the proved change and steps on its way; and the proof of the best one."""
-    record, settings = found.record, found.settings
-    proved = [verdict, *_steps(found, model, wanted, verdict)]
-    whole = _proved(found, model, wanted, settings.guard.whole_step()) if verdict.step < 1.0 else None
-    sets = [record.table.gains_of(record.region), *(one.gains for one in proved), whole.gains if whole else None]
-    known = {**record.region_models, record.region: model}
-    placed = [choosable(record, known, gains, settings) for gains in sets if gains is not None]
-    decay = decay_seen(record.pattern)
-    loop = LoopSettings(settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
-    looked = outlooks(verdict.allowed, placed, decay, loop, settings.choice)
-    way = looked[1 + len(proved)] if len(looked) > 1 + len(proved) else None
-    choice = choose(looked[: 1 + len(proved)], way, _seen(found, model, decay), settings.choice)
-    return choice, proved[choice.best - 1]
-
-
-def _steps(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> list[Verdict]:
-    """Parts of a proved change that are proved as well."""
-    now, proved = found.record.table.gains_of(found.record.region), []
-    assert verdict.gains is not None
-    for share in PARTS:
-        part = replace(wanted, tuning=replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None))
-        one = _proved(found, model, part)
-        if one.accepted:
-            notes = (*verdict.notes, f"{share:.0%} of the proved change, which is expected to cost less than all of it")
-            proved.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s, notes=notes))
-    return proved
-
-
-PARTS = (0.75, 0.5, 0.25)
-"""Shares of a proved change that are weighed beside it."""
-
-
-def _seen(found: Findings, model: RegionModel, decay: float | None) -> Seen:
-    """What bears on whether the models are a fiction."""
-    record, learned = found.record, _learned(found)
-    return Seen(
-        model.records + int(found.joined > 0),
-        found.rested_on.clear + int(found.clear and not record.response.taken_over),
-        len(learned.estimate.load_times_s),
-        any(sample.limited for sample in record.own),
-        found.unexplained > found.settings.swing.unexplained,
-        decay,
-    )
 
 
 def confirmation(found: Findings) -> None:
