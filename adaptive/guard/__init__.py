@@ -15,12 +15,13 @@ from retuner.adaptive.guard.request import (
 )
 from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
 from retuner.adaptive.guard.settings import GuardSettings
-from retuner.adaptive.guard.step_size import change_factor, within_limits
+from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor, within_limits
 
 __all__ = [
     "KC_ONLY",
     "NO_DERIVATIVE",
     "NO_LOCKS",
+    "SAME_GAINS",
     "ChangeRequest",
     "Check",
     "Evidence",

@@ -121,6 +121,10 @@ def along(old: PidGains, new: PidGains, share: float) -> PidGains:
     return PidGains(*found)
 
 
+SAME_GAINS = 1.00001
+"""Gains closer than this factor are one set: float32 on the wire rounds by 1.0000001."""
+
+
 def change_factor(old: PidGains, new: PidGains) -> float:
     """Largest factor by which one of the gains differs (infinite when one appears, goes, or acts the other way)."""
     factors = [

@@ -1,6 +1,5 @@
 """From what is known of a loop to the guard's question, may this region have these gains, and to what the judge is
 shown of gains on trial: what they promise, what was seen, and what is known by then of the tried set and the old one.
-Between the two stands the choice: which sets and models the expected cost is asked of (choice/expected_cost.py).
 """
 
 import math
@@ -12,27 +11,16 @@ from itertools import islice
 import numpy as np
 
 from retuner.adaptive.choice.expected_cost import (
-    LEAST_SAID,
-    Choice,
     Choosable,
-    LoopSettings,
-    Outlook,
-    Seen,
-    choose,
-    outlooks,
 )
-from retuner.adaptive.choice.odd_record import by_odds, oddness
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause, with_second_lag
-from retuner.adaptive.diagnosis.runaway_process import Runaway, runaway_process, worse_on
-from retuner.adaptive.guard import GuardSettings, Verdict, prove
+from retuner.adaptive.guard import Verdict
 from retuner.adaptive.guard.between import eased, worst_between
 from retuner.adaptive.guard.border import borders_of, likeliest_between, mixed
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, Support
-from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed
-from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.region_model.at_knots import at_knots
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.kalman import gate
@@ -40,7 +28,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Learned, predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
@@ -284,83 +272,6 @@ def may_follow(trial: Trial, settings: RetunerSettings) -> bool:
     return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
 
 
-def proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: GuardSettings | None = None) -> Verdict:
-    """The guard's word on what the rule gives for a model. guard : its settings, None for those of the loop."""
-    request = request_of(found.record, model, wanted.tuning, found.learned, found.settings)
-    return prove(request, guard or found.settings.guard)
-
-
-def chosen(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> tuple[Choice, Verdict]:
-    """The choice between the gains in force, the proved change and steps on its way; and the proof of the best one."""
-    record, settings = found.record, found.settings
-    ways = [verdict, *_steps(found, model, wanted, verdict)]
-    whole = proved(found, model, wanted, settings.guard.whole_step()) if verdict.step < 1.0 else None
-    sets = [record.table.gains_of(record.region), *(one.gains for one in ways), whole.gains if whole else None]
-    known = {**record.region_models, record.region: model}
-    placed = [choosable(record, known, gains, settings) for gains in sets if gains is not None]
-    seen, asked = _seen(found, model), 1 + len(ways)
-    agreed = _looked(found, verdict.allowed, placed, seen)
-    looked = agreed
-    if seen.odd >= LEAST_SAID:
-        before = still_allowed(record.region_models[record.region], float(record.window.t_s[-1]), settings)
-        looked = by_odds(agreed, _looked(found, before, placed, seen), seen.odd)
-    way = looked[asked] if len(looked) > asked else None
-    choice = choose(looked[:asked], way, seen, settings.choice, agreed[:asked])
-    return choice, ways[choice.best - 1]
-
-
-def _looked(found: Findings, allowed: Sequence[Plausible], sets: Sequence[Choosable], seen: Seen) -> list[Outlook]:
-    """What each set is expected to do on models; these are less sure where no setpoint step is among the records."""
-    settings = found.settings
-    loop = LoopSettings(settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
-    by_setpoint = found.excitation_now.setpoints > 0 or found.joined > 0
-    return outlooks(allowed, sets, seen.decay, loop, settings.choice if by_setpoint else settings.choice.by_loads())
-
-
-def _steps(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> list[Verdict]:
-    """Parts of a proved change that are proved as well."""
-    now, accepted = found.record.table.gains_of(found.record.region), []
-    assert verdict.gains is not None
-    for share in PARTS:
-        part = replace(wanted, tuning=replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None))
-        one = proved(found, model, part)
-        if one.accepted:
-            notes = (*verdict.notes, f"{share:.0%} of the proved change, which is expected to cost less than all of it")
-            accepted.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s, notes=notes))
-    return accepted
-
-
-PARTS = (0.75, 0.5, 0.25)
-"""Shares of a proved change that are weighed beside it."""
-
-
-def _seen(found: Findings, model: RegionModel) -> Seen:
-    """What bears on whether the models are a fiction."""
-    record, learned = found.record, found.learned
-    assert learned is not None  # after the stage of identification
-    return Seen(
-        model.records + int(found.joined > 0),
-        found.rested_on.clear + int(found.clear and not record.response.taken_over),
-        len(learned.estimate.load_times_s),
-        any(sample.limited for sample in record.own),
-        found.unexplained > found.settings.swing.unexplained,
-        decay_seen(record.pattern),
-        _odd(found, model),
-    )
-
-
-def _odd(found: Findings, model: RegionModel) -> float:
-    """Probability that the newest record is odd; 0 where what was known carries no settings, or is what decides."""
-    record, learned = found.record, found.learned
-    before = record.region_models.get(record.region)
-    if learned is None or learned.agreement is not Agreement.AGREES:
-        return 0.0
-    if before is None or before is model or not (before.records and before.identifiable):
-        return 0.0
-    usual = [point.innovation for point in before.points if point.innovation > 0.0]
-    return oddness(learned.innovation, usual, len(before.log.x), found.settings.choice)
-
-
 def promise_of(
     verdict: Verdict | None,
     table: GainTable,
@@ -481,59 +392,3 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     safer_due = outcome.verdict is not None and outcome.verdict.accepted and outcome.verdict.urgent
     told = (outcome.posterior, case.crossed, safer_due, outcome.walked)
     return JudgedResponse(case.response, window, limited, outside, *told)
-
-
-# Before a change lets it go: do the gains in force hold a process that runs away by itself?
-
-
-BEFORE = 5
-"""Samples before a setpoint step that are looked at with it."""
-FEWEST = 3
-"""Samples of a window."""
-
-
-def runaway(found: Findings) -> None:
-    """Does the process run away by itself, and would the proved change hold it worse?
-
-    The last setpoint step under these gains shows it. What settings follow from has no such pole, and on an integrator
-    in its place less gain looks safer.
-    """
-    record, verdict, settings = found.record, found.verdict, found.settings
-    if verdict is None or verdict.gains is None or found.steps is not None or record.pattern is None:
-        return
-    window = _last_step(record)
-    if window is None:
-        return
-    law = SampledLaw(record.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
-    shown = runaway_process(window, law)
-    if shown is None:
-        return
-    after = record.table.with_gains(record.region, verdict.gains).at(record.region, *record.at)
-    worse = worse_on(shown, law, after, len(window.pv), settings.cause.ms_high)
-    if worse is not None:
-        found.doubted(_told(shown, *worse))
-
-
-def _last_step(record: ResponseRecord) -> Window | None:
-    """From the last setpoint step under these gains to the end of its response, or to the load that came next; None
-    where none is kept, or co did not follow its law.
-    """
-    response, revision = record.response, record.samples[-1].revision
-    end_s = response.t_end_s if response.sp_changed else response.t_start_s
-    kept = [s for s in record.samples if s.t_s <= end_s and s.revision == revision and s.t_s >= record.entered_s]
-    at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
-    own = kept[max(at - BEFORE, 0) :]
-    followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
-    return Window.of(own) if at and followed and len(own) >= FEWEST else None
-
-
-def _told(shown: Runaway, before: float, after: float) -> Diagnosis:
-    """Why nothing changes. before, after : Ms on it."""
-    then = f"Ms {before:.2f} -> {after:.2f}" if math.isfinite(after) else f"Ms {before:.2f} now"
-    what = "make it less robust" if math.isfinite(after) else "not hold it"
-    reason = (
-        f"the process runs away by itself, by a factor of 2.7 in {shown.grows_s:.3g} s; the gains hold it. "
-        f"What the rule gives would {what} ({then}); there is no rule for such a process"
-    )
-    evidence = {"runs_away_s": shown.grows_s, "ms": before}
-    return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)

@@ -40,18 +40,11 @@ from retuner.adaptive.supervision.causes import (
     wanted_of,
     wrong_way,
 )
+from retuner.adaptive.supervision.choosing import chosen, proved
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.elsewhere import elsewhere
-from retuner.adaptive.supervision.guard_request import (
-    chosen,
-    may_follow,
-    posterior_of,
-    promised,
-    proved,
-    runaway,
-    unproved_request,
-    walked,
-)
+from retuner.adaptive.supervision.guard_request import may_follow, posterior_of, promised, unproved_request, walked
+from retuner.adaptive.supervision.held_process import runaway
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model

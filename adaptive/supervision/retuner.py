@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.guard import change_factor
+from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.signals.recogniser import RecogniserPhase
@@ -33,7 +33,6 @@ from retuner.adaptive.supervision.decision import (
     staying,
 )
 from retuner.adaptive.supervision.guard_request import known_of, promise_of, seen_of
-from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
     LOST,

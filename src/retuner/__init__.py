@@ -21,6 +21,8 @@ from retuner.adaptive.fit import engine
 if TYPE_CHECKING:
     from retuner.adaptive.loop.margins import margins as margins
     from retuner.adaptive.loop.performance import performance as performance
+    from retuner.adaptive.orders.operator_orders import approve_proposal as approve_proposal
+    from retuner.adaptive.orders.operator_orders import found_running as found_running
     from retuner.adaptive.process.model import LinearProcess as LinearProcess
     from retuner.adaptive.process.model import ProcessModel as ProcessModel
     from retuner.adaptive.process.model import ProcessType as ProcessType
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from retuner.adaptive.supervision.decision import Action as Action
     from retuner.adaptive.supervision.decision import Decision as Decision
     from retuner.adaptive.supervision.decision import Mode as Mode
-    from retuner.adaptive.supervision.operator_orders import approve_proposal as approve_proposal
-    from retuner.adaptive.supervision.operator_orders import found_running as found_running
     from retuner.adaptive.supervision.retuner import Retuner as Retuner
     from retuner.adaptive.supervision.settings import RetunerSettings as RetunerSettings
     from retuner.adaptive.supervision.state_file import remember as remember
@@ -116,7 +116,7 @@ _HOMES = {
     "adaptive.process.reduction": ("reduce",),
     "adaptive.signals.sample": ("LoopMode", "LoopSample"),
     "adaptive.supervision.decision": ("Action", "Decision", "Mode"),
-    "adaptive.supervision.operator_orders": ("approve_proposal", "found_running"),
+    "adaptive.orders.operator_orders": ("approve_proposal", "found_running"),
     "adaptive.supervision.retuner": ("Retuner",),
     "adaptive.supervision.settings": ("RetunerSettings",),
     "adaptive.supervision.state_file": ("remember", "restore"),

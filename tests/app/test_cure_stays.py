@@ -12,8 +12,8 @@ from test_trial_wire import CAUSES, EDITED
 from wire import FOREIGN, GOOD, OTHER, PLANT, Wire, is_telemetry
 
 from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.orders.operator_orders import revert
 from retuner.adaptive.supervision.decision import Action, Mode
-from retuner.adaptive.supervision.operator_orders import revert
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains

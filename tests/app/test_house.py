@@ -23,7 +23,7 @@ ORDER = (
         "experiments",
         "fit", "identification", "valve", "schedule_design", "schedule_choice", "region_model", "guard", "trial",
         "choice", "diagnosis", "without_model",
-        "supervision", "pretune", "nudge", "audit",
+        "supervision", "orders", "pretune", "nudge", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
@@ -57,7 +57,7 @@ MOST_FILES = 15  # in a package, beside its __init__.py
 LONGEST_FILE = 500  # lines: one whole story
 LONGEST_FUNCTION = 30  # lines of code without docstring, comments and blank lines
 # what these weigh are typed values (adaptive/weighed.py)
-DECIDING = ("guard", "trial", "choice", "without_model", "supervision")
+DECIDING = ("guard", "trial", "choice", "without_model", "supervision", "orders")
 EDGE = {"to_dict", "gains_dict", "_seen_out"}  # functions that write the plain form
 
 

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry
 
-from retuner.adaptive.supervision.operator_orders import revert
+from retuner.adaptive.orders.operator_orders import revert
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.drivers.protocol.checksum import to_wire

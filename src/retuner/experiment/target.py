@@ -4,14 +4,12 @@ from typing import NamedTuple
 
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Kind, Plan, RelayState, Rest, relay_output
-from retuner.adaptive.guard import change_factor
+from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.decision_page.explain import settings_text
 from retuner.drivers.device import Device, WriteRefusedError
 from retuner.schedule.gains import PidGains
 
-SAME_GAINS = 1.00001
-"""Gains closer than this factor are one set: float32 on the wire rounds by 1.0000001."""
 SAME_SP = 1e-6
 """Setpoints closer than this share of their size are one: float32 again."""
 CO_SHOWN = 0.001

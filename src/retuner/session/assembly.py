@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from retuner.adaptive.guard import GuardSettings, Locks, change_factor
+from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Locks, change_factor
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
@@ -50,8 +50,6 @@ from retuner.errors import UserError
 from retuner.ledger import Recorder
 from retuner.schedule.table import GainTable, Lookup
 
-SAME_GAINS = 1.00001
-"""Gains closer than this factor are one set, as for the gain writer."""
 REGION_ROOM = 4.0
 """The device takes steps this much larger than those between the commissioned regions: regions get retuned."""
 

@@ -11,7 +11,7 @@ While a set is being taken back the table has the verified one already, so no wa
 from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 
-from retuner.adaptive.guard import change_factor
+from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.supervision.decision import Decision, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
@@ -21,8 +21,6 @@ from retuner.ledger import Recorder
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
-SAME_GAINS = 1.00001
-"""Gains closer than this factor are one set: float32 on the wire rounds by 1.0000001."""
 INTERPOLATION_STEP = 1.02
 """An interpolated schedule is written when a gain has moved by this factor: a write costs about ten frames."""
 RETRY_SAMPLES = 30

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from retuner.adaptive.nudge.planner import NudgePhase
+from retuner.adaptive.orders.operator_orders import accept, acts, approve, revert, set_mode, unlock
+from retuner.adaptive.orders.pending_proposal import Proposal
 from retuner.adaptive.pretune import pretune
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
-from retuner.adaptive.supervision.operator_orders import accept, acts, approve, revert, set_mode, unlock
-from retuner.adaptive.supervision.pending_proposal import Proposal
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent

@@ -13,9 +13,9 @@ from enum import Enum
 
 from retuner.adaptive.nudge.planner import NudgeNews, NudgePhase
 from retuner.adaptive.nudge.watching import Nudger
+from retuner.adaptive.orders.operator_orders import acts
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
-from retuner.adaptive.supervision.operator_orders import acts
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import DecideHere, Decider
@@ -34,11 +34,11 @@ from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
 from retuner.report.trend import Trend
 from retuner.schedule.table import GainTable
-from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, SAME_GAINS, GainWriter
+from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, GainWriter
 from retuner.session.ledger_rows import HELD_BY, abort_cause, trouble
 from retuner.session.scenario import ScenarioPlayer
 
-__all__ = ["HOLD_SAMPLES", "RETRY_SAMPLES", "SAME_GAINS", "LoopSession"]
+__all__ = ["HOLD_SAMPLES", "RETRY_SAMPLES", "LoopSession"]
 
 DECISIONS_KEPT = 5000
 """Decisions that are kept for report and summary, the newest ones; the ledger has all of them."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.decision import Action, Decision, Mode, gains_dict
-from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.proposed_schedule import ROW as SCHEDULE

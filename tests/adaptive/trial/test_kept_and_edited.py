@@ -13,11 +13,11 @@ from rig import GOOD, MODEL, PROMISE, Rig
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.orders.operator_orders import approve, approve_proposal, found_running
+from retuner.adaptive.orders.pending_proposal import Proposal
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.operator_orders import approve, approve_proposal, found_running
-from retuner.adaptive.supervision.pending_proposal import Proposal
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings

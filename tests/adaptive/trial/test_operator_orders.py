@@ -14,11 +14,11 @@ from rig import BAD, GOOD, PROMISE, Rig
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.orders.operator_orders import accept, approve, revert, unlock
+from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
-from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.decision import gains_dict
-from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.decision_page.explain import settings_text

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from retuner.adaptive.guard import change_factor
+from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
-from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.commands.options import FormOptions
 from retuner.commands.recorded.record_form import read_record, renamed, tell_assumed

@@ -12,14 +12,14 @@ set that would make the known process unstable is refused. While a change is on 
 import math
 from dataclasses import replace
 
-from retuner.adaptive.guard import GuardSettings, Verdict, change_factor, prove, within_limits
+from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Verdict, change_factor, prove, within_limits
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.guard_request import change_request
-from retuner.adaptive.supervision.pending_proposal import SAME_GAINS, Proposal, ProposalStanding
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.expectation import Promise

@@ -10,12 +10,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from retuner.adaptive.guard import change_factor
+from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.schedule.gains import PidGains
-
-SAME_GAINS = 1.00001
-"""Gains closer than this factor are one set: float32 on the wire rounds by 1.0000001."""
 
 
 class ProposalStanding(StrEnum):

@@ -1,0 +1,104 @@
+"""Which of the proved sets shall run: what staying, the proved change and steps on its way are expected to cost, on
+which models, and how much of that hangs on the newest record alone (choice/expected_cost.py, choice/odd_record.py).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from retuner.adaptive.choice.expected_cost import (
+    LEAST_SAID,
+    Choice,
+    Choosable,
+    LoopSettings,
+    Outlook,
+    Seen,
+    choose,
+    outlooks,
+)
+from retuner.adaptive.choice.odd_record import by_odds, oddness
+from retuner.adaptive.guard import GuardSettings, Verdict, prove
+from retuner.adaptive.guard.step_size import along
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import Agreement
+from retuner.adaptive.supervision.guard_request import choosable, request_of, still_allowed
+from retuner.adaptive.supervision.pipeline_types import Findings
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal
+from retuner.adaptive.trial.expectation import decay_seen
+
+
+def proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: GuardSettings | None = None) -> Verdict:
+    """The guard's word on what the rule gives for a model. guard : its settings, None for those of the loop."""
+    request = request_of(found.record, model, wanted.tuning, found.learned, found.settings)
+    return prove(request, guard or found.settings.guard)
+
+
+def chosen(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> tuple[Choice, Verdict]:
+    """The choice between the gains in force, the proved change and steps on its way; and the proof of the best one."""
+    record, settings = found.record, found.settings
+    ways = [verdict, *_steps(found, model, wanted, verdict)]
+    whole = proved(found, model, wanted, settings.guard.whole_step()) if verdict.step < 1.0 else None
+    sets = [record.table.gains_of(record.region), *(one.gains for one in ways), whole.gains if whole else None]
+    known = {**record.region_models, record.region: model}
+    placed = [choosable(record, known, gains, settings) for gains in sets if gains is not None]
+    seen, asked = _seen(found, model), 1 + len(ways)
+    agreed = _looked(found, verdict.allowed, placed, seen)
+    looked = agreed
+    if seen.odd >= LEAST_SAID:
+        before = still_allowed(record.region_models[record.region], float(record.window.t_s[-1]), settings)
+        looked = by_odds(agreed, _looked(found, before, placed, seen), seen.odd)
+    way = looked[asked] if len(looked) > asked else None
+    choice = choose(looked[:asked], way, seen, settings.choice, agreed[:asked])
+    return choice, ways[choice.best - 1]
+
+
+def _looked(found: Findings, allowed: Sequence[Plausible], sets: Sequence[Choosable], seen: Seen) -> list[Outlook]:
+    """What each set is expected to do on models; these are less sure where no setpoint step is among the records."""
+    settings = found.settings
+    loop = LoopSettings(settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
+    by_setpoint = found.excitation_now.setpoints > 0 or found.joined > 0
+    return outlooks(allowed, sets, seen.decay, loop, settings.choice if by_setpoint else settings.choice.by_loads())
+
+
+def _steps(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> list[Verdict]:
+    """Parts of a proved change that are proved as well."""
+    now, accepted = found.record.table.gains_of(found.record.region), []
+    assert verdict.gains is not None
+    for share in PARTS:
+        part = replace(wanted, tuning=replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None))
+        one = proved(found, model, part)
+        if one.accepted:
+            notes = (*verdict.notes, f"{share:.0%} of the proved change, which is expected to cost less than all of it")
+            accepted.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s, notes=notes))
+    return accepted
+
+
+PARTS = (0.75, 0.5, 0.25)
+"""Shares of a proved change that are weighed beside it."""
+
+
+def _seen(found: Findings, model: RegionModel) -> Seen:
+    """What bears on whether the models are a fiction."""
+    record, learned = found.record, found.learned
+    assert learned is not None  # after the stage of identification
+    return Seen(
+        model.records + int(found.joined > 0),
+        found.rested_on.clear + int(found.clear and not record.response.taken_over),
+        len(learned.estimate.load_times_s),
+        any(sample.limited for sample in record.own),
+        found.unexplained > found.settings.swing.unexplained,
+        decay_seen(record.pattern),
+        _odd(found, model),
+    )
+
+
+def _odd(found: Findings, model: RegionModel) -> float:
+    """Probability that the newest record is odd; 0 where what was known carries no settings, or is what decides."""
+    record, learned = found.record, found.learned
+    before = record.region_models.get(record.region)
+    if learned is None or learned.agreement is not Agreement.AGREES:
+        return 0.0
+    if before is None or before is model or not (before.records and before.identifiable):
+        return 0.0
+    usual = [point.innovation for point in before.points if point.innovation > 0.0]
+    return oddness(learned.innovation, usual, len(before.log.x), found.settings.choice)
