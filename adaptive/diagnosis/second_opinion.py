@@ -1,9 +1,8 @@
 """Before a change: is the response a clear case, or must the whole diagnosis confirm that it is the tuning?
 
-    clear        a setpoint step excited a loop that was at rest, or that the record before shows alike, and the loop by
-                 itself explains the response with at most one load step; or the loop runs away at such a step, or the
-                 change makes a loop safer that swings at its own crossover between the output's limits
-                 (swing_checks.py)
+    clear        a setpoint step excited a loop that was at rest, and the loop by itself explains the response with at
+                 most one load step; or the loop runs away at such a step, or the change makes a loop safer that
+                 swings at its own crossover between the output's limits (swing_checks.py)
     known        a clear setpoint step is among what the model rests on, and this response agrees with it
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
@@ -73,13 +72,9 @@ def is_clear(
     samples : kept, the newest last. left : what the linear fit leaves, in noise standard deviations. loads : load steps
     that it needed. One that other gains took over in motion goes on with what was judged when they came.
     """
+    explained = left <= settings.unexplained and loads <= settings.loads_beside
     from_rest = response.taken_over or was_at_rest(samples, response, settings)
-    return is_explained(response, left, loads, settings) and from_rest
-
-
-def is_explained(response: Response, left: float, loads: int, settings: SwingSettings) -> bool:
-    """Whether the loop by itself explains a setpoint response. left, loads : see is_clear."""
-    return bool(response.sp_changed) and left <= settings.unexplained and loads <= settings.loads_beside
+    return bool(response.sp_changed) and explained and from_rest
 
 
 def settle_alike(

@@ -23,7 +23,6 @@ from retuner.adaptive.diagnosis.second_opinion import (
     TOWARDS_SAFETY,
     Excitation,
     is_clear,
-    is_explained,
     runs_away,
     settle_alike,
     unconfirmed,
@@ -342,7 +341,7 @@ def clear_case(found: Findings, learned: Learned) -> bool:
     """Whether the response is the loop's own doing beyond doubt.
 
     One that crossed a border is where it is a setpoint step that the process in motion explains by itself. One that is
-    seen through a valve is not. One that did not begin at rest is where the record before shows the same.
+    seen through a valve is not.
     """
     record, loads = found.record, len(learned.estimate.load_times_s)
     if learned.valve is not None:
@@ -351,24 +350,7 @@ def clear_case(found: Findings, learned: Learned) -> bool:
         return learned.agreement is not Agreement.CONTRADICTS
     if record.crossed:
         return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
-    swing, left = found.settings.swing, found.unexplained
-    if is_clear(record.samples, record.response, left, loads, swing):
-        return True
-    return is_explained(record.response, left, loads, swing) and _shown_before(found, learned)
-
-
-def _shown_before(found: Findings, learned: Learned) -> bool:
-    """Whether a record and the one before it settle the process each by itself, and alike.
-
-    A sluggish loop is hardly ever at rest when its setpoint moves. What of the load before goes on is a rival then, but
-    not one that gives the same process twice.
-    """
-    model = learned.region_model
-    return learned.agreement is Agreement.AGREES and model is not None and _alike(model, TWICE, found.settings)
-
-
-TWICE = 2
-"""Records that show the same."""
+    return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
 
 
 def not_as_modelled(found: Findings) -> Diagnosis | None:

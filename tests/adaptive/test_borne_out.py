@@ -11,10 +11,9 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.update import Agreement, TrackerSettings, update_region_model
-from retuner.adaptive.signals.response import Ending, Peak, Response
-from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.causes import borne_out, clear_case
+from retuner.adaptive.region_model.update import TrackerSettings, update_region_model
+from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.supervision.causes import borne_out
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
@@ -39,38 +38,6 @@ def test_independent_records_that_agree_bear_a_change_out(
 ) -> None:
     model: Any = SimpleNamespace(log=record().log, points=tuple(points))
     assert borne_out(model, Excitation(setpoints=setpoints, loads=1), RetunerSettings(1.0, 100.0)) is borne
-
-
-@pytest.mark.parametrize(
-    ("points", "loads", "agreement", "clear"),
-    [
-        ([record(), record(1.02)], 1, Agreement.AGREES, True),
-        ([record(1.5), record(), record(1.02)], 0, Agreement.AGREES, True),  # older ones are in the model
-        ([record(1.5), record()], 0, Agreement.AGREES, False),
-        ([record(std=0.8), record()], 0, Agreement.AGREES, False),
-        ([record()], 0, Agreement.AGREES, False),
-        ([record(), record()], 2, Agreement.AGREES, False),  # loads beside it explain anything
-        ([record(), record()], 0, Agreement.CONTRADICTS, False),
-    ],
-)
-def test_a_setpoint_step_in_motion_is_clear_where_the_record_before_shows_the_same(
-    points: list[SimpleNamespace], loads: int, agreement: Agreement, *, clear: bool
-) -> None:
-    response = Response(100.0, 200.0, (Peak(110.0, 1.0),), Ending.QUIET, sp_changed=True, band=0.1)
-    moving = [LoopSample(float(t), 0.0, 1.0, 0.0, 1, 0) for t in range(100)]
-    found: Any = SimpleNamespace(
-        record=SimpleNamespace(response=response, samples=moving, crossed=False),
-        settings=RetunerSettings(1.0, 100.0),
-        unexplained=1.0,
-        steps=None,
-    )
-    learned: Any = SimpleNamespace(
-        region_model=SimpleNamespace(log=record().log, points=tuple(points)),
-        estimate=SimpleNamespace(load_times_s=tuple(range(loads))),
-        agreement=agreement,
-        valve=None,
-    )
-    assert clear_case(found, learned) is clear
 
 
 def test_a_short_record_takes_nothing_from_what_is_known(loop: Callable[..., Any]) -> None:
