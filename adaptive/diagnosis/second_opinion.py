@@ -21,9 +21,6 @@ from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings, stretch
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.guard import Ruling
-from retuner.adaptive.identification.estimate import log_controller
-from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.region_model.region_model import RecordPoint
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
@@ -75,25 +72,6 @@ def is_clear(
     explained = left <= settings.unexplained and loads <= settings.loads_beside
     from_rest = response.taken_over or was_at_rest(samples, response, settings)
     return bool(response.sp_changed) and explained and from_rest
-
-
-def settle_alike(
-    points: Sequence[RecordPoint],
-    best: ProcessModel,
-    sample_time_s: float,
-    fewest: int,
-    gain_std_limit: float,
-    settings: SwingSettings,
-) -> bool:
-    """Whether so many records settle the process each by itself, and all that do give about the same settings.
-
-    points : the records by themselves. best : what all say. gain_std_limit : up to which a record settles it.
-    """
-    at_s = best.seen_by_controller(sample_time_s).theta_s
-    usual = log_controller(best, sample_time_s, at_s)
-    settled = [point.log for point in points if point.log.gain_uncertainty(sample_time_s) <= gain_std_limit]
-    alike = [abs(log_controller(log.model(), sample_time_s, at_s) - usual) <= settings.alike for log in settled]
-    return len(alike) >= fewest and all(alike)
 
 
 def runs_away(samples: Sequence[LoopSample], response: Response, explained: float, settings: SwingSettings) -> bool:

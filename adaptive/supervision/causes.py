@@ -24,7 +24,6 @@ from retuner.adaptive.diagnosis.second_opinion import (
     Excitation,
     is_clear,
     runs_away,
-    settle_alike,
     unconfirmed,
 )
 from retuner.adaptive.diagnosis.swing_checks import (
@@ -38,6 +37,7 @@ from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.guard.request import Support
 from retuner.adaptive.guard.step_size import less_of_everything
+from retuner.adaptive.identification.estimate import log_controller
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.sequences import update_by_sequences
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
@@ -414,13 +414,17 @@ def borne_out(model: RegionModel, excitation: Excitation, settings: RetunerSetti
     """
     if excitation.setpoints < SETPOINTS:
         return False
-    return _alike(model, settings.swing.alike_records, settings)
-
-
-def _alike(model: RegionModel, fewest: int, settings: RetunerSettings) -> bool:
-    """Whether at least so many of the newest records settle the process by themselves, and all of these alike."""
-    given = model.points[-fewest:], model.log.model(), settings.sample_time_s
-    return settle_alike(*given, fewest, settings.fit.gain_std_limit, settings.swing)
+    swing, dt_s = settings.swing, settings.sample_time_s
+    best = model.log.model()
+    at_s = best.seen_by_controller(dt_s).theta_s
+    usual = log_controller(best, dt_s, at_s)
+    settled = [
+        point.log
+        for point in model.points[-swing.alike_records :]
+        if point.log.gain_uncertainty(dt_s) <= settings.fit.gain_std_limit
+    ]
+    alike = [abs(log_controller(log.model(), dt_s, at_s) - usual) <= swing.alike for log in settled]
+    return len(alike) >= swing.alike_records and all(alike)
 
 
 SETPOINTS = 2

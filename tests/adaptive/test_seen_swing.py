@@ -40,7 +40,8 @@ def test_a_swing_that_rides_on_a_slow_return_need_not_cross_over() -> None:
 def test_a_half_wave_the_wrong_way_that_nobody_sees_is_no_first_peak(third: float, *, refuted: bool) -> None:
     inverse = ProcessModel(ProcessType.SOPDT_INVERSE, 1.0, 10.0, 3.0, 2.0, inverse_s=1.0)
     loop = Loop(inverse.linear(), PidGains(2.2, 0.4))
-    response = Response(0.0, 100.0, (Peak(9.0, -1.0), Peak(25.0, 0.75), Peak(41.0, -third)), Ending.COMPLETE, False, BAND)  # fmt: skip  # noqa: E501
+    peaks = Peak(9.0, -1.0), Peak(25.0, 0.75), Peak(41.0, -third)
+    response = Response(0.0, 100.0, peaks, Ending.COMPLETE, sp_changed=False, band=BAND)
     trace = foretold(response, loop)
     first, second, *_ = peaks_of(trace.e)
     assert abs(first) < BAND * abs(second)
