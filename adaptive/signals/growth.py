@@ -12,10 +12,10 @@ Such a swing has no other cause to wait for: a verdict of before ("from outside"
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
-
 from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.sample import LoopSample
 
@@ -43,10 +43,18 @@ class GrowthSettings:
             source="1 for an exponential; 0.2 for a tone that sets in",
         ),
     ] = 0.5
-    scatter: Annotated[
+    chance: Annotated[
         float,
-        Setting("Standard errors by which the heights rise", 2, 20, source="no chance: 1 in 10,000 at 4"),
-    ] = 5.0
+        Setting(
+            "Probability that heights without a trend rise so (Student 1908)",
+            1e-6,
+            0.05,
+            source="a loop under a tone is looked at some hundred times",
+        ),
+    ] = 1e-4
+    fewest_before: Annotated[
+        int, Setting("Half waves before a growing swing that tell how high it was", 1, 10, source="a load's peak is one")
+    ] = 3
     lasting_half_waves: Annotated[
         int, Setting("Half waves in a row, of which a swing goes on, at least", 4, 24, source="two and a half cycles")
     ] = 5
@@ -120,13 +128,23 @@ def half_waves(samples: Sequence[LoopSample], band: float) -> list[HalfWave]:
 
 def grows(samples: Sequence[LoopSample], band: float, settings: GrowthSettings) -> Growth | None:
     """The growth of the swing under way, None where it does not grow as an unstable loop's does."""
-    waves = half_waves(samples, band)[-settings.most_half_waves :]
-    for n in sorted({len(waves), settings.half_waves}, reverse=True):
-        if settings.half_waves <= n <= len(waves):
-            found = _growth(waves[-n:], settings)
-            if found is not None:
-                return found
+    waves = half_waves(samples, band)
+    for n in range(min(len(waves), settings.most_half_waves), settings.half_waves - 1, -1):
+        found = _growth(waves[-n:], settings)
+        if found is not None and not _as_high_before(waves[:-n], waves[-n], found, settings):
+            return found
     return None
+
+
+def _as_high_before(before: list[HalfWave], first: HalfWave, found: Growth, settings: GrowthSettings) -> bool:
+    """Whether the same swing went on at such a height before its first half wave: what grows by itself was lower."""
+    heights, after_s = [], first.t_s
+    for wave in reversed(before):
+        if after_s - wave.t_s > settings.even * found.period_s / 2:
+            break
+        heights.append(wave.height)
+        after_s = wave.t_s
+    return len(heights) >= settings.fewest_before and float(np.median(heights)) >= first.height
 
 
 def lasting(samples: Sequence[LoopSample], band: float, settings: GrowthSettings) -> float | None:
@@ -156,10 +174,18 @@ def _growth(waves: list[HalfWave], settings: GrowthSettings) -> Growth | None:
     rise = float(index @ heights / (index @ index))
     left = heights - heights.mean() - rise * index
     error = math.sqrt(float(left @ left) / (n - 2) / float(index @ index))
-    if rise * (n - 1) < math.log(settings.growth) or rise < settings.scatter * error:
+    if rise * (n - 1) < math.log(settings.growth) or rise < _errors_by_chance(n, settings.chance) * error:
         return None
     middle = n // 2
     earlier, later = heights[middle] - heights[0], heights[-1] - heights[middle]
     if later * middle < settings.steady * earlier * (n - 1 - middle):
         return None
     return Growth(math.exp(rise), n, 2 * float(np.median(apart)))
+
+
+@lru_cache(maxsize=64)
+def _errors_by_chance(half_waves: int, chance: float) -> float:
+    """Standard errors of a slope that as many heights without a trend pass with this probability: Student's t."""
+    from scipy.special import stdtrit  # takes longer to load than all of a short command
+
+    return float(stdtrit(half_waves - 2, 1.0 - chance))

@@ -51,6 +51,45 @@ def test_nothing_else_grows(error: Callable[[float], float], seed: int) -> None:
     assert grows(heard(error, seed=seed), BAND, S) is None
 
 
+@pytest.mark.parametrize(
+    "heights",
+    [
+        [0.155, 0.183, 0.134, 0.183, 0.189, 0.171, 0.195, 0.147, 0.168, 0.155, 0.152, 0.161, 0.190, 0.230, 0.250],
+        [0.636, 0.544, 0.624, 0.713, 0.469, 0.544, 0.600, 0.751, 0.693, 0.952],
+    ],
+    ids=["a good loop under a tone at 0.6 of its own period", "at 0.9"],
+)
+def test_a_tone_of_changing_height_is_not_taken_for_growth_from_where_it_was_low(heights: list[float]) -> None:
+    """Half waves that were seen (harm by tones, seed 9542): the last six rise by half and more, but the swing was as high before."""
+    half = PERIOD / 2
+    last = len(heights) - 1
+
+    def error(t_s: float) -> float:
+        return heights[min(int(t_s / half), last)] * swing(t_s)
+
+    samples = heard(error, noise=0.002)[: int(half * (last + 1.7))]
+    seen = [wave.height for wave in half_waves(samples, BAND)]
+    assert seen == pytest.approx(heights[1:], abs=0.02)
+    assert seen[-1] > 1.5 * seen[-6]
+    assert grows(samples, BAND, S) is None
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_tone_whose_height_wanders_does_not_grow(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for _ in range(40):
+        heights = 1.0 + 0.2 * rng.standard_normal(30)
+        samples = heard(lambda t, of=heights: float(of[int(2 * t / PERIOD)]) * swing(t), seed=seed)
+        assert not any(grows(samples[:end], BAND, S) for end in range(200, N, 20))
+
+
+def test_a_load_before_it_does_not_hide_growth() -> None:
+    def error(t_s: float) -> float:
+        return 3.0 * math.exp(-t_s / 10) if t_s < 40 else 0.3 * math.exp((t_s - 40) / 100) * swing(t_s)
+
+    assert grows(heard(error), BAND, S) is not None
+
+
 def test_noise_does_not_grow() -> None:
     assert not any(grows(heard(lambda _: 0.0, 0.02, seed), BAND, S) for seed in range(40))
 
