@@ -16,6 +16,7 @@ from functools import lru_cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
+
 from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.sample import LoopSample
 
@@ -53,7 +54,8 @@ class GrowthSettings:
         ),
     ] = 1e-4
     fewest_before: Annotated[
-        int, Setting("Half waves before a growing swing that tell how high it was", 1, 10, source="a load's peak is one")
+        int,
+        Setting("Half waves before a growing swing that tell how high it was", 1, 10, source="a load is one"),
     ] = 3
     lasting_half_waves: Annotated[
         int, Setting("Half waves in a row, of which a swing goes on, at least", 4, 24, source="two and a half cycles")

@@ -77,6 +77,7 @@ __all__ = [
     "known_of_swing",
     "known_to_swing",
     "not_as_modelled",
+    "one_more_foreign",
     "rested_on",
     "stands_out",
     "swings_between_limits",
@@ -209,6 +210,12 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     if found.foreign and own:
         return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=found.foreign))
     return _with_a_way(record, cause) if found.foreign or (swinging and not own) else None
+
+
+def one_more_foreign(found: Findings, cause: Diagnosis) -> None:
+    """Counts a response for what else was found behind it, by whichever stage."""
+    counted = found.record.foreign if found.foreign is None else found.foreign
+    found.foreign = min(counted + (cause.cause in RIVALS), found.settings.swing.most_counted)
 
 
 def _with_a_way(record: ResponseRecord, cause: Diagnosis) -> Diagnosis:

@@ -35,6 +35,7 @@ from retuner.adaptive.supervision.causes import (
     joining,
     known_of_swing,
     not_as_modelled,
+    one_more_foreign,
     rested_on,
     stands_out,
     wanted_of,
@@ -341,9 +342,10 @@ def _confirmed(found: Findings) -> None:
 
 
 def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
-    """The change is not made; a record of something else is not kept either."""
+    """The change is not made; a record of something else is not kept either, and counts as one of that."""
     if doubt.cause in FOREIGN:
         found.region_model = None
+        one_more_foreign(found, doubt)
         if _learned(found).agreement in ANEW:  # what was known before stays, and what that rested on
             found.excitation = found.record.excitation.with_response(found.record.response)
     wanted = found.diagnosis.reason if found.diagnosis is not None else ""

@@ -60,7 +60,7 @@ def test_nothing_else_grows(error: Callable[[float], float], seed: int) -> None:
     ids=["a good loop under a tone at 0.6 of its own period", "at 0.9"],
 )
 def test_a_tone_of_changing_height_is_not_taken_for_growth_from_where_it_was_low(heights: list[float]) -> None:
-    """Half waves that were seen (harm by tones, seed 9542): the last six rise by half and more, but the swing was as high before."""
+    """As seen (harm by tones, seed 9542): the last six rise by half and more, but the swing was as high before."""
     half = PERIOD / 2
     last = len(heights) - 1
 

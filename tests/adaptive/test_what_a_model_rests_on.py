@@ -53,6 +53,7 @@ def weighed(
         monkeypatch.setattr(pipeline, name, value)
     record: Any = SimpleNamespace(
         excitation=BEFORE,
+        foreign=1,
         samples=[],
         in_force=None,
         region_models={},
@@ -89,6 +90,17 @@ def test_a_model_that_is_not_taken_leaves_the_old_one_with_its_own(
     assert found.region_model is None
     assert found.excitation is not None
     assert (found.excitation.setpoints, found.excitation.loads, found.excitation.clear) == (0, 4, 0)
+
+
+@pytest.mark.parametrize("agreement", [Agreement.FIRST, Agreement.AGREES])
+@pytest.mark.parametrize(
+    ("cause", "counted"), [(Cause.EXTERNAL, 2), (Cause.STICTION, 2), (Cause.NOISE, 1), (Cause.UNKNOWN, None)]
+)
+def test_what_the_whole_diagnosis_finds_behind_a_response_is_counted_as_what_a_swing_shows(
+    monkeypatch: pytest.MonkeyPatch, agreement: Agreement, cause: Cause, counted: int | None
+) -> None:
+    """Three setpoint steps under a tone were each told to be external, and the fourth one changed the gains."""
+    assert weighed(monkeypatch, agreement, cause).foreign == counted
 
 
 @pytest.mark.parametrize("clear", [True, False])
