@@ -17,8 +17,14 @@ Something else: the models are a fiction, and only what was seen is known. The l
 did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung. Less action costs its
 IAE, 1/ki after a load, and helps a loop that swung.
 
-A change is made where it is expected to cost less than staying, by more than the price of a change. The worst case is
-no part of this: that is the guard's (guard/proof.py), and only what it proved is weighed here.
+A change is made where it is expected to cost less than staying, by more than the price of a change and, as one more
+record costs little, by what the models disagree about:
+
+    gain > price + sure s,    s = standard deviation of cost(set, m) - cost(in force, m) over the models
+
+The gain of a set is lost for one response of the many that it would run for, a wrong change is there for all of them;
+with twenty looks at a loop that is well tuned, one of them always sees a little too much Ms. The worst case is no part
+of this: that is the guard's (guard/proof.py), and only what it proved is weighed here.
 """
 
 import math
@@ -91,6 +97,7 @@ class Outlook:
 
     cost : on the models, see the head of this file. unknown : over the set in force where they are a fiction.
     j : IAE over that of SIMC. ms, ms_most : Ms. Both on the most likely model, ms_most on the worst; may be infinite.
+    spread : standard deviation over the models of its cost over that of the set in force.
     """
 
     cost: float
@@ -98,6 +105,7 @@ class Outlook:
     j: float
     ms: float
     ms_most: float
+    spread: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +144,11 @@ def outlooks(
         lost = [not math.isfinite(j + now) for j, now in zip(row, ms, strict=True)]
         costs = [max(c, stays) if out else c for c, stays, out in zip(costs, in_force, lost, strict=True)]
         mean = sum(w * c for w, c in zip(weights, costs, strict=True)) / sum(weights) + between
+        over_now = [c - stays for c, stays in zip(costs, in_force, strict=True)]
+        middle = sum(w * c for w, c in zip(weights, over_now, strict=True)) / sum(weights)
+        spread = math.sqrt(sum(w * (c - middle) ** 2 for w, c in zip(weights, over_now, strict=True)) / sum(weights))
         unknown = if_unknown(sets[0].gains, choosable.gains, decay, settings)
-        made.append(Outlook(mean, unknown, row[0], ms[0], max(ms)))
+        made.append(Outlook(mean, unknown, row[0], ms[0], max(ms), spread))
     return made
 
 
@@ -206,8 +217,8 @@ def if_unknown(now: PidGains, new: PidGains, decay: float | None, settings: Choi
 class ChoiceNumbers(Numbers):
     """What was weighed, of the best set that may be written.
 
-    gain : expected, as a natural logarithm of IAE, with its price. doubt : probability of something else. odd : that
-    the newest record is odd, so that what was known before it holds.
+    gain : expected, as a natural logarithm of IAE, with its price. spread : its standard deviation over the models.
+    doubt : probability of something else. odd : that the newest record is odd, so that what was known before it holds.
     iae : J over J in force on the most likely model. ms, ms_most : Ms there and on the worst one; ms_before : in force.
     -1 where it is not known or unstable; odd is None where it is not worth telling.
     """
@@ -219,6 +230,7 @@ class ChoiceNumbers(Numbers):
     ms: float
     ms_most: float
     ms_before: float
+    spread: float = 0.0
     odd: float | None = None
 
 
@@ -253,17 +265,20 @@ def choose(
     p = doubt(seen, settings)
     gains = [_gain(found[0], outlook, p) for outlook in found]
     best = max(range(1, len(found)), key=lambda i: gains[i])
-    brings = max(gains[best], _gain(found[0], way, p) if way is not None else 0.0)
-    goes = gains[best] > 0.0 and brings > settings.price
+    brings, spread = gains[best], (1.0 - p) * found[best].spread
+    if way is not None and _gain(found[0], way, p) > brings:
+        brings, spread = _gain(found[0], way, p), (1.0 - p) * way.spread
+    pays = gains[best] > 0.0 and brings > settings.price
+    goes = pays and brings > settings.price + settings.sure * spread
     more = doubt(_once_more(seen), settings)
     then_found = agreed or found
-    waits = not goes and _gain(then_found[0], then_found[best], more) > settings.price
+    waits = not goes and (pays or _gain(then_found[0], then_found[best], more) > settings.price)
     now, then = found[0], found[best]
     iae = then.j / now.j if math.isfinite(now.j) and math.isfinite(then.j) else -1.0
     told = storable(then.ms), storable(then.ms_most), storable(now.ms)
     odd = seen.odd if seen.odd >= LEAST_SAID else None
-    numbers = ChoiceNumbers(brings, settings.price, p, iae, *told, odd)
-    return Choice(best if goes else 0, best, waits, numbers, _words(numbers, goes=goes, waits=waits))
+    numbers = ChoiceNumbers(brings, settings.price, p, iae, *told, spread, odd)
+    return Choice(best if goes else 0, best, waits, numbers, _words(numbers, goes=goes, waits=waits, pays=pays))
 
 
 def _gain(now: Outlook, then: Outlook, p: float) -> float:
@@ -276,7 +291,7 @@ def _once_more(seen: Seen) -> Seen:
     return replace(seen, records=seen.records + 1)
 
 
-def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
+def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool, pays: bool) -> str:
     """The choice for people."""
     iae = f"IAE {numbers.iae:.0%} of the present" if numbers.iae >= 0 else "IAE not comparable"
     then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
@@ -286,6 +301,8 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
     if goes:
         return f"expected: {iae}, {then}; {sure}"
     why = "a second record must agree before a change" if waits else _too_little(numbers)
+    if pays:
+        why = f"all weighed {numbers.gain:.0%} better, give or take {numbers.spread:.0%}: another record must agree"
     return f"no change{' yet' if waits else ''}: expected {iae}, {then}; {sure}; {why}"
 
 

@@ -55,6 +55,15 @@ class ChoiceSettings:
         float,
         Setting("Expected gain below which a change is not worth it", 0.0, 1.0, source="a tenth of the IAE, seed 51"),
     ] = 0.1
+    sure: Annotated[
+        float,
+        Setting(
+            "Standard deviations over the models by which it must be more: what one more record costs is little",
+            0.0,
+            3.0,
+            source="a wait costs a tenth of a gain that ten responses would have; normal loss 0.08 at 1",
+        ),
+    ] = 1.0
     doubt: Annotated[
         float, Setting("Odds of something else after one record", 0.0, 10.0, source="one in five, batch seed 51")
     ] = 0.25

@@ -133,6 +133,25 @@ def test_a_change_is_made_where_it_brings_its_price(gain: float, goes: bool) -> 
     assert ("no change" in choice.reason) is not goes
 
 
+@pytest.mark.parametrize(("gain", "spread", "goes"), [(0.3, 0.1, True), (0.3, 0.25, False), (0.17, 0.11, False)])
+def test_a_gain_of_which_the_models_say_too_different_things_waits_for_another_record(
+    gain: float, spread: float, goes: bool
+) -> None:
+    found = choose([look(0.0), replace(look(gain), spread=spread)], None, Seen(20, 9), SETTINGS)
+    assert (found.index > 0, found.waits) == (goes, not goes)
+    assert ("give or take" in found.reason) is not goes
+    assert choose([look(0.0), look(0.04)], replace(look(gain), spread=spread), Seen(20, 9), SETTINGS).index == int(goes)
+
+
+def test_the_spread_is_that_of_what_a_set_costs_over_the_one_in_force() -> None:
+    models = (Plausible(PLANT, 0.0), Plausible(replace(PLANT, k=1.5 * PLANT.k), 0.0))
+    stays, less = outlooks(models, [Choosable(GOOD), Choosable(scaled(0.5, 0.5))], None, LOOP, SETTINGS)
+    costs = [outlooks((m,), [Choosable(GOOD), Choosable(scaled(0.5, 0.5))], None, LOOP, SETTINGS) for m in models]
+    over_now = [two[1].cost - two[0].cost for two in costs]
+    assert stays.spread == 0.0
+    assert less.spread == pytest.approx(abs(over_now[1] - over_now[0]) / 2)
+
+
 def test_of_several_the_best_is_made_and_what_costs_more_never_is() -> None:
     assert choose([look(0.0), look(0.2), look(0.5), look(0.3)], None, Seen(3, 1), SETTINGS).index == 2
     assert choose([look(0.0), look(-0.2)], look(0.9), Seen(3, 1), SETTINGS).index == 0
