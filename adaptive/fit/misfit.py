@@ -266,7 +266,7 @@ class Misfit:
             return Projection(p, q, r, c, moved, columns, self.priors, triangle)
         columns, count = self.columns(p)
         moved = self.moved(p)
-        basis = self._rows(columns, count)
+        basis = self.rows(columns, count)
         target = np.concatenate([self.whitened(self.record.pv - moved), np.zeros(count)])
         q, triangle = np.linalg.qr(basis)
         inside = q.T @ target
@@ -317,7 +317,7 @@ class Misfit:
             spreads.append(RAMP_SPREAD if self.type in LAG else PARABOLA_SPREAD)
         return [self.sigma / (spread * self.record.pv_range) for spread in spreads]
 
-    def _rows(self, columns: FloatArray, count: int) -> FloatArray:
+    def rows(self, columns: FloatArray, count: int) -> FloatArray:
         """The columns whitened, with a row for every prior."""
         priors = np.zeros((count, columns.shape[1]))
         priors[np.arange(count), np.arange(count)] = self.prior_weights()

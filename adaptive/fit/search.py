@@ -18,7 +18,7 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import LEAST_TIME, Fit, bounds, refine
-from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD
+from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD, dynamics_at
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -102,6 +102,22 @@ class Node(NamedTuple):
     lag_s: float
     theta_s: float
     loads: list[float]
+
+
+def load_times(misfit: Misfit, x: FloatArray, most: int) -> list[float]:
+    """Times of at most so many load steps that explain best what a known process leaves, ascending.
+
+    x : parameters of the process. misfit : with the start of the record, and no load of its own.
+    """
+    bare, record = replace(misfit, loads=0, corners=0, rounded=False, harmonics=0), misfit.record
+    dynamics, at_s = dynamics_at(misfit.type, x), instants(record.span_s, LOAD_NODES)
+    steps = bare.lagged(x, dynamics.step(record.t_s[:, None] - at_s[None, :]))
+    steps = steps / np.maximum(np.max(np.abs(steps), axis=0), 1e-300)
+    columns, count = bare.columns(x)
+    rest, none = bare.rows(columns, count), np.zeros(count)
+    free = np.concatenate([bare.whitened(steps), np.zeros((count, len(at_s)))])
+    pv, moved = (np.concatenate([bare.whitened(values), none]) for values in (record.pv, bare.moved(x)))
+    return _node(pv, moved, rest, free, at_s, misfit.sigma, most)[-1][2]
 
 
 def _point(node: Node, sign: int) -> FloatArray:

@@ -1,13 +1,15 @@
 """A fit with what it leaves and its criterion, and the list of all that were tried."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from retuner.adaptive.fit.coincident_loads import are_coincident
-from retuner.adaptive.fit.misfit import Colour, colour, criterion
+from retuner.adaptive.fit.misfit import LOAD_COST, Colour, colour, criterion
 from retuner.adaptive.fit.refine import EXACT, Fit, Prior, refine
+from retuner.adaptive.fit.search import load_times
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.process.model import ProcessType
 
@@ -106,23 +108,30 @@ class Seen:
 #     minimise  |r(p)|^2 + |root x - target|^2
 #
 # The configuration (loads, drift, whitening) is that of the record's own fit. With the prior in it from the beginning,
-# a record of another process would have its misfit whitened away instead of being found odd.
+# a record of another process would have its misfit whitened away instead of being found odd. But where its loads came,
+# what is known may tell better: as many are looked for once more, beside the process that is known. One is, where no
+# setpoint changed: a loop at rest does not move by itself, so a load costs nothing there. Without it a state that was
+# not rest and a long dead time stood in for a small load, and five such records moved a gain that was known by half.
 
 
 Priors = Mapping[ProcessType, Prior]
 
 
 def with_priors(
-    found: list[Candidate], priors: Priors, inflation: Callable[[Fit], float] | None = None
+    found: list[Candidate],
+    priors: Priors,
+    inflation: Callable[[Fit], float] | None = None,
+    least_loads: int = 0,
 ) -> list[Candidate]:
     """The candidates of structures with a prior, refitted with it, best first.
 
+    least_loads : load steps that the record needs at least: one where nothing else can have moved a loop at rest.
     inflation : factor by which a fit's residuals count for less than their number (correlated, or unexplained): what a
         structure does not explain must not outvote what is known.
     """
     return sorted(
         (
-            with_prior(c, priors[c.fit.misfit.type], 1.0 if inflation is None else inflation(c.fit))
+            with_prior(c, priors[c.fit.misfit.type], 1.0 if inflation is None else inflation(c.fit), least_loads)
             for c in found
             if c.fit.misfit.type in priors
         ),
@@ -130,9 +139,23 @@ def with_priors(
     )
 
 
-def with_prior(alone: Candidate, prior: Prior, inflation: float = 1.0) -> Candidate:
-    """One fit, started from its own optimum and from the prior's."""
+def with_prior(alone: Candidate, prior: Prior, inflation: float = 1.0, least_loads: int = 0) -> Candidate:
+    """One fit, started from its own optimum and from the prior's; from that also with the loads that it asks for.
+
+    least_loads : see with_priors; what has fewer is compared as if it had paid for them.
+    """
     misfit, p = replace(alone.fit.misfit, sigma=alone.fit.misfit.sigma * inflation), alone.fit.p
-    starts = (p, np.concatenate([prior.mean, p[SIZE[misfit.type] :]]))
-    fits = [refine(misfit, start, prior, enough=EXACT) for start in starts]
-    return judged(min(fits, key=lambda fit: fit.deviance), prior)
+    size, mean = SIZE[misfit.type], prior.mean
+    starts = [(misfit, p), (misfit, np.concatenate([mean, p[size:]]))]
+    loads = max(misfit.loads, least_loads)
+    if loads and not misfit.harmonics:
+        other = replace(misfit, loads=loads, rounded=False, corners=0, ramp=False)
+        times = load_times(other, mean, loads)
+        if len(times) == loads:
+            starts.append((other, np.concatenate([mean, times])))
+    fits = (refine(of, start, prior, enough=EXACT) for of, start in starts)
+    missing = LOAD_COST * math.log(len(misfit.record.pv))
+    return min(
+        (judged(fit, prior) for fit in fits),
+        key=lambda c: c.criterion + missing * max(least_loads - c.fit.misfit.loads, 0),
+    )

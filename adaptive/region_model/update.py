@@ -28,6 +28,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.fit.refine import Prior
 from retuner.adaptive.identification.candidate import Candidate, with_priors
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
@@ -325,7 +326,7 @@ def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: N
     priors = {t: scattered(mean.log, settings) for t, mean in means.items()}
     roots = {t: Prior.of(log.x, log.p) for t, log in priors.items()}
     before = {k.log.type: k.evidence for k in known}
-    again = with_priors(record.found, roots, inflation_of)
+    again = with_priors(record.found, roots, inflation_of, int(not setpoint_changes(record.window)))
     summed = [replace(c, criterion=c.criterion + before[c.fit.misfit.type]) for c in again]
     estimate = estimate_of(sorted(summed, key=lambda c: c.criterion), float(record.window.t_s[0]), roots, fit)
     after = []
