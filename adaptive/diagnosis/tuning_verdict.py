@@ -316,7 +316,7 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
 
 def _tone_doubt(loop: Loop, evidence: Mapping[str, float], explained: bool) -> Doubt | None:
     """The doubt where a tone explains a record as well or better than load steps."""
-    settings, lead = loop.settings, evidence.get("external_lead", -math.inf)
+    settings, lead = loop.settings, evidence.get("external_lead", -math.inf) + _by_coincidence(evidence)
     as_good = settings.tone_as_good if evidence.get("setpoint_steps", 0.0) else settings.tone_as_good_loads
     may_be_asked = explained and lead < settings.least_lead
     if lead > -settings.tone_odds and evidence["external_left"] < as_good * evidence["linear_left"]:
@@ -325,6 +325,18 @@ def _tone_doubt(loop: Loop, evidence: Mapping[str, float], explained: bool) -> D
         reason = "load steps explain the record, and an external oscillation does so about as well"
         return Doubt(Cause.UNKNOWN, reason + _overshoots(evidence, settings), may_be_asked)
     return None
+
+
+def _by_coincidence(evidence: Mapping[str, float]) -> float:
+    """What it costs that a loop stands so near its border, as a criterion: 2 ln Ms; nothing where a setpoint step shows
+    the process, or the loop is past its border.
+
+    A swing that neither grows nor decays is explained by any process that all but swings. Loops are met at any distance
+    from their border, in |1 - gm| about evenly, so one comes within 1/Ms of it with a probability like that. A tone has
+    a height of its own whatever the loop.
+    """
+    ms = evidence.get("ms", 1.0)
+    return 2.0 * math.log(ms) if math.isfinite(ms) and not evidence.get("setpoint_steps") else 0.0
 
 
 def _by_tone_instead(loop: Loop, evidence: Mapping[str, float], may_be_asked: bool) -> Doubt:

@@ -264,6 +264,18 @@ def test_a_well_tuned_loop_under_an_outside_tone_is_left_alone_and_asked_again_w
     assert rig.retuner.foreign == {0: 0}
 
 
+@pytest.mark.parametrize(("period_s", "amplitude"), [(120.0, 3.0), (320.0, 3.0), (400.0, 1.0), (450.0, 3.0)])
+def test_a_large_slow_tone_is_not_the_swing_of_a_loop_that_happens_to_stand_at_its_border(
+    period_s: float, amplitude: float
+) -> None:
+    """Any process that all but swings explains it, to the noise; a good loop was slowed down ten times."""
+    rig = Rig(GOOD)
+    rig.run(60)
+    decisions = rig.run(int(8 * period_s), amplitude=amplitude, period_s=period_s)
+    assert decisions
+    assert {d.action for d in decisions} == {Action.NONE}
+
+
 def test_an_unstable_loop_between_its_limits_is_made_stable() -> None:
     rig = Rig(PidGains(3.2 * GOOD.kp, 3.2 * GOOD.ki), co_max=1.5)
     rig.run(60)
