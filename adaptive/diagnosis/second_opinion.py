@@ -21,7 +21,7 @@ from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings, stretch
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.guard import Ruling
-from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
 
@@ -36,24 +36,29 @@ class Excitation:
     """How many responses of each kind the model of a region rests on.
 
     clear : of the setpoint responses, how many were clear (see is_clear). alternative : the same of what last
-    contradicted it.
+    contradicted it. rested : of the load responses, how many led from rest to rest (see from_rest_to_rest).
     """
 
     setpoints: int = 0
     loads: int = 0
     clear: int = 0
     alternative: int = 0
+    rested: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("setpoints", "loads", "clear", "alternative"):
+        for name in ("setpoints", "loads", "clear", "alternative", "rested"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} = {getattr(self, name)} must be 0 or more")
 
-    def with_response(self, response: Response, *, clear: bool = False) -> "Excitation":
+    def with_response(self, response: Response, *, clear: bool = False, rested: bool = False) -> "Excitation":
         """One more."""
         setpoint = bool(response.sp_changed)
         return replace(
-            self, setpoints=self.setpoints + setpoint, loads=self.loads + (not setpoint), clear=self.clear + clear
+            self,
+            setpoints=self.setpoints + setpoint,
+            loads=self.loads + (not setpoint),
+            clear=self.clear + clear,
+            rested=self.rested + (rested and not setpoint),
         )
 
     def of_alternative(self) -> "Excitation":
@@ -104,6 +109,11 @@ def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: Swi
     before = [s for s in samples if since <= s.t_s < response.t_start_s]
     outside = sum(1 for s in before if abs(s.sp - s.pv) > response.band)
     return outside <= settings.restless * len(before)
+
+
+def from_rest_to_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
+    """Whether the loop was at rest for as long as a response took, and came to rest after it: no tone does that."""
+    return response.ending is Ending.QUIET and not response.taken_over and was_at_rest(samples, response, settings)
 
 
 def unconfirmed(

@@ -417,9 +417,9 @@ def borne_out(model: RegionModel, excitation: Excitation, settings: RetunerSetti
     """Whether the newest records settle the process each by itself, and alike.
 
     Loads that overlap can be explained in any way, but not twice in the same one. Setpoint responses must be among
-    them, for a tone under loads alone is the same fiction each time.
+    them, or each must lead from rest to rest: a tone under loads alone is the same fiction each time.
     """
-    if excitation.setpoints < SETPOINTS:
+    if excitation.setpoints < SETPOINTS and excitation.rested < settings.swing.alike_records:
         return False
     swing, dt_s = settings.swing, settings.sample_time_s
     best = model.log.model()

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.second_opinion import from_rest_to_rest
 from retuner.adaptive.guard import prove
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import as_wide_as_known, borrowed
@@ -192,7 +193,8 @@ def region_model(found: Findings) -> None:
     found.clear = clear_case(found, learned)
     now = found.rested_on
     if not swinging and learned.agreement != Agreement.SILENT:  # what cannot tell is nothing that a model rests on
-        now = now.with_response(record.response, clear=found.clear)
+        rested = from_rest_to_rest(record.samples, record.response, settings.swing)
+        now = now.with_response(record.response, clear=found.clear, rested=rested)
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now

@@ -200,7 +200,8 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "trials": retuner.trials.to_dict(),
         "foreign": {str(region): count for region, count in retuner.foreign.items()},
         "excitation": {
-            str(region): [e.setpoints, e.loads, e.clear, e.alternative] for region, e in retuner.excitation.items()
+            str(region): [e.setpoints, e.loads, e.clear, e.alternative, e.rested]
+            for region, e in retuner.excitation.items()
         },
     }
 

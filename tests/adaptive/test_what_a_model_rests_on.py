@@ -10,6 +10,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.region_model.update import Agreement
+from retuner.adaptive.signals.response import Ending
 from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -62,7 +63,9 @@ def weighed(
         crossed=False,
         at=(0.0, None),
         pattern=None,
-        response=SimpleNamespace(sp_changed=clear if setpoint is None else setpoint, peaks=()),
+        response=SimpleNamespace(
+            sp_changed=clear if setpoint is None else setpoint, peaks=(), ending=Ending.COMPLETE, taken_over=False
+        ),
         window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
     )
     learned: Any = SimpleNamespace(
