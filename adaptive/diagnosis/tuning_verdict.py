@@ -315,10 +315,13 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
 
 
 def _tone_doubt(loop: Loop, evidence: Mapping[str, float], explained: bool) -> Doubt | None:
-    """The doubt where a tone explains a record as well or better than load steps."""
+    """The doubt where a tone explains a record as well or better than load steps.
+
+    A second fit without a tone dispels it where the tone is not the likelier one: it would be as near its border.
+    """
     settings, lead = loop.settings, evidence.get("external_lead", -math.inf) + _by_coincidence(evidence)
     as_good = settings.tone_as_good if evidence.get("setpoint_steps", 0.0) else settings.tone_as_good_loads
-    may_be_asked = explained and lead < settings.least_lead
+    may_be_asked = explained and lead < min(settings.least_lead, settings.tone_odds)
     if lead > -settings.tone_odds and evidence["external_left"] < as_good * evidence["linear_left"]:
         return _by_tone_instead(loop, evidence, may_be_asked)
     if lead > 0:

@@ -108,7 +108,9 @@ def known(
 ) -> bool:
     models = {} if before is None else {0: model_led_by(before)}
     record = SimpleNamespace(region=0, region_models=models)
-    found: Any = SimpleNamespace(rested_on=excitation, excitation_now=excitation, record=record, settings=RetunerSettings(1.0, 100.0))
+    found: Any = SimpleNamespace(
+        rested_on=excitation, excitation_now=excitation, record=record, settings=RetunerSettings(1.0, 100.0)
+    )
     learned: Any = SimpleNamespace(agreement=agreement, region_model=model_led_by(now))
     return is_known(found, learned)
 

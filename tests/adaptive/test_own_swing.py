@@ -2,6 +2,10 @@
 would be unstable is refuted by a record that does not grow, whatever a second fit says.
 """
 
+import math
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from test_diagnose import DT, GOOD, loop, times
@@ -9,7 +13,7 @@ from test_diagnose import DT, GOOD, loop, times
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.tuning_verdict import Loop, _doubt
+from retuner.adaptive.diagnosis.tuning_verdict import Loop, _doubt, _tone_doubt
 from retuner.adaptive.identification.identify import Fits, FitSettings
 
 STRONG = times(3.2, 4.0)  # Ms about 6: a pulse rings for some ten cycles
@@ -54,3 +58,26 @@ def test_what_the_record_refutes_is_not_put_to_a_second_opinion(ms: float, asked
     doubt = _doubt(verdict, of, oscillates=False)
     assert doubt is not None
     assert doubt.may_be_asked is asked
+
+
+@pytest.mark.parametrize(
+    ("ms", "setpoint_steps", "cause", "may_be_asked"),
+    [
+        (3.0, 0.0, Cause.EXTERNAL, True),  # a loop that decays: a second fit may settle it
+        (97.0, 0.0, Cause.EXTERNAL, False),  # one that all but swings, as any tone makes it
+        (math.inf, 0.0, Cause.EXTERNAL, True),  # one past its border grows
+        (97.0, 1.0, Cause.EXTERNAL, True),  # a setpoint step shows where it stands
+    ],
+)
+def test_that_a_loop_stands_at_its_border_is_a_coincidence(
+    ms: float, setpoint_steps: float, cause: Cause, *, may_be_asked: bool
+) -> None:
+    settings = DiagnosisSettings()
+    fit = SimpleNamespace(p=[math.log(2 * math.pi / 10.0)], misfit=SimpleNamespace(record=SimpleNamespace(span_s=40.0)))
+    loop: Any = SimpleNamespace(settings=settings, tone=SimpleNamespace(fit=fit))
+    evidence = {"ms": ms, "external_lead": 0.1, "external_left": 0.99, "linear_left": 1.15}
+    if setpoint_steps:
+        evidence |= {"setpoint_steps": setpoint_steps}
+    doubt = _tone_doubt(loop, evidence, explained=True)
+    assert doubt is not None
+    assert (doubt.cause, doubt.may_be_asked) == (cause, may_be_asked)
