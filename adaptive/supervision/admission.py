@@ -42,7 +42,8 @@ class Ground(StrEnum):
     TOO_LONG = "the response is longer than the {kept:.0f} samples kept: its beginning is missing"
     MANUAL = "{manual:.0f} samples of the response are in manual, without control"
     OUT_OF_RANGE = (
-        "pv reached {pv_worst:g}, far outside its range of {pv_low:g} to {pv_high:g}: a sensor or scaling error"
+        "pv reached {pv_worst:g}, far outside its range of {pv_low:g} to {pv_high:g}: a sensor or scaling error, or a "
+        "loop out of control"
     )
     PV_STUCK = (
         "pv stood at exactly {stuck_at:g} for {stuck:.0f} samples, without its noise: a sensor or a signal that is "
