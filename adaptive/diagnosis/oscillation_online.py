@@ -42,6 +42,8 @@ class SwingSettings:
         0.02 to 0.5, default 0.1.
     rest : share of a response's length for which the loop must have kept to its noise band to have been at rest; 0.05
         to 1, default 0.25.
+    rest_between : the same, for a response to lead from rest to rest; 0.35 to 1, default 0.4 (a sinusoid of 2.2 noise
+        bands, the least that is a response, rests for 0.3 of its half waves).
     loads_beside : load steps that a clear setpoint response may need beside; 0 to 3, default 1.
     grows : damping of a setpoint response, or overshoot of one of two peaks, from which the loop runs away; 1 to 1.5,
         default 1.05.
@@ -68,6 +70,7 @@ class SwingSettings:
     same_gains: bool = True
     restless: float = 0.1
     rest: float = 0.25
+    rest_between: float = 0.4
     loads_beside: int = 1
     grows: float = 1.05
     growth_explained: float = 0.99

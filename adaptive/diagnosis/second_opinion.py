@@ -16,7 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, asks_for_less
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings, stretch
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
@@ -103,17 +103,23 @@ def _moved_before(samples: Sequence[LoopSample], response: Response, length_s: f
     return max((abs(s.sp - s.pv) for s in samples if since <= s.t_s < response.t_start_s), default=0.0)
 
 
-def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
-    """Whether the error kept to its noise band before a response, for as long as the response took or as is known."""
-    since = response.t_start_s - (response.t_end_s - response.t_start_s)
+def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings, share: float = 1.0) -> bool:
+    """Whether the error kept to its noise band before a response, for a share of what the response took, or as far as
+    is known.
+    """
+    since = response.t_start_s - share * (response.t_end_s - response.t_start_s)
     before = [s for s in samples if since <= s.t_s < response.t_start_s]
     outside = sum(1 for s in before if abs(s.sp - s.pv) > response.band)
     return outside <= settings.restless * len(before)
 
 
 def from_rest_to_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
-    """Whether the loop was at rest for as long as a response took, and came to rest after it: no tone does that."""
-    return response.ending is Ending.QUIET and not response.taken_over and was_at_rest(samples, response, settings)
+    """Whether a loop was at rest before a response and came to rest after it.
+
+    A slow tone rests as well where it crosses, but for less than a third of what its half waves take.
+    """
+    quiet = response.ending is Ending.QUIET and not response.taken_over
+    return quiet and was_at_rest(samples, response, settings, settings.rest_between)
 
 
 def unconfirmed(
@@ -143,8 +149,8 @@ def unconfirmed(
     length_s = response.t_end_s - response.t_start_s
     stretched = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
     seen = from_rest(stretched, response, swing)
-    found = _diagnosed(seen, response, gains, swing, settings)
-    if found.cause in TUNING_CAUSES and wanted is not None and _swings(found, settings) != _swings(wanted, settings):
+    found, of = _diagnosed(seen, response, gains, swing, settings), settings.cause
+    if found.cause in TUNING_CAUSES and wanted is not None and asks_for_less(found, of) != asks_for_less(wanted, of):
         reason = f"{found.cause}, where the model of this region gives {wanted.cause}: {found.reason}"
         found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
     if found.cause in TUNING_CAUSES:  # the settings are those of the region's model
@@ -186,12 +192,6 @@ def last_two(samples: list[LoopSample], response: Response, settings: SwingSetti
             if rests > 1:
                 return samples[i:]
     return samples
-
-
-def _swings(told: Diagnosis, settings: DiagnosisSettings) -> bool:
-    """Whether a loop is to be calmed. A gain that could be larger at a good Ms asks for more, by whichever name."""
-    peak = told.evidence.get("ms", math.inf)
-    return told.cause is Cause.AGGRESSIVE or (told.cause is Cause.SLOW_INTEGRATING and peak > settings.cause.ms_high)
 
 
 def from_rest(samples: list[LoopSample], response: Response, settings: SwingSettings) -> list[LoopSample]:

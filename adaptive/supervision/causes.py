@@ -22,6 +22,7 @@ from retuner.adaptive.diagnosis.second_opinion import (
     SWINGING,
     TOWARDS_SAFETY,
     Excitation,
+    from_rest_to_rest,
     is_clear,
     runs_away,
     unconfirmed,
@@ -202,6 +203,11 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     if known_to_swing(record, settings):
         found.foreign = max(record.foreign - 1, 0)
         return None
+    calm = not (swinging or record.response.sp_changed)
+    if calm and from_rest_to_rest(record.samples, record.response, settings.swing):
+        found.foreign = record.foreign - 1  # what swings from outside never rests
+        told = STILL_ALIVE.format(more=found.foreign)
+        return Diagnosis(Cause.UNKNOWN, 0.5, {}, told) if found.foreign else None
     asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis, period_s
     cause = whole_cause(*asked)
     own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
