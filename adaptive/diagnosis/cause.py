@@ -138,6 +138,12 @@ class CauseSettings:
     saturated_share: float = 0.5
 
 
+def asks_for_less(told: Diagnosis, settings: CauseSettings) -> bool:
+    """Whether a loop is to be calmed. A gain that could be larger at a good Ms asks for more, by whichever name."""
+    peak = told.evidence.get("ms", math.inf)
+    return told.cause is Cause.AGGRESSIVE or (told.cause is Cause.SLOW_INTEGRATING and peak > settings.ms_high)
+
+
 def tuning_cause(
     model: ProcessModel,
     gains: PidGains,

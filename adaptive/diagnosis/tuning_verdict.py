@@ -17,6 +17,7 @@ from retuner.adaptive.diagnosis.cause import (
     Cause,
     CauseSettings,
     Diagnosis,
+    asks_for_less,
     tuning_cause,
     with_second_lag,
 )
@@ -107,13 +108,13 @@ def _by_margins(loop: Loop, found: Found, oscillates: bool) -> Found:
     if not estimate.identifiable and spread > settings.spread_limit:
         return found
     tuning = robust_simc(estimate, window.sample_time_s, settings.robust)
-    verdict = weighed(estimate, loop.gains, tuning, window.sample_time_s, settings.cause)
+    verdict, share = weighed(estimate, loop.gains, tuning, window.sample_time_s, settings.cause)
     verdict = replace(verdict, evidence=verdict.evidence | found.diagnosis.evidence)
     if verdict.cause in TUNING_CAUSES and estimate.explained < settings.fit.explained_limit:
         return Found(_hardly_explained(estimate, verdict), estimate)
     if verdict.cause not in TUNING_CAUSES:
         return _if_agreed(loop, Found(verdict, estimate))
-    doubt = _doubt(verdict, loop, oscillates)
+    doubt = _doubt(verdict, share, loop, oscillates)
     if doubt is not None and (not doubt.may_be_asked or not second_opinion(loop, verdict)):
         return Found(replace(verdict, cause=doubt.cause, confidence=0.5, reason=doubt.reason), estimate)
     return _if_agreed(loop, Found(verdict, estimate, tuning), asked=doubt is not None)
@@ -269,8 +270,10 @@ def second_opinion(loop: Loop, verdict: Diagnosis) -> bool:
     if len(estimate.load_times_s) > settings.second_loads:
         return False
     tuning = robust_simc(estimate, loop.window.sample_time_s, settings.robust)
-    other = weighed(estimate, loop.gains, tuning, loop.window.sample_time_s, settings.cause)
-    return other.cause == verdict.cause and other.confidence >= settings.majority
+    other, share = weighed(estimate, loop.gains, tuning, loop.window.sample_time_s, settings.cause)
+    calms = asks_for_less(other, settings.cause)
+    same = other.cause is verdict.cause or (calms and asks_for_less(verdict, settings.cause))
+    return same and share >= settings.majority
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,11 +285,11 @@ class Doubt:
     may_be_asked: bool = False
 
 
-def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
-    """The first doubt of a verdict that would change gains."""
+def _doubt(verdict: Diagnosis, share: float, loop: Loop, oscillates: bool) -> Doubt | None:
+    """The first doubt of a verdict that would change gains. share : see weighed."""
     evidence, window, settings = verdict.evidence, loop.window, loop.settings
     steps, loads, left = evidence.get("setpoint_steps", 0.0), evidence["loads"], evidence["linear_left"]
-    if verdict.confidence < settings.majority:
+    if share < settings.majority:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
         return Doubt(Cause.UNKNOWN, reason)
     refuted = math.isinf(evidence["ms"]) and not _grows(window)
@@ -454,18 +457,32 @@ NOISY = 0.5
 
 def weighed(
     estimate: ModelEstimate, gains: PidGains, tuning: RobustTuning, sample_time_s: float, settings: CauseSettings
-) -> Diagnosis:
-    """The verdict that most of the models share that the record allows; its weight is the confidence."""
-    weights: dict[Cause, float] = defaultdict(float)
-    firsts: dict[Cause, Diagnosis] = {}
+) -> tuple[Diagnosis, float]:
+    """The verdict that most of the models share that the record allows, with its weight as the confidence; and the
+    share of them that ask for the same: gains too high and an integral too strong both ask for less.
+    """
+    weights: dict[tuple[bool, Cause], float] = defaultdict(float)
+    firsts: dict[tuple[bool, Cause], Diagnosis] = {}
     lagged = with_second_lag(estimate.plausible, sample_time_s)
     for p in estimate.plausible:
         model = p.model.seen_by_controller(sample_time_s)
         verdict = tuning_cause(model, gains, tuning.tuning.gains, 0.1, settings, lagged)
-        weights[verdict.cause] += math.exp(-p.excess / 2)
-        firsts.setdefault(verdict.cause, verdict)
-    cause = max(weights, key=lambda c: weights[c])
-    told = replace(firsts[cause], confidence=weights[cause] / sum(weights.values()))
+        key = asks_for_less(verdict, settings), verdict.cause
+        weights[key] += math.exp(-p.excess / 2)
+        firsts.setdefault(key, verdict)
+    every, less = sum(weights.values()), sum(w for (calms, _), w in weights.items() if calms)
+    others = [w for (calms, _), w in weights.items() if not calms]
+    calms = less > max(others, default=0.0)
+    key = max((one for one in weights if one[0] is calms), key=lambda one: weights[one])
+    told = replace(firsts[key], confidence=weights[key] / every)
+    share = (less if calms else weights[key]) / every
+    return _if_dead_time_is_seen(told, estimate, sample_time_s, settings), share
+
+
+def _if_dead_time_is_seen(
+    told: Diagnosis, estimate: ModelEstimate, sample_time_s: float, settings: CauseSettings
+) -> Diagnosis:
+    """Without how much faster a robust loop could be, where that depends on a dead time that no model shows."""
     if told.cause not in TUNING_CAUSES or told.evidence["ms"] > settings.ms_high:
         return told
     least = FEWEST_SAMPLES_IN_THETA * sample_time_s
