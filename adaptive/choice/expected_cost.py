@@ -236,8 +236,8 @@ class ChoiceNumbers(Numbers):
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """index : of the set to run, 0 for the one in force. best : of the best other one. waits : one more record that
-    agrees would be enough. numbers : what was weighed. reason : in words.
+    """index : of the set to run, 0 for the one in force. best : of the best other one. waits : with more records that
+    agree it may go. numbers : what was weighed. reason : in words.
     """
 
     index: int
@@ -265,9 +265,10 @@ def choose(
     p = doubt(seen, settings)
     gains = [_gain(found[0], outlook, p) for outlook in found]
     best = max(range(1, len(found)), key=lambda i: gains[i])
-    brings, spread = gains[best], (1.0 - p) * found[best].spread
-    if way is not None and _gain(found[0], way, p) > brings:
-        brings, spread = _gain(found[0], way, p), (1.0 - p) * way.spread
+    asked = [(gains[best], (1.0 - p) * found[best].spread)]
+    if way is not None:
+        asked.append((_gain(found[0], way, p), (1.0 - p) * way.spread))
+    brings, spread = max(asked, key=lambda one: one[0] - settings.sure * one[1])
     pays = gains[best] > 0.0 and brings > settings.price
     goes = pays and brings > settings.price + settings.sure * spread
     more = doubt(_once_more(seen), settings)

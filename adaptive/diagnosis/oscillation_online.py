@@ -57,7 +57,7 @@ class SwingSettings:
     most_lookback : lengths of a response that are looked at before such a change; 2 to 30, default 10.
     alike : by how much the settings that single records give may differ from those of all, to confirm each other; in
         logarithms, 0.05 to 0.4, default 0.2 (a fifth: half of the least change that is worth it).
-    alike_records : how many must, two setpoint responses among them; 2 to 6, default 3.
+    alike_records : how many must, two setpoint responses among them or each from rest to rest; 2 to 6, default 3.
     """
 
     damping: float = 0.5

@@ -36,7 +36,8 @@ class Excitation:
     """How many responses of each kind the model of a region rests on.
 
     clear : of the setpoint responses, how many were clear (see is_clear). alternative : the same of what last
-    contradicted it. rested : of the load responses, how many led from rest to rest (see from_rest_to_rest).
+    contradicted it. rested : how many of the last load responses in a row led from rest to rest
+    (see from_rest_to_rest).
     """
 
     setpoints: int = 0
@@ -58,7 +59,7 @@ class Excitation:
             setpoints=self.setpoints + setpoint,
             loads=self.loads + (not setpoint),
             clear=self.clear + clear,
-            rested=self.rested + (rested and not setpoint),
+            rested=self.rested if setpoint else self.rested + 1 if rested else 0,
         )
 
     def of_alternative(self) -> "Excitation":
@@ -118,8 +119,11 @@ def from_rest_to_rest(samples: Sequence[LoopSample], response: Response, setting
 
     A slow tone rests as well where it crosses, but for less than a third of what its half waves take.
     """
-    quiet = response.ending is Ending.QUIET and not response.taken_over
-    return quiet and was_at_rest(samples, response, settings, settings.rest_between)
+    if response.ending is not Ending.QUIET or response.taken_over:
+        return False
+    least_s = settings.rest_between * (response.t_end_s - response.t_start_s)
+    is_kept = samples[0].t_s <= response.t_start_s - least_s
+    return is_kept and was_at_rest(samples, response, settings, settings.rest_between)
 
 
 def unconfirmed(

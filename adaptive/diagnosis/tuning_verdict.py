@@ -108,13 +108,13 @@ def _by_margins(loop: Loop, found: Found, oscillates: bool) -> Found:
     if not estimate.identifiable and spread > settings.spread_limit:
         return found
     tuning = robust_simc(estimate, window.sample_time_s, settings.robust)
-    verdict, share = weighed(estimate, loop.gains, tuning, window.sample_time_s, settings.cause)
+    verdict = weighed(estimate, loop.gains, tuning, window.sample_time_s, settings.cause)
     verdict = replace(verdict, evidence=verdict.evidence | found.diagnosis.evidence)
     if verdict.cause in TUNING_CAUSES and estimate.explained < settings.fit.explained_limit:
         return Found(_hardly_explained(estimate, verdict), estimate)
     if verdict.cause not in TUNING_CAUSES:
         return _if_agreed(loop, Found(verdict, estimate))
-    doubt = _doubt(verdict, share, loop, oscillates)
+    doubt = _doubt(verdict, loop, oscillates)
     if doubt is not None and (not doubt.may_be_asked or not second_opinion(loop, verdict)):
         return Found(replace(verdict, cause=doubt.cause, confidence=0.5, reason=doubt.reason), estimate)
     return _if_agreed(loop, Found(verdict, estimate, tuning), asked=doubt is not None)
@@ -270,10 +270,10 @@ def second_opinion(loop: Loop, verdict: Diagnosis) -> bool:
     if len(estimate.load_times_s) > settings.second_loads:
         return False
     tuning = robust_simc(estimate, loop.window.sample_time_s, settings.robust)
-    other, share = weighed(estimate, loop.gains, tuning, loop.window.sample_time_s, settings.cause)
+    other = weighed(estimate, loop.gains, tuning, loop.window.sample_time_s, settings.cause)
     calms = asks_for_less(other, settings.cause)
-    same = other.cause is verdict.cause or (calms and asks_for_less(verdict, settings.cause))
-    return same and share >= settings.majority
+    same = calms == asks_for_less(verdict, settings.cause) and (calms or other.cause is verdict.cause)
+    return same and other.confidence >= settings.majority
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,11 +285,11 @@ class Doubt:
     may_be_asked: bool = False
 
 
-def _doubt(verdict: Diagnosis, share: float, loop: Loop, oscillates: bool) -> Doubt | None:
-    """The first doubt of a verdict that would change gains. share : see weighed."""
+def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
+    """The first doubt of a verdict that would change gains."""
     evidence, window, settings = verdict.evidence, loop.window, loop.settings
     steps, loads, left = evidence.get("setpoint_steps", 0.0), evidence["loads"], evidence["linear_left"]
-    if share < settings.majority:
+    if verdict.confidence < settings.majority:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
         return Doubt(Cause.UNKNOWN, reason)
     refuted = math.isinf(evidence["ms"]) and not _grows(window)
@@ -457,9 +457,9 @@ NOISY = 0.5
 
 def weighed(
     estimate: ModelEstimate, gains: PidGains, tuning: RobustTuning, sample_time_s: float, settings: CauseSettings
-) -> tuple[Diagnosis, float]:
-    """The verdict that most of the models share that the record allows, with its weight as the confidence; and the
-    share of them that ask for the same: gains too high and an integral too strong both ask for less.
+) -> Diagnosis:
+    """The verdict that most of the models share that the record allows. Its confidence is the weight of those that ask
+    for the same: gains too high and an integral too strong both ask for less.
     """
     weights: dict[tuple[bool, Cause], float] = defaultdict(float)
     firsts: dict[tuple[bool, Cause], Diagnosis] = {}
@@ -474,9 +474,8 @@ def weighed(
     others = [w for (calms, _), w in weights.items() if not calms]
     calms = less > max(others, default=0.0)
     key = max((one for one in weights if one[0] is calms), key=lambda one: weights[one])
-    told = replace(firsts[key], confidence=weights[key] / every)
-    share = (less if calms else weights[key]) / every
-    return _if_dead_time_is_seen(told, estimate, sample_time_s, settings), share
+    told = replace(firsts[key], confidence=(less if calms else weights[key]) / every)
+    return _if_dead_time_is_seen(told, estimate, sample_time_s, settings)
 
 
 def _if_dead_time_is_seen(

@@ -28,7 +28,9 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from retuner.adaptive.fit.coincident_loads import setpoint_changes
+import numpy as np
+
+from retuner.adaptive.fit.misfit import LOAD_COST
 from retuner.adaptive.fit.refine import Prior
 from retuner.adaptive.identification.candidate import Candidate, with_priors
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
@@ -326,7 +328,8 @@ def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: N
     priors = {t: scattered(mean.log, settings) for t, mean in means.items()}
     roots = {t: Prior.of(log.x, log.p) for t, log in priors.items()}
     before = {k.log.type: k.evidence for k in known}
-    again = with_priors(record.found, roots, inflation_of, int(not setpoint_changes(record.window)))
+    least = _loads_at_least(record)
+    again = with_priors(record.found, roots, inflation_of, least)
     summed = [replace(c, criterion=c.criterion + before[c.fit.misfit.type]) for c in again]
     estimate = estimate_of(sorted(summed, key=lambda c: c.criterion), float(record.window.t_s[0]), roots, fit)
     after = []
@@ -338,8 +341,26 @@ def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: N
     apart = min(_criterion(k, record) for k in known) + min(a.evidence for a in alone.alternatives)
     together = min(_criterion(k, record) for k in after)
     linear, _ = update(priors[known[0].log.type], alone)
-    rise = together - apart
+    rise = together - apart - _owed(record, again, least)
     return Posterior(_led(after, record), estimate, min(linear, max(rise, 0.0)), rise)
+
+
+def _loads_at_least(record: NewRecord) -> int:
+    """Loads that a record needs: one where the setpoint stood and pv begins within its noise, else none."""
+    window, noise = record.window, record.found[0].fit.misfit.record.noise_std
+    begins = np.abs(window.sp[:BEGINS] - window.pv[:BEGINS])
+    return int(np.ptp(window.sp) == 0.0 and bool(np.all(begins <= RESTS_WITHIN * noise)))
+
+
+BEGINS, RESTS_WITHIN = 3, 4.0
+"""Samples with which a record begins, and noise standard deviations of pv within which it rests."""
+
+
+def _owed(record: NewRecord, again: list[Candidate], least: int) -> float:
+    """What a load costs that a record by itself was fitted without: it needs one either way."""
+    alone, best = record.found[0].fit.misfit, again[0].fit.misfit
+    missing = max(least - alone.loads, 0) if best.loads >= least else 0
+    return LOAD_COST * math.log(len(record.window.t_s)) * missing
 
 
 def _criterion(known: StructureModel, record: NewRecord) -> float:

@@ -55,7 +55,7 @@ class GrowthSettings:
     ] = 1e-4
     fewest_before: Annotated[
         int,
-        Setting("Half waves before a growing swing that tell how high it was", 1, 10, source="a load is one"),
+        Setting("Fewest half waves before a growing swing that tell how high it was", 1, 10, source="a load is one"),
     ] = 3
     lasting_half_waves: Annotated[
         int, Setting("Half waves in a row, of which a swing goes on, at least", 4, 24, source="two and a half cycles")
@@ -141,7 +141,7 @@ def grows(samples: Sequence[LoopSample], band: float, settings: GrowthSettings) 
 def _as_high_before(before: list[HalfWave], first: HalfWave, found: Growth, settings: GrowthSettings) -> bool:
     """Whether the same swing went on at such a height before its first half wave: what grows by itself was lower."""
     heights, after_s = [], first.t_s
-    for wave in reversed(before):
+    for wave in reversed(before[-found.half_waves :]):
         if after_s - wave.t_s > settings.even * found.period_s / 2:
             break
         heights.append(wave.height)

@@ -256,6 +256,7 @@ def _small_step(found: Findings, proposed: Proposed, learned: Learned, reason: s
         doubt = doubt_of(found)
         if doubt is not None:
             found.excitation, found.numbers = excitation, NO_NUMBERS
+            one_more_foreign(found, doubt)
             found.doubted(replace(doubt, reason=f"{reason}; {doubt.reason}"))
             return
     found.excitation, found.basis = excitation, proposed.basis

@@ -68,8 +68,10 @@ def test_a_load_response_leads_from_rest_to_rest(error: Callable[[float], float]
     samples, response = quiet_before(error, quiet=quiet)
     assert from_rest_to_rest(samples, response, SwingSettings()) is rested
     assert Excitation().with_response(response, rested=rested).rested == int(rested)
+    assert Excitation(rested=2).with_response(response, rested=False).rested == 0, "they must follow one another"
     response.sp_changed = True
-    assert Excitation().with_response(response, rested=True).rested == 0
+    assert Excitation(rested=2).with_response(response, rested=True).rested == 2
+    assert not from_rest_to_rest(samples[100:], response, SwingSettings()), "what came before is not known"
 
 
 def test_a_short_record_takes_nothing_from_what_is_known(loop: Callable[..., Any]) -> None:

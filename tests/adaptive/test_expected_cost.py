@@ -143,6 +143,11 @@ def test_a_gain_of_which_the_models_say_too_different_things_waits_for_another_r
     assert choose([look(0.0), look(0.04)], replace(look(gain), spread=spread), Seen(20, 9), SETTINGS).index == int(goes)
 
 
+def test_a_step_that_pays_by_itself_needs_no_sure_way() -> None:
+    step, way = replace(look(0.20), spread=0.03), replace(look(0.21), spread=0.30)
+    assert choose([look(0.0), step], way, Seen(20, 9), SETTINGS).index == 1
+
+
 def test_the_spread_is_that_of_what_a_set_costs_over_the_one_in_force() -> None:
     models = (Plausible(PLANT, 0.0), Plausible(replace(PLANT, k=1.5 * PLANT.k), 0.0))
     stays, less = outlooks(models, [Choosable(GOOD), Choosable(scaled(0.5, 0.5))], None, LOOP, SETTINGS)

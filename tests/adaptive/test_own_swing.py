@@ -55,7 +55,7 @@ def test_what_the_record_refutes_is_not_put_to_a_second_opinion(ms: float, asked
     evidence = {"setpoint_steps": 1.0, "loads": 5.0, "linear_left": 1.1, "external_left": 1.1, "ms": ms}
     verdict = Diagnosis(Cause.AGGRESSIVE, 1.0, evidence, "by the fit")
     of = Loop(window, GOOD, [], Fits(window, (1,), FitSettings()), DiagnosisSettings())
-    doubt = _doubt(verdict, 1.0, of, oscillates=False)
+    doubt = _doubt(verdict, of, oscillates=False)
     assert doubt is not None
     assert doubt.may_be_asked is asked
 

@@ -4,6 +4,8 @@ import functools
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.search import load_times
 from retuner.adaptive.identification.identify import FitSettings, fitted, identify_window
 from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.region_model import update as region_update
 from retuner.adaptive.region_model.kalman import update
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings, predicted, update_region_model
@@ -295,6 +298,24 @@ def test_a_small_load_does_not_move_what_is_known(loop: Callable, size: float, l
     assert learned.region_model is not None
     assert learned.region_model.log.model().k == pytest.approx(1.0, rel=0.06)
     assert [round(at_s) for at_s in learned.estimate.load_times_s] == pytest.approx([4040], abs=6)
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_a_load_is_free_only_where_nothing_else_moves_a_loop_at_rest(loop: Callable, seed: int) -> None:
+    """By themselves these records need no load, so the one that they get beside the known process is no surprise."""
+    known = learned_from(loop, 5, SCATTERED)[-1]
+    whole = loop(load=0.6, noise=0.02).run(seed=seed, t0=4000.0)
+    window = whole.part(slice(80, 320))
+    assert fitted(window, (1,), FIT)[0].fit.misfit.loads == 0
+    assert update_region_model(known, window, UP, SCATTERED, FIT).innovation < 5.0
+    ramp = np.clip((whole.t_s - 4040.0) / 100.0, 0.0, 1.0)
+    moved = Window(whole.t_s, whole.sp + ramp, whole.pv, whole.co)
+    record: Any = SimpleNamespace(window=moved, found=fitted(whole, (1,), FIT))
+    assert region_update._loads_at_least(record) == 0
+    record.window = whole
+    assert region_update._loads_at_least(record) == 1
+    record.window = whole.part(slice(120, 360))
+    assert region_update._loads_at_least(record) == 0
 
 
 def test_loads_are_looked_for_beside_a_known_process(loop: Callable) -> None:
