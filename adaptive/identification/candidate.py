@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.fit.coincident_loads import are_coincident
-from retuner.adaptive.fit.misfit import LOAD_COST, Colour, colour, criterion
+from retuner.adaptive.fit.misfit import LOAD_COST, Colour, Misfit, colour, criterion
 from retuner.adaptive.fit.refine import EXACT, Fit, Prior, refine
 from retuner.adaptive.fit.search import load_times
 from retuner.adaptive.fit.structure import SIZE
@@ -54,6 +54,11 @@ def _at_rest(fit: Fit) -> float:
     misfit = fit.misfit
     rests = misfit.record.rests if misfit.co is None else ()
     return sum((rest.cost(misfit.type, fit.x, misfit.sign) for rest in rests), 0.0)
+
+
+def load_price(misfit: Misfit) -> float:
+    """What one load step more costs in the criterion of a record."""
+    return LOAD_COST * math.log(len(misfit.record.pv))
 
 
 def loads_at(fit: Fit, changes_s: tuple[float, ...]) -> int:
@@ -154,7 +159,7 @@ def with_prior(alone: Candidate, prior: Prior, inflation: float = 1.0, least_loa
         if len(times) == loads:
             starts.append((other, np.concatenate([mean, times])))
     fits = (refine(of, start, prior, enough=EXACT) for of, start in starts)
-    missing = LOAD_COST * math.log(len(misfit.record.pv))
+    missing = load_price(misfit)
     return min(
         (judged(fit, prior) for fit in fits),
         key=lambda c: c.criterion + missing * max(least_loads - c.fit.misfit.loads, 0),

@@ -30,9 +30,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from retuner.adaptive.fit.misfit import LOAD_COST
 from retuner.adaptive.fit.refine import Prior
-from retuner.adaptive.identification.candidate import Candidate, with_priors
+from retuner.adaptive.identification.candidate import Candidate, load_price, with_priors
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of, inflation_of
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -360,7 +359,7 @@ def _owed(record: NewRecord, again: list[Candidate], least: int) -> float:
     """What a load costs that a record by itself was fitted without: it needs one either way."""
     alone, best = record.found[0].fit.misfit, again[0].fit.misfit
     missing = max(least - alone.loads, 0) if best.loads >= least else 0
-    return LOAD_COST * math.log(len(record.window.t_s)) * missing
+    return load_price(alone) * missing
 
 
 def _criterion(known: StructureModel, record: NewRecord) -> float:
