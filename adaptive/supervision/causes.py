@@ -193,7 +193,8 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     A swing that was known to come, by what clear setpoint steps have shown, is the loop's own whatever a tone explains.
     Where something else was found before, it is asked again, of all that the gains in force have shown lately. Each
     response for which it wins counts for it, each that the loop by itself explains counts against it, and as long as
-    the former are more it is alive: nothing is learned. Unknown and noise count for neither.
+    the former are more it is alive: nothing is learned. Unknown and noise count for neither. A load response from rest
+    to rest counts against it unasked.
     """
     record, settings = found.record, found.settings
     period_s = lasting(record.samples, record.response.band, settings.growth)
@@ -205,9 +206,9 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
         return None
     calm = not (swinging or record.response.sp_changed)
     if calm and from_rest_to_rest(record.samples, record.response, settings.swing):
-        found.foreign = record.foreign - 1  # what swings from outside never rests
-        told = STILL_ALIVE.format(more=found.foreign)
-        return Diagnosis(Cause.UNKNOWN, 0.5, {}, told) if found.foreign else None
+        found.foreign = record.foreign - 1
+        told = Diagnosis(Cause.UNKNOWN, 0.5, {}, STILL_ALIVE.format(more=found.foreign))
+        return told if found.foreign else None
     asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis, period_s
     cause = whole_cause(*asked)
     own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
