@@ -9,13 +9,14 @@
 m are the models that the records still allow, excess the rise of their deviance (plausible.py), tempered because the
 remainders of real records are not white. J is the mean over a setpoint and a load step of IAE over that of SIMC on the
 same model (Grimholt & Skogestad 2012). The limits are those by which settings are judged, Ms of 1.8 and J of 1.25. Each
-is as wide as models are wrong, so that nothing hangs on the second digit of an Ms. What an unstable loop costs is not
-known: a stated most, and no less than the slow loop that it takes the place of. No Ms costs more than that most; a long
-wait costs all of its length.
+is as wide as models are wrong, so that nothing hangs on the second digit of an Ms. No Ms costs more than a stated most;
+a long wait costs all of its length. An unstable loop costs that most or, where a stable set costs so much, more than
+any of them: on each model, and as a whole where it is unstable on the most likely one.
 
 Something else: the models are a fiction, and only what was seen is known. The loop in force is stable, and decays as it
-did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung. Less action costs its
-IAE, 1/ki after a load, and helps a loop that swung.
+did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung. An action that was not
+there before has no such factor: it counts as much as one that doubles. Less action costs its IAE, 1/ki after a load, and
+helps a loop that swung.
 
 A change is made where it is expected to cost less than staying, by more than the price of a change and, as one more
 record costs little, by what the models disagree about:
@@ -23,8 +24,13 @@ record costs little, by what the models disagree about:
     gain > price + sure s,    s = standard deviation of cost(set, m) - cost(in force, m) over the models
 
 The gain of a set is lost for one response of the many that it would run for, a wrong change is there for all of them;
-with twenty looks at a loop that is well tuned, one of them always sees a little too much Ms. The worst case is no part
-of this: that is the guard's (guard/proof.py), and only what it proved is weighed here.
+with twenty looks at a loop that is well tuned, one of them always sees a little too much Ms. What one more record can
+still take away of what the models disagree about falls with the number that agree: s sqrt(2 / (n + 1)) (preposterior
+analysis, Raiffa & Schlaifer 1961), so no loop waits for ever.
+
+Nothing is weighed against the safety of a loop that is unstable in force: on every model, or on the most likely one
+with a second record that agrees. What the guard has proved for it is made, however slow. The worst case is no part of
+this: that is the guard's (guard/proof.py), and only what it proved is weighed here.
 """
 
 import math
@@ -98,6 +104,7 @@ class Outlook:
     cost : on the models, see the head of this file. unknown : over the set in force where they are a fiction.
     j : IAE over that of SIMC. ms, ms_most : Ms. Both on the most likely model, ms_most on the worst; may be infinite.
     spread : standard deviation over the models of its cost over that of the set in force.
+    lost : whether it is unstable on every model.
     """
 
     cost: float
@@ -106,6 +113,12 @@ class Outlook:
     ms: float
     ms_most: float
     spread: float = 0.0
+    lost: bool = False
+
+    @property
+    def stable(self) -> bool:
+        """On the most likely model."""
+        return math.isfinite(self.ms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,22 +147,44 @@ def outlooks(
     sampled = [plausible.model.seen_by_controller(loop.sample_time_s) for plausible in found]
     weights = [math.exp(-plausible.excess / (2 * settings.temper)) for plausible in found]
     processes, rules = [model.linear() for model in sampled], [_of_rule(model) for model in sampled]
+    rows = _j_of_all(processes, rules, sets, loop)
+    peaks = [[sensitivity_peak(process, one.gains, loop.tau_f_s) for process in processes] for one in sets]
+    table = _costs(rows, peaks, settings)
     made: list[Outlook] = []
-    in_force: list[float] = []
-    for choosable, row in zip(sets, _j_of_all(processes, rules, sets, loop), strict=True):
-        ms = [sensitivity_peak(process, choosable.gains, loop.tau_f_s) for process in processes]
+    for choosable, row, ms, costs in zip(sets, rows, peaks, table, strict=True):
         between = over(choosable.between, settings) if choosable.between else 0.0
-        costs = [cost(j, now, settings) for j, now in zip(row, ms, strict=True)]
-        in_force = in_force or costs
-        lost = [not math.isfinite(j + now) for j, now in zip(row, ms, strict=True)]
-        costs = [max(c, stays) if out else c for c, stays, out in zip(costs, in_force, lost, strict=True)]
-        mean = sum(w * c for w, c in zip(weights, costs, strict=True)) / sum(weights) + between
-        over_now = [c - stays for c, stays in zip(costs, in_force, strict=True)]
-        middle = sum(w * c for w, c in zip(weights, over_now, strict=True)) / sum(weights)
-        spread = math.sqrt(sum(w * (c - middle) ** 2 for w, c in zip(weights, over_now, strict=True)) / sum(weights))
+        over_now = [c - stays for c, stays in zip(costs, table[0], strict=True)]
+        middle = _mean(over_now, weights)
+        spread = math.sqrt(_mean([(c - middle) ** 2 for c in over_now], weights))
         unknown = if_unknown(sets[0].gains, choosable.gains, decay, settings)
-        made.append(Outlook(mean, unknown, row[0], ms[0], max(ms), spread))
-    return made
+        lost = all(map(math.isinf, ms))
+        made.append(Outlook(_mean(costs, weights) + between, unknown, row[0], ms[0], max(ms), spread, lost))
+    return without_privilege(made, settings)
+
+
+def _mean(values: Sequence[float], weights: Sequence[float]) -> float:
+    """Weighted."""
+    return sum(w * x for w, x in zip(weights, values, strict=True)) / sum(weights)
+
+
+def _costs(
+    rows: Sequence[Sequence[float]], peaks: Sequence[Sequence[float]], settings: ChoiceSettings
+) -> list[list[float]]:
+    """Of each set on each model, by its J and Ms. What is unstable there costs more than every set that is not."""
+    table = [[cost(j, ms, settings) for j, ms in zip(*pair, strict=True)] for pair in zip(rows, peaks, strict=True)]
+    ends = [[math.isfinite(j + ms) for j, ms in zip(*pair, strict=True)] for pair in zip(rows, peaks, strict=True)]
+    for model in range(len(table[0])):
+        stable = [costs[model] for costs, stays in zip(table, ends, strict=True) if stays[model]]
+        most = max([settings.most, *(one + settings.out for one in stable)])
+        for costs, stays in zip(table, ends, strict=True):
+            costs[model] = costs[model] if stays[model] else most
+    return table
+
+
+def without_privilege(found: Sequence[Outlook], settings: ChoiceSettings) -> list[Outlook]:
+    """The same, with what is unstable on the most likely model at no less than every set that is stable there."""
+    stable = [one.cost + settings.out for one in found if one.stable]
+    return [one if one.stable else replace(one, cost=max([one.cost, *stable])) for one in found]
 
 
 def _of_rule(model: ProcessModel) -> PidGains:
@@ -180,7 +215,7 @@ def _j(now: Sequence[float], rule: Sequence[float]) -> float:
 
 
 def cost(j: float, ms: float, settings: ChoiceSettings) -> float:
-    """Of a set on one model (see the head of this file)."""
+    """Of a set on one model (see the head of this file); of an unstable one the least that it costs."""
     if not math.isfinite(ms) or not math.isfinite(j):
         return settings.most
     late = math.log(j / settings.j_limit)
@@ -205,12 +240,23 @@ def _step(x: float) -> float:
 def if_unknown(now: PidGains, new: PidGains, decay: float | None, settings: ChoiceSettings) -> float:
     """Cost of new gains over those in force where nothing is known but the response."""
     swung, s = decay or 0.0, settings
-    ways = [math.log(abs(b) / abs(a)) for a, b in ((now.kp, new.kp), (now.ki, new.ki)) if a and b]
-    more, less = max([*ways, 0.0]), -min([*ways, 0.0])
+    pairs = ((now.kp, new.kp), (now.ki, new.ki))
+    more = max([*(_log_factor(a, b) for a, b in (*pairs, (now.kd, new.kd))), 0.0])
+    less = -min([*(_log_factor(a, b) for a, b in pairs), 0.0])
     risk = s.most_risk * -math.expm1(-more * (s.risk + s.risk_swing * swung) / s.most_risk)
-    slower = max(math.log(abs(now.ki) / abs(new.ki)), 0.0) if now.ki and new.ki else 0.0
+    slower = s.most if now.ki and not new.ki else max(-_log_factor(now.ki, new.ki), 0.0)
     helped = s.relief * max(swung - s.calm_decay, 0.0) * less
     return max(min(risk + slower - helped, s.most), -s.most)
+
+
+def _log_factor(old: float, new: float) -> float:
+    """Logarithm of the factor from one gain to another; an action that comes or goes counts as twice or half of one.
+
+    At the period at which it weighs as much as the action beside it, it doubles what the controller does.
+    """
+    if not (old or new):
+        return 0.0
+    return math.log(abs(new) / abs(old)) if old and new else math.copysign(math.log(2.0), abs(new) - abs(old))
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,13 +310,15 @@ def choose(
     """
     p = doubt(seen, settings)
     gains = [_gain(found[0], outlook, p) for outlook in found]
-    best = max(range(1, len(found)), key=lambda i: gains[i])
+    danger = in_danger(found, seen)
+    best = _safest(found, gains) if danger else max(range(1, len(found)), key=lambda i: gains[i])
     asked = [(gains[best], (1.0 - p) * found[best].spread)]
     if way is not None:
         asked.append((_gain(found[0], way, p), (1.0 - p) * way.spread))
-    brings, spread = max(asked, key=lambda one: one[0] - settings.sure * one[1])
+    sure = settings.sure * math.sqrt(2.0 / (max(seen.records, 1) + 1.0))
+    brings, spread = max(asked, key=lambda one: one[0] - sure * one[1])
     pays = gains[best] > 0.0 and brings > settings.price
-    goes = pays and brings > settings.price + settings.sure * spread
+    goes = danger or (pays and brings > settings.price + sure * spread)
     more = doubt(_once_more(seen), settings)
     then_found = agreed or found
     waits = not goes and (pays or _gain(then_found[0], then_found[best], more) > settings.price)
@@ -280,6 +328,21 @@ def choose(
     odd = seen.odd if seen.odd >= LEAST_SAID else None
     numbers = ChoiceNumbers(brings, settings.price, p, iae, *told, spread, odd)
     return Choice(best if goes else 0, best, waits, numbers, _words(numbers, goes=goes, waits=waits, pays=pays))
+
+
+def in_danger(found: Sequence[Outlook], seen: Seen) -> bool:
+    """Whether the set in force is unstable and what was proved in its place is to run, whatever it costs.
+
+    Where that is said by one record that is rather odd than not, what was known before it is weighed as well.
+    """
+    now = found[0]
+    return not now.stable and (now.lost or seen.records > 1) and seen.odd < RATHER
+
+
+def _safest(found: Sequence[Outlook], gains: Sequence[float]) -> int:
+    """The best of what is stable on the most likely model; where nothing is, the whole of the proved change."""
+    stable = [i for i in range(1, len(found)) if found[i].stable]
+    return max(stable, key=lambda i: gains[i], default=1)
 
 
 def _gain(now: Outlook, then: Outlook, p: float) -> float:
@@ -322,6 +385,8 @@ def _chance(p: float) -> str:
     return f"{p:.0%}" if p >= LEAST_SAID else f"under {LEAST_SAID:.0%}"
 
 
+RATHER = 0.5
+"""Probability from which something is rather so than not."""
 LEAST_SAID = 0.01
 """Probability below which its digits say nothing."""
 
