@@ -14,9 +14,9 @@ a long wait costs all of its length. An unstable loop costs that most or, where 
 any of them: on each model, and as a whole where it is unstable on the most likely one.
 
 Something else: the models are a fiction, and only what was seen is known. The loop in force is stable, and decays as it
-did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung. An action that was not
-there before has no such factor: it counts as much as one that doubles. Less action costs its IAE, 1/ki after a load, and
-helps a loop that swung.
+did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung. An action that was
+not there before has no such factor: it counts as much as one that doubles. Less action costs its IAE, 1/ki after a
+load, and helps a loop that swung.
 
 A change is made where it is expected to cost less than staying, by more than the price of a change and, as one more
 record costs little, by what the models disagree about:

@@ -12,12 +12,15 @@ say. Cause before cure: what a rival explains teaches the model nothing.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.indexes.screening import screen
+from retuner.adaptive.signals.growth import half_waves
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
@@ -165,6 +168,32 @@ def through_a_change(samples: Sequence[LoopSample], gains: PidGains, settings: D
     return period_s if shorter_s >= ON_EACH_SIDE * period_s else None
 
 
+def alike_on_both_sides(samples: Sequence[LoopSample], period_s: float, band: float) -> bool:
+    """Whether pv swings at one period before and after the last change of gains, and does not grow under the new ones.
+
+    A tone from outside has its own period and height. A swing that other gains have given another period, or that
+    grows, is the loop's own. band : noise band, pv units.
+    """
+    newest = samples[-1].revision
+    sides = [s for s in samples if s.revision != newest], [s for s in samples if s.revision == newest]
+    for side in sides:
+        waves = half_waves(side, band) if side else []
+        if len(waves) < FEWEST_WAVES:
+            return False
+        half_s = float(np.median(np.diff([wave.t_s for wave in waves])))
+        if max(2.0 * half_s, period_s) > SAME_PERIOD * min(2.0 * half_s, period_s):
+            return False
+    heights = [wave.height for wave in half_waves(sides[1], band)]
+    middle = len(heights) // 2
+    return float(np.median(heights[middle:])) <= STEADY * float(np.median(heights[:middle]))
+
+
+FEWEST_WAVES = 3
+"""Half waves on each side of which a period may be told."""
+SAME_PERIOD = 1.25
+"""Ratio up to which two periods are one."""
+STEADY = 1.3
+"""Ratio of later half waves to earlier ones from which a swing grows; noise is a quarter of the least."""
 ON_EACH_SIDE = 2.0
 """Periods of a tone that both sets of gains must have seen."""
 

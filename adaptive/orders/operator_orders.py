@@ -6,25 +6,24 @@ approved is what was looked at. Where nothing is known of the region (the propos
 the limits per change hold it, but not on the way to less of everything: a proposal that calms may be as large as its
 loop is unstable. Then it is on trial as any change.
 The way back leads to a set that has run before, so the limits per change do not hold it; the absolute ones do, and a
-set that would make the known process unstable is refused. While a change is on trial the way back is to undo that.
+set that is unstable on more of the allowed models than the active one is refused (trial/way_back.py). While a change is
+on trial the way back is to undo that.
 """
 
-import math
 from dataclasses import replace
 
 from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Verdict, change_factor, prove, within_limits
 from retuner.adaptive.guard.step_size import less_of_everything
-from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
-from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.guard_request import change_request
+from retuner.adaptive.supervision.guard_request import change_request, known_of
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.persons_edit import right_words, turned_words
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.way_back import SetsThatRan, unstable_again
 from retuner.schedule.gains import PidGains
 
 WHOLE = 1.001
@@ -127,12 +126,9 @@ def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
         return "they are active already"
     if not guard.kc_min <= abs(gains.kp) <= guard.kc_max:
         return f"kc {gains.kp:g} lies outside kc_min and kc_max"
-    region_model = retuner.region_models.get(region)
-    if region_model is None:
-        return ""
-    process = predicted(region_model, t_s, settings.tracker).model().seen_by_controller(settings.sample_time_s).linear()
-    unstable = math.isinf(sensitivity_peak(process, gains)) and math.isfinite(sensitivity_peak(process, in_force))
-    return "they would be unstable on the present model" if unstable else ""
+    known = known_of(retuner.region_models, retuner.table, region, t_s, settings)
+    why = unstable_again(SetsThatRan(gains, in_force), known)
+    return why.replace("the previous gains", "they")
 
 
 def accept(retuner: Retuner, region: int, t_s: float) -> bool:

@@ -15,7 +15,6 @@ from retuner.adaptive.diagnosis.oscillation_online import (
     hidden_cause,
     stretch,
     swings,
-    through_a_change,
     whole_cause,
 )
 from retuner.adaptive.diagnosis.second_opinion import (
@@ -35,28 +34,20 @@ from retuner.adaptive.diagnosis.swing_checks import (
     touches_limits,
 )
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
-from retuner.adaptive.guard import Verdict, prove
-from retuner.adaptive.guard.request import Support
-from retuner.adaptive.guard.step_size import less_of_everything
+from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.estimate import log_controller
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.sequences import update_by_sequences
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
-from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.signals.setpoint_steps import setpoint_steps
 from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, ToAndFro, to_and_fro
-from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import tuning_of, unproved_request
+from retuner.adaptive.supervision.guard_request import tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.batch_responses import Loop
-from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.weighed import NO_NUMBERS
-from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
 __all__ = [
@@ -68,7 +59,6 @@ __all__ = [
     "borne_out",
     "by_sequences",
     "clear_case",
-    "cut_refuted",
     "doubt_of",
     "foreign_swing",
     "hidden",
@@ -301,54 +291,6 @@ def _held_up(record: ResponseRecord, cause: Diagnosis, settings: RetunerSettings
 def swings_between_limits(record: ResponseRecord, settings: RetunerSettings) -> bool:
     """Whether the output goes from limit to limit."""
     return touches_limits(record.samples, record.response, settings.limit_swing)
-
-
-def cut_refuted(found: Findings) -> None:
-    """Was less action a cure for what came from outside? Then the set that ran before comes back, on trial.
-
-    Less action was written because a model said that the loop swings by itself. A tone that goes on through that change
-    as it was before, and that no process explains under both sets, refutes the model: the swing was not the loop's own.
-    What a clear setpoint step has shown of the process is not refuted so.
-    """
-    record, trial, cause = found.record, found.question.trial, found.diagnosis
-    if cause is None or cause.cause is not Cause.EXTERNAL or trial.phase is not TrialPhase.IDLE or record.crossed:
-        return
-    before = _cut_from(trial, record.in_force, found.settings.trial.harmless_decay)
-    if before is None or record.excitation.clear or record.table.lookup is Lookup.INTERPOLATED:
-        return
-    settings = found.settings
-    here = [sample for sample in record.samples if sample.t_s >= record.entered_s]
-    period_s = through_a_change(here, record.in_force, settings.diagnosis)
-    if period_s is None:
-        return
-    tuning, tables = Tuning("set that ran before", "parallel", before), (record.table, record.commissioned)
-    request = unproved_request(tuning, record.region, tables, settings)
-    request = replace(request, evidence=replace(request.evidence, support=Support.RAN))
-    verdict = prove(request, settings.guard)
-    found.forget, found.region_model, found.excitation = True, None, None
-    if verdict.accepted:
-        found.proposal, found.verdict, found.basis = tuning, verdict, Basis.RAN
-        found.numbers = NO_NUMBERS
-    found.stop(verdict.code, REFUTED.format(period=period_s, ruling=verdict.sentence))
-
-
-REFUTED = (
-    "the oscillation of {period:.3g} s goes on as before the last change. No process explains it under both gain sets, "
-    "so it comes from outside and less action was no cure; {ruling}"
-)
-"""The reason where a cut is taken back."""
-
-
-def _cut_from(trial: Trial, in_force: PidGains, harmless_decay: float) -> PidGains | None:
-    """The newest set that ran before and acted more, where the last change was less action against a swing."""
-    if trial.promise is None or trial.new != in_force:
-        return None
-    said = trial.promise
-    swung = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False), said.decay_seen or 0.0)
-    if said.models and swung <= harmless_decay:
-        return None
-    ran = (gains for gains in trial.earlier if gains != in_force and less_of_everything(gains, in_force))
-    return next(ran, None)
 
 
 def clear_case(found: Findings, learned: Learned) -> bool:

@@ -1,15 +1,31 @@
-"""Before a change lets it go: do the gains in force hold a process that runs away by itself?
+"""What gains in force hold, and what those before them would: two questions beside the models of a region.
 
-What shows that is in diagnosis/runaway_process.py.
+Before a change lets it go: do the gains in force hold a process that runs away by itself (diagnosis/runaway_process)?
+After one to less action: was it a cure, or does the swing come from outside, so that the set before may come back?
 """
 
 import math
+from dataclasses import replace
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.oscillation_online import alike_on_both_sides, through_a_change
 from retuner.adaptive.diagnosis.runaway_process import Runaway, runaway_process, worse_on
+from retuner.adaptive.guard import prove
+from retuner.adaptive.guard.request import Support
+from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.loop.sampled import SampledLaw
+from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import LoopMode, Window
+from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.guard_request import known_of, unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.way_back import LOST_WORDS, less_stable
+from retuner.adaptive.weighed import NO_NUMBERS
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import Lookup
 
 BEFORE = 5
 """Samples before a setpoint step that are looked at with it."""
@@ -62,3 +78,70 @@ def _told(shown: Runaway, before: float, after: float) -> Diagnosis:
     )
     evidence = {"runs_away_s": shown.grows_s, "ms": before}
     return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)
+
+
+def cut_refuted(found: Findings) -> None:
+    """Was less action a cure for what came from outside? Then the set that ran before comes back, on trial.
+
+    Less action was written because a model said that the loop swings by itself. A tone that goes on through that change
+    as it was before, and that no process explains under both sets, refutes the model: the swing was not the loop's own.
+    What a clear setpoint step has shown of the process is not refuted so. The way back is through the one door of all
+    (trial/way_back.py): where the models that are still allowed call that set less stable, it stays out.
+    """
+    record, trial, cause = found.record, found.question.trial, found.diagnosis
+    if cause is None or cause.cause is not Cause.EXTERNAL or trial.phase is not TrialPhase.IDLE or record.crossed:
+        return
+    before = _cut_from(trial, record.in_force, found.settings.trial.harmless_decay)
+    if before is None or record.excitation.clear or record.table.lookup is Lookup.INTERPOLATED:
+        return
+    settings = found.settings
+    here = [sample for sample in record.samples if sample.t_s >= record.entered_s]
+    period_s = through_a_change(here, record.in_force, settings.diagnosis)
+    if period_s is None or found.growth is not None or not alike_on_both_sides(here, period_s, record.response.band):
+        return
+    kept_out = _kept_out(record, trial, before, settings)
+    if kept_out:
+        found.stop("tone_goes_on", NOT_BACK.format(period=period_s, why=kept_out))
+        return
+    tuning, tables = Tuning("set that ran before", "parallel", before), (record.table, record.commissioned)
+    request = unproved_request(tuning, record.region, tables, settings)
+    request = replace(request, evidence=replace(request.evidence, support=Support.RAN))
+    verdict = prove(request, settings.guard)
+    found.forget, found.region_model, found.excitation = True, None, None
+    if verdict.accepted:
+        found.proposal, found.verdict, found.basis = tuning, verdict, Basis.RAN
+        found.numbers = NO_NUMBERS
+    found.stop(verdict.code, REFUTED.format(period=period_s, ruling=verdict.sentence))
+
+
+def _kept_out(record: ResponseRecord, trial: Trial, before: PidGains, settings: RetunerSettings) -> str:
+    """Why the set before a cut does not come back, by all that is known; empty where it may."""
+    now_s = float(record.window.t_s[-1])
+    known = known_of(record.region_models, record.table, record.region, now_s, settings)
+    if known.processes:
+        return less_stable(before, record.in_force, known, settings.trial.harmless_ms)
+    return LOST_WORDS if trial.sets.lost else ""
+
+
+NOT_BACK = (
+    "the oscillation of {period:.3g} s goes on as before the last change, so it comes from outside. The previous gains "
+    "do not come back: {why}. A setpoint step would show the process"
+)
+"""The reason where a tone goes on, and the way back is closed."""
+REFUTED = (
+    "the oscillation of {period:.3g} s goes on as before the last change. No process explains it under both gain sets, "
+    "so it comes from outside and less action was no cure; {ruling}"
+)
+"""The reason where a cut is taken back."""
+
+
+def _cut_from(trial: Trial, in_force: PidGains, harmless_decay: float) -> PidGains | None:
+    """The newest set that ran before and acted more, where the last change was less action against a swing."""
+    if trial.promise is None or trial.new != in_force:
+        return None
+    said = trial.promise
+    swung = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False), said.decay_seen or 0.0)
+    if said.models and swung <= harmless_decay:
+        return None
+    ran = (gains for gains in trial.earlier if gains != in_force and less_of_everything(gains, in_force))
+    return next(ran, None)

@@ -27,7 +27,6 @@ from retuner.adaptive.supervision.causes import (
     beside_sequences,
     by_sequences,
     clear_case,
-    cut_refuted,
     doubt_of,
     foreign_swing,
     hidden,
@@ -46,7 +45,7 @@ from retuner.adaptive.supervision.choosing import chosen, proved
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import may_follow, posterior_of, promised, unproved_request, walked
-from retuner.adaptive.supervision.held_process import runaway
+from retuner.adaptive.supervision.held_process import cut_refuted, runaway
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model

@@ -116,6 +116,14 @@ class Promise:
         return then.decay.best if self.decay_seen is None else self.decay_seen
 
     @property
+    def unstable_before(self) -> bool:
+        """Whether the best model of the proof called the old gains unstable, and the new ones not."""
+        if not self.models:
+            return False
+        old, new = (self.setpoint_before, self.load_before), (self.setpoint, self.load_step)
+        return any(math.isinf(one.iae.best) for one in old) and all(math.isfinite(one.iae.best) for one in new)
+
+    @property
     def patience_s(self) -> float:
         """Longest that a response should take until it has settled, s; infinite where a loop may never."""
         return max(self.setpoint.settle_s.high, self.load_step.settle_s.high)

@@ -30,7 +30,7 @@ from retuner.adaptive.trial.phase import (
 from retuner.adaptive.trial.runaway import law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed, WayBack, way_back
+from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed, WayBack, unstable_again, way_back
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
@@ -229,18 +229,9 @@ class TrialSupervisor:
         return tuple(region for region in self.restoring if self._move(region, E.RESTORED, t_s))
 
     def no_way_back(self, region: int) -> str:
-        """Why a person's order does not lead back to the set before the trial; empty when it does.
-
-        It does not where that set is unstable on every model that is still allowed, and the tried one is not.
-        """
+        """Why a person's order does not lead back to the set before the trial; empty when it does (see way_back.py)."""
         trial = self.of(region)
-        if trial.old is None or trial.new is None or not trial.ran:
-            return ""
-        known = self._known(region)
-        before, tried = known.ms(trial.old), known.ms(trial.new)
-        if not before or not all(map(math.isinf, before)) or all(map(math.isinf, tried)):
-            return ""
-        return "the previous gains would be unstable on every plausible model"
+        return "" if trial.old is None else unstable_again(trial.sets, self._known(region))
 
     def look(
         self, sample: LoopSample, region: int | None, band: float, elapsed_s: float, gap_s: float, *, blended: bool
@@ -398,7 +389,7 @@ class TrialSupervisor:
             return False
         trial = replace(trial, phase=now, seen=None)
         if now == P.RESTORING:
-            found = back or WayBack(trial.sets.before, stays=False)
+            found = back or self._way_back(region, event)
             trial = replace(trial, cause=event, back=found, undos=trial.undos + (event in UNDOS))
         elif now == P.COOLING:
             trial = replace(trial, until_s=t_s + self._cool_down_s(trial))

@@ -58,7 +58,8 @@ class Trial:
         said = self.promise
         swung = said.decay_seen if said else None
         swings = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False)) if said else 0.0
-        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, swings)
+        lost = said is not None and said.unstable_before and bool(self.old.ki)  # without ki none comes to rest
+        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, swings, lost)
 
     def may_be_ours(self, gains: PidGains) -> bool:
         """Whether gains in force may be a set that was promised and written: a person's comes without a promise.

@@ -17,6 +17,10 @@ calm), and a set that acts more in everything than a bad one is as bad.
 The commissioned set has no privilege. After evidence against the tried set the one before is to run, also where there
 is no model; after a cause that says nothing of it the tried one stays. Another set takes their place where it is
 expected to lose less by more than the price of a change.
+
+Whatever leads back, there is one door, `less_stable`: no set comes back that is less stable by Ms on the models that
+are still allowed than the one that runs. Evidence may be a tone, a load or a wrong model; an unstable loop is none.
+Where no model is left, the ones on which the tried set was proved keep the door: what they called unstable stays out.
 """
 
 import math
@@ -109,7 +113,7 @@ class SetsThatRan(NamedTuple):
     """before : the set before the trial. tried : None while it is not known to have run. earlier : the newest first.
 
     swung : ratio of successive peaks that was seen of the set before, None when nothing was. swings : as seen, else as
-    the models said that the change was proved on.
+    the models said that the change was proved on. lost : these called the set before unstable, and the tried one not.
     """
 
     before: PidGains
@@ -117,6 +121,7 @@ class SetsThatRan(NamedTuple):
     earlier: tuple[PidGains, ...] = ()
     swung: float | None = None
     swings: float = 0.0
+    lost: bool = False
 
 
 class WayBack(NamedTuple):
@@ -148,14 +153,18 @@ class Seen(NamedTuple):
 
 def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> WayBack:
     """Which set is to run after a cause that ends trials; see the head of this file."""
-    if ran.tried in {None, ran.before} or cause is TrialEvent.ORDERED_BACK:
+    if ran.tried is None or ran.tried == ran.before:
         return WayBack(ran.before, stays=False)
+    if cause is TrialEvent.ORDERED_BACK:
+        why = unstable_again(ran, known)
+        return WayBack(ran.tried if why else ran.before, bool(why), why)
     stays = cause not in UNDOS and (known.processes or cause is TrialEvent.TIMED_OUT)
     sets = [ran.tried, ran.before] if stays else [ran.before, ran.tried]
     ms = {gains: known.ms(gains) for gains in (*sets, *ran.earlier)}
     expected, else_ = expected_losses(ms, known.likely(), _seen(cause, ran, settings), settings.harmless_ms)
-    runs = sets[0]
-    for other in ms:
+    open_to = [gains for gains in ms if not _kept_out(gains, ran, known, settings.harmless_ms)]
+    runs = sets[0] if sets[0] in open_to else ran.tried
+    for other in open_to:
         runs = other if expected[other] < expected[runs] - PRICE else runs
     numbers = None
     if known.processes:
@@ -163,6 +172,62 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
         models = len(ms[ran.tried])
         numbers = WayBackNumbers(models, tried.ms, tried.unstable, before.ms, before.unstable, else_)
     return WayBack(runs, runs == ran.tried, _words(cause, numbers, runs, ran, settings), numbers)
+
+
+def less_stable(to: PidGains, present: PidGains, known: StillAllowed, harmless_ms: float) -> str:
+    """Why a set does not come back in place of the present one, by Ms on the allowed models; empty where it may.
+
+    It is unstable on more of them, or over harmless_ms and worse than the present one by more than the price of a
+    change. Where both are unstable on all of them Ms does not tell: then it must not act more in everything.
+    """
+    there, here = Robustness.of(known.ms(to)), Robustness.of(known.ms(present))
+    models = len(known.processes) + len(known.between)
+    if not models or to == present:
+        return ""
+    worse = loss_of(there.ms, harmless_ms) > loss_of(here.ms, harmless_ms) + PRICE
+    less = there.unstable > here.unstable or (there.unstable == here.unstable and worse)
+    lost = there.unstable == here.unstable == models and less_of_everything(to, present)
+    if not (less or lost):
+        return ""
+    return (
+        f"they are less stable over {models_words(models)}: {robustness_words(there.ms, there.unstable, models)}, "
+        f"active gains {robustness_words(here.ms, here.unstable, models)}"
+    )
+
+
+def unstable_again(ran: SetsThatRan, known: StillAllowed) -> str:
+    """Why not even a person's order leads back to the set before; empty where it does.
+
+    A larger Ms is his to choose, a loop that is unstable on more models is not: he may set such gains by hand.
+    """
+    if ran.tried is None:
+        return ""
+    there, here = Robustness.of(known.ms(ran.before)), Robustness.of(known.ms(ran.tried))
+    if known.processes and there.unstable > here.unstable:
+        models = len(known.processes) + len(known.between)
+        on = "every plausible model" if there.unstable == models else f"{there.unstable} of {models} plausible models"
+        return f"the previous gains would be unstable on {on}"
+    if not known.processes and ran.lost:
+        return LOST_WORDS
+    return ""
+
+
+LOST_WORDS = "the previous gains were unstable on the model on which the trial gains were proved"
+"""Why a set does not come back where no model is left."""
+
+
+def _kept_out(gains: PidGains, ran: SetsThatRan, known: StillAllowed, harmless_ms: float) -> bool:
+    """Whether the door is closed to a set."""
+    if gains == ran.tried:
+        return False
+    if known.processes:
+        return ran.tried is not None and bool(less_stable(gains, ran.tried, known, harmless_ms))
+    return ran.lost and gains == ran.before
+
+
+def loss_of(ms: float, harmless_ms: float) -> float:
+    """Share of the distance to instability that is lost."""
+    return 1.0 - harmless_ms / max(ms, harmless_ms)
 
 
 def _seen(cause: TrialEvent, ran: SetsThatRan, settings: TrialSettings) -> dict[PidGains, Seen]:
@@ -183,7 +248,7 @@ def expected_losses(
 
     ms : of each set on each model. likely : of each model. seen : of those sets of which anything was.
     """
-    losses = {gains: [1.0 - harmless_ms / max(one, harmless_ms) for one in row] for gains, row in ms.items()}
+    losses = {gains: [loss_of(one, harmless_ms) for one in row] for gains, row in ms.items()}
     weights = [
         (1.0 - SOMETHING_ELSE) * weight * math.prod(one.likelihood(losses[gains][i]) for gains, one in seen.items())
         for i, weight in enumerate(likely)
@@ -206,6 +271,8 @@ def _words(
         return ""
     if found is None and cause is TrialEvent.TIMED_OUT:
         return "no response spoke against the trial gains"
+    if found is None and ran.lost:
+        return LOST_WORDS
     if found is None:
         return f"the previous gains kept oscillating (half-cycle decay ratio {ran.swung or math.nan:.2f})"
     tried = robustness_words(found.ms_tried, found.unstable_tried, found.models)

@@ -1,11 +1,14 @@
 """The retuner with its trials: what samples tell ends a trial by itself, and the response under way teaches."""
 
 import json
+import math
 from collections.abc import Iterator
 
 import pytest
-from rig import BAD, GOOD, PROMISE, Rig
+from rig import BAD, GOOD, MODEL, PROMISE, Rig
 
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopMode
@@ -14,6 +17,7 @@ from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
+from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -81,6 +85,32 @@ def test_a_model_that_promised_wrongly_is_not_believed_any_more() -> None:
         assert decision.code == "undo_runaway"
         assert decision.agreement is (Agreement.FIRST if before is None else Agreement.AGREES)
         assert (0 in stand.retuner.region_models, 0 in stand.retuner.excitation) == (kept, kept)
+
+
+def test_a_tone_that_speaks_against_a_cure_does_not_give_a_rescued_loop_back_to_the_unstable_set() -> None:
+    """A far too short tau_I is unstable on every model, the cure is on trial, and a tone from outside rises."""
+    lost = PidGains(0.8 * GOOD.kp, 14.0 * GOOD.ki)
+    process = MODEL.seen_by_controller(1.0).linear()
+    assert math.isinf(sensitivity_peak(process, lost))
+    table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (lost,))
+    retuner, rig = Retuner(table, RetunerSettings(1.0, 100.0, Mode.AUTO, band=0.1)), Rig(GOOD, noise=0.02)
+    for sample in rig.run(60):
+        retuner.observe(sample)
+    retuner.region_models = {0: learned_by_a_runaway()}
+    promised = promise([Plausible(MODEL, 0.0)], lost, GOOD, 1.0)
+    retuner.ordered(0, StageResult("injected", "for a test"), GOOD, promised)
+    retuner.committed(0, GOOD)
+    ended: list[Decision] = []
+    for t in range(400):
+        rig.load = 0.05 * 1.12 ** min(t, 90) * math.sin(2.0 * math.pi * t / 30.0)
+        ended += [made for made in map(retuner.observe, rig.run(1)) if made and made.action is Action.RESTORE]
+        if ended:
+            break
+    assert ended[0].code == "undo_runaway"
+    assert ended[0].gains_after == GOOD
+    assert "no earlier gains are expected to be better" in ended[0].reason
+    assert "previous gains unstable" in ended[0].reason
+    assert retuner.table.gains[0] == GOOD
 
 
 def test_an_undo_that_does_not_speak_against_the_gains_forgets_nothing() -> None:
