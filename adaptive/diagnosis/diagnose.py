@@ -385,8 +385,12 @@ class Against:
 def against_rivals(best: Candidate, seen: Screening, settings: DiagnosisSettings, changes: int = 0) -> Against:
     """Does a tone from outside, or a valve that sticks, explain a record better than the loop by itself?
 
-    best : the linear explanation. seen : the record's screening. changes : of the setpoint in it.
+    best : the linear explanation. seen : the record's screening. changes : of the setpoint in it. A record with fewer
+    samples than a tone beside a process has unknowns (many gaps are many starts) has no rivals.
     """
+    if not room_for_a_tone(best):
+        alone = {"linear_left": _left(best), "loads": float(best.fit.misfit.loads)}
+        return Against(None, dict(seen.evidence) | alone, {"linear": best})
     period_s = seen.period_s or seen.evidence.get("period_s") or _time_scale(best)
     most = settings.fit.choice.most_loads
     valve = sticking(best, period_s, most)

@@ -41,6 +41,10 @@ class Mode(StrEnum):
     AUTO = "auto"
 
 
+WRITES = frozenset({Mode.AUTO, Mode.TRIAL})
+"""Modes in which gains are written."""
+
+
 class Action(StrEnum):
     """What follows from a decision."""
 

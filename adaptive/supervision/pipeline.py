@@ -46,7 +46,14 @@ from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import may_follow, posterior_of, promised, unproved_request, walked
 from retuner.adaptive.supervision.held_process import cut_refuted, runaway
-from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, admitted
+from retuner.adaptive.supervision.pipeline_types import (
+    Findings,
+    Question,
+    ResponseRecord,
+    StageResult,
+    admitted,
+    not_evaluated,
+)
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -59,12 +66,26 @@ NOT_KNOWN = "not_identifiable"
 
 
 def decide(question: Question) -> StageResult:
-    """The answer to a question: a pure function of plain values."""
-    found = Findings(question)
-    for stage in STAGES:
-        if found.end is None or stage.always:
-            stage.run(found)
-    return found.result()
+    """The answer to a question: a pure function of plain values.
+
+    Whatever a stage raises closes the question: nothing is learned or changed, and the answer says why.
+
+    Raises
+    ------
+    MemoryError
+        That hangs on the machine, not on the question.
+    """
+    found, name = Findings(question), ""
+    try:
+        for stage in STAGES:
+            name = stage.name
+            if found.end is None or stage.always:
+                stage.run(found)
+        return found.result()
+    except MemoryError:
+        raise
+    except Exception as error:  # noqa: BLE001  a record that breaks one stage must not end the supervision
+        return not_evaluated(name, error)
 
 
 WRONG_WAY = "wrong_way"
@@ -109,11 +130,7 @@ def swing(found: Findings) -> None:
 
 def identification(found: Findings) -> None:
     """The record is taken into what is known of the region, or of its neighbours where nothing is."""
-    try:
-        learned = by_sequences(found) if found.steps is not None else _by_itself(found)
-    except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
-        found.stop("fit_failed", f"the fit failed: {error}")
-        return
+    learned = by_sequences(found) if found.steps is not None else _by_itself(found)
     if learned is None:
         found.stop(NOT_KNOWN, "no loop explains what the setpoint makes of pv")
         return

@@ -16,7 +16,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.across import ways_of
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import Learned
+from retuner.adaptive.region_model.update import Learned, TrackerSettings, predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
@@ -24,7 +24,7 @@ from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.adaptive.signals.to_and_fro import to_and_fro
 from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region, setpoint_led
-from retuner.adaptive.supervision.decision import Basis, Decision
+from retuner.adaptive.supervision.decision import WRITES, Action, Basis, Decision
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -233,6 +233,25 @@ LOST = StageResult(
 )
 """What follows from a response that was cut off, because it is not known where the loop is."""
 
+NOT_EVALUATED = "not_evaluated"
+"""Code: a defect, or a record that nobody thought of, ended the evaluation."""
+
+
+def not_evaluated(where: str, error: BaseException) -> StageResult:
+    """What follows from a response whose evaluation failed: nothing is learned, nothing changes, and it is said.
+
+    where : the stage.
+    """
+    what = " ".join(f"{type(error).__name__}: {error}".split())[:MOST_TOLD]
+    return StageResult(
+        NOT_EVALUATED,
+        f"not evaluated: stage {where!r} failed ({what}); nothing is learned from this response, and nothing changes",
+    )
+
+
+MOST_TOLD = 200
+"""Characters that are told of an error."""
+
 PASSED_OVER = StageResult(
     "passed_over", "the previous response was still being evaluated: not used to update the model"
 )
@@ -355,6 +374,31 @@ class Findings:
             beside=self.beside,
             elsewhere=self.elsewhere,
         )
+
+
+def with_outcome(
+    made: Decision, outcome: StageResult, tracker: TrackerSettings, now_s: float, *, accepted: bool
+) -> Decision:
+    """The record of a decision with what the stages found; accepted : gains may be written, as far as proof and trial
+    are concerned.
+    """
+    verdict, learned = outcome.verdict, outcome.learned
+    region_model = learned.region_model if learned else None
+    wanted = Action.COMMIT if made.mode in WRITES else Action.ADVISE
+    return replace(
+        made,
+        action=wanted if accepted else Action.NONE,
+        gains_after=verdict.gains if verdict and accepted else None,
+        numbers=outcome.numbers,
+        estimate=learned.estimate if learned else None,
+        agreement=learned.agreement if learned else None,
+        records=region_model.records if region_model else 0,
+        known=predicted(region_model, now_s, tracker) if region_model else None,
+        diagnosis=outcome.diagnosis,
+        basis=outcome.basis,
+        proposal=outcome.proposal,
+        verdict=verdict,
+    )
 
 
 def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:

@@ -17,12 +17,12 @@ from dataclasses import replace
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import (
+    WRITES,
     Action,
     Decision,
     Delay,
@@ -37,6 +37,7 @@ from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
     LOST,
     NOBODY,
+    NOT_EVALUATED,
     NOTHING,
     PASSED_OVER,
     Ended,
@@ -48,9 +49,11 @@ from retuner.adaptive.supervision.pipeline_types import (
     StageResult,
     Step,
     held,
+    not_evaluated,
     overtaken_by,
     passed_over,
     said,
+    with_outcome,
 )
 from retuner.adaptive.supervision.response_finder import Completed, Left, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -62,9 +65,6 @@ from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
-
-WRITES = frozenset({Mode.AUTO, Mode.TRIAL})
-"""Modes in which gains are written."""
 
 
 class Retuner:
@@ -136,9 +136,15 @@ class Retuner:
         ValueError
             A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
+        self._open = None  # of a question that Ctrl-C broke off: nobody will enter its answer
         asked = self.step(sample)
-        question = asked.question
-        return self.enter(question, decide(question), self.sample_number) if question else asked.decision
+        if asked.question is None:
+            return asked.decision
+        try:
+            result = decide(asked.question)
+        except MemoryError as error:
+            result = not_evaluated("all", error)
+        return self.enter(asked.question, result, self.sample_number)
 
     def step(self, sample: LoopSample) -> Step:
         """Take one sample, and make what needs no fit of it; errors as `observe`.
@@ -354,9 +360,12 @@ class Retuner:
             return Step(self._decision(seen.region, LOST)) if seen.under_way else NOTHING
         if self.settings.mode_of(seen.region) == Mode.OFF:
             return NOTHING
-        question, region = self._question(seen), next(iter(ended), seen.region)
-        if not (ended or self.trials.busy) and passed_over(self._led, question.record, self.settings):
-            self._led = self._led._replace(passed_over=self._led.passed_over + 1)
+        region = next(iter(ended), seen.region)
+        try:
+            question = self._question(seen, news=bool(ended or self.trials.busy))
+        except Exception as error:  # noqa: BLE001  whatever the record is like, the next sample is taken
+            return NOTHING if ended else Step(self._decision(seen.region, not_evaluated("question", error)))
+        if question is None:
             return NOTHING
         if self._open is not None:
             return NOTHING if ended else Step(self._decision(seen.region, PASSED_OVER, question))
@@ -365,11 +374,15 @@ class Retuner:
         )
         return Step(None, question)
 
-    def _question(self, seen: Completed) -> Question:
-        """What a completed response asks."""
+    def _question(self, seen: Completed, *, news: bool) -> Question | None:
+        """What a completed response asks; None where it says only what was said lately. news : whatever it says."""
         others = (region for region in range(len(self.table.regions)) if region != seen.region)
         free = tuple(at for at in others if self.trials.idle(at, self.now_s) and self.settings.mode_of(at) in WRITES)
-        return Question(self._case(seen), self.settings, self.sample_number, self.trials.of(seen.region), free)
+        case = self._case(seen)
+        if not news and passed_over(self._led, case, self.settings):
+            self._led = self._led._replace(passed_over=self._led.passed_over + 1)
+            return None
+        return Question(case, self.settings, self.sample_number, self.trials.of(seen.region), free)
 
     def _entered(self, question: Question, outcome: StageResult) -> Decision:
         """What the answer teaches is kept, a trial judged, and the decision made."""
@@ -411,7 +424,7 @@ class Retuner:
         trial = self.trials.of(case.region)
         if trial.phase != TrialPhase.TRIAL or (case.crossed and outcome.posterior is None):
             return None
-        if outcome.code == Ground.SATURATED.name.lower():
+        if outcome.code in {Ground.SATURATED.name.lower(), NOT_EVALUATED}:
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
             return self.trials.silent(case.region, silent, self.now_s, walked=outcome.walked)
         ask = self._person_decides(case.region)
@@ -467,33 +480,21 @@ class Retuner:
         accepted: bool,
     ) -> Decision:
         """The record; accepted : gains may be written, as far as proof and trial are concerned."""
-        verdict, learned, mode = outcome.verdict, outcome.learned, self.settings.mode_of(region)
-        wanted = Action.COMMIT if mode in WRITES else Action.ADVISE
-        region_model = learned.region_model if learned else None
         self._decisions += 1
-        return Decision(
+        made = Decision(
             number=self._decisions,
             t_s=self._finder.samples[-1].t_s,
             loop=self.table.loop,
             region=self.table.regions.names[region],
-            mode=mode,
-            action=wanted if accepted else Action.NONE,
+            mode=self.settings.mode_of(region),
+            action=Action.NONE,
             code=outcome.code,
             reason=outcome.reason,
-            numbers=outcome.numbers,
             gains_before=self.table.gains_of(region),
-            gains_after=verdict.gains if verdict and accepted else None,
             response=response,
-            estimate=learned.estimate if learned else None,
-            agreement=learned.agreement if learned else None,
-            records=region_model.records if region_model else 0,
-            known=predicted(region_model, self.now_s, self.settings.tracker) if region_model else None,
-            diagnosis=outcome.diagnosis,
-            basis=outcome.basis,
-            proposal=outcome.proposal,
-            verdict=verdict,
             promise=promised,
             judgement=judgement,
             trial=str(self.trials.phase(region)),
             later=region != self.region and self.table.lookup is Lookup.HARD,
         )
+        return with_outcome(made, outcome, self.settings.tracker, self.now_s, accepted=accepted)

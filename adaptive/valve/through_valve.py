@@ -111,7 +111,10 @@ def through_valve(window: Window, sign: int, fits: Fits, settings: FitSettings) 
     at = _search(fits.free, sign)
     if at is None:
         return None
-    valve, found = _searched(window, sign, at, settings)
+    searched = _searched(window, sign, at, settings)
+    if searched is None:
+        return None
+    valve, found = searched
     record, behind = linear.fit.misfit.record, found.free[0]
     price = VALVE_UNKNOWNS * math.log(len(record.pv)) + settings.valve_lead
     if behind.criterion + price > linear.criterion:
@@ -133,19 +136,23 @@ def _moved_by(window: Window, valve: StuckValve) -> Window:
     return replace(window, co=valve.position(window.co))
 
 
-def _searched(window: Window, sign: int, at: Sticking, settings: FitSettings) -> tuple[StuckValve, Fits]:
-    """All structures behind the valve, and the valve refined round the best of them, while it helps."""
+def _searched(window: Window, sign: int, at: Sticking, settings: FitSettings) -> tuple[StuckValve, Fits] | None:
+    """All structures behind the valve, and the valve refined round the best of them, while it helps; None where it
+    never moves, so that nothing behind it can be fitted.
+    """
     record, valve = at.fit.fit.misfit.record, at.valve
     best: tuple[StuckValve, Fits] | None = None
     for _ in range(ROUNDS):
-        fits = Fits(_moved_by(window, valve), (sign,), settings)
+        seen = _moved_by(window, valve)
+        if seen.co.max() == seen.co.min():
+            break
+        fits = Fits(seen, (sign,), settings)
         found = fits.free[0]
         if best is not None and found.criterion > best[1].free[0].criterion - ENOUGH:
             break
         best = valve, fits
         as_recorded = replace(found.fit, misfit=replace(found.fit.misfit, record=record))
         valve = fine(Sticking(valve, replace(found, fit=as_recorded))).valve
-    assert best is not None
     return best
 
 

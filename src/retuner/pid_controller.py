@@ -18,6 +18,7 @@ from typing import Any
 from retuner.adaptive.orders import operator_orders
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.pipeline_types import NOT_EVALUATED
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
@@ -168,8 +169,8 @@ class PidController:
         mode = LoopMode.AUTO if manual_co is None else LoopMode.MANUAL
         xs = place.xs
         sample = LoopSample(place.t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
+        self._place = place  # before anybody may break off what follows: the time of the next sample goes on from here
         self._decision = (self._background or self._retuner).observe(sample)
-        self._place = place
         if self._decision is not None:
             self._obey(self._decision)
         return co
@@ -356,7 +357,8 @@ class PidController:
             self._retuner.restored()
         elif decision.action is Action.ADVISE:
             self._proposed = decision
-        LOG.info("%s, region %s, %.0f s: %s", decision.loop, decision.region, decision.t_s, decision.reason)
+        level = logging.WARNING if decision.code == NOT_EVALUATED else logging.INFO
+        LOG.log(level, "%s, region %s, %.0f s: %s", decision.loop, decision.region, decision.t_s, decision.reason)
         return decision
 
 

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
+from retuner.adaptive.diagnosis.rival_fits import linear, room_for_a_tone
+from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import ROWS_PER_STEP, _greedy
+from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
@@ -49,3 +52,15 @@ def test_steps_leave_samples_that_could_speak_against_them(n: int) -> None:
     pv = np.random.default_rng(n).normal(size=n).round(0)
     _, rows = _greedy(pv, 0.5, 0.0)
     assert len(rows) <= n // ROWS_PER_STEP
+
+
+@pytest.mark.parametrize("n", [6, 7, 10, 14])
+def test_a_record_that_no_tone_fits_into_has_no_rivals(n: int) -> None:
+    """A response of many small setpoint moves, as a watching retuner asks of it, not as `diagnose` does."""
+    t, settings, rng = np.arange(float(n)), DiagnosisSettings(), np.random.default_rng(n)
+    sp = np.cumsum(np.where(t % 7 == 0, rng.choice([-0.3, 0.3], n), 0.0))
+    pv = np.concatenate([[0.0], 0.9 * sp[:-1]]) + 0.01 * rng.standard_normal(n)
+    window = Window(t, sp, pv, np.cumsum(sp - pv) * 0.2 + sp - pv)
+    best = linear(window, (1,), settings.fit.choice, settings.fit.most_samples)[0]
+    found = against_rivals(best, screen(window, PidGains(1.0, 0.2), in_auto=True), settings)
+    assert (found.verdict is None) or room_for_a_tone(best)

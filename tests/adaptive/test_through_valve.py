@@ -6,8 +6,9 @@ import pytest
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.sticking_valve import Sticking
 from retuner.adaptive.valve.stuck_valve import Family, StuckValve
-from retuner.adaptive.valve.through_valve import Through, through_valve
+from retuner.adaptive.valve.through_valve import Through, _searched, through_valve
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
@@ -87,3 +88,12 @@ def test_the_same_valve_turned_round() -> None:
     assert one is not None
     assert other is not None
     assert other.fits.estimate().log.model().k == pytest.approx(-one.fits.estimate().log.model().k, rel=0.02)
+
+
+def test_a_valve_that_never_moves_explains_nothing() -> None:
+    """Its band is wider than co's travel: "co stays at 66.223" ended the watching of a loop for good."""
+    window, settings = stepped(VALVES[0]), FitSettings()
+    asleep = StuckValve(Family.KANO, 20.0 * float(np.ptp(window.co)), 0.0)
+    assert np.ptp(asleep.position(window.co)) == 0.0
+    linear = Fits(window, (1,), settings).free[0]
+    assert _searched(window, 1, Sticking(asleep, linear), settings) is None
