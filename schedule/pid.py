@@ -52,6 +52,8 @@ class PidState(NamedTuple):
 
 LIMITED = PidState._fields.index("limited")
 """Where `limited` stands in a state."""
+PV = PidState._fields.index("pv")
+"""Where pv stands in a state."""
 
 
 @dataclass(frozen=True, slots=True)

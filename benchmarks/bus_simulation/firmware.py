@@ -1,6 +1,7 @@
 """The firmware in C (drivers/firmware) in the place of the virtual device: the same interface over a shared library."""
 
 import ctypes
+import math
 import shutil
 import subprocess
 import tempfile
@@ -23,7 +24,10 @@ FIRMWARE = Path(str(drivers.__file__)).parent / "firmware"
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-shared", "-fPIC")
 SOURCES = ("retuner_device.c", "retuner_code.c", "test_library.c")
 Nonce = ctypes.CFUNCTYPE(ctypes.c_uint64)
+Keep = ctypes.CFUNCTYPE(ctypes.c_int)
+ENDS = {True: 1, False: 0, None: -1}  # how the writing of a set ends, as test_library.c has it
 Gains = ctypes.Array[ctypes.c_float]
+SLOT_BYTES = 24  # of rt_slot
 
 
 class State(ctypes.Structure):
@@ -69,6 +73,7 @@ def library(changes: tuple[tuple[str, str], ...] = ()) -> ctypes.CDLL:
     shutil.rmtree(folder)
     loaded.bench_new.restype = ctypes.c_void_p
     loaded.bench_sent.restype = ctypes.c_uint32
+    loaded.bench_refused.restype = ctypes.c_char_p
     return loaded
 
 
@@ -140,10 +145,12 @@ class FirmwareDevice:
         plant: Plant,
         epoch: int = 1,
         nonce: Callable[[], int] = fresh_nonce,
+        keep: Callable[[], bool | None] = lambda: True,
         changes: tuple[tuple[str, str], ...] = (),
     ) -> None:
         self.settings, self.plant, self.epoch = settings, plant, epoch
         self._library, self._nonce = library(changes), Nonce(nonce)
+        self._keep = Keep(lambda: ENDS[keep()])
         self.state = State()
         self._slots: dict[bytes, Slot] = {}
         self._more = plant if isinstance(plant, MeasuresMore) else None  # a protocol is dear to ask once a sample
@@ -152,11 +159,14 @@ class FirmwareDevice:
         s, key = settings, settings.key or b""
         numbers = [s.node, s.sample_time_s, s.gains.kp, s.gains.ki, s.gains.kd]
         numbers += [s.box.kp_max, s.box.ki_max, s.box.kd_max, s.box.ratio_max, s.box.direction, s.sp_min, s.sp_max]
-        numbers += [s.co_min, s.co_max, s.co_rate_per_s or 0.0, s.b, s.tau_f_s]
+        numbers += [s.co_min, s.co_max, s.co_rate_per_s or 0.0, s.co_fault, s.b, s.tau_f_s]
         numbers += [s.heartbeat_samples, s.lease_longest_samples, s.trial_samples]
         made = (ctypes.c_double * len(numbers))(*numbers)
         begins = (ctypes.c_uint(epoch), ctypes.c_double(self.pv), ctypes.c_double(self._steady()))
-        self._bench = ctypes.c_void_p(self._library.bench_new(made, key, len(key), self._nonce, *begins))
+        self._bench = ctypes.c_void_p(self._library.bench_new(made, key, len(key), self._nonce, self._keep, *begins))
+        refused: bytes | None = self._library.bench_refused(self._bench)
+        if refused is not None:
+            raise ValueError(f"firmware: {refused.decode()} is outside its range")
         self._look()
 
     def __del__(self) -> None:
@@ -198,12 +208,12 @@ class FirmwareDevice:
         """Whether it regulates."""
         return bool(self.state.is_auto)
 
-    def restart(self) -> None:
-        """Power off and on."""
+    def restart(self, sp: float = math.nan) -> None:
+        """Power off and on; sp : the setpoint that the application has kept, if any."""
         self.epoch = (self.epoch + 1) % 65536
         self.pv = self.plant.pv
         begins = (ctypes.c_uint(self.epoch), ctypes.c_double(self.pv), ctypes.c_double(self._steady()))
-        self._library.bench_restart(self._bench, *begins)
+        self._library.bench_restart(self._bench, *begins, ctypes.c_double(sp))
         self._look()
 
     def step(self, dt_s: float | None = None) -> list[can.Message]:
@@ -220,6 +230,25 @@ class FirmwareDevice:
         data = bytes(message.data)
         count = self._library.bench_receive(self._bench, message.arbitration_id, odd, len(data), data)
         return self._sent(count)
+
+    def stored(self, *, done: bool) -> list[can.Message]:
+        """A set that was to be kept is there, or could not be written; the answer to STORE."""
+        return self._sent(self._library.bench_stored(self._bench, int(done)))
+
+    def tell_fault(self, *, fault: bool) -> None:
+        """The fault input changes."""
+        self._library.bench_fault(self._bench, int(fault))
+
+    @property
+    def alive(self) -> int:
+        """How often the watchdog was told that a sample was made."""
+        return int(self._library.bench_alive(self._bench))
+
+    def kept(self, place: int) -> bytes:
+        """A place as it is written to flash."""
+        data = (ctypes.c_uint8 * SLOT_BYTES)()
+        self._library.bench_kept(self._bench, place, data)
+        return bytes(data)
 
     def slot(self, place: int) -> Slot | None:
         """A place of the store; None when it was never used."""

@@ -23,6 +23,7 @@ class VirtualDeviceSettings:
     sp_min, sp_max : setpoints that it accepts, pv units.
     co_min, co_max : range of the output, percent, within -100..200.
     co_rate_per_s : largest rate of the output, percent per second; None for no limit.
+    co_fault : output while a fault is told, percent; limited to the range, reached at once.
     b : setpoint weight. tau_f_s : filter time of the derivative, s.
     heartbeat_samples : samples between life signs.
     lease_longest_samples : longest lease that it grants.
@@ -44,6 +45,7 @@ class VirtualDeviceSettings:
     co_min: float = 0.0
     co_max: float = 100.0
     co_rate_per_s: float | None = None
+    co_fault: float = 0.0
     b: float = 1.0
     tau_f_s: float = 0.0
     heartbeat_samples: int = 5
@@ -56,6 +58,8 @@ class VirtualDeviceSettings:
             raise ValueError(f"device: sample_time_s = {self.sample_time_s}; give 0.0001 to 3600 s")
         if not CO_WIRE[0] <= self.co_min < self.co_max <= CO_WIRE[1]:
             raise ValueError(f"device: co {self.co_min}..{self.co_max}; give a range within {CO_WIRE}")
+        if not CO_WIRE[0] <= self.co_fault <= CO_WIRE[1]:
+            raise ValueError(f"device: co_fault = {self.co_fault}; give a number within {CO_WIRE}")
         if not self.sp_min < self.sp_max:
             raise ValueError(f"device: sp_min = {self.sp_min} must be below sp_max = {self.sp_max}")
         if not 1 <= self.heartbeat_samples <= 100:

@@ -75,11 +75,20 @@ class GainPages:
     box : what may run.
     first : gains that run when nothing is stored (sequence 0); rounded to float32.
     trial_samples : samples within which a set must be confirmed; 0: it need not be, but is not stored before.
+    keep : begins to write a set into non-volatile memory and says how it ended: True it is there, False it could not be
+        written, None: `stored` tells later.
     """
 
-    def __init__(self, node: int, box: GainBox, first: PidGains, trial_samples: int = 0) -> None:
+    def __init__(
+        self,
+        node: int,
+        box: GainBox,
+        first: PidGains,
+        trial_samples: int = 0,
+        keep: Callable[[], bool | None] = lambda: True,
+    ) -> None:
         self._node, self._box, self._trial_samples = node, box, trial_samples
-        self._first = GainSet(0, to_wire(first))
+        self._first, self._keep = GainSet(0, to_wire(first)), keep
         self.slots: list[Slot | None] = [None, None]
         self.boot(0)
 
@@ -95,6 +104,7 @@ class GainPages:
         self._staged_seq: int | None = None
         self._pending: tuple[Commit, GainSet] | None = None
         self._last_answer: tuple[Commit, Ack] | None = None
+        self._storing: tuple[int, Slot] | None = None
 
     @property
     def has_staged(self) -> bool:
@@ -172,9 +182,12 @@ class GainPages:
         self._forget_staged()
         return self._ack(Kind.COMMIT, frame.seq, Reason.OK)
 
-    def revert(self) -> Ack | None:
-        """One sample of the trial time has passed; when it is over, run the confirmed set from now on, and say so."""
-        if not self._trial_left or not self.on_trial:
+    def revert(self, *, seen: bool = True) -> Ack | None:
+        """One sample of the trial time has passed; when it is over, run the confirmed set from now on, and say so.
+
+        seen : whether pv was a number in this sample; without one the end of the trial waits for the next.
+        """
+        if not self._trial_left or not self.on_trial or (self._trial_left == 1 and not seen):
             return None
         self._trial_left -= 1
         if self._trial_left:
@@ -207,19 +220,37 @@ class GainPages:
             return self._ack(Kind.ABORT, seq, Reason.OK)
         return self._ack(Kind.ABORT, seq, Reason.STALE)
 
-    def store(self, frame: Store) -> Ack:
-        """Keep the running set: into the slot that is not the newest, so that the other one stays whole meanwhile."""
+    def store(self, frame: Store) -> Ack | None:
+        """Keep the running set: into the slot that is not the newest, so that the other one stays whole meanwhile.
+
+        None while it is being written: `stored` gives the answer.
+        """
         if frame.key != STORE_KEY:
             return self._ack(Kind.STORE, frame.seq, Reason.WRONG_KEY)
         if frame.seq != self.running.seq:
             return self._ack(Kind.STORE, frame.seq, Reason.STALE)
         if self.on_trial:
             return self._ack(Kind.STORE, frame.seq, Reason.NOT_CONFIRMED)
-        if not self.is_stored:
-            generations = [slot.generation if slot is not None and slot.whole else 0 for slot in self.slots]
-            older = generations.index(min(generations))
-            self.slots[older] = Slot.of(max(generations) + 1, self.running)
-        return self._ack(Kind.STORE, frame.seq, Reason.OK)
+        if self.is_stored:
+            return self._ack(Kind.STORE, frame.seq, Reason.OK)
+        if self._storing is not None:
+            same = self._storing[1].content == self.running
+            return None if same else self._ack(Kind.STORE, frame.seq, Reason.BUSY)
+        generations = [slot.generation if slot is not None and slot.whole else 0 for slot in self.slots]
+        older = generations.index(min(generations))
+        self._storing = older, Slot.of(max(generations) + 1, self.running)
+        self.slots[older] = None  # nobody knows what stands there meanwhile
+        done = self._keep()
+        return None if done is None else self.stored(done=done)
+
+    def stored(self, *, done: bool) -> Ack | None:
+        """The set that is being kept is there (done), or could not be written; None when nothing is being kept."""
+        if self._storing is None:
+            return None
+        (place, slot), self._storing = self._storing, None
+        if done:
+            self.slots[place] = slot
+        return self._ack(Kind.STORE, slot.content.seq, Reason.OK if done else Reason.NOT_STORED)
 
     def read(self, frame: Read) -> list[PageItem | PageEnd]:
         """A page as it stands: the gains that are there, and its end."""

@@ -5,6 +5,7 @@ bump, co is worked out and applied, telemetry goes out. receive() answers at onc
 reads a clock or a bus: device_process.py and the tests move frames and time.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
@@ -55,7 +56,7 @@ from retuner.drivers.protocol.frames import (
 )
 from retuner.drivers.telemetry.signal_source import plant_message
 from retuner.schedule.gains import PidGains
-from retuner.schedule.pid import LIMITED, StateTuple, change, start, step, track
+from retuner.schedule.pid import LIMITED, PV, StateTuple, change, start, step, track
 
 __all__ = ["VirtualDevice", "VirtualDeviceSettings"]
 
@@ -76,14 +77,20 @@ class VirtualDevice:
     plant : what it controls; the loop starts at rest at the plant's pv, in auto.
     epoch : number of this boot, 0..65535; every restart takes the next one.
     nonce : makes the challenges that commit codes are worked out over.
+    keep : how the writing of a set into non-volatile memory ends, see GainPages.
     """
 
     def __init__(
-        self, settings: VirtualDeviceSettings, plant: Plant, epoch: int = 1, nonce: Callable[[], int] = fresh_nonce
+        self,
+        settings: VirtualDeviceSettings,
+        plant: Plant,
+        epoch: int = 1,
+        nonce: Callable[[], int] = fresh_nonce,
+        keep: Callable[[], bool | None] = lambda: True,
     ) -> None:
         self.settings, self.plant = settings, plant
         self._codec = Codec(settings.node)
-        self.pages = GainPages(settings.node, settings.box, settings.gains, settings.trial_samples)
+        self.pages = GainPages(settings.node, settings.box, settings.gains, settings.trial_samples, keep)
         self.lease = LeaseDesk(settings.lease_longest_samples)
         self.code = CodeDesk(settings.key, nonce)
         self.epoch = epoch
@@ -96,17 +103,28 @@ class VirtualDevice:
         self.lease.boot()
         self.sample = 0
         self.refused = 0
-        self.sp = self.pv = self.plant.pv
-        self.auto = True
+        self.auto, self.fault = True, False
+        self._last: dict[Kind, Setpoint | Mode | Load] = {}
         self._law = self.settings.law_of(self.pages.running.gains)
+        pv = self.plant.pv
+        self._begun = is_reading(pv)
+        self.blind = not self._begun
         try:
-            co = self.plant.steady_co(self.pv, self.load)
+            co = self.plant.steady_co(pv, self.load)
         except ValueError:  # nothing holds this pv (restart in motion): begin at the lower limit
             co = self.settings.co_min
+        self._begin(pv if self._begun else 0.0, co if math.isfinite(co) else self.settings.co_fault)
+        self._manual_co = self.co
+
+    def _begin(self, pv: float, co: float) -> None:
+        """The law at rest at this pv, with this output; its first setpoint is pv, unless a host has given one."""
+        low, high = self.settings.sp_min, self.settings.sp_max
+        if Kind.SETPOINT not in self._last:
+            self.sp = min(max(pv, low), high)
+        self.pv = pv if self._begun else self.sp
         first = start(self._law, self.sp, self.pv, co)
         self._state: StateTuple = first
-        self.co = self._manual_co = first.co
-        self._last: dict[Kind, Setpoint | Mode | Load] = {}
+        self.co = first.co
 
     @property
     def sample_time_s(self) -> float:
@@ -127,18 +145,22 @@ class VirtualDevice:
     def step(self, dt_s: float | None = None) -> list[can.Message]:
         """One controller sample of dt_s seconds (default: the sample time); the frames that it sends."""
         dt = self.settings.sample_time_s if dt_s is None else dt_s
-        self.pv = self.plant.step(self.co, self.load, dt)
+        pv = self.plant.step(self.co, self.load, dt)
+        seen = is_reading(pv)
+        self.blind = not seen
+        if seen and not self._begun:
+            self._begun = True
+            self._begin(pv, self.co)
+        self.pv = pv if seen else self.pv
         frames: list[DeviceFrame] = []
-        acknowledge = self.pages.swap() or self.pages.revert()
+        # without a number nobody can tell what keeps co where it is: a swap waits for the next one
+        acknowledge = (self.pages.swap() if seen else None) or self.pages.revert(seen=seen)
         if acknowledge is not None:
             frames.append(acknowledge)
             new = self.settings.law_of(self.running.gains)
             self._state = change(self._law, new, self._state, self.sp, self.pv, dt)
             self._law = new
-        if self.auto:
-            self._state, self.co = step(self._law, self._state, self.sp, self.pv, dt)
-        else:
-            self._state, self.co = track(self._law, self._state, self.sp, self.pv, self._manual_co, dt)
+        self._regulate(dt)
         self.sample = (self.sample + 1) % SAMPLE_WRAP
         if self.lease.tick():
             self.pages.drop_staged()
@@ -146,6 +168,25 @@ class VirtualDevice:
         if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
             frames += self._life_sign()
         return [*self._measured_more(), *map(self._encode, frames)]
+
+    def _regulate(self, dt: float) -> None:
+        """The output of this sample: a fault before manual before automatic, which waits for a number."""
+        pv = self._state[PV] if self.blind else self.pv
+        if self.fault:
+            at_once = replace(self._law, co_rate_per_s=None)
+            self._state, self.co = track(at_once, self._state, self.sp, pv, self.settings.co_fault, dt)
+        elif not self.auto:
+            self._state, self.co = track(self._law, self._state, self.sp, pv, self._manual_co, dt)
+        elif not self.blind:
+            self._state, self.co = step(self._law, self._state, self.sp, pv, dt)
+
+    def tell_fault(self, *, fault: bool) -> None:
+        """The fault input changes."""
+        self.fault = fault
+
+    def stored(self, *, done: bool) -> list[can.Message]:
+        """A set that was to be kept is there (done), or could not be written; the answer to STORE."""
+        return [self._encode(answer) for answer in _some(self.pages.stored(done=done))]
 
     def _measured_more(self) -> list[can.Message]:
         """What the plant measures beside pv, before the telemetry of its sample."""
@@ -285,11 +326,18 @@ class VirtualDevice:
             + Flags.TRIAL * pages.on_trial
             + Flags.OWNED * (self.lease.owner != NOBODY)
             + Flags.WRONG_CODE * (self.code.wrong > 0)
+            + Flags.BLIND * self.blind
+            + Flags.FAULT * self.fault
         )
         return [
             Heartbeat(self.sample, self.epoch, flags),
             Status(self.running.seq, self.pages.latest, self.refused % REFUSED_WRAP, self.lease.owner),
         ]
+
+
+def is_reading(pv: float) -> bool:
+    """Whether a sensor's value is a number that a frame can carry."""
+    return PV_WIRE[0] <= pv <= PV_WIRE[1]
 
 
 def _some(answer: Ack | None) -> list[DeviceFrame]:

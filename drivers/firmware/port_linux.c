@@ -18,6 +18,7 @@
 #include <fcntl.h>
 #include <linux/can.h>
 #include <linux/can/raw.h>
+#include <math.h>
 #include <net/if.h>
 #include <poll.h>
 #include <signal.h>
@@ -88,12 +89,11 @@ static void on_send(void *context, const rt_frame *frame)
 
 static void on_keep(void *context, int place, const rt_slot *slot)
 {
-    const machine *m = context;
-    if (m->store < 0)
-        return;
-    if (pwrite(m->store, slot, sizeof *slot, (off_t)(place * (int)sizeof *slot)) != (ssize_t)sizeof *slot
-        || fsync(m->store) != 0)
-        fail("cannot be written", "the store");
+    machine *m = context;
+    rt_stored(&m->device,
+              m->store < 0
+                  || (pwrite(m->store, slot, sizeof *slot, (off_t)(place * (int)sizeof *slot)) == (ssize_t)sizeof *slot
+                      && fsync(m->store) == 0));
 }
 
 static uint64_t on_random(void *context)
@@ -262,8 +262,8 @@ int main(int count, char **given)
 {
     static machine m;
     rt_settings settings = defaults();
-    rt_port port = {on_send, on_keep, on_random, &m};
-    const char *interface = NULL;
+    rt_port port = {on_send, on_keep, on_random, NULL, &m};
+    const char *interface = NULL, *bad;
     double speed = 1.0;
     long epoch = (long)(on_random(NULL) & 0xFFFF);
     int option, is_pipe = 0;
@@ -305,7 +305,11 @@ int main(int count, char **given)
     signal(SIGINT, on_signal);
     if (!is_pipe)
         m.socket = open_can(interface);
-    rt_boot(&m.device, &settings, &port, (uint16_t)epoch, m.slots, m.pv, PLANT_START_CO);
+    bad = rt_boot(&m.device, &settings, &port, (uint16_t)epoch, m.slots, m.pv, PLANT_START_CO, NAN);
+    if (bad) {
+        fprintf(stderr, "retuner-firmware: %s is outside its range; see retuner_device.h\n", bad);
+        return 2;
+    }
     if (is_pipe)
         run_pipe(&m);
     else

@@ -17,10 +17,13 @@ enum { PAGE_RUNNING, PAGE_STAGED, PAGE_STORED, PAGE_IDENTITY, PAGE_CHALLENGE };
 
 enum {
     OK, STALE, WRONG_BASE, WRONG_CRC, INCOMPLETE, NOT_FINITE, OUTSIDE_BOX, RATIO, BUSY, ALREADY_RUNNING, OUT_OF_RANGE,
-    WRONG_KEY, NOT_STAGED, NOT_OWNER, NOT_CONFIRMED, REVERTED, NO_CODE, WRONG_CODE
+    WRONG_KEY, NOT_STAGED, NOT_OWNER, NOT_CONFIRMED, REVERTED, NO_CODE, WRONG_CODE, NOT_STORED
 };
 
-enum { FLAG_AUTO = 1, FLAG_STAGED = 2, FLAG_STORED = 4, FLAG_TRIAL = 8, FLAG_OWNED = 16, FLAG_WRONG_CODE = 32 };
+enum {
+    FLAG_AUTO = 1, FLAG_STAGED = 2, FLAG_STORED = 4, FLAG_TRIAL = 8, FLAG_OWNED = 16, FLAG_WRONG_CODE = 32,
+    FLAG_BLIND = 64, FLAG_FAULT = 128
+};
 
 #define COMMAND_BITS 5
 #define NOBODY 0u
@@ -34,6 +37,11 @@ enum { FLAG_AUTO = 1, FLAG_STAGED = 2, FLAG_STORED = 4, FLAG_TRIAL = 8, FLAG_OWN
 #define CO_LOW (-1000000)
 #define CO_HIGH 2000000
 #define CO_STEPS 10000.0f /* steps of co on the wire per percent */
+#define SAMPLE_TIME_MIN_S 1e-4f
+#define SAMPLE_TIME_MAX_S 3600.0f
+#define HEARTBEAT_SAMPLES_MAX 100u
+#define NODE_MAX 63u
+#define KEY_LENGTH_MIN 16u
 
 /* ---- bytes, low one first */
 
@@ -58,7 +66,7 @@ static void put_float(uint8_t *at, float value)
 
 static uint16_t get16(const uint8_t *at)
 {
-    return (uint16_t)(at[0] | at[1] << 8);
+    return (uint16_t)(at[0] | (unsigned)at[1] << 8); /* an int of 16 bits has no room for it */
 }
 
 static uint32_t get32(const uint8_t *at)
@@ -98,7 +106,7 @@ static uint16_t crc16(const uint8_t *data, unsigned length)
 {
     uint16_t crc = 0xFFFF;
     for (unsigned i = 0; i < length; i++) {
-        crc ^= (uint16_t)(data[i] << 8);
+        crc ^= (uint16_t)((unsigned)data[i] << 8);
         for (int bit = 0; bit < 8; bit++)
             crc = (uint16_t)(crc << 1 ^ (crc & 0x8000 ? 0x1021 : 0));
     }
@@ -220,6 +228,11 @@ static float clip(float value, float low, float high)
     return value < low ? low : value > high ? high : value;
 }
 
+static bool is_within(float value, float limit)
+{
+    return value >= -limit && value <= limit; /* no number fails it, too */
+}
+
 static int8_t standing(const rt_settings *s, float co)
 {
     return co >= s->co_max ? 1 : co <= s->co_min ? -1 : 0;
@@ -282,15 +295,16 @@ static void step_law(rt_device *d, float pv, float dt)
     d->law.limited = standing(s, co);
 }
 
-/* One sample in manual: the integral follows, so that automatic goes on from there. */
-static void track_law(rt_device *d, float pv, float dt)
+/* One sample with a given output, to be reached so far at most (0: at once): the integral follows, so that automatic
+   goes on from there. */
+static void track_law(rt_device *d, float wanted, float reach, float pv, float dt)
 {
     const rt_settings *s = &d->settings;
     float rate = pv_rate(d, pv, dt);
-    float reach = s->co_rate_per_s * dt;
-    float co = reach > 0.0f ? clip(d->manual_co, d->law.co - reach, d->law.co + reach) : d->manual_co;
+    float co = reach > 0.0f ? clip(wanted, d->law.co - reach, d->law.co + reach) : wanted;
     co = clip(co, s->co_min, s->co_max);
-    d->law.integral += co - wish_of(d, &d->running.gains, pv, rate);
+    d->law.integral = 0.0f; /* a large one would hide what is added to it */
+    d->law.integral = co - wish_of(d, &d->running.gains, pv, rate);
     d->law.pv = pv;
     d->law.pv_rate = rate;
     d->law.co = co;
@@ -313,7 +327,7 @@ static bool is_equal(const rt_set *a, const rt_set *b)
 static rt_set stored(const rt_device *d)
 {
     const rt_slot *newest = 0;
-    rt_set first;
+    rt_set first = {0};
     for (int i = 0; i < RT_SLOTS; i++)
         if (is_whole(&d->slots[i]) && (!newest || d->slots[i].generation > newest->generation))
             newest = &d->slots[i];
@@ -556,12 +570,24 @@ static void keep_running(rt_device *d)
         generation[i] = is_whole(&d->slots[i]) ? d->slots[i].generation : 0;
     if (generation[1] < generation[0])
         older = 1;
-    slot = &d->slots[older];
+    slot = &d->storing;
     memset(slot, 0, sizeof *slot);
     slot->generation = generation[1 - older] + 1;
     slot->content = d->running;
     slot->crc = slot_crc(slot);
+    memset(&d->slots[older], 0, sizeof d->slots[older]); /* nobody knows what stands there meanwhile */
+    d->storing_place = (int8_t)older;
     d->port.keep(d->port.context, older, slot);
+}
+
+void rt_stored(rt_device *d, bool is_there)
+{
+    if (d->storing_place < 0)
+        return;
+    if (is_there)
+        d->slots[d->storing_place] = d->storing;
+    d->storing_place = -1;
+    ack_set(d, STORE, d->storing.content.seq, is_there ? OK : NOT_STORED);
 }
 
 static void on_store(rt_device *d, const uint8_t *data)
@@ -576,8 +602,15 @@ static void on_store(rt_device *d, const uint8_t *data)
         reason = STALE;
     else if (on_trial(d))
         reason = NOT_CONFIRMED;
-    else if (!is_stored(d))
-        keep_running(d);
+    else if (!is_stored(d)) {
+        if (d->storing_place < 0) {
+            keep_running(d);
+            return; /* rt_stored answers */
+        }
+        if (is_equal(&d->storing.content, &d->running))
+            return;
+        reason = BUSY;
+    }
     ack_set(d, STORE, seq, reason);
 }
 
@@ -591,10 +624,11 @@ static void on_auth(rt_device *d, const uint8_t *data)
         d->half_count[part]++;
 }
 
-/* Run the committed set from now on, or the confirmed one when the trial time is over; whether another set runs. */
-static bool swap(rt_device *d)
+/* Run the committed set from now on, or the confirmed one when the trial time is over; whether another set runs. Both
+   wait for a reading that is a number: without one nobody can tell what keeps co where it is. */
+static bool swap(rt_device *d, bool is_number)
 {
-    if (d->commit_pending.there) {
+    if (d->commit_pending.there && is_number) {
         d->running = d->pending;
         d->commit_of_running = d->commit_pending;
         d->commit_pending.there = false;
@@ -603,6 +637,8 @@ static bool swap(rt_device *d)
         ack_set(d, COMMIT, d->running.seq, OK);
         return true;
     }
+    if (d->trial_left == 1 && !is_number)
+        return false;
     if (d->trial_left && on_trial(d) && --d->trial_left == 0) {
         uint16_t seq = d->running.seq;
         d->running = d->confirmed;
@@ -675,9 +711,10 @@ static void on_command(rt_device *d, unsigned kind, const uint8_t *data)
         inside = is_auto || (value >= d->settings.co_min && value <= d->settings.co_max);
     if (inside && !again) {
         note(last, data);
-        if (kind == SETPOINT)
+        if (kind == SETPOINT) {
             d->sp = value;
-        else if (kind == LOAD)
+            d->is_sp_told = true;
+        } else if (kind == LOAD)
             d->load = value;
         else {
             d->is_auto = is_auto;
@@ -699,6 +736,8 @@ static void tell_life(rt_device *d)
     flags |= on_trial(d) ? FLAG_TRIAL : 0;
     flags |= d->owner != NOBODY ? FLAG_OWNED : 0;
     flags |= d->wrong_codes ? FLAG_WRONG_CODE : 0;
+    flags |= d->is_blind ? FLAG_BLIND : 0;
+    flags |= d->is_fault ? FLAG_FAULT : 0;
     put32(data, d->sample);
     put16(data + 4, d->epoch);
     data[6] = (uint8_t)flags;
@@ -794,26 +833,86 @@ static void on_read(rt_device *d, const uint8_t *data)
 
 /* ---- from outside */
 
-void rt_boot(rt_device *d, const rt_settings *settings, const rt_port *port, uint16_t epoch,
-             const rt_slot slots[RT_SLOTS], float pv, float co)
+/* The first setting that is outside its range; NULL: none. A comparison with no number is false, so each asks for good. */
+static const char *bad_setting(const rt_settings *s, const rt_port *port)
 {
+    bool is_in_box = true;
+    for (int i = 0; i < RT_GAINS; i++)
+        is_in_box = is_in_box && s->gain_max[i] > 0.0f && is_within(s->gain_max[i], VALUE_MAX);
+    if (s->node < 1 || s->node > NODE_MAX)
+        return "node";
+    if (!(s->sample_time_s >= SAMPLE_TIME_MIN_S && s->sample_time_s <= SAMPLE_TIME_MAX_S))
+        return "sample_time_s";
+    if (!is_pid(s->gains.k) || !is_within(s->gains.k[0], VALUE_MAX) || !is_within(s->gains.k[1], VALUE_MAX)
+        || !is_within(s->gains.k[2], VALUE_MAX))
+        return "gains";
+    if (!is_in_box)
+        return "gain_max";
+    if (!(s->ratio_max >= 1.0f && s->ratio_max <= VALUE_MAX))
+        return "ratio_max";
+    if (s->direction < -1 || s->direction > 1)
+        return "direction";
+    if (!(s->sp_min < s->sp_max && is_within(s->sp_min, SP_MAX) && is_within(s->sp_max, SP_MAX)))
+        return "sp_min, sp_max";
+    if (!(s->co_min < s->co_max && s->co_min * CO_STEPS >= (float)CO_LOW && s->co_max * CO_STEPS <= (float)CO_HIGH))
+        return "co_min, co_max";
+    if (!(s->co_rate_per_s >= 0.0f && s->co_rate_per_s <= VALUE_MAX))
+        return "co_rate_per_s";
+    if (!is_within(s->co_fault, VALUE_MAX))
+        return "co_fault";
+    if (!(s->b >= 0.0f && s->b <= 1.0f))
+        return "b";
+    if (!(s->tau_f_s >= 0.0f && s->tau_f_s <= VALUE_MAX))
+        return "tau_f_s";
+    if (s->heartbeat_samples < 1 || s->heartbeat_samples > HEARTBEAT_SAMPLES_MAX)
+        return "heartbeat_samples";
+    if (s->lease_longest_samples < 1)
+        return "lease_longest_samples";
+    if (s->key && s->key_length < KEY_LENGTH_MIN)
+        return "key_length";
+    return s->key && !port->random ? "random" : 0;
+}
+
+/* The law begins at rest at this pv, with the output in force. */
+static void begin(rt_device *d, float pv)
+{
+    if (!d->is_sp_told)
+        d->sp = clip(pv, d->settings.sp_min, d->settings.sp_max);
+    d->pv = pv;
+    start_law(d, pv, d->co);
+}
+
+const char *rt_boot(rt_device *d, const rt_settings *settings, const rt_port *port, uint16_t epoch,
+                    const rt_slot slots[RT_SLOTS], float pv, float co, float sp)
+{
+    const char *bad = bad_setting(settings, port);
     memset(d, 0, sizeof *d);
     d->settings = *settings;
     d->port = *port;
     d->epoch = epoch;
     memcpy(d->slots, slots, sizeof d->slots);
+    d->storing_place = -1;
+    d->co = isfinite(co) ? co : isfinite(settings->co_fault) ? settings->co_fault : 0.0f;
+    if (bad)
+        return bad;
+    d->is_ready = true;
     d->running = d->confirmed = stored(d);
     d->latest = d->running.seq;
-    d->sp = d->pv = pv;
     d->is_auto = true;
-    start_law(d, pv, co);
+    d->is_sp_told = is_within(sp, SP_MAX);
+    if (d->is_sp_told)
+        d->sp = clip(sp, settings->sp_min, settings->sp_max);
+    d->has_begun = is_within(pv, PV_MAX);
+    d->is_blind = !d->has_begun;
+    begin(d, d->has_begun ? pv : clip(d->sp, settings->sp_min, settings->sp_max));
     d->co = d->manual_co = d->law.co;
     renew_challenge(d);
+    return 0;
 }
 
-static bool is_within(float value, float limit)
+void rt_fault(rt_device *d, bool is_fault)
 {
-    return value >= -limit && value <= limit; /* no number fails it, too */
+    d->is_fault = is_fault;
 }
 
 /* Whether the numbers of a host's frame are in the ranges of the DBC. */
@@ -864,7 +963,7 @@ void rt_receive(rt_device *d, const rt_frame *frame)
     unsigned command = frame->id & 31u;
     uint8_t data[8] = {0};
     bool good;
-    if (frame->id >> COMMAND_BITS != d->settings.node)
+    if (!d->is_ready || frame->id >> COMMAND_BITS != d->settings.node)
         return;
     good = !frame->odd && command >= LEASE && command <= AUTH && frame->length == lengths[command];
     if (good) {
@@ -877,25 +976,41 @@ void rt_receive(rt_device *d, const rt_frame *frame)
         d->refused++;
 }
 
+/* The output of this sample: a fault before manual before automatic, which waits for a number. */
+static void regulate(rt_device *d, bool is_number, float dt)
+{
+    float pv = is_number ? d->pv : d->law.pv;
+    if (d->is_fault)
+        track_law(d, d->settings.co_fault, 0.0f, pv, dt);
+    else if (!d->is_auto)
+        track_law(d, d->manual_co, d->settings.co_rate_per_s * dt, pv, dt);
+    else if (is_number)
+        step_law(d, pv, dt);
+    d->co = d->law.co;
+}
+
 float rt_sample(rt_device *d, float pv, float dt)
 {
     rt_gains old = d->running.gains;
-    bool is_number = isfinite(pv) && dt > 0.0f;
-    if (is_number)
-        d->pv = pv;
-    if (swap(d) && is_number)
-        change_law(d, &old, pv, dt);
+    bool is_number = is_within(pv, PV_MAX);
+    if (!d->is_ready || !(dt > 0.0f && isfinite(dt)))
+        return d->co;
+    d->is_blind = !is_number;
+    if (is_number && !d->has_begun)
+        begin(d, pv);
     if (is_number) {
-        if (d->is_auto)
-            step_law(d, pv, dt);
-        else
-            track_law(d, pv, dt);
-        d->co = d->law.co;
+        d->has_begun = true;
+        d->pv = pv;
     }
+    if (swap(d, is_number))
+        change_law(d, &old, pv, dt);
+    regulate(d, is_number, dt);
     d->sample++;
     tick_lease(d);
     tell_sample(d);
     if (d->sample % d->settings.heartbeat_samples == 0 || d->sample == 1)
         tell_life(d);
+    if (d->port.alive)
+        d->port.alive(d->port.context);
     return d->co;
 }

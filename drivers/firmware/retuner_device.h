@@ -5,9 +5,12 @@
        rt_boot      once, with its settings and what its non-volatile memory holds
        rt_receive   for every frame that comes
        rt_sample    once a controller sample, between reading the sensor and setting the actuator
+       rt_stored    when a set that was to be kept is there, or could not be written
+       rt_fault     when a fault input is set or cleared
 
-   and gives three functions: send a frame, keep a stored set, make a random number (only where commits need a code).
-   rt_receive and rt_sample must not interrupt one another: call both from the same priority, or mask one meanwhile. */
+   and gives up to four functions: send a frame, begin to keep a set, make a random number (only where commits need a
+   code), and tell a watchdog that a sample was made. These calls must not interrupt one another: make them from one
+   priority, or mask the others meanwhile. */
 
 #ifndef RETUNER_DEVICE_H
 #define RETUNER_DEVICE_H
@@ -42,6 +45,7 @@ typedef struct {
 /* A complete set and its sequence number. */
 typedef struct {
     uint16_t seq;
+    uint16_t spare; /* always 0: what is written to flash has no byte that nobody set */
     rt_gains gains;
 } rt_set;
 
@@ -63,10 +67,11 @@ typedef struct {
     float sp_min, sp_max;           /* setpoints that are accepted */
     float co_min, co_max;           /* range of the output, within -100 to 200 */
     float co_rate_per_s;            /* largest rate of the output; 0: no limit */
+    float co_fault;                 /* output while a fault is told, limited to the range, at once */
     float b;                        /* setpoint weight, 0 to 1 */
     float tau_f_s;                  /* filter time of the derivative */
-    uint16_t heartbeat_samples;     /* between life signs; 1 or more */
-    uint16_t lease_longest_samples; /* longest lease that is granted */
+    uint16_t heartbeat_samples;     /* between life signs; 1 to 100 */
+    uint16_t lease_longest_samples; /* longest lease that is granted; 1 or more */
     uint16_t trial_samples;         /* within which a set must be confirmed, else the confirmed one runs again; 0: off */
     const uint8_t *key;             /* secret that commits are authenticated with; NULL: none */
     uint16_t key_length;            /* bytes, at least 16 */
@@ -75,8 +80,11 @@ typedef struct {
 /* What the application does for the device. */
 typedef struct {
     void (*send)(void *context, const rt_frame *frame);
-    void (*keep)(void *context, int place, const rt_slot *slot); /* into non-volatile memory; returns when it is there */
-    uint64_t (*random)(void *context);                           /* unforeseeable; may be NULL without a key */
+    /* Begin to write a set into non-volatile memory and return; rt_stored tells how it ended. It stays where it is until
+       then. Called from within rt_receive, so an erase of a second belongs elsewhere. */
+    void (*keep)(void *context, int place, const rt_slot *slot);
+    uint64_t (*random)(void *context); /* unforeseeable; may be NULL without a key */
+    void (*alive)(void *context);      /* a whole sample was made: the watchdog's; may be NULL */
     void *context;
 } rt_port;
 
@@ -98,13 +106,19 @@ typedef struct {
     uint16_t epoch;
     uint32_t sample;
     uint32_t refused;
+    bool is_ready; /* the settings were good: without them nothing is said and co stays */
     /* the loop */
     float sp, pv, co, manual_co, load;
     bool is_auto;
+    bool is_blind;   /* the last reading was no number */
+    bool is_fault;   /* as rt_fault told */
+    bool has_begun;  /* there was a reading since the boot */
+    bool is_sp_told; /* by the application at the boot, or by a host */
     rt_law law;
     rt_heard commands[3];
     /* gain sets */
-    rt_slot slots[RT_SLOTS];
+    rt_slot slots[RT_SLOTS], storing;
+    int8_t storing_place; /* -1: nothing is being stored */
     rt_set running, confirmed, pending;
     rt_heard commit_of_running, commit_pending, commit_refused;
     uint8_t refusal[8]; /* the answer to commit_refused */
@@ -123,16 +137,30 @@ typedef struct {
 } rt_device;
 
 /* Power-on: run the newest whole set of `slots`, else the commissioned one, in auto and at rest at pv with output co.
-   epoch: number of this boot, never one that was used lately: count it up in non-volatile memory or make it random. */
-void rt_boot(rt_device *device, const rt_settings *settings, const rt_port *port, uint16_t epoch,
-             const rt_slot slots[RT_SLOTS], float pv, float co);
+   epoch: number of this boot, never one that was used lately: count it up in non-volatile memory or make it random.
+   pv: the first reading; no number where there is none yet: the law begins with the first that is one.
+   co: the output in force; no number: co_fault.
+   sp: the setpoint to begin with, e.g. that of before a watchdog's reset; no number: the first pv. It is limited to the
+   range of setpoints.
+   Returns NULL, or the name of the first setting that is outside its range: then the device says nothing, and rt_sample
+   gives co back. */
+const char *rt_boot(rt_device *device, const rt_settings *settings, const rt_port *port, uint16_t epoch,
+                    const rt_slot slots[RT_SLOTS], float pv, float co, float sp);
 
 /* Take a frame; answers are sent at once. Anything whatsoever may come. */
 void rt_receive(rt_device *device, const rt_frame *frame);
 
 /* One controller sample of dt seconds with this reading: swap a committed set in, work out co, send the telemetry. The
-   co to apply until the next sample is returned. A reading that is no number is passed over: co stays. */
+   co to apply until the next sample is returned. A reading that is no number, or beyond 1e9, is passed over: HEARTBEAT
+   tells, co stays in automatic, manual goes on, and a set waits for the next number to be swapped in. */
 float rt_sample(rt_device *device, float pv, float dt);
+
+/* The set that `keep` was given is there, or could not be written. May be called from within `keep`. The answer to STORE
+   is sent now. */
+void rt_stored(rt_device *device, bool is_there);
+
+/* A fault is there, or is over: from the next sample on co is co_fault, or goes on from there without a bump. */
+void rt_fault(rt_device *device, bool is_fault);
 
 /* CRC-32 (zlib's), continued from crc; begin with 0. */
 uint32_t rt_crc32(uint32_t crc, const uint8_t *data, unsigned length);

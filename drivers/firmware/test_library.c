@@ -2,6 +2,7 @@
 
 #include "retuner_device.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -14,6 +15,11 @@ typedef struct {
     rt_slot kept[RT_SLOTS];
     uint8_t key[64];
     uint64_t (*random)(void);
+    int (*keep)(void); /* how the writing of a set ends: 1 it is there, 0 it failed, -1 bench_stored tells */
+    const rt_slot *writing;
+    int place;
+    const char *refused;
+    unsigned alive;
     rt_frame sent[FRAMES];
     int count;
 } bench;
@@ -32,9 +38,29 @@ static void on_send(void *context, const rt_frame *frame)
         b->sent[b->count++] = *frame;
 }
 
+static void end_keep(bench *b, int is_there)
+{
+    if (is_there && b->writing)
+        memcpy(&b->kept[b->place], b->writing, sizeof *b->writing);
+    b->writing = NULL;
+    rt_stored(&b->device, is_there != 0);
+}
+
 static void on_keep(void *context, int place, const rt_slot *slot)
 {
-    ((bench *)context)->kept[place] = *slot;
+    bench *b = context;
+    int ends;
+    memset(&b->kept[place], 0, sizeof b->kept[place]); /* it is being erased */
+    b->writing = slot;
+    b->place = place;
+    ends = b->keep();
+    if (ends >= 0)
+        end_keep(b, ends);
+}
+
+static void on_alive(void *context)
+{
+    ((bench *)context)->alive++;
 }
 
 static uint64_t on_random(void *context)
@@ -42,15 +68,55 @@ static uint64_t on_random(void *context)
     return ((bench *)context)->random();
 }
 
-void bench_restart(bench *b, unsigned epoch, double pv, double co)
+/* What the stack holds before a call is nobody's business: it must not get out. */
+static void dirty_stack(void)
+{
+    volatile uint8_t junk[2048];
+    for (unsigned i = 0; i < sizeof junk; i++)
+        junk[i] = 0xA5;
+}
+
+void bench_restart(bench *b, unsigned epoch, double pv, double co, double sp)
 {
     b->count = 0;
-    rt_boot(&b->device, &b->settings, &b->port, (uint16_t)epoch, b->kept, (float)pv, (float)co);
+    b->writing = NULL;
+    dirty_stack();
+    b->refused = rt_boot(&b->device, &b->settings, &b->port, (uint16_t)epoch, b->kept, (float)pv, (float)co, (float)sp);
+}
+
+/* The setting that was refused; NULL: none. */
+const char *bench_refused(const bench *b)
+{
+    return b->refused;
+}
+
+/* The writing of a set has ended; the number of frames sent. */
+int bench_stored(bench *b, int is_there)
+{
+    b->count = 0;
+    end_keep(b, is_there);
+    return b->count;
+}
+
+void bench_fault(bench *b, int is_fault)
+{
+    rt_fault(&b->device, is_fault != 0);
+}
+
+unsigned bench_alive(const bench *b)
+{
+    return b->alive;
+}
+
+/* A place as it would be written to flash. */
+void bench_kept(const bench *b, int place, uint8_t *bytes)
+{
+    memcpy(bytes, &b->kept[place], sizeof b->kept[place]);
 }
 
 /* numbers: the settings in the order of rt_settings, without the key. */
 bench *bench_new(const double *numbers, const uint8_t *key, unsigned key_length, uint64_t (*random)(void),
-                 unsigned epoch, double pv, double co)
+                 int (*keep)(void), unsigned epoch, double pv, double co)
 {
     bench *b = calloc(1, sizeof *b);
     rt_settings *s = &b->settings;
@@ -69,6 +135,7 @@ bench *bench_new(const double *numbers, const uint8_t *key, unsigned key_length,
     s->co_min = (float)*at++;
     s->co_max = (float)*at++;
     s->co_rate_per_s = (float)*at++;
+    s->co_fault = (float)*at++;
     s->b = (float)*at++;
     s->tau_f_s = (float)*at++;
     s->heartbeat_samples = (uint16_t)*at++;
@@ -78,11 +145,13 @@ bench *bench_new(const double *numbers, const uint8_t *key, unsigned key_length,
     s->key = key_length ? b->key : NULL;
     s->key_length = (uint16_t)key_length;
     b->random = random;
+    b->keep = keep;
     b->port.send = on_send;
     b->port.keep = on_keep;
     b->port.random = on_random;
+    b->port.alive = on_alive;
     b->port.context = b;
-    bench_restart(b, epoch, pv, co);
+    bench_restart(b, epoch, pv, co, NAN);
     return b;
 }
 

@@ -68,6 +68,7 @@ class Reason(IntEnum):
     REVERTED = 15
     NO_CODE = 16
     WRONG_CODE = 17
+    NOT_STORED = 18
 
 
 class Flags(IntFlag):
@@ -79,6 +80,8 @@ class Flags(IntFlag):
     TRIAL = 8
     OWNED = 16
     WRONG_CODE = 32
+    BLIND = 64
+    FAULT = 128
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """The firmware in C answers as the virtual device does, frame by frame and byte by byte, whatever comes."""
 
+import math
 import random
 import struct
 
@@ -46,6 +47,16 @@ OWNERS = (5, 64, 0x1700)
 Changes = tuple[tuple[str, str], ...]
 
 
+class SpoiltPlant(LagPlant):
+    """Its sensor says something else where it is told to."""
+
+    says: float | None = None
+
+    def step(self, *given: float) -> float:
+        pv = super().step(*given)
+        return pv if self.says is None else self.says
+
+
 class Twins:
     """The virtual device and the firmware, told the same. All commands are right in form, many in everything."""
 
@@ -55,8 +66,13 @@ class Twins:
             FIRST, box=BOX, key=key, trial_samples=trial_samples, lease_longest_samples=40, sp_min=0.0, sp_max=100.0
         )
         nonces = [random.Random(seed), random.Random(seed)]
-        self.virtual = VirtualDevice(settings, LagPlant(), nonce=lambda: nonces[0].getrandbits(48))
-        self.firmware = FirmwareDevice(settings, LagPlant(), nonce=lambda: nonces[1].getrandbits(48), changes=changes)
+        self.ends: bool | None = True
+        self.plants = SpoiltPlant(), SpoiltPlant()
+        ends = {"keep": lambda: self.ends}
+        self.virtual = VirtualDevice(settings, self.plants[0], nonce=lambda: nonces[0].getrandbits(48), **ends)
+        self.firmware = FirmwareDevice(
+            settings, self.plants[1], nonce=lambda: nonces[1].getrandbits(48), changes=changes, **ends
+        )
         for device, chance in zip((self.virtual, self.firmware), nonces, strict=True):
             chance.seed(seed)
             device.restart()
@@ -70,6 +86,24 @@ class Twins:
     def say(self, *frames: Frame) -> None:
         for frame in frames:
             self.tell(CODEC.encode(frame))
+
+    def something_fails(self) -> None:
+        """The sensor, a fault input, the flash; or it is over."""
+        rng, devices = self.rng, (self.virtual, self.firmware)
+        kind = rng.randrange(3)
+        if kind == 0:
+            spoilt = rng.choice((*[None] * 12, math.nan, math.inf, -3e38, 2e9))
+            for plant in self.plants:
+                plant.says = spoilt
+        elif kind == 1:
+            fault = rng.random() < 0.3
+            for device in devices:
+                device.tell_fault(fault=fault)
+        else:
+            self.ends = rng.choice((True, True, False, None))
+            done = rng.random() < 0.7
+            told = [[m.data for m in device.stored(done=done)] for device in devices]
+            assert told[0] == told[1]
 
     def step(self) -> None:
         virtual, firmware = self.virtual.step(), self.firmware.step()
@@ -151,6 +185,8 @@ class Twins:
                 self.say(*self.whole_set())
             elif kind < 0.65:
                 self.tell(self.noise())
+            elif kind < 0.655:
+                self.something_fails()
             elif kind < 0.66:
                 self.power_fails()
                 self.virtual.restart()
