@@ -125,7 +125,10 @@ class ForeignHost:
 
 @dataclass(frozen=True, slots=True)
 class DeviceConflict:
-    """Two devices answer under one node number: what runs is unknown, nothing is written until one of them is off."""
+    """Two devices answer under one node number, old frames come again, or the device counts anew in an old epoch.
+
+    What runs is unknown, nothing is written until that is over.
+    """
 
     node: int
 

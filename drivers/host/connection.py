@@ -34,6 +34,7 @@ from retuner.drivers.protocol.checksum import STAMP_SAMPLES, lease_stamp
 from retuner.drivers.protocol.codec import Codec, FrameError, Refusal, Refused, schema
 from retuner.drivers.protocol.frames import PROTOCOL_VERSION, Identity
 from retuner.drivers.state_machine import StateMachine
+from retuner.drivers.telemetry.device_counter import Said
 from retuner.drivers.telemetry.sample_assembly import SampleJoiner
 from retuner.drivers.telemetry.telemetry_quality import Stream
 from retuner.schedule.gains import PidGains
@@ -223,8 +224,8 @@ class CanDevice:
     def _on_life_sign(self, sign: frames.Heartbeat | frames.Status) -> None:
         """Sample counter and epoch, or sequence numbers, as the device has them."""
         if isinstance(sign, frames.Heartbeat):
-            if self._belief.on_heartbeat(sign):
-                self._joiner.set_reference(sign.sample)
+            if self._belief.on_heartbeat(sign) and self._joiner.set_reference(sign.sample) is Said.CONTRADICTS:
+                self._belief.contradicted()
             return
         self._requests.sequence.note(sign.latest)
         running = self._belief.running

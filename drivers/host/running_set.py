@@ -5,9 +5,9 @@ nothing (it may be an old one come late): it raises a doubt, and the next read-b
 And a device that has booted may be another one: its first read-back counts only once it has said again who it is.
 
 A device never goes back to an epoch that it has left, and never says two things at a time. A read-back that goes back,
-heartbeats in a short time that a read-back has disproved or whose counter goes back, or samples that say something else
-under a number that was there already, come from a second device under the same node number: then nothing is believed
-until ALONE heartbeats in a row have been of one epoch and of one mind.
+heartbeats in a short time that a read-back has disproved or whose counter goes back (device_counter.py), or samples
+that say something else under a number that was there already, come from a second device under the same node number, or
+from a repeater: then nothing is believed until ALONE heartbeats in a row have been of one epoch and of one mind.
 """
 
 from enum import Enum
@@ -31,7 +31,6 @@ class Belief(Enum):
 
 ALONE = 5  # heartbeats in a row of one epoch after which a conflict is over
 DISPROVED_MAX = 4  # contradictions before that which make a conflict
-BACK = 128  # samples by which a heartbeat that is late on a bus may be behind
 
 
 class RunningBelief:
@@ -47,7 +46,7 @@ class RunningBelief:
         self._before: RunningSet | None = None
         self._candidate: Heartbeat | None = None
         self._left: set[int] = set()  # epochs that the device has left
-        self._last_epoch = self._in_a_row = self._disproved = self._last_beat = 0
+        self._last_epoch = self._in_a_row = self._disproved = 0
         self._conflict = self._identified = self._untold = False
         self.running: RunningSet | None = None
         self.epoch: int | None = None
@@ -93,13 +92,12 @@ class RunningBelief:
                 self._conflict = False
                 self._left.clear()
         if heartbeat.epoch == self.epoch:
-            back, self._last_beat = heartbeat.sample < self._last_beat - BACK, heartbeat.sample
-            if back:
-                self.contradicted()
             return True
         if self._candidate is None or self._candidate.epoch != heartbeat.epoch:
             self._identified = False
-        self._candidate = heartbeat
+            self._candidate = heartbeat
+        elif heartbeat.sample > self._candidate.sample:  # an older one was sent again
+            self._candidate = heartbeat
         return False
 
     def on_page(self, page: ReadBack) -> Belief:
@@ -124,7 +122,6 @@ class RunningBelief:
                 verdict = Belief.RESTARTED
                 self._left.add(self.epoch)
             self.epoch, self.boot_sample, self._candidate = candidate.epoch, candidate.sample, None
-            self._last_beat = candidate.sample
             return self._believe(page, verdict)
         return Belief.NOTHING
 

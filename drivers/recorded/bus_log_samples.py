@@ -17,6 +17,7 @@ from retuner.drivers.host.page_reader import PageReader, ReadBack
 from retuner.drivers.host.running_set import Belief, RunningBelief
 from retuner.drivers.protocol import frames
 from retuner.drivers.protocol.codec import Codec, Refused
+from retuner.drivers.telemetry.device_counter import Said
 from retuner.drivers.telemetry.sample_assembly import AssembledSample, SampleJoiner
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 
@@ -118,8 +119,9 @@ class Overhearing:
         known = self._belief.on_heartbeat(heartbeat)
         if not self._as_host:  # it cannot ask
             self._belief.identify()
-        if known or (not self._as_host and self._belief.epoch is None):
-            self._joiner.set_reference(heartbeat.sample)
+        counts = known or (not self._as_host and self._belief.epoch is None)
+        if counts and self._joiner.set_reference(heartbeat.sample) is Said.CONTRADICTS:
+            self._belief.contradicted()
 
     def _page(self, page: ReadBack | None, now_s: float) -> None:
         """What runs, when a whole page of it was read back."""

@@ -1,10 +1,9 @@
 """Telemetry to samples: joins the two halves of a sample, unwraps their 8-bit counter and notices what is missing.
 
-The heartbeat carries the full 32-bit sample counter and is the reference; a half belongs to the sample nearest to it
-with these low 8 bits. Older or repeated halves are dropped, and a half without its partner is soon forgotten.
-Telemetry carries one CRC-16 for both halves, so halves that do not belong together make no sample. When two
-heartbeats in a row say that the counter stands far behind, they are right and a stray sample was wrong. Time goes on
-whatever the counter does, across a restart of the device as well.
+The heartbeat carries the full 32-bit sample counter; a half belongs to the sample nearest to the newest one known with
+these low 8 bits. Older or repeated halves are dropped, those further ahead than the heartbeats have said as well
+(device_counter.py), and a half without its partner is soon forgotten. Telemetry carries one CRC-16 for both halves, so
+halves that do not belong together make no sample. Time never goes back, and goes on across a restart of the device.
 """
 
 import math
@@ -13,6 +12,7 @@ from typing import NamedTuple
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.drivers.protocol.checksum import sample_crc
 from retuner.drivers.protocol.frames import RUNNING_TAG, TelemetryPv, TelemetrySp
+from retuner.drivers.telemetry.device_counter import DeviceCounter, Said
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.drivers.telemetry.signal_values import SignalTap
 from retuner.drivers.telemetry.telemetry_quality import Arrival, ArrivalCheck
@@ -24,7 +24,6 @@ PATIENCE = 16  # halves after which one that has met no partner is forgotten
 SEQUENCES = 1 << 16
 LONGEST_GAP = 1 << 16  # samples of outage over which time goes on after a restart
 KEPT = 128  # samples whose content is remembered, to notice a second device that speaks under the same numbers
-BEHIND = 16  # samples by which a late heartbeat may lag behind the telemetry
 
 
 class AssembledSample(NamedTuple):
@@ -55,16 +54,17 @@ class SampleJoiner:
         self._variable, self._variable2 = inputs.variable, inputs.variable2
         self.tap = SignalTap(inputs.signals)
         self._offset = 0
+        self._counter = DeviceCounter()
         self._reference: int | None = None
         self._after: int | None = None  # number of a sample of an earlier session that all of this one come behind
         self._last: int | None = None
-        self._behind: int | None = None
+        self._first = 0  # the oldest sample that may be the first one
         self._said: dict[int, int] = {}
         self._again: dict[int, TelemetryPv | TelemetrySp] = {}
         self._contradicted: int | None = None
         self.contradictions = 0  # see _compare
         self._halves: dict[int, tuple[int, TelemetryPv | TelemetrySp]] = {}
-        self._taken = 0
+        self._taken = self._beyond = 0
         self.arrivals = ArrivalCheck()
         self.running = 0  # sequence number of the set last known to run
         self.ordered: int | None = None  # and of the one that is being written
@@ -73,26 +73,28 @@ class SampleJoiner:
         """Before the first sample: an earlier session has seen samples up to this time."""
         self._after = None if t_s is None else round(t_s / self._sample_time_s)
 
-    def set_reference(self, sample: int) -> None:
-        """The device says that its counter stands here; see the head of this file for when it moves back."""
-        if self._last is not None and sample < self._last - BEHIND:
-            if self._behind is not None and sample > self._behind:
-                self.restart(sample, 1)
-                self._behind = None
-            else:
-                self._behind = sample
-            return
-        self._behind = None
+    def set_reference(self, sample: int) -> Said:
+        """A heartbeat says that the counter stands here; what that means."""
+        before = self._counter.newest
+        said = self._counter.beat(sample, self._last)
+        newest = self._counter.newest
+        if newest is None or newest == before:
+            return said
+        self._beyond = 0
         after, self._after = self._after, None
         if after is not None and sample <= after:
             self._offset = after + 1 - sample
         if self._reference is None or sample > self._reference:
             self._reference = sample
+        if self._last is None:
+            self._first = sample
+        return said
 
     def forget(self) -> None:
         """Contact was lost: the counter may have wrapped any number of times; the next reference tells."""
         self.arrivals.note(Arrival.TIMEOUT)
         self._reference = None
+        self._counter.forget()
         self._halves.clear()
 
     def restart(self, sample: int, gap: int) -> None:
@@ -102,6 +104,7 @@ class SampleJoiner:
             self._offset += last + max(gap, 1) - sample
             self._last = sample - 1
         self._reference = sample
+        self._counter.begin(sample)
         self._halves.clear()
         self._said.clear()
         self._again.clear()
@@ -129,6 +132,11 @@ class SampleJoiner:
                 self.arrivals.ahead(number - self._last)
             self._compare(number, half)
             return None
+        if self._last is None and number < self._first:
+            return None
+        if self._counter.beyond(number):
+            self._too_far()
+            return None
         self._taken += 1
         since, other = self._halves.get(number, (self._taken, None))
         if self._taken - since < PATIENCE:
@@ -138,6 +146,13 @@ class SampleJoiner:
                 return self._join(number, other, half)
         self._halves[number] = self._taken, half
         return None
+
+    def _too_far(self) -> None:
+        """Half a sample further than the heartbeats have said; after many of them its low bits tell nothing either."""
+        self.arrivals.note(Arrival.WRONG_SEQUENCE)
+        self._beyond += 1
+        if self._beyond >= HALF:
+            self._reference = None
 
     def _compare(self, number: int, half: TelemetryPv | TelemetrySp) -> None:
         """Half a sample under a number that has been: the same again, late, or what a second device says.

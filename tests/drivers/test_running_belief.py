@@ -63,3 +63,11 @@ def test_heartbeats_that_read_backs_disprove_mean_two_devices_unless_they_are_ra
         verdicts.append(belief.on_page(page(3)))
         belief.on_heartbeat(Heartbeat(1, 3, 0))
     assert verdicts == [Belief.SAME] * (DISPROVED_MAX - 1) + [Belief.CONFLICT]
+
+
+def test_an_old_heartbeat_that_is_sent_again_while_connecting_says_nothing_of_the_counter() -> None:
+    belief = RunningBelief(1)
+    for sample in (5000, 100, 5001, 3):
+        belief.on_heartbeat(Heartbeat(sample, 3, 0))
+    assert belief.on_page(page(3)) is Belief.FIRST
+    assert belief.boot_sample == 5001

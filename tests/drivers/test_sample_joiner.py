@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from retuner.drivers.protocol.checksum import sample_crc
 from retuner.drivers.protocol.frames import TelemetryPv, TelemetrySp
+from retuner.drivers.telemetry.device_counter import Said
 from retuner.drivers.telemetry.sample_assembly import AssembledSample, SampleJoiner
 
 
@@ -33,7 +34,11 @@ def test_nothing_before_the_first_reference() -> None:
 def test_counter_wraps() -> None:
     joiner = SampleJoiner(0.5)
     joiner.set_reference(250)
-    got = [j for n in range(251, 2000) for j in feed(joiner, n)]
+    got = []
+    for n in range(251, 2000):
+        got += feed(joiner, n)
+        if n % 100 == 0:
+            joiner.set_reference(n)
     assert [j.sample.t_s for j in got] == [0.5 * n for n in range(251, 2000)]
     assert [j.sample.pv for j in got] == [float(n) for n in range(251, 2000)]
     assert {j.lost for j in got} == {0}
@@ -49,10 +54,15 @@ def test_whatever_arrives_the_samples_are_true_and_the_loss_is_counted(seed: int
     arriving = [
         (2 * n + i + rng.choice((0, 0, 0, 3, 7)), rng.random(), half)
         for n in range(1, 600)
-        for i, half in enumerate(halves(n))
+        for i, half in enumerate([*halves(n), *([n] if n % 5 == 0 else [])])
         for _ in range(rng.choices((0, 1, 2), (loss, 1 - loss, 0.1))[0])
     ]
-    got = [j for _, _, half in sorted(arriving, key=lambda a: a[:2]) if (j := joiner.take(half)) is not None]
+    got = []
+    for _, _, arrived in sorted(arriving, key=lambda a: a[:2]):
+        if isinstance(arrived, int):
+            joiner.set_reference(arrived)
+        elif (joined := joiner.take(arrived)) is not None:
+            got.append(joined)
     numbers = [round(j.sample.t_s) for j in got]
 
     assert all(j.sample.pv == j.sample.t_s for j in got)
@@ -69,19 +79,37 @@ def test_a_stray_half_is_not_joined_with_a_later_sample() -> None:
     assert len(got) == 78
 
 
-def test_a_stray_sample_far_ahead_is_put_right_by_two_heartbeats() -> None:
+def test_a_stray_sample_further_ahead_than_the_heartbeats_have_said_counts_for_nothing() -> None:
     joiner = SampleJoiner(1.0)
     joiner.set_reference(1)
     feed(joiner, 2)
-    (stray,) = feed(joiner, 102)
-    assert stray.lost == 99
-    times = [stray.sample.t_s]
-    for n in range(3, 30):
-        times += [j.sample.t_s for j in feed(joiner, n)]
+    assert feed(joiner, 102) == []
+    got = [j for n in range(3, 30) for j in feed(joiner, n)]
+    assert [(j.sample.t_s, j.lost) for j in got] == [(float(n), 0) for n in range(3, 30)]
+
+
+def test_heartbeats_that_stay_away_end_the_telemetry_until_the_next_one() -> None:
+    joiner = SampleJoiner(1.0)
+    joiner.set_reference(1)
+    assert [j.sample.t_s for n in range(2, 900) for j in feed(joiner, n)] == [float(n) for n in range(2, 102)]
+    joiner.set_reference(900)  # far ahead: the next one has to agree
+    assert feed(joiner, 901) == []
+    joiner.set_reference(905)
+    (joined,) = feed(joiner, 906)
+    assert (joined.sample.t_s, joined.lost) == (906.0, 906 - 102)
+
+
+def test_one_heartbeat_far_ahead_or_behind_moves_nothing() -> None:
+    joiner = SampleJoiner(1.0)
+    joiner.set_reference(1000)
+    said = []
+    for n in range(1001, 1060):
+        said += [joiner.set_reference(stray) for stray in (70_000 + n, 3) if n % 7 == 0]
+        (joined,) = feed(joiner, n)
+        assert (joined.sample.t_s, joined.lost) == (n, 0)
         if n % 5 == 0:
-            joiner.set_reference(n)
-    assert len(times) == 1 + 29 - 10
-    assert times == sorted(set(times))
+            said.append(joiner.set_reference(n))
+    assert Said.CONTRADICTS in said
 
 
 def test_contact_lost_for_longer_than_the_counter_needs_a_new_reference() -> None:
