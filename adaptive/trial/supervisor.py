@@ -19,6 +19,7 @@ from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, judge
 from retuner.adaptive.trial.phase import (
     ABORTS,
+    LASTING,
     TO_BE_SEEN,
     UNDECIDED,
     UNDOS,
@@ -318,10 +319,11 @@ class TrialSupervisor:
             self._move(region, E.COOLED if trial.phase == P.COOLING else E.HOLD_OVER, t_s)
 
     def _decided(self, region: int, cause: TrialEvent) -> bool:
-        """Whether a cause goes on that has been put to the region already."""
+        """Whether a cause goes on that has been put to the region already, or asks for no more than the end has."""
         trial = self.of(region)
         stays = trial.back is not None and trial.back.stays
-        return stays and trial.cause == cause and trial.phase in {P.PAUSED, P.AWAY, P.ENSURING}
+        put = trial.cause == cause or (trial.cause == E.STOPPED and cause in LASTING)
+        return stays and put and trial.phase in {P.TRIAL, P.PAUSED, P.AWAY, P.ENSURING}
 
     def _way_back(self, region: int, cause: TrialEvent, known: StillAllowed | None = None) -> WayBack:
         """What is to run after a cause. known : of the process; None for what the region's models say."""
@@ -395,7 +397,7 @@ class TrialSupervisor:
             trial = replace(trial, until_s=t_s + self._cool_down_s(trial))
         elif event in {E.PASSED, E.PASSED_FOR_APPROVAL, E.UNLOCKED, E.APPROVED}:
             trial = replace(trial, undos=0, edits=0 if event in {E.UNLOCKED, E.APPROVED} else trial.edits)
-        elif now in {P.AWAY, P.TRIAL}:
+        elif now in {P.AWAY, P.TRIAL} and trial.cause != E.STOPPED:  # the end goes on
             trial = replace(trial, cause=None, back=None)
         if event in {E.PASSED, E.PASSED_FOR_APPROVAL, E.UNDECIDED, E.UNDECIDED_FOR_APPROVAL}:
             trial = trial.with_earlier(trial.old)

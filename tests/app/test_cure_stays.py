@@ -165,3 +165,16 @@ def test_an_edit_is_taken_over_held_and_told(make_wire: Callable[..., Wire]) -> 
     assert wire.trials.may_change(0, wire.clock.now_s())
     wire.end()
     assert wire.runs == to_wire(FOREIGN)
+
+
+def test_an_end_that_waits_tells_each_cause_once(make_wire: Callable[..., Wire]) -> None:
+    """With the device off, both the lost telemetry and the end of the session concern the trial at every poll."""
+    wire = cured(make_wire())
+    wire.far.send = lambda message: None  # noqa: ARG005  nothing arrives
+    wire.run(20)
+    told = len(wire.rows)
+    wire.end()
+    causes = [str(body["cause"]) for kind, body in wire.rows[told:] if kind == "abort"]
+    assert causes.count("stopped") == 1
+    assert len(causes) == len(set(causes))
+    assert wire.kinds[-1] == "unrestored"

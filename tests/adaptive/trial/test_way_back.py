@@ -14,6 +14,7 @@ from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.expectation import Promise, promise
 from retuner.adaptive.trial.phase import ABORTS, SILENT, UNDECIDED, UNDOS, TrialEvent, TrialPhase
 from retuner.adaptive.trial.settings import TrialSettings
@@ -123,6 +124,19 @@ def test_a_cause_that_goes_on_is_put_to_a_region_once(cause: TrialEvent) -> None
     assert bench.trials.abort(cause, 1.0) == (0,)
     bench.trials.restored(2.0)
     assert bench.trials.abort(cause, 3.0) == ()
+
+
+def test_the_end_of_a_session_that_waits_is_put_to_a_region_once_whatever_the_samples_say() -> None:
+    bench = Bench(P.TRIAL, SETS["unstable"], SETS["right"], StillAllowed((PROCESS,)))
+    assert bench.trials.abort(E.STOPPED, 1.0) == (0,)
+    bench.trials.restored(2.0)
+    for number in range(40):
+        mode = LoopMode.AUTO if number % 4 else LoopMode.MANUAL
+        sample = LoopSample(3.0 + number, 50.0, 50.0, 50.0, mode, 0, 50.0, 1)
+        assert not bench.trials.look(sample, 0, 0.1, 1.0, 5.0, blended=False)
+        assert bench.trials.abort(E.LOST_TELEMETRY, sample.t_s) == ()
+        assert bench.trials.abort(E.STOPPED, sample.t_s) == ()
+    assert bench.trials.abort(E.DEVICE_REVERTED, 50.0) == (0,), "what runs is to be seen again"
 
 
 def test_a_cure_whose_write_was_given_up_and_came_through_stays() -> None:
