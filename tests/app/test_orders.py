@@ -2,6 +2,9 @@
 
 import json
 import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -144,11 +147,51 @@ def test_no_plain_file_is_opened(tmp_path: Path) -> None:
     assert (orders / ".being-written.tmp").exists()
 
 
+def give_all(folder: Path, person: str, count: int, begin: Callable[[], object]) -> list[str]:
+    """Give so many orders of one moment; the names of their files."""
+    begin()
+    orders = (Order(OrderKind.MODE, person, HOLD.at, f"{number}", mode="off") for number in range(count))
+    return [put_order(folder, order).name for order in orders]
+
+
+def all_that_arrive(folder: Path) -> list[tuple[str, str]]:
+    box = OrderBox(folder)
+    orders = [found.order for _ in range(200) for found in box.take()]
+    return sorted((order.by, order.note) for order in orders if order is not None)
+
+
+def test_no_order_of_several_threads_in_one_second_is_lost(tmp_path: Path) -> None:
+    for attempt in range(3):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        people, barrier = [f"person {i}" for i in range(4)], threading.Barrier(4)
+        with ThreadPoolExecutor(4) as pool:
+            given = [pool.submit(give_all, folder, person, 8, barrier.wait) for person in people]
+            names = [name for one in given for name in one.result()]
+        assert len(set(names)) == len(names) == 32
+        assert all_that_arrive(folder) == sorted((person, str(i)) for person in people for i in range(8))
+
+
+def test_no_order_of_several_processes_in_one_second_is_lost_while_they_are_taken(tmp_path: Path) -> None:
+    people, box = [f"person {i}" for i in range(4)], OrderBox(tmp_path)
+    with ProcessPoolExecutor(4) as pool:
+        given = [pool.submit(give_all, tmp_path, person, 15, int) for person in people]
+        taken = []
+        while not all(one.done() for one in given):
+            taken += box.take()
+        names = [name for one in given for name in one.result()]
+    taken += [found for _ in range(200) for found in box.take()]
+    assert len(set(names)) == len(names) == 60
+    found = sorted((one.order.by, one.order.note) for one in taken if one.order is not None)
+    assert found == sorted((person, str(i)) for person in people for i in range(15))
+    assert [one.refused for one in taken if one.refused] == []
+
+
 def test_a_thousand_orders_of_one_second_are_enough(tmp_path: Path) -> None:
     orders = tmp_path / "orders"
     orders.mkdir()
     for i in range(1, 1000):
-        (orders / f"20300131T120000Z-approve-{i:03d}.json").touch()
+        (orders / f"20300131T120000Z-approve-{i:03d}-0.json").touch()
     with pytest.raises(UserError, match="wait a second"):
         put_order(tmp_path, APPROVE)
 

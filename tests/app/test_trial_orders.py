@@ -1,7 +1,9 @@
 """Orders that meet a trial: each ends it, lets it be, or is told why not; none is for another set than it names."""
 
 import sys
+from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,13 +13,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from wire import GOOD, PROMISE, Wire
 
+from retuner.adaptive.orders.pending_proposal import Proposal
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed
-from retuner.session.order_queue import OrderDesk
+from retuner.session.order_queue import Before, OrderDesk, Shown
 from retuner.session.orders import Order, OrderBox, OrderKind, put_order
 
 P = TrialPhase
@@ -148,3 +151,57 @@ def test_a_mode_of_no_region_is_refused_and_one_region_leaves_the_other(desk: De
     assert told == [(True, ""), (False, "there is no region nowhere; there are low, high")]
     settings = desk.wire.session.retuner.settings
     assert [settings.mode_of(i) for i in range(2)] == [Mode.ADVISE, Mode.TRIAL]
+
+
+def proposed(desk: Desk) -> Decision:
+    """The session proposes a change; its decision."""
+    session = desk.wire.session
+    gains = PidGains(1.2 * GOOD.kp, 1.2 * GOOD.ki)
+    made = session.retuner.ordered(0, StageResult("injected", "for a test"), gains, PROMISE)
+    desk.happens(TrialEvent.NOT_WRITTEN)
+    proposal = replace(made, action=Action.ADVISE)
+    session.decisions.append(proposal)
+    return proposal
+
+
+def test_a_rejection_that_comes_after_the_write_is_told_so(desk: Desk) -> None:
+    proposal = proposed(desk)
+    assert desk.order(OrderKind.APPROVE, proposal.digest())["accepted"]
+    assert desk.wire.runs == to_wire(proposal.gains_after)
+    told = desk.order(OrderKind.REJECT, proposal.digest())
+    assert not told["accepted"]
+    assert "it was approved before, and written" in str(told["reason"])
+    written = next(d for d in desk.wire.session.decisions if d.code == "approved")
+    assert f"order a revert of decision {written.number}" in str(told["reason"])
+    assert desk.wire.runs == to_wire(proposal.gains_after)
+
+
+@pytest.mark.parametrize("approved", [False, True])
+def test_a_rejection_of_a_proposal_of_the_session_before(desk: Desk, tmp_path: Path, approved: bool) -> None:
+    proposal, session = proposed(desk), desk.wire.session
+    digest = proposal.digest()
+    shown = Shown({digest: Proposal.of(proposal)}, approved={digest} if approved else set())
+    folder = tmp_path / "before"
+    folder.mkdir()
+    put_order(folder, Order(OrderKind.REJECT, "Ada", "2030-01-31T12:00:00Z", digest=digest))
+    before = Before(OrderBox(folder), shown)
+    session.orders = OrderDesk(OrderBox(tmp_path), session.retuner, desk.wire._record, deque(), 1e6, before).take
+    desk.wire.run(3)
+    (told,) = (body for row, body in desk.wire.rows if row == "order")
+    assert (told["accepted"], told["region"]) == (not approved, "low")
+    assert ("it was approved in that session" in str(told["reason"])) is approved
+
+
+def test_a_rejection_before_the_approval_keeps_it_from_being_written(desk: Desk) -> None:
+    proposal = proposed(desk)
+    assert desk.order(OrderKind.REJECT, proposal.digest())["accepted"]
+    assert desk.order(OrderKind.APPROVE, proposal.digest())["reason"] == "it was rejected"
+    assert desk.wire.runs == to_wire(GOOD)
+
+
+def test_a_mode_for_a_region_that_does_not_exist_is_refused(desk: Desk) -> None:
+    put_order(desk.folder, Order(OrderKind.MODE, "Ada", "2030-01-31T12:00:00Z", region="middle", mode="off"))
+    desk.wire.run(60)
+    (told,) = (body for row, body in desk.wire.rows if row == "order")
+    assert (told["accepted"], told["reason"]) == (False, "there is no region middle; there are low, high")
+    assert [desk.wire.session.retuner.settings.mode_of(i) for i in range(2)] == [Mode.TRIAL, Mode.TRIAL]

@@ -210,6 +210,10 @@ def test_an_act_goes_into_an_order_file_of_the_session(session: Session, served:
     for wrong in ({"by": ""}, {"order": "delete"}, {"digest": "abc"}, {"decision": "1"}, {"by": 7}, {"mode": "auto"}):
         assert served.client.post("/api/order", json={**order, **wrong}, headers=headers).status_code == 400
     assert served.client.post("/api/order", json={**order, "loop": "x/1"}, headers=headers).status_code == 404
+    mode = {"loop": "demo/1", "order": "mode", "mode": "advise", "by": "Ada", "region": "nowhere"}
+    told = served.client.post("/api/order", json=mode, headers=headers)
+    assert (told.status_code, "there is no region nowhere; there are" in told.text) == (404, True)
+    assert len(list((session.folder / "orders").glob("*.json"))) == 1
     session.ends()
     served.look()
     assert served.client.post("/api/order", json=order, headers=headers).status_code == 409

@@ -214,6 +214,8 @@ class Page:
         if session.ledger.broken:
             raise NotTakenError(409, f"the ledger cannot be believed: {session.ledger.broken}")
         order = _order_of(body)
+        if order.region and order.region not in loop.regions:
+            raise NotTakenError(404, f"there is no region {order.region}; there are {', '.join(loop.regions)}")
         file = await asyncio.to_thread(_put, loop.order_folder(session.folder), order)
         self._access.acted(cookie)
         answer = JSONResponse({"order": str(order.kind), "file": file})

@@ -34,6 +34,11 @@ class WatchedLoop:
         """As its configuration names it."""
         return str(self.reader.head.get("loop", ""))
 
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Names of its regions."""
+        return tuple(map(str, self.reader.head.get("regions", ())))
+
     def order_folder(self, session: Path) -> Path:
         """Where orders to this loop are put, below its session's folder."""
         return loop_folder(session, self.name if self.reader.head.get("several") else "")

@@ -205,6 +205,7 @@ class OrderDesk:
         self._waiting: list[Waiting] = []
         self._look_at_s = float("-inf")
         self._rejected: set[str] = set()
+        self._taken_up: dict[str, int] = {}  # number of the decision that writes an approved proposal, by hash
 
     def take(self, t_s: float) -> tuple[Decision, ...]:
         """Take in the next order, one a turn, since each may want a write; the decision that follows, if one does."""
@@ -260,7 +261,10 @@ class OrderDesk:
         if body["accepted"] and body.get("order") == OrderKind.REJECT:
             self._rejected.add(str(body["digest"]))
         self._record("order", t_s, body)
-        return feed(self._retuner, "order", body, t_s)
+        decision = feed(self._retuner, "order", body, t_s)
+        if proposal and decision is not None and decision.gains_after is not None:
+            self._taken_up[str(body["digest"])] = decision.number
+        return decision
 
     def _is_here(self, order: Waiting) -> bool:
         """Whether the loop is in the order's region."""
@@ -314,14 +318,24 @@ class OrderDesk:
     def _not_wanted(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:
         """A proposal that is closed, or a change that waits for a person and is taken back."""
         if before is not None:
-            return {}, "" if digest in before.shown.proposals else f"no proposal {digest[:SHORT]} in that session"
+            past = before.shown.proposals.get(digest)
+            if past is None:
+                return {}, f"no proposal {digest[:SHORT]} in that session"
+            reason = "it was approved in that session; order a revert to take it back"
+            return {"region": past.region, "tried": False}, reason * (digest in before.shown.approved)
         decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
         if decision is None:
             return {}, f"no proposal {digest[:SHORT]} in this session"
         if Proposal.of(decision) is not None:
-            return {"region": decision.region, "tried": False}, ""
+            return {"region": decision.region, "tried": False}, self._too_late(digest)
         reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
         return {"region": decision.region, "tried": True}, reason
+
+    def _too_late(self, digest: str) -> str:
+        """Why a proposal cannot be rejected any more, empty when it can: it was approved, and its gains are written."""
+        number = self._taken_up.get(digest)
+        undo = f"to take it back, order a revert of decision {number}"
+        return "" if number is None else f"it was approved before, and written with decision {number}; {undo}"
 
     def _superseded(self, proposal: Proposal) -> str:
         """Why a proposal may not be taken up any more, empty unless this session has made a newer one of its region."""

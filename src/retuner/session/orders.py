@@ -13,6 +13,7 @@ import contextlib
 import json
 import os
 import re
+import secrets
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -35,6 +36,10 @@ MOST_AT_ONCE = 16
 """Files looked at in one turn; the rest waits for the next one."""
 LOOK_ANYWAY = 32
 """Turns after which the folder is listed even if its time has not changed: two files within one tick look like one."""
+MOST_OF_A_MOMENT = 999
+"""Orders of one kind and second."""
+RANDOM_BYTES = 8
+"""Of the random part of a file's name."""
 HASH = re.compile(r"[0-9a-f]{64}")
 MOMENT = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z")
 
@@ -141,6 +146,9 @@ class Order:
 def put_order(session: Path, order: Order) -> Path:
     """Put an order into a session's folder, whole or not at all; its file.
 
+    Its name tells the moment, the kind and how many there were; a random part makes it nobody else's, so that people
+    who order at one moment, from whatever process or thread, never write over each other.
+
     Raises
     ------
     UserError
@@ -148,14 +156,13 @@ def put_order(session: Path, order: Order) -> Path:
     """
     folder = session / ORDERS
     folder.mkdir(exist_ok=True)
-    stem = f"{order.at.replace(':', '').replace('-', '')}-{order.kind}"
-    names = {path.name for path in (*folder.glob("*.json"), *folder.glob("*/*.json"))}
-    for number in range(1, 1000):
-        name = f"{stem}-{number:03d}.json"
-        if name not in names:
-            write_whole(folder / name, json.dumps(order.to_dict(), indent=2) + "\n")
-            return folder / name
-    raise UserError(f"{folder}: holds a thousand orders of this moment; wait a second")
+    stem = f"{order.at.replace(':', '').replace('-', '')}-{order.kind}-"
+    names = {path.name for path in (*folder.glob(f"{stem}*.json"), *folder.glob(f"*/{stem}*.json"))}
+    if len(names) >= MOST_OF_A_MOMENT:
+        raise UserError(f"{folder}: holds a thousand orders of this moment; wait a second")
+    path = folder / f"{stem}{len(names) + 1:03d}-{secrets.token_hex(RANDOM_BYTES)}.json"
+    write_whole(path, json.dumps(order.to_dict(), indent=2) + "\n")
+    return path
 
 
 def read_order(path: Path) -> Order:
