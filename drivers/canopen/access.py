@@ -3,7 +3,7 @@
 What no PDO carries is read by SDO, sample by sample. A boot-up, a stop by NMT and an emergency are the node's own word.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import can
@@ -24,6 +24,7 @@ from retuner.drivers.profiles.access import (
     Stopped,
     Told,
 )
+from retuner.drivers.profiles.distinct import Use, require_distinct
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf, States
 from retuner.schedule.vendor_units import VendorGain, VendorUnits
 
@@ -85,10 +86,18 @@ class CanOpenAccess:
         self.damaged = 0
         self._listen(mapping)
         self.units = self._take_gains(mapping)
+        require_distinct(self._uses(mapping), file.source)
         self._pdos = dict(self._by_pdo())
         carried = {name for entries in self._pdos.values() for name, _ in entries}
         self.on_request = frozenset(name for name in self._read if name not in carried) - set(self.units.names)
         self.telemetry = frozenset({"pv", "co", "sp", "mode"} & self._read.keys())
+
+    def _uses(self, mapping: DeviceMapping) -> Iterator[Use]:
+        """Where everything of the mapping lies; each object is a place of its own."""
+        for role, what, key, at in mapping.named():
+            variable = self._place(at, key, read=False).variable
+            place = (variable.index, variable.subindex)
+            yield Use(role, what, place, frozenset(), frozenset({0}), text_of(variable), key)
 
     def _place(self, at: object, key: Key, *, written: bool = False, read: bool = True) -> _Place:
         assert isinstance(at, ObjectOf)

@@ -6,7 +6,7 @@ fixed values of the mapping, else the DBC's start values.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import can
@@ -14,6 +14,7 @@ import can
 from retuner.drivers.dbc.dbc_file import DbcFile, Key, SignalPlace, defaults
 from retuner.drivers.dbc.frame_guard import FrameGuard, guard_of
 from retuner.drivers.profiles.access import Alive, Heard, ProfileError, Runs, Stopped, Told
+from retuner.drivers.profiles.distinct import Use, require_distinct
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, SignalOf, States
 from retuner.drivers.telemetry.signal_source import DECODING_ERRORS
 from retuner.schedule.vendor_units import VendorGain, VendorUnits
@@ -63,9 +64,20 @@ class DbcAccess:
             self._written["setpoint"] = place = self._place(mapping.setpoint, ("setpoint",))
             self._require_holds(place, ("setpoint",))
         self._guards = self._take_guards()
-        for name in mapping.fixed:
+        require_distinct(self._uses(), file.source)
+
+    def _uses(self) -> Iterator[Use]:
+        """Where everything of the mapping lies, and what is put into its messages beside it."""
+        for role, what, key, at in self._mapping.named():
+            yield self._place(at, key).used_as(role, what, key)
+        for i, one in enumerate(self._mapping.protected):
+            for role in ("counter", "checksum"):
+                if name := getattr(one, role):
+                    key = ("protect", i, role)
+                    yield self._file.signal(one.message, name, key).used_as(f"protect.{role}", role, key)
+        for name in self._mapping.fixed:
             message, _, signal = name.partition(".")
-            file.signal(message, signal, ("fixed",))
+            yield self._file.signal(message, signal, ("fixed",)).used_as("fixed", "fixed", ("fixed",))
 
     def _place(self, at: object, key: Key) -> SignalPlace:
         assert isinstance(at, SignalOf)

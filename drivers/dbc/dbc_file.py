@@ -1,6 +1,6 @@
 """A DBC file, and the signals that a mapping names in it: found, or told in one line with the key that is wrong."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from cantools.database.can.message import Message as Layout
 from cantools.database.can.signal import Signal
 
 from retuner.drivers.profiles.access import ProfileError
+from retuner.drivers.profiles.distinct import Use
 from retuner.drivers.protocol.codec import PARSING_ERRORS
 from retuner.schedule.vendor_units import SINGLE_MAX, Holds
 
@@ -17,6 +18,7 @@ Key = tuple[str | int, ...]
 LARGEST = 16 << 20  # bytes
 NAMES_SHOWN = 8
 SINGLE_BITS = 32
+BYTE = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,11 @@ class SignalPlace:
         """For people."""
         return f"{self.layout.name}.{self.signal.name}"
 
+    def used_as(self, role: str, what: str, key: Key) -> Use:
+        """Where it lies, and as what."""
+        pages, frame = frozenset(self.signal.multiplexer_ids or ()), (self.frame_id, int(self.layout.is_extended_frame))
+        return Use(role, what, frame, pages, frozenset(bits_of(self.signal)), self.text, key)
+
     def holds(self) -> Holds:
         """The numbers that it can carry, by the limits of its bits and, where the DBC has some, by those of the DBC."""
         signal = self.signal
@@ -65,6 +72,17 @@ def carried(signal: Signal) -> tuple[float, float]:
     ends = (-half, half - 1) if signal.is_signed else (0, 2 * half - 1)
     low, high = sorted(float(raw * signal.scale + signal.offset) for raw in ends)
     return low, high
+
+
+def bits_of(signal: Signal) -> Iterator[int]:
+    """The bits of a message in which a signal lies, numbered by byte and, in it, from the lowest bit."""
+    at = int(signal.start)
+    for _ in range(signal.length):
+        yield at
+        if signal.byte_order == "little_endian":
+            at += 1
+        else:  # downwards, then at the top of the next byte
+            at = at - 1 if at % BYTE else at + 2 * BYTE - 1
 
 
 @dataclass(frozen=True, slots=True)

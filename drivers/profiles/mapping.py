@@ -1,7 +1,8 @@
 """Which signals or objects of a foreign device are what: plain values, as a configuration or a profile gives them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from retuner.schedule.vendor_units import Quantity
 
@@ -66,6 +67,17 @@ class Protection:
     data_id: int | None = None
 
 
+class Named(NamedTuple):
+    """One place that a mapping names. role : its key, for people ("gains.kp"). what : places of one kind may be one: a
+    gain and its read-back, the setpoint and its report, states with masks of their own. key : path in the mapping.
+    """
+
+    role: str
+    what: str
+    key: tuple[str | int, ...]
+    at: SignalOf | ObjectOf
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceMapping:
     """All of it.
@@ -88,3 +100,21 @@ class DeviceMapping:
     stops: tuple[States, ...] = ()
     protected: tuple[Protection, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
+
+    def named(self) -> Iterator[Named]:
+        """Every signal or object that it names, with what it is."""
+        yield Named("pv", "pv", ("pv",), self.pv)
+        yield Named("co", "co", ("co",), self.co)
+        if self.sp is not None:
+            yield Named("sp", "setpoint", ("sp",), self.sp)
+        if self.setpoint is not None:
+            yield Named("setpoint", "setpoint", ("setpoint",), self.setpoint)
+        for gain in self.gains:
+            role, key = f"gains.{gain.quantity}", ("gains", str(gain.quantity))
+            yield Named(role, role, key, gain.at)
+            if gain.read is not None:
+                yield Named(role, role, key, gain.read)
+        if self.mode is not None:
+            yield Named("mode", "state", ("mode",), self.mode.at)
+        for i, states in enumerate(self.stops):
+            yield Named("stop", "state", ("stop", i), states.at)

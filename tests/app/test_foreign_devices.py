@@ -101,6 +101,11 @@ BAD = [
     ("node = 0", "node = 99", "has no identifier"),
     ("node = 0", 'node = 0\nfixed = { "Axis0_Set_Input_Vel.Torque" = 1.0 }', "has no signal 'Torque'; there is Input_"),
     ('accept = ["no_read_back"]', 'accept = ["anything"]', "device.accept"),
+    (
+        CO,
+        f'{CO}\nsetpoint = {{ message = "Axis0_Set_Vel_Gains", signal = "Vel_Gain" }}',
+        "device.gains.kp : odrive-cansimple.dbc: Axis0_Set_Vel_Gains.Vel_Gain is both setpoint and gains.kp; give each",
+    ),
 ]
 
 
