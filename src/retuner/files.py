@@ -4,6 +4,8 @@ import errno
 import json
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -18,7 +20,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
     Raises
     ------
     OSError
-        The system refused; the old file, if any, is as it was.
+        The system refused, with the path as its filename; the old file, if any, is as it was.
     """
     target = path.resolve()
     if target.is_dir():
@@ -38,9 +40,34 @@ def write_whole(path: Path, content: str | bytes) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         temporary.replace(target)
+    except OSError as error:  # a full disk names no file, and the temporary one means nothing to a person
+        raise OSError(error.errno, error.strerror, str(path)) from error
     finally:  # also when the user stops it; after the rename there is nothing left
         temporary.unlink(missing_ok=True)
     sync_folder(target.parent)
+
+
+class Unwritten:
+    """Files that the system refused, when each of several is to be written whatever becomes of the others.
+
+    lines : a line for each, in the order in which they were tried.
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    @contextmanager
+    def trying(self) -> Iterator[None]:
+        """Write one of them here; what the system refuses is kept."""
+        try:
+            yield
+        except OSError as error:
+            self.lines.append(f"{error.filename}: {error.strerror or error}")
+
+    def write(self, path: Path, content: str) -> None:
+        """Write a file, see write_whole."""
+        with self.trying():
+            write_whole(path, content)
 
 
 def write_json(path: Path, document: object) -> None:

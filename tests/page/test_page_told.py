@@ -98,6 +98,8 @@ def test_the_ledger_is_filtered_and_exported(session: Session, served: Served) -
 def test_no_cell_of_an_export_is_a_formula() -> None:
     told = Told(1, 0.0, "order", "=cmd()", "oven", "@low", "-1", "+2", "new", "evidence", "verdict")
     assert rows_csv([told]).splitlines()[1] == "1,0.0,order,'=cmd(),oven,'@low,'-1,'+2,new,evidence,verdict"
+    nothing = Told(1, 0.0, "session", "", "", "", "", "", "", "", "")
+    assert rows_csv([nothing]).splitlines()[1] == "1,0.0,session" + 8 * ","
 
 
 def test_a_row_that_was_changed_is_not_believed(session: Session, served: Served) -> None:

@@ -447,3 +447,12 @@ def _settings(body: Document, name: str) -> str:
     """Gains in words, empty where there are none."""
     gains = gains_of(part(body, name))
     return settings_text(gains) if gains else ""
+
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""What a spreadsheet takes for the beginning of a formula."""
+
+
+def no_formula(value: object) -> object:
+    """A cell of a CSV: a text that a spreadsheet would take for a formula gets an apostrophe in front."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value

@@ -108,7 +108,7 @@ def write_trend(stem: Path, trend: Trend, kind: str) -> Path:
     Raises
     ------
     UserError
-        Parquet is wanted and pyarrow is not installed.
+        Parquet is wanted and pyarrow is not installed. OSError: see write_whole.
     """
     path = stem.with_suffix(f".{kind}")
     if kind == "parquet":

@@ -12,7 +12,7 @@ from retuner.decision_page.page import page
 from retuner.decision_page.row_values import number, part, words
 from retuner.errors import one_line
 from retuner.live_view.live_file import FIELDS
-from retuner.report.ledger_words import Told
+from retuner.report.ledger_words import Told, no_formula
 from retuner.serve.ledger_tail import Decided, Document, LedgerTail
 from retuner.serve.runs import Runs, WatchedLoop, WatchedSession
 from retuner.session.order_queue import SHORT
@@ -215,10 +215,5 @@ def rows_csv(found: Iterable[Told]) -> str:
     writer.writerow(names)
     for one in found:
         document = one.to_dict()
-        writer.writerow([_harmless(document[name]) for name in names])
+        writer.writerow([no_formula(document[name]) for name in names])
     return out.getvalue()
-
-
-def _harmless(value: object) -> object:
-    """A cell that no spreadsheet runs."""
-    return f"'{value}" if isinstance(value, str) and value[:1] in "=+-@\t" else value

@@ -22,7 +22,7 @@ from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
 from retuner.live_view.what_next import what_next
-from retuner.report.ledger_words import ABOUT_A_TRIAL, Told, told
+from retuner.report.ledger_words import ABOUT_A_TRIAL, Told, no_formula, told
 from retuner.session.recorded_session import ledger_path, rows_by_loop
 
 SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
@@ -284,13 +284,8 @@ def _csv(rows: list[Row]) -> str:
     writer.writerow([*names, "body", "hash"])
     for row, one in zip(rows, told(rows), strict=True):
         line = one.to_dict()
-        writer.writerow([*(_no_formula(line[name]) for name in names), row.text, row.hash])
+        writer.writerow([*(no_formula(line[name]) for name in names), row.text, row.hash])
     return stream.getvalue()
-
-
-def _no_formula(value: object) -> object:
-    """A text that a spreadsheet would take for a formula gets an apostrophe in front."""
-    return f"'{value}" if isinstance(value, str) and value[:1] in {"=", "+", "-", "@"} else value
 
 
 def _json_line(row: Row) -> str:

@@ -3,8 +3,8 @@
 import json
 import platform
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +26,7 @@ from retuner.decisions.proposed_schedule import ROW, refined, row_body, taken_up
 from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
-from retuner.files import write_json, write_whole
+from retuner.files import Unwritten, write_json, write_whole
 from retuner.ledger import Ledger, Recorder
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.watching import OnScreen, Watching
@@ -138,7 +138,9 @@ class NothingHappenedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """Everything that is settled before a run begins. text : the configuration as its author wrote it."""
+    """Everything that is settled before a run begins. text : the configuration as its author wrote it. unwritten :
+    what the system refuses of what the run leaves.
+    """
 
     config: SessionConfig
     text: str
@@ -146,6 +148,7 @@ class _Job:
     speed: float
     fresh: FreshFolder
     options: RunOptions
+    unwritten: Unwritten = field(default_factory=Unwritten)
 
     @property
     def folder(self) -> Path:
@@ -183,10 +186,18 @@ def _run(job: _Job, ledger: Ledger, screen: LiveScreen) -> int:
         _close(job, ledger, session, proposed, interrupted=interrupted)
         interrupted |= compare and fixed is None
         _leave(job, ledger, session, fixed, proposed, screen, interrupted=interrupted)
-    wrong = session.frozen or session.left_open
-    if wrong:
-        raise UserError(f"{wrong}; the run was ended, and {job.folder / REPORT} says what the controller runs")
+    if wrong := [*_wrong(job, session)]:
+        raise UserError(*wrong)
     return 130 if interrupted else 0
+
+
+def _wrong(job: _Job, session: Session) -> Iterator[str]:
+    """What a person must see to after the run, in a line each."""
+    if told := session.frozen or session.left_open:
+        yield f"{told}; the run was ended, and {job.folder / REPORT} says what the controller runs"
+    yield from job.unwritten.lines
+    if job.unwritten.lines:
+        yield f"make room; the ledger has every decision: retuner report {job.folder} makes the report"
 
 
 def _close(
@@ -321,7 +332,7 @@ def _leave(
         if loop.trend.rows
     ]
     if job.config.several:
-        write_whole(job.folder / REPORT, render_index(_index_lines(session, left), _facts(job, ledger, LOOPS)))
+        job.unwritten.write(job.folder / REPORT, render_index(_index_lines(session, left), _facts(job, ledger, LOOPS)))
     _show(job, ledger, session, left, screen, interrupted=interrupted)
 
 
@@ -344,10 +355,11 @@ def _leave_loop(
     columns = loop.trend.columns()
     fixed_columns = fixed.trend.columns() if fixed is not None and fixed.trend.rows else None
     scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns)
-    trend = write_trend(folder / TREND, loop.trend, config.output.trend)
-    write_whole(folder / GAINS, to_toml(loop.table))
-    advice = advice_of(loop, other)
-    _write_refined(other, folder, loop.name if job.config.several else "")
+    job.unwritten.write(folder / GAINS, to_toml(loop.table))
+    advice, kind = advice_of(loop, other), config.output.trend
+    with job.unwritten.trying():
+        write_trend(folder / TREND, loop.trend, kind)
+    _write_refined(job, other, folder, loop.name if job.config.several else "")
     data = ReportData(
         loop=config.loop.name,
         unit=config.loop.pv_unit,
@@ -359,12 +371,12 @@ def _leave_loop(
         fixed=fixed_columns,
         commits=[t for t, _ in loop.commits],
         events=loop.scenario.played,
-        facts=_facts(job, ledger, trend.name, i) | ({"not restored": loop.left_open} if loop.left_open else {}),
+        facts=_facts(job, ledger, f"{TREND}.{kind}", i) | ({"not restored": loop.left_open} if loop.left_open else {}),
         stopped=config.scenario is not None and not loop.scenario.finished,
         advice=[one.sentence for one in advice],
         ms_limit=config.adaptation.ms_marked,
     )
-    write_whole(folder / REPORT, render(data))
+    job.unwritten.write(folder / REPORT, render(data))
     return _Left(loop, config.loop.pv_unit, scores, (folder / REPORT).relative_to(job.folder), advice)
 
 
@@ -392,7 +404,8 @@ def _show(
     results = [result(one, ledger, folder / one.report.parent) for one in left]
     whole = {"folder": str(folder), "loops": results, "absent": session.absent, "ledger_head": ledger.head()}
     document = {**(whole if several else results[0]), "interrupted": interrupted}
-    write_json(folder / SUMMARY, document)
+    with job.unwritten.trying():
+        write_json(folder / SUMMARY, document)
     if job.options.as_json:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
@@ -436,11 +449,11 @@ def advice_of(loop: LoopSession, other: Refinement | None) -> tuple[RegionAdvice
     return (*advice, other) if other is not None else advice
 
 
-def _write_refined(other: Refinement | None, folder: Path, loop: str) -> None:
+def _write_refined(job: _Job, other: Refinement | None, folder: Path, loop: str) -> None:
     """The proposed schedule as files that a person may take up. loop : its name where it is one of several."""
     if other is not None:
-        write_whole(folder / REFINED, to_toml(other.table))
-        write_whole(folder / REFINED_SCHEDULE, schedule_section(other.table, loop))
+        job.unwritten.write(folder / REFINED, to_toml(other.table))
+        job.unwritten.write(folder / REFINED_SCHEDULE, schedule_section(other.table, loop))
 
 
 def _facts(job: _Job, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:
