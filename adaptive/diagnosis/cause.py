@@ -1,10 +1,11 @@
 """Causes of a loop's behaviour, and the diagnosis that names one of them."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+from retuner.adaptive.explanations.deciding_test import DecidingTest
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import asks_for_integral
 from retuner.adaptive.loop.margins import EDGE, Margins, margins, sensitivity_peak
@@ -30,12 +31,18 @@ TUNING_CAUSES = frozenset({Cause.AGGRESSIVE, Cause.SLUGGISH, Cause.SLOW_INTEGRAT
 """Causes that a change of gains can cure."""
 
 
+SUM_WITHIN = 1e-6
+"""Rounding that a sum of probabilities may have."""
+
+
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
     """One cause with its evidence.
 
     cause : the cause. confidence : 0 to 1. evidence : numbers by name. reason : one sentence.
     settled : whether the process is known well enough for settings to follow, where the cause is one of tuning.
+    causes : probability of every cause that was weighed, the largest first, sum 1; empty where none were weighed.
+    next : the test that would settle what stays open; None where none is needed or known.
 
     Raises
     ------
@@ -48,6 +55,8 @@ class Diagnosis:
     evidence: dict[str, float]
     reason: str
     settled: bool = True
+    causes: Mapping[str, float] = field(default_factory=dict)
+    next: DecidingTest | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.confidence <= 1:
@@ -55,6 +64,8 @@ class Diagnosis:
         for name, value in self.evidence.items():
             if math.isnan(value):
                 raise ValueError(f"evidence {name} is not a number")
+        if self.causes and not abs(sum(self.causes.values()) - 1.0) < SUM_WITHIN:
+            raise ValueError(f"the probabilities of the causes sum to {sum(self.causes.values())}, not to 1")
 
     @property
     def retune(self) -> bool:
@@ -64,12 +75,15 @@ class Diagnosis:
     def to_dict(self) -> dict[str, object]:
         """Keys cause, confidence, retune, evidence, reason."""
         evidence = {name: value if math.isfinite(value) else None for name, value in self.evidence.items()}
+        odds = {"causes": dict(self.causes)} if self.causes else {}
         return {
             "cause": str(self.cause),
             "confidence": self.confidence,
+            **odds,
             "retune": self.retune,
             "evidence": evidence,
             "reason": self.reason,
+            **({"next": self.next.to_dict()} if self.next is not None else {}),
         }
 
 

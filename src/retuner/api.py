@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive import shown
+from retuner.adaptive.cause_odds.odds import diagnose_records
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing_verdict
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
@@ -450,9 +450,12 @@ def diagnose_record(
     if gains is None:
         read_off = settings_in_force(window, co_min, co_max)
         gains, direction = read_off.gains, read_off.direction
-    found = diagnose_window(window, gains, co_min, co_max, direction=direction)
+    told = diagnose_records([window], gains, co_min, co_max, direction=direction)
+    found, worth = told.found, told.settings
     fits = {name: c.fit.at.explained for name, c in found.fits.items()}
     now, aim = (_result(found.estimate, tuning) for tuning in (found.tuning, found.aim))
+    if worth is not None:
+        now = TuneResult(worth.tuning, worth.tuning.form, margins(worth.model.linear(), worth.tuning.gains))
     return RecordDiagnosis(found.diagnosis, found.estimate, now, fits, aim)
 
 

@@ -1,0 +1,326 @@
+"""From the records of a loop to the odds of every cause: what load steps explain, and what a load that wanders does.
+
+    P(cause) = w P_steps(cause) + (1 - w) P_walk(cause)
+
+P_walk     process, valve and a load that wanders, by their likelihoods over all records and windows of the loop
+           (explanations/): aggressive, slow integrating, sluggish, ok, stiction
+P_steps    the verdict where loads are steps, ramps or a tone (diagnosis/diagnose.py), with its confidence
+w          the odds that loads are what the second says: its fit against the walk, by likelihood. Where its residual is
+           white noise after a few steps it is by far the likelier one; under the loads of a plant it is not
+
+What needs no fit (a dead signal, manual, a relay, a controller that acts the wrong way) stays as it is told. Records of
+one loop add up: one process, loads of their own.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.cause_odds.settings import OddsSettings
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.tuning_verdict import Found
+from retuner.adaptive.explanations.deciding_test import DecidingTest, deciding_test
+from retuner.adaptive.explanations.process_grid import gain_unit
+from retuner.adaptive.explanations.settings_by_odds import (
+    Worthwhile,
+    halved,
+    likely_processes,
+    quantile,
+    worthwhile,
+)
+from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
+from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
+from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES, TEMPER, Prepared, log_likelihood
+from retuner.adaptive.identification.candidate import Candidate
+from retuner.adaptive.indexes.condition import Condition, record_condition
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.gains import PidGains
+
+FEWEST = 60
+"""Samples of a record that a load that wanders is looked for in."""
+FINAL = 0.9
+"""Confidence from which an unknown without any fit needs none."""
+STEP_PRICE, OWN_PRICE = 2.0, 5.0
+"""Numbers of a load step, and of process, start and level: each costs ln(n)/2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """What the records say under a load that wanders.
+
+    log_likelihood : of the grid's processes, records joined. valve : ln Bayes factor of a valve, tempered.
+    record : the longest window as it was compared. best : its own largest tempered log-likelihood a sample.
+    """
+
+    log_likelihood: FloatArray
+    valve: float
+    record: Prepared
+    best: float
+
+
+@dataclass(frozen=True, slots=True)
+class OddsFound:
+    """The verdict with its odds, and what it rests on.
+
+    found : of the record that the verdict rests on. tuning : processes and their odds, None without gains in force.
+    settings : those worth having, where they come from the odds; None where the verdict's own hold, or none.
+    """
+
+    found: Found
+    tuning: TuningOdds | None = None
+    settings: Worthwhile | None = None
+
+
+def diagnose_records(
+    windows: Sequence[Window],
+    gains: PidGains | None,
+    co_min: float | None = None,
+    co_max: float | None = None,
+    *,
+    direction: int | None = None,
+    settings: OddsSettings | None = None,
+    diagnosis: DiagnosisSettings | None = None,
+) -> OddsFound:
+    """The odds of every cause behind the records of one loop.
+
+    Parameters
+    ----------
+    windows : the records, one or more. gains : in force in all of them; without them only a valve can be told.
+    co_min, co_max : limits of co where known. direction : sign of the controller's gain where no more is known.
+
+    Returns
+    -------
+    OddsFound
+        The most probable cause first in `found.diagnosis`, all causes in its `causes`, sum 1.
+    """
+    settings, diagnosis = settings or OddsSettings(), diagnosis or DiagnosisSettings()
+    each = [diagnose_window(w, gains, co_min, co_max, diagnosis, direction=direction) for w in windows]
+    open_ones = [(w, f) for w, f in zip(windows, each, strict=True) if not _final(w, f)]
+    if not open_ones:
+        return OddsFound(_alone(each[0], settings))
+    told = max((f for _, f in open_ones), key=lambda f: (f.diagnosis.cause != Cause.UNKNOWN, f.diagnosis.confidence))
+    sign = gains.direction if gains is not None else direction
+    walk = _walk([w for w, _ in open_ones], gains, sign, settings) if sign else None
+    if walk is None:
+        return OddsFound(_alone(told, settings))
+    odds = None
+    if gains is not None:
+        odds = tuning_odds(walk.log_likelihood, gains, walk.record.sample_time_s, settings.prior, settings.limits)
+    under_walk = _under_walk(walk, odds, sum(f.diagnosis.cause == Cause.STICTION for _, f in open_ones), settings)
+    under_steps, weight = _under_steps(open_ones, under_walk, walk)
+    causes = _mixed(under_steps, under_walk, weight, settings.most)
+    return _verdict(told, causes, weight, odds, walk, open_ones, settings)
+
+
+def _final(window: Window, found: Found) -> bool:
+    """Whether a record needs no likelihood: too short, or no loop at work in it that is not led."""
+    told = found.diagnosis
+    if len(window.t_s) < FEWEST:
+        return True
+    if found.fits or told.cause != Cause.UNKNOWN or told.confidence < FINAL:
+        return told.cause in {Cause.SATURATION, Cause.NOISE}
+    return record_condition(window).condition != Condition.MOVING_SETPOINT
+
+
+def _alone(found: Found, settings: OddsSettings) -> Found:
+    """A verdict that stands by itself; the odds that it leaves open are unknown's."""
+    told = found.diagnosis
+    p = min(told.confidence, settings.most)
+    causes = {str(told.cause): 1.0} if told.cause == Cause.UNKNOWN else {str(told.cause): p, str(Cause.UNKNOWN): 1 - p}
+    return replace(found, diagnosis=replace(told, causes=causes))
+
+
+def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
+    """A record in windows of MOST_SAMPLES intervals of dt_s each, at most so many, spread over it."""
+    factor = max(round(dt_s / window.sample_time_s), 1)
+    length = MOST_SAMPLES * factor
+    count = max(min(-(-len(window.t_s) // length), most), 1)
+    firsts = np.linspace(0, max(len(window.t_s) - length, 0), count).round().astype(int)
+    return [window.part(slice(int(first), int(first) + length)) for first in firsts]
+
+
+def _walk(
+    windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings
+) -> Walk | None:
+    """All records and windows under a load that wanders, on one clock; None where nothing moves."""
+    dt = max(w.sample_time_s * -(-len(w.t_s) // (settings.most_windows * MOST_SAMPLES)) for w in windows)
+    parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
+    records = [Prepared.at(part, dt) for part in parts]
+    records = [r for r in records if len(r.pv) >= FEWEST and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
+    if not records:
+        return None
+    unit = gain_unit(gains, dt) if gains is not None else 1.0
+    each = [log_likelihood(r, direction, unit) if gains is not None else np.zeros(1) for r in records]
+    valve = sum(log_odds_of_valve(r, direction) for r in records)
+    longest = max(range(len(records)), key=lambda i: len(records[i].pv))
+    best = TEMPER * float(np.max(each[longest])) / len(records[longest].pv)
+    return Walk(np.sum(each, axis=0), valve, records[longest], best)
+
+
+def _under_walk(walk: Walk, odds: TuningOdds | None, named: int, settings: OddsSettings) -> dict[Cause, float]:
+    """Odds under a load that wanders. named : records in which shapes named a valve."""
+    prior = math.log(settings.stiction / (1.0 - settings.stiction))
+    evidence = settings.valve_weight * walk.valve + math.log(settings.shapes_say) * named
+    stiction = 1.0 / (1.0 + math.exp(-min(max(prior + evidence, -50.0), 50.0)))
+    rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
+    return {Cause.STICTION: stiction, **{cause: p * (1.0 - stiction) for cause, p in rest.items()}}
+
+
+def _under_steps(
+    open_ones: Sequence[tuple[Window, Found]], under_walk: Mapping[Cause, float], walk: Walk
+) -> tuple[dict[Cause, float], float]:
+    """Odds where loads are steps or a tone, over the records in which that is likely; and how likely it is there."""
+    total: dict[Cause, float] = {}
+    most = 0.0
+    for window, found in open_ones:
+        told = found.diagnosis
+        if told.cause == Cause.UNKNOWN:
+            continue
+        weight = _weight_of_steps(window, found, walk)
+        others = 1.0 - under_walk.get(told.cause, 0.0)
+        shares = {c: (1 - told.confidence) * p / max(others, 1e-9) for c, p in under_walk.items() if c != told.cause}
+        shares[told.cause] = told.confidence
+        for cause in {*shares, *total}:
+            total[cause] = total.get(cause, 0.0) + weight * math.log(max(shares.get(cause, 0.0), 1e-6))
+        most = max(most, weight)
+    if not total:
+        return {}, 0.0
+    top = max(total.values())
+    odds = {cause: math.exp(value - top) for cause, value in total.items()}
+    return {cause: value / sum(odds.values()) for cause, value in odds.items()}, most
+
+
+BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
+"""The fit that a verdict rests on; the loop by itself for all others."""
+
+
+def _weight_of_steps(window: Window, found: Found, walk: Walk) -> float:
+    """Probability that loads are the steps, or the tone, of a verdict, against a load that wanders."""
+    fit = found.fits.get(BEHIND.get(found.diagnosis.cause, "linear"))
+    if fit is None:
+        return HALF
+    n = len(window.t_s)
+    samples = len(fit.fit.misfit.record.pv)
+    lead = samples * (_per_sample(fit, samples, n, walk) - walk.best)
+    return 1.0 / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
+
+
+HALF = 0.5
+"""Of a verdict by stretches, whose fits are not compared."""
+
+
+def _per_sample(fit: Candidate, samples: int, whole: int, walk: Walk) -> float:
+    """Log-likelihood of a fit with load steps a sample, less the price of its numbers."""
+    misfit = fit.fit.misfit
+    left = float(np.mean((misfit.record.pv - fit.fit.at.explained) ** 2))
+    block = max(walk.record.sample_time_s / misfit.record.sample_time_s, 1.0)
+    variance = left / block + walk.record.resolution**2
+    numbers = OWN_PRICE + STEP_PRICE * misfit.loads + 2 * misfit.harmonics
+    return -0.5 * math.log(variance * samples) - numbers * math.log(samples) / (2 * samples)
+
+
+def _mixed(
+    steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: float, most: float
+) -> dict[Cause, float]:
+    """Both together; nothing surer than `most`, the rest shared by what else there is."""
+    share = weight if steps else 0.0
+    every = {cause: share * steps.get(cause, 0.0) + (1 - share) * walk.get(cause, 0.0) for cause in {*steps, *walk}}
+    floor = (1.0 - most) / max(len(every) - 1, 1)
+    every = {cause: max(p, floor) for cause, p in every.items()}
+    total = sum(every.values())
+    return dict(sorted(((c, p / total) for c, p in every.items()), key=lambda item: -item[1]))
+
+
+def _verdict(
+    told: Found,
+    causes: Mapping[Cause, float],
+    weight: float,
+    odds: TuningOdds | None,
+    walk: Walk,
+    open_ones: Sequence[tuple[Window, Found]],
+    settings: OddsSettings,
+) -> OddsFound:
+    """The most probable cause, in words, with settings where they are worth having."""
+    cause, p = next(iter(causes.items()))
+    shares = {str(c): q for c, q in causes.items()}
+    if weight >= HALF and told.diagnosis.cause == cause:
+        return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
+    evidence = dict(told.diagnosis.evidence)
+    test, worth = None, None
+    if odds is not None:
+        evidence |= _ms_range(odds)
+        worth = _settings(causes, odds, settings) if cause in TUNING_CAUSES else None
+        if p < settings.undecided:
+            error = open_ones[0][0].sp - open_ones[0][0].pv
+            test = _next(odds, walk, float(np.std(error)))
+    reason = _reason(cause, odds, evidence, told)
+    settled = cause not in TUNING_CAUSES or worth is not None
+    verdict = Diagnosis(cause, p, evidence, reason, settled, shares, test)
+    kept = replace(told, diagnosis=verdict, tuning=None, aim=None)
+    return OddsFound(kept, odds, worth)
+
+
+def _next(odds: TuningOdds, walk: Walk, error_std: float) -> DecidingTest | None:
+    """The deciding test; None for a loop that cannot be moved by its setpoint, or whose error never moves."""
+    if not (odds.gains.kp or odds.gains.ki) or not error_std > 0:
+        return None
+    return deciding_test(odds, walk.record, error_std)
+
+
+def _settings(causes: Mapping[Cause, float], odds: TuningOdds, settings: OddsSettings) -> Worthwhile | None:
+    """Settings worth having, where the odds that they are asked for are large enough."""
+    less = causes.get(Cause.AGGRESSIVE, 0.0) + causes.get(Cause.SLOW_INTEGRATING, 0.0)
+    more = causes.get(Cause.SLUGGISH, 0.0)
+    found = worthwhile(odds, settings.worth)
+    if less >= settings.less_odds and (found is None or _calmer(found, odds) is False):
+        found = halved(odds, settings.worth)
+    if found is None:
+        return None
+    if _calmer(found, odds):
+        return found if less >= settings.less_odds else None
+    return found if more >= settings.more_odds else None
+
+
+def _calmer(found: Worthwhile, odds: TuningOdds) -> bool:
+    """Whether settings have less gain, or less integral action, than those in force."""
+    new, now = found.tuning.gains, odds.gains
+    return abs(new.kp) < abs(now.kp) or abs(new.ki) < abs(now.ki)
+
+
+def _ms_range(odds: TuningOdds) -> dict[str, float]:
+    """Ms with the gains in force: the middle of its odds, and where nine of ten lie."""
+    peaks, weights = odds.robustness.ms.ravel(), odds.weights.ravel()
+    kept = weights > 1e-9 * float(weights.max())
+    peaks, weights = np.minimum(peaks[kept], MS_SHOWN), weights[kept] / float(weights[kept].sum())
+    low, middle, high = (quantile(peaks, weights, share) for share in (0.05, 0.5, 0.95))
+    return {"ms_low": low, "ms_likely": middle, "ms_high": high}
+
+
+MS_SHOWN = 20.0
+"""A larger Ms, and an unstable loop, is told as this."""
+
+WORDS = {
+    Cause.OK: "the tuning is in order",
+    Cause.AGGRESSIVE: "too much gain",
+    Cause.SLOW_INTEGRATING: "too much integral action for the gain",
+    Cause.SLUGGISH: "the loop could be much faster",
+    Cause.STICTION: "a valve that sticks or has play explains the record best, under a load that wanders",
+}
+
+
+def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float], told: Found) -> str:
+    """The sentence."""
+    if cause not in WORDS:
+        return told.diagnosis.reason
+    if cause == Cause.STICTION or odds is None:
+        return told.diagnosis.reason if told.diagnosis.cause == cause else WORDS[cause]
+    low, middle, high = (evidence[name] for name in ("ms_low", "ms_likely", "ms_high"))
+    most = "or more" if high >= MS_SHOWN else f"to {high:.2f}"
+    return (
+        f"{WORDS[cause]}: Ms {middle:.2f} ({low:.2f} {most}) with the active gains, on the processes that explain the "
+        "record under a load that wanders"
+    )

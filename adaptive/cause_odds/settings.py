@@ -1,0 +1,62 @@
+"""Settings of the odds."""
+
+from dataclasses import dataclass, field
+
+from retuner.adaptive.explanations.settings_by_odds import WorthSettings
+from retuner.adaptive.explanations.tuning_odds import TuningLimits
+
+
+@dataclass(frozen=True, slots=True)
+class OddsSettings:
+    """Settings.
+
+    ok, aggressive, slow_integrating, sluggish : prior of each class of tuning, sum 1; about a third of loops in plants
+        are in order, the rest are too tight or too slow in about equal parts (Bialkowski 1993; Desborough & Miller
+        2002).
+    stiction : prior that a valve which sticks or has play is behind a record; 0.1 to 0.4, default 0.25 (20 to 30 % of
+        loops oscillate because of their valve: Jelali & Huang 2010).
+    valve_weight : power of the valve's Bayes factor; 0.5 to 3, default 2: its tempered likelihood was too doubtful
+        where the truth was known (benchmarks/world).
+    shapes_say : how many times likelier a record is by a valve where shapes and plateaus named one; 2 to 20, default 6
+        (9 of 25 sticking valves named, 2 of 75 other loops, under real loads).
+    noise_left : what a fit with load steps may leave, in times the noise, and be as likely as not where a load that
+        wanders explains the record as well; 1 to 1.5, default 1.15.
+    most : no probability is told larger; 0.9 to 0.99, default 0.97: more was never counted.
+    more_odds : odds of a cause that asks for more gain from which settings are given; 0.5 to 0.9, default 0.6.
+        less_odds : of one that asks for less; default 0.65.
+    undecided : the most probable cause has less than this where a test is proposed; 0.7 to 0.95, default 0.9.
+    most_windows : windows of a long record, or of several, that are compared; 2 to 20, default 4 (of each record).
+    """
+
+    ok: float = 0.36
+    aggressive: float = 0.28
+    slow_integrating: float = 0.04
+    sluggish: float = 0.32
+    stiction: float = 0.25
+    valve_weight: float = 2.0
+    shapes_say: float = 6.0
+    noise_left: float = 1.15
+    most: float = 0.97
+    more_odds: float = 0.6
+    less_odds: float = 0.65
+    undecided: float = 0.9
+    most_windows: int = 4
+    limits: TuningLimits = field(default_factory=TuningLimits)
+    worth: WorthSettings = field(default_factory=WorthSettings)
+
+    def __post_init__(self) -> None:
+        if abs(sum(self.prior.values()) - 1.0) > 1e-9 or min(self.prior.values()) <= 0:
+            raise ValueError(f"the priors of ok, aggressive, slow_integrating and sluggish {self.prior} must sum to 1")
+        for name in ("stiction", "noise_left", "most", "more_odds", "less_odds", "undecided", "valve_weight", "shapes_say"):
+            if not 0 < getattr(self, name) < 100:
+                raise ValueError(f"{name} = {getattr(self, name)} is not a number above 0")
+
+    @property
+    def prior(self) -> dict[str, float]:
+        """Prior of each class of tuning."""
+        return {
+            "ok": self.ok,
+            "aggressive": self.aggressive,
+            "slow_integrating": self.slow_integrating,
+            "sluggish": self.sluggish,
+        }

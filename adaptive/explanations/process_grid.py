@@ -1,0 +1,154 @@
+"""The processes that a record is compared with, on one grid for all records of a loop, and how a controller does there.
+
+    G(s) = K e^(-theta s) / ((tau1 s + 1) (tau2 s + 1)),      K' e^(-theta s) / (s (tau2 s + 1)) where tau1 has no end
+
+Lags and dead times are in samples, so the grid is one constant. The gain is a grid too, spaced evenly in its logarithm
+and counted in loop gains: kc K = 1 is its middle. A grid and no search: every corner of what the record allows is seen,
+likelihoods of several records add up point by point, and nothing can stop in a local optimum.
+
+Half a sampling interval counts as dead time, as a sampled controller sees the process (Franklin, Powell & Workman 1998).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.gains import PidGains
+
+ComplexArray = npt.NDArray[np.complex128]
+
+LAGS = (0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0, 50.0, 80.0, 130.0, 250.0, math.inf)
+"""First lag in samples; without end the process integrates."""
+SECOND_SHARES = (0.0, 0.15, 0.4, 0.8)
+"""Second lag as a share of the first."""
+SECOND_OF_INTEGRATING = 40.0
+"""The lag of which the same shares are a second lag where the process integrates, samples."""
+LEAST_SECOND = 0.6
+"""A second lag that is shorter (in samples) cannot be seen."""
+DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 17.0, 25.0, 40.0)
+"""In samples."""
+GAINS = np.logspace(-2.5, 2.5, 61)
+"""Loop gains kc K of the grid, a fifth apart; of an integrating process kc K' times INTEGRATING samples."""
+INTEGRATING = 20.0
+FREQUENCIES = np.logspace(math.log10(3e-4), math.log10(math.pi), 90)
+"""Where margins are computed, rad per sample."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A process but for its gain and dead time. lag, second : in samples; lag without end where it integrates."""
+
+    lag: float
+    second: float
+
+    @property
+    def integrates(self) -> bool:
+        """Whether it has no steady state."""
+        return math.isinf(self.lag)
+
+    @property
+    def unit(self) -> float:
+        """What a loop gain of one is of this shape's gain: a slope gain is counted per INTEGRATING samples."""
+        return 1.0 / INTEGRATING if self.integrates else 1.0
+
+
+@cache
+def second_lags(lag: float) -> tuple[float, ...]:
+    """The second lags of a first one, zero first; in samples."""
+    base = SECOND_OF_INTEGRATING if math.isinf(lag) else lag
+    return tuple(share * base for share in SECOND_SHARES if not share or share * base >= LEAST_SECOND)
+
+
+@cache
+def shapes() -> tuple[Shape, ...]:
+    """All shapes, in the order of every array of the grid."""
+    return tuple(Shape(lag, second) for lag in LAGS for second in second_lags(lag))
+
+
+@cache
+def units() -> FloatArray:
+    """The unit of each shape's gain, shape (shapes, 1, 1)."""
+    return np.array([shape.unit for shape in shapes()])[:, None, None]
+
+
+@cache
+def _responses() -> ComplexArray:
+    """Frequency responses at gain one, complex, shape (shapes, dead times, frequencies)."""
+    s = 1j * FREQUENCIES
+    delays = np.exp(-s * (np.array(DEAD_TIMES)[:, None] + 0.5))
+    rows = []
+    for shape in shapes():
+        first = 1.0 / s if shape.integrates else 1.0 / (shape.lag * s + 1.0)
+        rows.append(shape.unit * first / (shape.second * s + 1.0) * delays)
+    return np.array(rows)
+
+
+def responses_of(rows: npt.NDArray[np.intp], dead: npt.NDArray[np.intp]) -> ComplexArray:
+    """Frequency responses of some shapes and dead times at loop gain one, shape (n, frequencies)."""
+    return _responses()[rows, dead]
+
+
+def gain_unit(gains: PidGains, sample_time_s: float) -> float:
+    """What the loop gains are counted by: kp; of a controller without one what its other actions move in ten samples."""
+    kp, ki, kd = abs(gains.kp), abs(gains.ki) * 10 * sample_time_s, abs(gains.kd) / (10 * sample_time_s)
+    return kp or max(ki, kd)
+
+
+@dataclass(frozen=True, slots=True)
+class LoopRobustness:
+    """How robust a controller is on every process of the grid; arrays of shape (shapes, dead times, gains).
+
+    ms : largest sensitivity, infinite where the loop is unstable. ultimate : the loop gain at which it becomes
+        unstable, shape (shapes, dead times, 1); zero where no gain is stable. scale : loop gains are counted in it.
+    """
+
+    ms: FloatArray
+    ultimate: FloatArray
+    scale: float
+
+    @property
+    def gain_margin(self) -> FloatArray:
+        """How many times as much gain makes the loop unstable."""
+        return np.asarray(self.ultimate / (GAINS * self.scale), dtype=np.float64)
+
+    def room(self, limit: float) -> FloatArray:
+        """How many times as much gain keeps Ms under a limit, at most; under one where it is over it already."""
+        good = self.ms < limit
+        last = len(GAINS) - 1 - np.argmax(good[:, :, ::-1], axis=2)
+        most = np.where(good.any(axis=2), GAINS[last], GAINS[0] / 10)
+        return np.asarray(most[:, :, None] / GAINS, dtype=np.float64)
+
+
+def robustness(gains: PidGains, sample_time_s: float, unit: float | None = None) -> LoopRobustness:
+    """What gains do on every process of the grid.
+
+    unit : what loop gains are counted by (gain_unit of the gains with which the record was compared); None: their own.
+    """
+    own = gain_unit(gains, sample_time_s)
+    s = 1j * FREQUENCIES
+    law = (abs(gains.kp) + abs(gains.ki) * sample_time_s / s + abs(gains.kd) / sample_time_s * s) / own
+    loop = _responses() * law
+    size, phase = np.abs(loop), np.unwrap(np.angle(loop), axis=2)
+    ultimate = _ultimate(size, phase)[:, :, None]
+    scale = own / (own if unit is None else unit)
+    ms = np.empty((*loop.shape[:2], len(GAINS)))
+    for i, gain in enumerate(GAINS * scale):
+        ms[:, :, i] = 1.0 / np.min(np.abs(1.0 + gain * loop), axis=2)
+    ms[ultimate <= GAINS * scale] = np.inf
+    return LoopRobustness(ms, ultimate, scale)
+
+
+def _ultimate(size: FloatArray, phase: FloatArray) -> FloatArray:
+    """The loop gain at the stability limit, where the phase first passes -180 degrees; shape of all but the last axis."""
+    falls = (phase[..., :-1] > -math.pi) & (phase[..., 1:] <= -math.pi)
+    first = np.argmax(falls, axis=-1)[..., None]
+    before, after = (np.take_along_axis(phase, first + i, -1) for i in (0, 1))
+    share = np.clip((before + math.pi) / np.where(before == after, 1.0, before - after), 0.0, 1.0)
+    below, above = (np.log(np.take_along_axis(size, first + i, -1)) for i in (0, 1))
+    at_limit = np.exp(-(below * (1 - share) + above * share))[..., 0]
+    found = np.where(falls.any(axis=-1), at_limit, np.inf)
+    return np.asarray(np.where(phase[..., 0] <= -math.pi, 0.0, found), dtype=np.float64)

@@ -1,0 +1,211 @@
+"""Settings by what they are worth over all processes that the records allow.
+
+    worth(set) = E[cost(active)] - E[cost(set)],     cost = ln(1/ki) + RISK ln(Ms / ms_calm)+       (unstable: UNSTABLE)
+
+1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3); the
+second term is what too little robustness costs. The expectation is over the processes of the grid with their odds, so a
+set is given where it is worth having on the whole, and only where next to no likely process makes a bad loop of it.
+
+Candidates are SIMC's settings (Skogestad 2003) of the likeliest processes at several tau_c, and the set in force with
+less or more of all its actions, which keeps a derivative. No candidate has more than MOST_AT_ONCE times the gain and
+integral action in force: one record shows a process a few times, and the next record confirms.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.explanations.process_grid import (
+    DEAD_TIMES,
+    FREQUENCIES,
+    GAINS,
+    ComplexArray,
+    Shape,
+    gain_unit,
+    responses_of,
+    shapes,
+)
+from retuner.adaptive.explanations.tuning_odds import TuningOdds
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class WorthSettings:
+    """When settings are given.
+
+    worth : how much cheaper they must be expected to be, in logarithms of the integrated error; 0.1 to 0.7, default 0.25.
+    ms_bad : Ms that no more than bad_share of the odds may give them; 1.8 to 2.2, default 1.9. bad_share : 0.02 to 0.2,
+        default 0.1. unstable_share : and this share may be unstable; 0 to 0.05, default 0.01.
+    ms_calm : Ms up to which robustness costs nothing; 1.4 to 1.8, default 1.6 (SIMC's own is 1.59 to 1.70).
+    risk : what Ms over it costs, per logarithm; 2 to 10, default 5. unstable : cost of an unstable loop; default 8.
+    most_at_once : factor on gain and on integral action that a record carries; 1.5 to 4, default 3 (first_step.py).
+        least_at_once : and on the gain towards less; 0.1 to 0.5, default 0.25.
+    processes : likeliest processes that sets are weighed on; default 250. rules : of them have settings tried; default 8.
+    """
+
+    worth: float = 0.25
+    ms_bad: float = 1.9
+    bad_share: float = 0.1
+    unstable_share: float = 0.01
+    ms_calm: float = 1.6
+    risk: float = 5.0
+    unstable: float = 8.0
+    most_at_once: float = 3.0
+    least_at_once: float = 0.25
+    processes: int = 250
+    rules: int = 8
+
+
+TAU_CS = (1.0, 1.5, 2.5, 4.0)
+"""tau_c of the candidates, in effective dead times."""
+SCALES = (0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
+"""Of all actions of the set in force."""
+
+
+@dataclass(frozen=True, slots=True)
+class Worthwhile:
+    """Settings worth having. model : the likeliest process. ms : expected on it. ms_worst : nine of ten processes have less.
+
+    worth : expected gain, in logarithms of the integrated error. ms_before : the same as ms_worst of the set in force.
+    """
+
+    tuning: Tuning
+    model: ProcessModel
+    ms: float
+    ms_worst: float
+    worth: float
+
+
+@dataclass(frozen=True, slots=True)
+class LikelyProcesses:
+    """The likeliest processes of the grid. index : into its shape, dead time and gain. weights : sum 1. loop_gain : K."""
+
+    index: tuple[tuple[int, int, int], ...]
+    weights: FloatArray
+    responses: ComplexArray
+    sample_time_s: float
+
+    def peaks(self, gains: PidGains) -> FloatArray:
+        """Ms on each process, infinite where the loop is unstable; shape (processes,)."""
+        s, dt = 1j * FREQUENCIES, self.sample_time_s
+        law = abs(gains.kp) + abs(gains.ki) * dt / s + abs(gains.kd) / dt * s
+        loop = self.responses * law
+        phase = np.unwrap(np.angle(loop), axis=1)
+        falls = (phase[:, :-1] > -math.pi) & (phase[:, 1:] <= -math.pi)
+        size = np.sqrt(np.abs(loop[:, :-1]) * np.abs(loop[:, 1:]))
+        unstable = (falls & (size >= 1.0)).any(axis=1) | (phase[:, 0] <= -math.pi)
+        return np.where(unstable, np.inf, 1.0 / np.min(np.abs(1.0 + loop), axis=1))
+
+
+def likely_processes(odds: TuningOdds, most: int) -> LikelyProcesses:
+    """The likeliest processes, with the odds of those that are left out spread over them."""
+    flat = odds.weights.ravel()
+    chosen = np.argpartition(flat, -most)[-most:]
+    chosen = chosen[np.argsort(-flat[chosen], kind="stable")]
+    rows, dead, gain = np.unravel_index(chosen, odds.weights.shape)
+    loop_gain = GAINS[gain] * odds.robustness.scale / gain_unit(odds.gains, odds.sample_time_s)
+    weights = flat[chosen] / float(flat[chosen].sum())
+    index = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))
+    return LikelyProcesses(index, weights, responses_of(rows, dead) * loop_gain[:, None], odds.sample_time_s)
+
+
+def process_model(shape: Shape, dead: float, gain: float, direction: int, sample_time_s: float) -> ProcessModel:
+    """A process of the grid as a model that a rule takes. dead : in samples. gain : per sample where it integrates."""
+    dt = sample_time_s
+    theta, second = max(dead, 0.5) * dt, shape.second * dt
+    if shape.integrates:
+        kind = ProcessType.INTEGRATING_LAG if second else ProcessType.INTEGRATING
+        return ProcessModel(kind, direction * gain / dt, 0.0, second, theta)
+    kind = ProcessType.SOPDT if second else ProcessType.FOPDT
+    return ProcessModel(kind, direction * gain, shape.lag * dt, second, theta)
+
+
+def models(odds: TuningOdds, likely: LikelyProcesses) -> list[ProcessModel]:
+    """The likely processes as models, the likeliest first."""
+    every, unit = shapes(), gain_unit(odds.gains, odds.sample_time_s) / odds.robustness.scale
+    return [
+        process_model(
+            every[i], DEAD_TIMES[j], GAINS[k] * every[i].unit / unit, odds.gains.direction, odds.sample_time_s
+        )
+        for i, j, k in likely.index
+    ]
+
+
+def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
+    """The settings that are worth most over the odds; None where none is worth a change."""
+    likely = likely_processes(odds, settings.processes)
+    known = models(odds, likely)
+    before = _cost(likely, odds.gains, settings)[0]
+    best: Worthwhile | None = None
+    for tuning in _candidates(odds.gains, known[: settings.rules], odds.sample_time_s, settings):
+        cost, peaks = _cost(likely, tuning.gains, settings)
+        bad = float(likely.weights @ (peaks > settings.ms_bad))
+        if bad > settings.bad_share or float(likely.weights @ np.isinf(peaks)) > settings.unstable_share:
+            continue
+        worth = before - cost
+        if worth >= settings.worth and (best is None or worth > best.worth):
+            worst = quantile(peaks, likely.weights, 1.0 - settings.bad_share)
+            best = Worthwhile(tuning, known[0], float(peaks[0]), worst, worth)
+    return best
+
+
+def halved(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
+    """Half of every action: for a loop that is too tight by the odds, where no whole set is good on nearly all processes.
+
+    None where even that is not expected to be worth a change, or makes likely processes worse.
+    """
+    likely = likely_processes(odds, settings.processes)
+    now = odds.gains
+    half = Tuning("simc", "series", PidGains(now.kp / 2, now.ki / 2, now.kd / 2))
+    before, peaks_before = _cost(likely, now, settings)
+    cost, peaks = _cost(likely, half.gains, settings)
+    worse = float(likely.weights @ (peaks > np.maximum(peaks_before, settings.ms_bad)))
+    if before - cost < settings.worth or worse > settings.bad_share:
+        return None
+    worst = quantile(peaks, likely.weights, 1.0 - settings.bad_share)
+    return Worthwhile(half, models(odds, likely)[0], float(peaks[0]), worst, before - cost)
+
+
+def quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
+    """The value that so much of the weight does not exceed."""
+    order = np.argsort(values)
+    at = int(np.searchsorted(np.cumsum(weights[order]), share))
+    return float(values[order[min(at, len(values) - 1)]])
+
+
+def _cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[float, FloatArray]:
+    """Expected cost of a set (head of this file), and its Ms on each process."""
+    peaks = likely.peaks(gains)
+    over = np.log(np.maximum(np.where(np.isinf(peaks), 1.0, peaks) / settings.ms_calm, 1.0))
+    risk = np.where(np.isinf(peaks), settings.unstable, np.minimum(settings.risk * over, settings.unstable))
+    integral = math.log(abs(gains.ki)) if gains.ki else -settings.unstable
+    return float(likely.weights @ risk) - integral, peaks
+
+
+def _candidates(
+    active: PidGains, likeliest: list[ProcessModel], sample_time_s: float, settings: WorthSettings
+) -> Iterator[Tuning]:
+    """Settings to be weighed; none beyond what a record carries at once."""
+    most = settings.most_at_once
+    for model in likeliest:
+        seen = model.seen_by_controller(sample_time_s)
+        theta = without_second_lag(seen).theta_s
+        for ratio in TAU_CS:
+            tuning = simc(seen, ratio * theta)
+            new = tuning.gains
+            size = abs(new.kp) / (most * abs(active.kp)) if active.kp else 1.0
+            if size > 1.0:
+                new = PidGains(new.kp / size, new.ki / size)
+            if active.ki and abs(new.ki) > most * abs(active.ki):
+                new = PidGains(new.kp, most * active.ki)
+            if abs(new.kp) >= settings.least_at_once * abs(active.kp):
+                yield Tuning(tuning.rule, tuning.form, new, tuning.tau_c_s)
+    for scale in SCALES:
+        if scale <= most:
+            yield Tuning("simc", "series", PidGains(active.kp * scale, active.ki * scale, active.kd * scale))

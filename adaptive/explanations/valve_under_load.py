@@ -1,0 +1,62 @@
+"""Does a valve between co and the process make a record likelier, with a load that wanders on top?
+
+    ln B = ln mean over valves of L(record | valve, process, load)  -  ln L(record | co itself, process, load)
+
+A valve that sticks moves in jumps, and a jump through the process is what no walk makes. Both sides are the likelihood
+of wandering_load.py, tempered alike, on the same coarse grid of processes and loads, so only the valve differs. The
+mean over valves is the price of its numbers: a narrow valley in band and jump is worth its share of the grid.
+"""
+
+import math
+
+import numpy as np
+
+from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, load_model, responses, whitened
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.valve.stuck_valve import Family, StuckValve
+
+BANDS = (0.08, 0.12, 0.17, 0.24, 0.33, 0.45, 0.6, 0.8)
+"""Stick bands, as shares of co's range."""
+VALVES = ((Family.KANO, 0.0), (Family.KANO, 0.5), (Family.HE, 0.95))
+"""Play; a valve that follows after a slip; one that jumps all the way. Jumps as shares of the band."""
+LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
+DEAD_TIMES = (0.0, 1.0, 2.0, 4.0, 7.0, 12.0)
+LOADS = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
+"""Bandwidth and order of the loads that are tried."""
+
+
+def positions(co: FloatArray) -> FloatArray:
+    """co itself, then what each valve that moves at all makes of it, from their first values; shape (1 + valves, n)."""
+    travel = float(np.ptp(co))
+    found = [co - co[0]]
+    for band in BANDS:
+        for family, jump in VALVES:
+            position = StuckValve(family, band * travel, jump * band * travel).position(co)
+            if np.ptp(position) > 0:
+                found.append(position - position[0])
+    return np.array(found)
+
+
+def log_odds_of_valve(record: Prepared, direction: int) -> float:
+    """Tempered logarithm of the Bayes factor of a valve that sticks or has play; 0 where no valve moves.
+
+    direction : sign of the process gain.
+    """
+    inputs = positions(record.co)
+    if len(inputs) == 1 or not np.ptp(record.co) > 0:
+        return 0.0
+    found = []
+    for lag in LAGS:
+        moved = responses(inputs, lag)[0]
+        for bandwidth, order in LOADS:
+            fit = whitened(record, moved, lag, load_model(lag, bandwidth, order), DEAD_TIMES)
+            against = np.where(fit.gain * direction > 0, 0.0, fit.information * fit.gain**2)
+            found.append(-fit.freedom / (2 * TEMPER) * np.log(fit.left + against))
+    every = np.array(found).transpose(1, 0, 2).reshape(len(inputs), -1)
+    return float(_log_mean(every[1:]) - _log_mean(every[:1]))
+
+
+def _log_mean(values: FloatArray) -> float:
+    """ln of the mean of exp."""
+    top = float(values.max())
+    return top + math.log(float(np.mean(np.exp(values - top))))

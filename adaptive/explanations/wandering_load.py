@@ -1,0 +1,198 @@
+"""Process, load that wanders and noise: how likely each process of the grid makes a record.
+
+    pv = K x + z + v        x: co through dead time and lags;  v: white noise
+    rw:   z is a random walk at the process input, seen through the first lag          (1 - q)(1 - a q) z = w
+    rw2:  the same of a load whose slope is the random walk: it ramps and pauses     (1 - q)^2 (1 - a q) z = w
+
+Real loads wander, pause, step and oscillate. The output of a well-controlled loop is its load with the sign turned, so
+a fit that knows only steps and ramps must buy steps that never were. Here the load is a state with its own variance.
+For given lags and ratio of load to noise the Kalman filter of (z, v) in its steady state is the filter A/C, with C from
+    r + A(q) A(1/q) = s C(q) C(1/q)                              (spectral factorisation; Astrom 1970, ch. 5)
+which whitens pv and x alike. The unknown start of the filter and of the lags is a column each of a least squares fit
+(a diffuse start). The gain follows in closed form with its variance, so its whole likelihood is known:
+    ln L(K) = -(n - m)/2 ln(RSS + S (K - K_ls)^2)                          (noise variance profiled)
+
+Samples under a real load are far from independent: no model of a load is right. So ln L is divided by TEMPER before it
+counts, which was chosen so that what is told at 90 % is right in nine of ten (benchmarks/world).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache, lru_cache
+
+import numpy as np
+
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LAGS, second_lags, shapes, units
+from retuner.adaptive.indexes.recording_quality import hidden_sigma
+from retuner.adaptive.signals.noise import quantum_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+MOST_SAMPLES = 800
+"""Longer records are condensed, or cut into windows, to this many."""
+BANDWIDTHS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, math.inf)
+"""Frequency, rad per sample, at which load and noise are equally large; without end there is no noise."""
+ORDERS = (1, 2)
+"""Of the walk: the load's value, or its slope."""
+TEMPER = 6.0
+"""What the logarithm of a likelihood is divided by; 3 to 30."""
+LEAST_NOISE = 1e-3
+"""Nothing finer than this share of pv's standard deviation is believed of a record."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadModel:
+    """Coefficients of the whitening filter A/C, the newest first; shape (order + 1,) each."""
+
+    a: tuple[float, ...]
+    c: tuple[float, ...]
+
+
+@cache
+def load_model(lag: float, bandwidth: float, order: int) -> LoadModel:
+    """The filter that whitens a load behind a first lag. lag : in samples. order : of the walk. See the head."""
+    pole = 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
+    a = np.array([1.0, -pole])
+    for _ in range(order):
+        a = np.convolve(a, [1.0, -1.0])
+    if math.isinf(bandwidth):
+        return LoadModel(tuple(a), (1.0,) + (0.0,) * (len(a) - 1))
+    ratio = abs(np.polyval(a[::-1], np.exp(-1j * bandwidth))) ** 2
+    both = np.convolve(a, a[::-1])
+    both[len(a) - 1] += ratio
+    roots = np.roots(both)
+    inside = roots[np.argsort(np.abs(roots))][: len(a) - 1]
+    return LoadModel(tuple(a), tuple(np.real(np.poly(inside)).tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A window as this likelihood wants it: pv and co from their first values, pv's resolution, the interval.
+
+    pv, co : shape (n,). resolution : standard deviation of what pv cannot show. sample_time_s : of the condensed record.
+    """
+
+    pv: FloatArray
+    co: FloatArray
+    resolution: float
+    sample_time_s: float
+
+    @classmethod
+    def of(cls, window: Window, most: int = MOST_SAMPLES) -> "Prepared":
+        """A window condensed to no more than so many samples."""
+        return cls.at(window, -(-len(window.t_s) // most) * window.sample_time_s)
+
+    @classmethod
+    def at(cls, window: Window, dt_s: float) -> "Prepared":
+        """A window at an interval, by block means of pv and co alike: one filter on both leaves their relation."""
+        n = max(round(dt_s / window.sample_time_s), 1)
+        rows = len(window.t_s) // n
+        pv, co = (x[: rows * n].reshape(rows, n).mean(axis=1) for x in (window.pv, window.co))
+        spread = float(np.std(pv))
+        resolution = max(quantum_sigma(window.pv), hidden_sigma(window.pv)) / math.sqrt(n)
+        return cls(pv - pv[0], co - co[0], max(resolution, LEAST_NOISE * spread), n * window.sample_time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Whitened:
+    """Least squares of the whitened record on every dead time and second lag of one first lag under one load.
+
+    gain, information, left : K of least squares, S and RSS (head of this file), shape (second lags, dead times).
+    freedom : samples less nuisances.
+    """
+
+    gain: FloatArray
+    information: FloatArray
+    left: FloatArray
+    freedom: int
+
+
+_PAD = int(max(DEAD_TIMES)) + 2
+
+
+def responses(inputs: FloatArray, lag: float) -> FloatArray:
+    """What inputs held between samples do at gain one, through the first lag and each second one.
+
+    inputs : shape (..., n). Returns shape (second lags, ..., n).
+    """
+    from scipy.signal import lfilter
+
+    pole = 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
+    first = lfilter([0.0, 1.0 if math.isinf(lag) else 1.0 - pole], [1.0, -pole], inputs)
+    found = [first]
+    for second in second_lags(lag)[1:]:
+        other = math.exp(-1.0 / second)
+        found.append(lfilter([1.0 - other], [1.0, -other], first))
+    return np.array(found)
+
+
+def whitened(record: Prepared, moved: FloatArray, lag: float, model: LoadModel, dead_times: tuple[float, ...]) -> Whitened:
+    """Least squares under one load. moved : `responses` of co to this lag, shape (m, n) with the second lags first."""
+    from scipy.signal import lfilter
+
+    n = len(record.pv)
+    signals = lfilter(model.a, model.c, np.vstack([record.pv, moved]))
+    basis = _starts(n, lag, model)
+    y = signals[0] - basis @ (basis.T @ signals[0])
+    padded = np.concatenate([np.zeros((len(moved), _PAD)), signals[1:]], axis=1)
+    delayed = np.empty((len(moved), len(dead_times), n))
+    for i, dead in enumerate(dead_times):
+        whole, part = int(dead), dead - int(dead)
+        at = _PAD - whole
+        delayed[:, i] = padded[:, at : at + n]
+        if part:
+            delayed[:, i] = (1 - part) * delayed[:, i] + part * padded[:, at - 1 : at - 1 + n]
+    flat = delayed.reshape(-1, n)
+    along = flat @ np.column_stack([y, basis])
+    information = np.einsum("ij,ij->i", flat, flat) - np.sum(along[:, 1:] ** 2, axis=1)
+    information = np.maximum(information, 1e-12 * float(np.max(information, initial=0.0)) + 1e-300)
+    gain = along[:, 0] / information
+    freedom = n - basis.shape[1]
+    floor = freedom * record.resolution**2
+    left = np.maximum(y @ y - gain * along[:, 0], 0.0) + floor
+    form = (len(moved), len(dead_times))
+    return Whitened(gain.reshape(form), information.reshape(form), left.reshape(form), freedom)
+
+
+@lru_cache(maxsize=2048)
+def _starts(n: int, lag: float, model: LoadModel) -> FloatArray:
+    """What the unknown start of the filter and of the second lags adds to whitened records: orthonormal columns."""
+    from scipy.signal import lfilter
+
+    impulse = np.zeros(n)
+    impulse[0] = 1.0
+    memory = lfilter([1.0], model.c, impulse)
+    columns = [np.concatenate([np.zeros(i), memory[: n - i]]) for i in range(len(model.a) - 1)]
+    rows = np.arange(n)
+    columns += [lfilter(model.a, model.c, np.exp(-rows / second)) for second in second_lags(lag)[1:]]
+    return np.asarray(np.linalg.qr(np.array(columns).T)[0], dtype=np.float64)
+
+
+def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatArray:
+    """Tempered log-likelihood of every process of the grid, loads and noise summed over.
+
+    direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit).
+    Returns shape (shapes, dead times, gains); the largest is not zero: differences between records count.
+    """
+    gains = direction * GAINS * units() / gain_unit
+    found, at = np.empty((len(shapes()), len(DEAD_TIMES), len(GAINS))), 0
+    for lag in LAGS:
+        moved = responses(record.co, lag)
+        fits = [
+            whitened(record, moved, lag, load_model(lag, bandwidth, order), DEAD_TIMES)
+            for order in ORDERS
+            for bandwidth in BANDWIDTHS
+        ]
+        rows = slice(at, at + len(moved))
+        found[rows] = _over_loads(fits, gains[rows])
+        at += len(moved)
+    return found
+
+
+def _over_loads(fits: list[Whitened], gains: FloatArray) -> FloatArray:
+    """ln of the mean over loads of exp(ln L / TEMPER). gains : shape (second lags, 1, gains)."""
+    every = np.array([
+        -fit.freedom / (2 * TEMPER) * np.log(fit.left[..., None] + fit.information[..., None] * (gains - fit.gain[..., None]) ** 2)
+        for fit in fits
+    ])
+    top = every.max(axis=0)
+    return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)), dtype=np.float64)
