@@ -28,7 +28,6 @@ from retuner.adaptive.explanations.process_grid import gain_unit
 from retuner.adaptive.explanations.settings_by_odds import (
     Worthwhile,
     halved,
-    likely_processes,
     quantile,
     worthwhile,
 )
@@ -82,6 +81,7 @@ def diagnose_records(
     co_max: float | None = None,
     *,
     direction: int | None = None,
+    rough: PidGains | None = None,
     settings: OddsSettings | None = None,
     diagnosis: DiagnosisSettings | None = None,
 ) -> OddsFound:
@@ -91,6 +91,7 @@ def diagnose_records(
     ----------
     windows : the records, one or more. gains : in force in all of them; without them only a valve can be told.
     co_min, co_max : limits of co where known. direction : sign of the controller's gain where no more is known.
+    rough : gains that are known too badly for settings to follow, but well enough for odds.
 
     Returns
     -------
@@ -103,17 +104,19 @@ def diagnose_records(
     if not open_ones:
         return OddsFound(_alone(each[0], settings))
     told = max((f for _, f in open_ones), key=lambda f: (f.diagnosis.cause != Cause.UNKNOWN, f.diagnosis.confidence))
-    sign = gains.direction if gains is not None else direction
-    walk = _walk([w for w, _ in open_ones], gains, sign, settings) if sign else None
+    known = gains or rough
+    sign = known.direction if known is not None else direction
+    walk = _walk([w for w, _ in open_ones], known, sign, settings) if sign else None
     if walk is None:
         return OddsFound(_alone(told, settings))
     odds = None
-    if gains is not None:
-        odds = tuning_odds(walk.log_likelihood, gains, walk.record.sample_time_s, settings.prior, settings.limits)
-    under_walk = _under_walk(walk, odds, sum(f.diagnosis.cause == Cause.STICTION for _, f in open_ones), settings)
+    if known is not None:
+        odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
+    under_walk = _under_walk(walk, odds, sum(_shapes(f, settings) for _, f in open_ones), settings)
     under_steps, weight = _under_steps(open_ones, under_walk, walk)
-    causes = _mixed(under_steps, under_walk, weight, settings.most)
-    return _verdict(told, causes, weight, odds, walk, open_ones, settings)
+    most = 1.0 - (1.0 - settings.most) / len(open_ones)
+    causes = _mixed(under_steps, under_walk, weight, most)
+    return _verdict(told, causes, weight, odds, walk, open_ones, settings, sure=gains is not None)
 
 
 def _final(window: Window, found: Found) -> bool:
@@ -143,9 +146,7 @@ def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
     return [window.part(slice(int(first), int(first) + length)) for first in firsts]
 
 
-def _walk(
-    windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings
-) -> Walk | None:
+def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings) -> Walk | None:
     """All records and windows under a load that wanders, on one clock; None where nothing moves."""
     dt = max(w.sample_time_s * -(-len(w.t_s) // (settings.most_windows * MOST_SAMPLES)) for w in windows)
     parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
@@ -161,10 +162,19 @@ def _walk(
     return Walk(np.sum(each, axis=0), valve, records[longest], best)
 
 
-def _under_walk(walk: Walk, odds: TuningOdds | None, named: int, settings: OddsSettings) -> dict[Cause, float]:
-    """Odds under a load that wanders. named : records in which shapes named a valve."""
+def _shapes(found: Found, settings: OddsSettings) -> float:
+    """What shapes and plateaus say for a valve, as a logarithm of how many times likelier it makes the record."""
+    told = found.diagnosis
+    named = told.cause == Cause.STICTION
+    if "stand_dwell" in told.evidence:
+        return math.log(settings.stands_slips if named else settings.stands)
+    return math.log(settings.shapes_say) if named else 0.0
+
+
+def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: OddsSettings) -> dict[Cause, float]:
+    """Odds under a load that wanders. shapes : what shapes and plateaus say for a valve, in all records."""
     prior = math.log(settings.stiction / (1.0 - settings.stiction))
-    evidence = settings.valve_weight * walk.valve + math.log(settings.shapes_say) * named
+    evidence = settings.valve_weight * walk.valve + shapes
     stiction = 1.0 / (1.0 + math.exp(-min(max(prior + evidence, -50.0), 50.0)))
     rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
     return {Cause.STICTION: stiction, **{cause: p * (1.0 - stiction) for cause, p in rest.items()}}
@@ -223,9 +233,7 @@ def _per_sample(fit: Candidate, samples: int, whole: int, walk: Walk) -> float:
     return -0.5 * math.log(variance * samples) - numbers * math.log(samples) / (2 * samples)
 
 
-def _mixed(
-    steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: float, most: float
-) -> dict[Cause, float]:
+def _mixed(steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: float, most: float) -> dict[Cause, float]:
     """Both together; nothing surer than `most`, the rest shared by what else there is."""
     share = weight if steps else 0.0
     every = {cause: share * steps.get(cause, 0.0) + (1 - share) * walk.get(cause, 0.0) for cause in {*steps, *walk}}
@@ -243,8 +251,13 @@ def _verdict(
     walk: Walk,
     open_ones: Sequence[tuple[Window, Found]],
     settings: OddsSettings,
+    *,
+    sure: bool,
 ) -> OddsFound:
-    """The most probable cause, in words, with settings where they are worth having."""
+    """The most probable cause, in words, with settings where they are worth having.
+
+    sure : the gains in force are known, not roughly only.
+    """
     cause, p = next(iter(causes.items()))
     shares = {str(c): q for c, q in causes.items()}
     if weight >= HALF and told.diagnosis.cause == cause:
@@ -253,7 +266,7 @@ def _verdict(
     test, worth = None, None
     if odds is not None:
         evidence |= _ms_range(odds)
-        worth = _settings(causes, odds, settings) if cause in TUNING_CAUSES else None
+        worth = _settings(causes, odds, settings) if sure and cause in TUNING_CAUSES else None
         if p < settings.undecided:
             error = open_ones[0][0].sp - open_ones[0][0].pv
             test = _next(odds, walk, float(np.std(error)))

@@ -76,7 +76,8 @@ class SettingsInForce:
     structure : what else was found (derivative on pv or error, filters, lag).
     explained : share of the movement of co that the law explains. samples : increments used.
     reason : one sentence. direction : sign of the controller's gain, told also where its size is not; None where not
-        even that shows.
+        even that shows. rough : gains that are too uncertain to be told, but not to weigh causes by; None where there
+        are none, or `gains` are known.
     """
 
     gains: PidGains | None
@@ -87,6 +88,7 @@ class SettingsInForce:
     samples: int
     reason: str
     direction: int | None = None
+    rough: PidGains | None = None
 
     def forms(self) -> dict[str, dict[str, float | None]]:
         """The settings in each form in which this controller exists: kc, tau_i, tau_d by form."""
@@ -172,8 +174,10 @@ def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:
         return SettingsInForce(None, {}, None, None, 0.0, 0, reason)
     kept = int(np.sum(found.kept))
     sure = found.spread(found.main) < 1 / SIGNIFICANT and found.explained > DIRECTION_EXPLAINED
-    direction = int(math.copysign(1, found.values[found.main])) if sure and signs_agree(found.values) else None
-    return SettingsInForce(None, {}, None, found.structure, max(found.explained, 0.0), kept, reason, direction)
+    agree = signs_agree(found.values)
+    direction = int(math.copysign(1, found.values[found.main])) if sure and agree else None
+    rough = PidGains(**{name: found.values.get(name, 0.0) for name in ("kp", "ki", "kd")}) if direction else None
+    return SettingsInForce(None, {}, None, found.structure, max(found.explained, 0.0), kept, reason, direction, rough)
 
 
 def _judged(found: Regression, window: Window, settings: LawSettings) -> SettingsInForce:

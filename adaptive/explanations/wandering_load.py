@@ -125,7 +125,9 @@ def responses(inputs: FloatArray, lag: float) -> FloatArray:
     return np.array(found)
 
 
-def whitened(record: Prepared, moved: FloatArray, lag: float, model: LoadModel, dead_times: tuple[float, ...]) -> Whitened:
+def whitened(
+    record: Prepared, moved: FloatArray, lag: float, model: LoadModel, dead_times: tuple[float, ...]
+) -> Whitened:
     """Least squares under one load. moved : `responses` of co to this lag, shape (m, n) with the second lags first."""
     from scipy.signal import lfilter
 
@@ -190,9 +192,13 @@ def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatA
 
 def _over_loads(fits: list[Whitened], gains: FloatArray) -> FloatArray:
     """ln of the mean over loads of exp(ln L / TEMPER). gains : shape (second lags, 1, gains)."""
-    every = np.array([
-        -fit.freedom / (2 * TEMPER) * np.log(fit.left[..., None] + fit.information[..., None] * (gains - fit.gain[..., None]) ** 2)
-        for fit in fits
-    ])
+    every = np.array(
+        [
+            -fit.freedom
+            / (2 * TEMPER)
+            * np.log(fit.left[..., None] + fit.information[..., None] * (gains - fit.gain[..., None]) ** 2)
+            for fit in fits
+        ]
+    )
     top = every.max(axis=0)
     return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)), dtype=np.float64)

@@ -446,11 +446,11 @@ def diagnose_record(
 ) -> RecordDiagnosis:
     """The same for a record that is a Window already."""
     window = within(window, co_min, co_max)
-    direction = None
+    direction = rough = None
     if gains is None:
         read_off = settings_in_force(window, co_min, co_max)
-        gains, direction = read_off.gains, read_off.direction
-    told = diagnose_records([window], gains, co_min, co_max, direction=direction)
+        gains, direction, rough = read_off.gains, read_off.direction, read_off.rough
+    told = diagnose_records([window], gains, co_min, co_max, direction=direction, rough=rough)
     found, worth = told.found, told.settings
     fits = {name: c.fit.at.explained for name, c in found.fits.items()}
     now, aim = (_result(found.estimate, tuning) for tuning in (found.tuning, found.aim))
