@@ -186,11 +186,11 @@ def _under_steps(
     """Odds where loads are steps or a tone, over the records in which that is likely; and how likely it is there."""
     total: dict[Cause, float] = {}
     most = 0.0
-    for window, found in open_ones:
+    for _, found in open_ones:
         told = found.diagnosis
         if told.cause == Cause.UNKNOWN:
             continue
-        weight = _weight_of_steps(window, found, walk)
+        weight = _weight_of_steps(found, walk)
         others = 1.0 - under_walk.get(told.cause, 0.0)
         shares = {c: (1 - told.confidence) * p / max(others, 1e-9) for c, p in under_walk.items() if c != told.cause}
         shares[told.cause] = told.confidence
@@ -208,14 +208,13 @@ BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The fit that a verdict rests on; the loop by itself for all others."""
 
 
-def _weight_of_steps(window: Window, found: Found, walk: Walk) -> float:
+def _weight_of_steps(found: Found, walk: Walk) -> float:
     """Probability that loads are the steps, or the tone, of a verdict, against a load that wanders."""
     fit = found.fits.get(BEHIND.get(found.diagnosis.cause, "linear"))
     if fit is None:
         return HALF
-    n = len(window.t_s)
     samples = len(fit.fit.misfit.record.pv)
-    lead = samples * (_per_sample(fit, samples, n, walk) - walk.best)
+    lead = samples * (_per_sample(fit, samples, walk) - walk.best)
     return 1.0 / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
 
 
@@ -223,7 +222,7 @@ HALF = 0.5
 """Of a verdict by stretches, whose fits are not compared."""
 
 
-def _per_sample(fit: Candidate, samples: int, whole: int, walk: Walk) -> float:
+def _per_sample(fit: Candidate, samples: int, walk: Walk) -> float:
     """Log-likelihood of a fit with load steps a sample, less the price of its numbers."""
     misfit = fit.fit.misfit
     left = float(np.mean((misfit.record.pv - fit.fit.at.explained) ** 2))

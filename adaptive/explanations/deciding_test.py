@@ -15,15 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes
-from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningOdds, class_of
+from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, TuningOdds, class_of
 from retuner.adaptive.explanations.wandering_load import (
     BANDWIDTHS,
     ORDERS,
     TEMPER,
     LoadModel,
     Prepared,
+    Signals,
+    filtered,
+    impulse_response,
     load_model,
     responses,
+    spectrum,
     whitened,
 )
 from retuner.adaptive.signals.sample import FloatArray
@@ -59,7 +63,10 @@ class DecidingTest:
 
 
 def deciding_test(odds: TuningOdds, record: Prepared, error_std: float) -> DecidingTest:
-    """The smallest setpoint step that is likely to decide. error_std : of pv's deviation from its setpoint, pv units."""
+    """The smallest setpoint step that is likely to decide.
+
+    error_std : standard deviation of pv from its setpoint, pv units.
+    """
     load, std = _load(odds, record)
     groups = _groups(odds)
     true = [group[0] for group in groups]
@@ -85,8 +92,6 @@ class _Process:
 
 def _groups(odds: TuningOdds) -> list[list[_Process]]:
     """The likeliest processes of each class that has any, the likeliest first."""
-    from retuner.adaptive.explanations.tuning_odds import TuningLimits
-
     classes = class_of(odds.robustness, odds.gains, odds.sample_time_s, TuningLimits())
     unit = gain_unit(odds.gains, odds.sample_time_s) / odds.robustness.scale
     groups = []
@@ -109,12 +114,12 @@ def _load(odds: TuningOdds, record: Prepared) -> tuple[LoadModel, float]:
     """Load and noise that explain the record best beside the likeliest process, and the standard deviation s."""
     i = int(np.unravel_index(int(np.argmax(odds.weights)), odds.weights.shape)[0])
     lag = shapes()[i].lag
-    moved = responses(record.co, lag)
+    signals = Signals.of(record, responses(record.co, lag), lag)
     tried = []
     for order in ORDERS:
         for bandwidth in BANDWIDTHS:
             model = load_model(lag, bandwidth, order)
-            fit = whitened(record, moved, lag, model, DEAD_TIMES)
+            fit = whitened(signals, model, DEAD_TIMES)
             tried.append((float(np.min(fit.left)) / fit.freedom, model))
     variance, model = min(tried, key=lambda one: one[0])
     return model, math.sqrt(variance)
@@ -164,17 +169,16 @@ def _energies(
     odds: TuningOdds, true: _Process, groups: Sequence[Sequence[_Process]], hold: int, load: LoadModel
 ) -> list[float]:
     """D for a step of s between one process and the nearest of each class (infinite for its own)."""
-    from scipy.signal import lfilter
-
     setpoint = np.concatenate([np.ones(hold), np.zeros(hold)])
     _, co = _closed_loop(odds, true, setpoint)
     pv = _answer(true, co)
+    white = impulse_response(load.a, load.c, len(pv))
     found = []
     for group in groups:
         if group[0].kind == true.kind:
             found.append(math.inf)
             continue
-        apart = [lfilter(load.a, load.c, pv - _answer(other, co)) for other in group]
+        apart = filtered(spectrum(np.array([pv - _answer(other, co) for other in group])), len(pv), white)
         found.append(min(float(d @ d) for d in apart))
     return found
 

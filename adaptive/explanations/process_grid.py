@@ -6,7 +6,7 @@ Lags and dead times are in samples, so the grid is one constant. The gain is a g
 and counted in loop gains: kc K = 1 is its middle. A grid and no search: every corner of what the record allows is seen,
 likelihoods of several records add up point by point, and nothing can stop in a local optimum.
 
-Half a sampling interval counts as dead time, as a sampled controller sees the process (Franklin, Powell & Workman 1998).
+Half a sampling interval counts as dead time, as a sampled controller sees the process (Franklin et al. 1998).
 """
 
 import math
@@ -93,7 +93,7 @@ def responses_of(rows: npt.NDArray[np.intp], dead: npt.NDArray[np.intp]) -> Comp
 
 
 def gain_unit(gains: PidGains, sample_time_s: float) -> float:
-    """What the loop gains are counted by: kp; of a controller without one what its other actions move in ten samples."""
+    """What loop gains are counted by: kp; of a controller without one, what its other actions do in ten samples."""
     kp, ki, kd = abs(gains.kp), abs(gains.ki) * 10 * sample_time_s, abs(gains.kd) / (10 * sample_time_s)
     return kp or max(ki, kd)
 
@@ -143,7 +143,10 @@ def robustness(gains: PidGains, sample_time_s: float, unit: float | None = None)
 
 
 def _ultimate(size: FloatArray, phase: FloatArray) -> FloatArray:
-    """The loop gain at the stability limit, where the phase first passes -180 degrees; shape of all but the last axis."""
+    """The loop gain at the stability limit, where the phase first passes -180 degrees.
+
+    Shape of the arguments without the last axis.
+    """
     falls = (phase[..., :-1] > -math.pi) & (phase[..., 1:] <= -math.pi)
     first = np.argmax(falls, axis=-1)[..., None]
     before, after = (np.take_along_axis(phase, first + i, -1) for i in (0, 1))

@@ -39,14 +39,16 @@ from retuner.schedule.gains import PidGains
 class WorthSettings:
     """When settings are given.
 
-    worth : how much cheaper they must be expected to be, in logarithms of the integrated error; 0.1 to 0.7, default 0.25.
+    worth : how much cheaper they must be expected to be, in logarithms of the integrated error; 0.1 to 0.7, default
+        0.25.
     ms_bad : Ms that no more than bad_share of the odds may give them; 1.8 to 2.2, default 1.9. bad_share : 0.02 to 0.2,
         default 0.1. unstable_share : and this share may be unstable; 0 to 0.05, default 0.01.
     ms_calm : Ms up to which robustness costs nothing; 1.4 to 1.8, default 1.6 (SIMC's own is 1.59 to 1.70).
     risk : what Ms over it costs, per logarithm; 2 to 10, default 5. unstable : cost of an unstable loop; default 8.
     most_at_once : factor on gain and on integral action that a record carries; 1.5 to 4, default 3 (first_step.py).
         least_at_once : and on the gain towards less; 0.1 to 0.5, default 0.25.
-    processes : likeliest processes that sets are weighed on; default 250. rules : of them have settings tried; default 8.
+    processes : likeliest processes that sets are weighed on; default 250. rules : of them have settings tried;
+        default 8.
     """
 
     worth: float = 0.25
@@ -70,9 +72,10 @@ SCALES = (0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
 
 @dataclass(frozen=True, slots=True)
 class Worthwhile:
-    """Settings worth having. model : the likeliest process. ms : expected on it. ms_worst : nine of ten processes have less.
+    """Settings worth having.
 
-    worth : expected gain, in logarithms of the integrated error. ms_before : the same as ms_worst of the set in force.
+    model : the likeliest process. ms : of the settings on it. ms_worst : nine of ten processes have less.
+    worth : expected gain, in logarithms of the integrated error.
     """
 
     tuning: Tuning
@@ -84,7 +87,10 @@ class Worthwhile:
 
 @dataclass(frozen=True, slots=True)
 class LikelyProcesses:
-    """The likeliest processes of the grid. index : into its shape, dead time and gain. weights : sum 1. loop_gain : K."""
+    """The likeliest processes of the grid.
+
+    index : of shape, dead time and gain. weights : sum 1. responses : G(jw), shape (processes, frequencies).
+    """
 
     index: tuple[tuple[int, int, int], ...]
     weights: FloatArray
@@ -156,7 +162,7 @@ def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
 
 
 def halved(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
-    """Half of every action: for a loop that is too tight by the odds, where no whole set is good on nearly all processes.
+    """Half of every action: for a loop that is too tight, where no whole set is good on nearly all processes.
 
     None where even that is not expected to be worth a change, or makes likely processes worse.
     """

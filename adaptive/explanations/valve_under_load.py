@@ -11,7 +11,14 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, load_model, responses, whitened
+from retuner.adaptive.explanations.wandering_load import (
+    TEMPER,
+    Prepared,
+    Signals,
+    load_model,
+    responses,
+    whitened,
+)
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.stuck_valve import Family, StuckValve
 
@@ -47,9 +54,9 @@ def log_odds_of_valve(record: Prepared, direction: int) -> float:
         return 0.0
     found = []
     for lag in LAGS:
-        moved = responses(inputs, lag)[0]
+        signals = Signals.of(record, responses(inputs, lag)[0], lag)
         for bandwidth, order in LOADS:
-            fit = whitened(record, moved, lag, load_model(lag, bandwidth, order), DEAD_TIMES)
+            fit = whitened(signals, load_model(lag, bandwidth, order), DEAD_TIMES)
             against = np.where(fit.gain * direction > 0, 0.0, fit.information * fit.gain**2)
             found.append(-fit.freedom / (2 * TEMPER) * np.log(fit.left + against))
     every = np.array(found).transpose(1, 0, 2).reshape(len(inputs), -1)

@@ -22,7 +22,15 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LAGS, second_lags, shapes, units
+from retuner.adaptive.explanations.process_grid import (
+    DEAD_TIMES,
+    GAINS,
+    LAGS,
+    ComplexArray,
+    second_lags,
+    shapes,
+    units,
+)
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -68,7 +76,7 @@ def load_model(lag: float, bandwidth: float, order: int) -> LoadModel:
 class Prepared:
     """A window as this likelihood wants it: pv and co from their first values, pv's resolution, the interval.
 
-    pv, co : shape (n,). resolution : standard deviation of what pv cannot show. sample_time_s : of the condensed record.
+    pv, co : shape (n,). resolution : standard deviation of what pv cannot show. sample_time_s : after condensing.
     """
 
     pv: FloatArray
@@ -94,9 +102,9 @@ class Prepared:
 
 @dataclass(frozen=True, slots=True)
 class Whitened:
-    """Least squares of the whitened record on every dead time and second lag of one first lag under one load.
+    """Least squares of the whitened pv on every whitened input and dead time, under one load.
 
-    gain, information, left : K of least squares, S and RSS (head of this file), shape (second lags, dead times).
+    gain, information, left : K of least squares, S and RSS (head of this file), shape (inputs, dead times).
     freedom : samples less nuisances.
     """
 
@@ -107,6 +115,32 @@ class Whitened:
 
 
 _PAD = int(max(DEAD_TIMES)) + 2
+_DAMPED = 1e-8
+"""What is left of a response after the length of its transform, where it is computed: no echo of it comes back."""
+
+
+def _length(n: int) -> int:
+    """Length of the transforms of n samples that are not to wrap round."""
+    return 1 << (2 * n - 1).bit_length()
+
+
+def filtered(spectra: ComplexArray, n: int, response: FloatArray) -> FloatArray:
+    """Rows through a filter, from rest. spectra : `spectrum` of rows of n samples. response : to an impulse, (n,)."""
+    return np.asarray(np.fft.irfft(spectra * spectrum(response), _length(n))[..., :n], dtype=np.float64)
+
+
+def spectrum(rows: FloatArray) -> ComplexArray:
+    """Transform of rows of n samples, long enough for a filter of n."""
+    return np.asarray(np.fft.rfft(rows, _length(rows.shape[-1])), dtype=np.complex128)
+
+
+def impulse_response(top: tuple[float, ...], bottom: tuple[float, ...], n: int) -> FloatArray:
+    """First n samples of top(q)/bottom(q) of the backward shift q; bottom has no root inside the unit circle."""
+    length = _length(n)
+    radius = _DAMPED ** (1.0 / length)  # on a smaller circle the response falls, so its echoes do not count
+    shift = radius * np.exp(-2j * math.pi * np.arange(length // 2 + 1) / length)
+    ratio = np.polyval(top[::-1], shift) / np.polyval(bottom[::-1], shift)
+    return np.asarray(np.fft.irfft(ratio, length)[:n] / radius ** np.arange(n), dtype=np.float64)
 
 
 def responses(inputs: FloatArray, lag: float) -> FloatArray:
@@ -114,29 +148,39 @@ def responses(inputs: FloatArray, lag: float) -> FloatArray:
 
     inputs : shape (..., n). Returns shape (second lags, ..., n).
     """
-    from scipy.signal import lfilter
-
+    n = inputs.shape[-1]
+    k = np.arange(n)
     pole = 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
-    first = lfilter([0.0, 1.0 if math.isinf(lag) else 1.0 - pole], [1.0, -pole], inputs)
-    found = [first]
-    for second in second_lags(lag)[1:]:
-        other = math.exp(-1.0 / second)
-        found.append(lfilter([1.0 - other], [1.0, -other], first))
-    return np.array(found)
+    rise = np.where(k > 0, pole ** np.maximum(k - 1.0, 0.0), 0.0) * (1.0 if math.isinf(lag) else 1.0 - pole)
+    first = filtered(spectrum(inputs), n, rise)
+    others = [math.exp(-1.0 / second) for second in second_lags(lag)[1:]]
+    passed = spectrum(first)
+    return np.array([first, *(filtered(passed, n, (1.0 - other) * other**k) for other in others)])
 
 
-def whitened(
-    record: Prepared, moved: FloatArray, lag: float, model: LoadModel, dead_times: tuple[float, ...]
-) -> Whitened:
-    """Least squares under one load. moved : `responses` of co to this lag, shape (m, n) with the second lags first."""
-    from scipy.signal import lfilter
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """pv and what inputs do to it through one first lag, as spectra; shape (1 + inputs, ...). n : samples."""
 
-    n = len(record.pv)
-    signals = lfilter(model.a, model.c, np.vstack([record.pv, moved]))
-    basis = _starts(n, lag, model)
-    y = signals[0] - basis @ (basis.T @ signals[0])
-    padded = np.concatenate([np.zeros((len(moved), _PAD)), signals[1:]], axis=1)
-    delayed = np.empty((len(moved), len(dead_times), n))
+    spectra: ComplexArray
+    lag: float
+    n: int
+    resolution: float
+
+    @classmethod
+    def of(cls, record: Prepared, moved: FloatArray, lag: float) -> "Signals":
+        """moved : shape (inputs, n), of `responses`."""
+        return cls(spectrum(np.vstack([record.pv, moved])), lag, len(record.pv), record.resolution)
+
+
+def whitened(signals: Signals, model: LoadModel, dead_times: tuple[float, ...]) -> Whitened:
+    """Least squares under one load."""
+    n = signals.n
+    white, basis = _whitening(n, signals.lag, model)
+    rows = np.fft.irfft(signals.spectra * white, _length(n))[:, :n]
+    y = rows[0] - basis @ (basis.T @ rows[0])
+    padded = np.concatenate([np.zeros((len(rows) - 1, _PAD)), rows[1:]], axis=1)
+    delayed = np.empty((len(rows) - 1, len(dead_times), n))
     for i, dead in enumerate(dead_times):
         whole, part = int(dead), dead - int(dead)
         at = _PAD - whole
@@ -146,27 +190,31 @@ def whitened(
     flat = delayed.reshape(-1, n)
     along = flat @ np.column_stack([y, basis])
     information = np.einsum("ij,ij->i", flat, flat) - np.sum(along[:, 1:] ** 2, axis=1)
-    information = np.maximum(information, 1e-12 * float(np.max(information, initial=0.0)) + 1e-300)
+    information = np.maximum(information, LEAST_SHARE * float(np.max(information, initial=0.0)) + LEAST_INFORMATION)
     gain = along[:, 0] / information
     freedom = n - basis.shape[1]
-    floor = freedom * record.resolution**2
-    left = np.maximum(y @ y - gain * along[:, 0], 0.0) + floor
-    form = (len(moved), len(dead_times))
+    left = np.maximum(y @ y - gain * along[:, 0], 0.0) + freedom * signals.resolution**2
+    form = (len(rows) - 1, len(dead_times))
     return Whitened(gain.reshape(form), information.reshape(form), left.reshape(form), freedom)
 
 
-@lru_cache(maxsize=2048)
-def _starts(n: int, lag: float, model: LoadModel) -> FloatArray:
-    """What the unknown start of the filter and of the second lags adds to whitened records: orthonormal columns."""
-    from scipy.signal import lfilter
+LEAST_SHARE, LEAST_INFORMATION = 1e-12, 1e-300
+"""Below this an input says nothing of the gain: as a share of the most that one says, and in itself."""
 
-    impulse = np.zeros(n)
-    impulse[0] = 1.0
-    memory = lfilter([1.0], model.c, impulse)
+
+@lru_cache(maxsize=1024)
+def _whitening(n: int, lag: float, model: LoadModel) -> tuple[ComplexArray, FloatArray]:
+    """The whitening filter as a spectrum, and what unknown starts add to what it gives: orthonormal columns.
+
+    Starts of the filter itself and of the second lags; that of the first lag is in the filter.
+    """
+    white = spectrum(impulse_response(model.a, model.c, n))
+    memory = impulse_response((1.0,), model.c, n)
     columns = [np.concatenate([np.zeros(i), memory[: n - i]]) for i in range(len(model.a) - 1)]
     rows = np.arange(n)
-    columns += [lfilter(model.a, model.c, np.exp(-rows / second)) for second in second_lags(lag)[1:]]
-    return np.asarray(np.linalg.qr(np.array(columns).T)[0], dtype=np.float64)
+    falls = [np.exp(-rows / second) for second in second_lags(lag)[1:]]
+    columns += [np.fft.irfft(spectrum(fall) * white, _length(n))[:n] for fall in falls]
+    return white, np.asarray(np.linalg.qr(np.array(columns).T)[0], dtype=np.float64)
 
 
 def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatArray:
@@ -179,8 +227,9 @@ def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatA
     found, at = np.empty((len(shapes()), len(DEAD_TIMES), len(GAINS))), 0
     for lag in LAGS:
         moved = responses(record.co, lag)
+        signals = Signals.of(record, moved, lag)
         fits = [
-            whitened(record, moved, lag, load_model(lag, bandwidth, order), DEAD_TIMES)
+            whitened(signals, load_model(lag, bandwidth, order), DEAD_TIMES)
             for order in ORDERS
             for bandwidth in BANDWIDTHS
         ]
