@@ -113,7 +113,7 @@ def diagnose_records(
     if known is not None:
         odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
     under_walk = _under_walk(walk, odds, sum(_shapes(f, settings) for _, f in open_ones), settings)
-    under_steps, weight = _under_steps(open_ones, under_walk, walk)
+    under_steps, weight = _under_steps(open_ones, under_walk, walk, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
     causes = _mixed(under_steps, under_walk, weight, most)
     return _verdict(told, causes, weight, odds, walk, open_ones, settings, sure=gains is not None)
@@ -181,7 +181,7 @@ def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: Od
 
 
 def _under_steps(
-    open_ones: Sequence[tuple[Window, Found]], under_walk: Mapping[Cause, float], walk: Walk
+    open_ones: Sequence[tuple[Window, Found]], under_walk: Mapping[Cause, float], walk: Walk, settings: OddsSettings
 ) -> tuple[dict[Cause, float], float]:
     """Odds where loads are steps or a tone, over the records in which that is likely; and how likely it is there."""
     total: dict[Cause, float] = {}
@@ -190,7 +190,7 @@ def _under_steps(
         told = found.diagnosis
         if told.cause == Cause.UNKNOWN:
             continue
-        weight = _weight_of_steps(found, walk)
+        weight = _weight_of_steps(found, walk, settings)
         others = 1.0 - under_walk.get(told.cause, 0.0)
         shares = {c: (1 - told.confidence) * p / max(others, 1e-9) for c, p in under_walk.items() if c != told.cause}
         shares[told.cause] = told.confidence
@@ -208,13 +208,16 @@ BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The fit that a verdict rests on; the loop by itself for all others."""
 
 
-def _weight_of_steps(found: Found, walk: Walk) -> float:
+def _weight_of_steps(found: Found, walk: Walk, settings: OddsSettings) -> float:
     """Probability that loads are the steps, or the tone, of a verdict, against a load that wanders."""
     fit = found.fits.get(BEHIND.get(found.diagnosis.cause, "linear"))
     if fit is None:
-        return HALF
-    samples = len(fit.fit.misfit.record.pv)
-    lead = samples * (_per_sample(fit, samples, walk) - walk.best)
+        return settings.tone_alone if found.diagnosis.cause == Cause.EXTERNAL else HALF
+    record = fit.fit.misfit.record
+    lead = len(record.pv) * (_per_sample(fit, len(record.pv), walk) - walk.best)
+    white = fit.colour.std <= settings.noise_left * record.noise_std
+    if white and fit.fit.misfit.loads <= settings.few_loads:
+        lead = max(lead, 0.0)
     return 1.0 / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
 
 
@@ -229,7 +232,7 @@ def _per_sample(fit: Candidate, samples: int, walk: Walk) -> float:
     block = max(walk.record.sample_time_s / misfit.record.sample_time_s, 1.0)
     variance = left / block + walk.record.resolution**2
     numbers = OWN_PRICE + STEP_PRICE * misfit.loads + 2 * misfit.harmonics
-    return -0.5 * math.log(variance * samples) - numbers * math.log(samples) / (2 * samples)
+    return -0.5 * math.log(variance * len(walk.record.pv)) - numbers * math.log(samples) / (2 * samples)
 
 
 def _mixed(steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: float, most: float) -> dict[Cause, float]:

@@ -21,8 +21,10 @@ class OddsSettings:
         (9 of 25 sticking valves named, 2 of 75 other loops, under real loads). stands_slips : the same where pv stands
         while co travels and then slips; 10 to 100, default 40 (no false alarm on 31 healthy tags and 250 further
         records). stands : where it stands and a drifting load may do so too; 2 to 30, default 10.
-    noise_left : what a fit with load steps may leave, in times the noise, and be as likely as not where a load that
-        wanders explains the record as well; 1 to 1.5, default 1.15.
+    noise_left : what a fit with few_loads load steps or fewer may leave, in times the noise, and be at least as likely
+        as not, however well a load that wanders does; 1 to 1.5, default 1.15. few_loads : 0 to 4, default 2.
+    tone_alone : probability of a tone from outside where nothing else is in the record; 0.5 to 0.95, default 0.8: one
+        tone never identifies a process.
     most : no probability is told larger; 0.9 to 0.99, default 0.97: more was never counted.
     more_odds : odds of a cause that asks for more gain from which settings are given; 0.5 to 0.9, default 0.6.
         less_odds : of one that asks for less; default 0.65.
@@ -40,6 +42,8 @@ class OddsSettings:
     stands_slips: float = 40.0
     stands: float = 10.0
     noise_left: float = 1.15
+    few_loads: int = 2
+    tone_alone: float = 0.8
     most: float = 0.97
     more_odds: float = 0.6
     less_odds: float = 0.65
