@@ -34,6 +34,7 @@ from retuner.adaptive.explanations.settings_by_odds import (
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES, TEMPER, Prepared, log_likelihood
+from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition, record_condition
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -186,11 +187,14 @@ def _under_steps(
     """Odds where loads are steps or a tone, over the records in which that is likely; and how likely it is there."""
     total: dict[Cause, float] = {}
     most = 0.0
-    for _, found in open_ones:
+    for window, found in open_ones:
         told = found.diagnosis
-        if told.cause == Cause.UNKNOWN:
+        tone = _one_tone(window, found, settings)
+        if told.cause == Cause.UNKNOWN and not tone:
             continue
-        weight = _weight_of_steps(found, walk, settings)
+        if told.cause == Cause.UNKNOWN:
+            told = replace(told, cause=Cause.EXTERNAL, confidence=HALF)
+        weight = max(_weight_of_steps(found, walk, settings), tone)
         others = 1.0 - under_walk.get(told.cause, 0.0)
         shares = {c: (1 - told.confidence) * p / max(others, 1e-9) for c, p in under_walk.items() if c != told.cause}
         shares[told.cause] = told.confidence
@@ -203,6 +207,25 @@ def _under_steps(
     odds = {cause: math.exp(value - top) for cause, value in total.items()}
     return {cause: value / sum(odds.values()) for cause, value in odds.items()}, most
 
+
+def _one_tone(window: Window, found: Found, settings: OddsSettings) -> float:
+    """How far a record is one lasting tone and nothing else, 0 to 1: one tone identifies no process, whatever fits it.
+
+    A setpoint step is something else. A loop near instability under a real load wanders in amplitude and phase.
+    """
+    if setpoint_changes(window) or not _lasts(found):
+        return 0.0
+    share = found.diagnosis.evidence.get("tone_share", 0.0)
+    return min(max((share - settings.tone_from) / (settings.tone_to - settings.tone_from), 0.0), 1.0)
+
+
+def _lasts(found: Found) -> bool:
+    """Whether an oscillation lasts. Without a setpoint step a load that oscillates may be all of it: no settings."""
+    return found.diagnosis.evidence.get("regularity", 0.0) > REGULAR
+
+
+REGULAR = 1.0
+"""Regularity (Thornhill et al. 2003) from which an oscillation lasts."""
 
 BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The fit that a verdict rests on; the loop by itself for all others."""
@@ -268,7 +291,9 @@ def _verdict(
     test, worth = None, None
     if odds is not None:
         evidence |= _ms_range(odds)
-        worth = _settings(causes, odds, settings) if sure and cause in TUNING_CAUSES else None
+        swings = not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
+        if sure and cause in TUNING_CAUSES and not swings:
+            worth = _settings(causes, odds, settings)
         if p < settings.undecided:
             error = open_ones[0][0].sp - open_ones[0][0].pv
             test = _next(odds, walk, float(np.std(error)))
