@@ -220,7 +220,7 @@ def _one_tone(window: Window, found: Found, settings: OddsSettings) -> float:
 
 
 def _lasts(found: Found) -> bool:
-    """Whether an oscillation lasts. Without a setpoint step a load that oscillates may be all of it: no settings."""
+    """Whether an oscillation lasts."""
     return found.diagnosis.evidence.get("regularity", 0.0) > REGULAR
 
 
@@ -285,15 +285,18 @@ def _verdict(
     """
     cause, p = next(iter(causes.items()))
     shares = {str(c): q for c, q in causes.items()}
-    if weight >= HALF and told.diagnosis.cause == cause:
-        return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
+    by_steps = weight >= HALF and told.diagnosis.cause == cause
+    worth = _settings(causes, odds, settings) if odds is not None and sure and not _swings_alone(open_ones) else None
+    if by_steps:
+        worth = worth if told.tuning is None else None
+        verdict = replace(
+            told.diagnosis, confidence=p, causes=shares, settled=told.diagnosis.settled or worth is not None
+        )
+        return OddsFound(replace(told, diagnosis=verdict), odds, worth)
     evidence = dict(told.diagnosis.evidence)
-    test, worth = None, None
+    test = None
     if odds is not None:
         evidence |= _ms_range(odds)
-        swings = not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
-        if sure and cause in TUNING_CAUSES and not swings:
-            worth = _settings(causes, odds, settings)
         if p < settings.undecided:
             error = open_ones[0][0].sp - open_ones[0][0].pv
             test = _next(odds, walk, float(np.std(error)))
@@ -311,8 +314,15 @@ def _next(odds: TuningOdds, walk: Walk, error_std: float) -> DecidingTest | None
     return deciding_test(odds, walk.record, error_std)
 
 
+def _swings_alone(open_ones: Sequence[tuple[Window, Found]]) -> bool:
+    """Whether an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it."""
+    return not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
+
+
 def _settings(causes: Mapping[Cause, float], odds: TuningOdds, settings: OddsSettings) -> Worthwhile | None:
-    """Settings worth having, where the odds that they are asked for are large enough."""
+    """Settings worth having, where tuning is the cause and the odds that they are asked for are large enough."""
+    if next(iter(causes)) not in TUNING_CAUSES:
+        return None
     less = causes.get(Cause.AGGRESSIVE, 0.0) + causes.get(Cause.SLOW_INTEGRATING, 0.0)
     more = causes.get(Cause.SLUGGISH, 0.0)
     found = worthwhile(odds, settings.worth)

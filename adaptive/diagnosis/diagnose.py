@@ -75,7 +75,7 @@ def rival_verdict(
         return None
     if tone_left > settings.rival_explains and cause == Cause.EXTERNAL:
         return _neither(evidence, settings)
-    if cause == Cause.EXTERNAL and not _helps(evidence, settings):
+    if cause == Cause.EXTERNAL and not (_helps(evidence, settings) and _moves_pv(tone, evidence, settings)):
         return None
     apart = abs(math.log(stuck_left / tone_left / (1 if cause == Cause.EXTERNAL else allowed)))
     confidence = 0.5 + 0.5 * math.tanh(min(leads[cause] / needed / 2, 4 * apart))
@@ -93,6 +93,17 @@ def _helps(evidence: dict[str, float], settings: DiagnosisSettings) -> bool:
     """
     left, without = evidence["external_left"], evidence["linear_left"]
     return left <= settings.tone_explains or left < settings.tone_as_good * without
+
+
+def _moves_pv(tone: Candidate, evidence: Mapping[str, float], settings: DiagnosisSettings) -> bool:
+    """Whether a tone is what moves pv, and the loop's own setpoint responses do not swing anyway."""
+    own = evidence.get("setpoint_steps", 0.0) > 0 and evidence.get("overshoot", 0.0) > settings.most_overshoot
+    return _amplitude(tone) >= settings.tone_size * float(np.std(tone.fit.misfit.record.pv)) and not own
+
+
+def _amplitude(tone: Candidate) -> float:
+    """Of a tone's first harmonic in pv, pv units."""
+    return float(np.hypot(*tone.fit.at.c[tone.fit.at.priors + tone.fit.misfit.loads :][:2]))
 
 
 def _period_s(tone: Candidate) -> float:
@@ -317,8 +328,8 @@ def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found
     period_s = _period_s(tone)
     if told.diagnosis.cause != Cause.UNKNOWN or _left(tone) > settings.tone_explains:
         return told
-    size = np.hypot(*tone.fit.at.c[tone.fit.at.priors + tone.fit.misfit.loads :][:2])
-    if record.span_s < settings.tone_cycles * period_s or size < settings.tone_size * float(np.std(record.pv)):
+    small = _amplitude(tone) < settings.tone_size * float(np.std(record.pv))
+    if record.span_s < settings.tone_cycles * period_s or small:
         return told
     reason = (
         f"an external oscillation with a period of {period_s:.3g} s explains the record; the loop by itself, with "
@@ -331,9 +342,9 @@ def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found
 def _of_setpoint(window: Window, tone: Candidate) -> bool:
     """Whether a tone is the setpoint's own: it repeats with the same period, and so does what it moves."""
     period_s = _period_s(tone)
-    moves = window.sp - float(np.mean(window.sp))
-    if not np.any(moves):
+    if not np.ptp(window.sp):  # a mean of equal numbers is not always that number
         return False
+    moves = window.sp - float(np.mean(window.sp))
     t = window.t_s - window.t_s[0]
     turns = [f(2 * math.pi * i * t / period_s) for i in range(1, SETPOINT_HARMONICS + 1) for f in (np.cos, np.sin)]
     q, _ = np.linalg.qr(np.stack([np.ones_like(t), *turns], axis=1))

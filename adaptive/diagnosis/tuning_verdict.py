@@ -25,6 +25,7 @@ from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
 from retuner.adaptive.fit.structure import model_at
+from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
 from retuner.adaptive.identification.identify import FEWEST_SAMPLES_IN_THETA, TWO_WAYS, Fits, FitSettings, estimate_of
@@ -87,6 +88,8 @@ def linear_verdict(
 ) -> Found:
     """The loop by itself explains the record best: is it the tuning?"""
     estimate = estimate_of(found, float(window.t_s[0]), {}, settings.fit)
+    if setpoint_changes(window):  # a load whose time is not known bounds no dead time
+        estimate = bounded(window, estimate, settings.fit)
     events = evidence.get("setpoint_steps", 0.0) + evidence["loads"]
     if not events:
         return Found(_undisturbed(window, estimate, evidence, oscillates), estimate, fits=fits)
@@ -127,7 +130,7 @@ def _in_order(loop: Loop, found: Found) -> Found:
     is explained by models on all of which the loop is robust. How fast it could be they do not say.
     """
     verdict, settings = found.diagnosis, loop.settings
-    if not setpoint_changes(loop.window) or verdict.evidence.get("overshoot", 0.0) > settings.most_overshoot:
+    if not setpoint_changes(loop.window) or verdict.evidence.get("overshoot", math.inf) > settings.most_overshoot:
         return found
     estimate = estimate_of(loop.fits.barred, float(loop.window.t_s[0]), {}, FitSettings())
     few = len(estimate.load_times_s) < settings.many_loads_beside

@@ -22,6 +22,10 @@ BENT = 1 - 2 / math.pi
 """Variance of |u| for a standard normal u: what moves the same way on both sides, as a lag does at two equal ones."""
 
 
+ROUNDING = 1e-9
+"""Negative eigenvalues up to this share of the largest entry are rounding: a row of zeros is no fault."""
+
+
 def proper_covariance(p: FloatArray) -> FloatArray:
     """The nearest symmetric matrix whose eigenvalues are at least SMALLEST_VARIANCE; shapes (n, n)."""
     values, vectors = np.linalg.eigh((p + p.T) / 2)
@@ -59,7 +63,7 @@ class LogModel:
             raise ValueError(f"shapes {self.x.shape}, {self.p.shape}; type {self.type} has ({d},), ({d}, {d})")
         if not (np.all(np.isfinite(self.x)) and np.all(np.isfinite(self.p))):
             raise ValueError("the estimate is not finite")
-        if np.min(np.linalg.eigvalsh((self.p + self.p.T) / 2)) < 0:
+        if np.min(np.linalg.eigvalsh((self.p + self.p.T) / 2)) < -ROUNDING * max(float(np.max(np.abs(self.p))), 1.0):
             raise ValueError("the covariance has a negative eigenvalue")
 
     def model(self) -> ProcessModel:

@@ -22,6 +22,8 @@ FEWEST_SAMPLES = 8
 """Samples that a response needs to have peaks."""
 AT_REST = 0.3
 """The error before a step, as a share of the step, up to which the loop was at rest enough."""
+RAMP, RAMP_GAP = 6, 2
+"""Rows of a step that a historian has interpolated, at the most, and from one row that changes to the next."""
 MOST_STEPS = 0.05
 """When the setpoint changes in a larger share of the samples it moves all the time and has no steps."""
 
@@ -42,21 +44,43 @@ class SetpointResponses:
 def setpoint_responses(sp: FloatArray, pv: FloatArray) -> SetpointResponses | None:
     """Read the responses of a record, shapes (n,); None when there is no readable setpoint step."""
     sigma = noise_sigma(pv)
-    changes = np.flatnonzero(np.diff(sp)) + 1
-    if not changes.size or changes.size > max(MOST_STEPS * len(sp), 1.0):
+    changes = _steps(sp)
+    if not changes or len(changes) > max(MOST_STEPS * len(sp), 1.0):
         return None
     read = []
-    for start, end in zip(changes, [*changes[1:], len(sp)], strict=True):
-        step = float(sp[start] - sp[start - 1])
+    for (start, last), end in zip(changes, [*(first for first, _ in changes[1:]), len(sp)], strict=True):
+        step = float(sp[last] - sp[start - 1])
         rest = abs(float(sp[start - 1] - pv[start - 1])) - PEAK_BAND * sigma
-        if abs(step) > STEP_BAND * sigma and end - start >= FEWEST_SAMPLES and rest <= AT_REST * abs(step):
-            read.append(_response((sp[start:end] - pv[start:end]) / step, PEAK_BAND * sigma / abs(step)))
+        if abs(step) > STEP_BAND * sigma and end - last >= FEWEST_SAMPLES and rest <= AT_REST * abs(step):
+            error = (sp[last:end] - pv[last:end]) / step
+            if not _cut_short(error):
+                read.append(_response(error, PEAK_BAND * sigma / abs(step)))
     if not read:
         return None
     damped = [d for _, d in read if d is not None]
     return SetpointResponses(
         len(read), float(np.median([o for o, _ in read])), float(np.median(damped)) if damped else None
     )
+
+
+def _steps(sp: FloatArray) -> list[tuple[int, int]]:
+    """First and last row of each step: rows of one direction that follow within RAMP rows are one step, as historians
+    interpolate it.
+    """
+    moves = np.diff(sp)
+    found: list[tuple[int, int]] = []
+    for row in (np.flatnonzero(moves) + 1).tolist():
+        joined = found and row - found[-1][1] <= RAMP_GAP and row - found[-1][0] < RAMP
+        if joined and moves[row - 1] * moves[found[-1][0] - 1] > 0:
+            found[-1] = (found[-1][0], row)
+        else:
+            found.append((row, row))
+    return found
+
+
+def _cut_short(e: FloatArray) -> bool:
+    """Whether a response ends, by the next step or with the record, before pv has come near its setpoint."""
+    return not np.any(e < AT_REST)
 
 
 def _response(e: FloatArray, band: float) -> tuple[float, float | None]:

@@ -29,9 +29,9 @@ UNITS = (
     "|m3/h|m³/h|m3/s|m³/s|Nm3/h|Nm³/h|gpm|kg/s|kg/h|t/h|rpm|1/min|m/s|mm/s|mV|V|mA|A|W|kW|MW|Hz|kg|t|pH|ppm|mS/cm|s|min"
 )
 """Units that may stand beside a value in its field."""
-WITH_UNIT = re.compile(rf"(?P<number>[+-]?[0-9.,]*[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?) *(?P<unit>{UNITS})")
+WITH_UNIT = re.compile(rf"(?P<number>[+-]?[.,]*[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?) *(?P<unit>{UNITS})")
 VALUE = re.compile(
-    r"[+-]?[0-9.,]*[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?"  # a number, with any point
+    r"[+-]?[.,]*[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?"  # a number, with any point
     rf"(?: *(?:{UNITS}))?"
     r"|[0-9]{1,4}[-/.][0-9A-Za-z]{1,9}[-/.][0-9]{1,4}.*"  # a date, with or without the time
     r"|[0-9]{1,2}:[0-9]{2}.*"  # a time of day
