@@ -287,12 +287,8 @@ def _verdict(
     shares = {str(c): q for c, q in causes.items()}
     by_steps = weight >= HALF and told.diagnosis.cause == cause
     worth = _settings(causes, odds, settings) if odds is not None and sure and not _swings_alone(open_ones) else None
-    if by_steps:
-        worth = worth if told.tuning is None else None
-        verdict = replace(
-            told.diagnosis, confidence=p, causes=shares, settled=told.diagnosis.settled or worth is not None
-        )
-        return OddsFound(replace(told, diagnosis=verdict), odds, worth)
+    if by_steps and (told.tuning is not None or worth is None):
+        return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = dict(told.diagnosis.evidence)
     test = None
     if odds is not None:

@@ -26,8 +26,9 @@ from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.sample import Window
 
 LEAST_LAG = 0.5
-"""Sampling intervals in a lag that shows itself; a shorter one is no more known than the dead time, and where there is
-none at all (an integrating process) the gain would rest on the bound alone."""
+"""Sampling intervals in a lag that shows itself; a shorter one is no more known than the dead time."""
+CALM = 2.0
+"""Bounds that the dead time of an integrating process counts as: both of its settings rest on the bound alone."""
 
 
 BELIEVED = 1.5
@@ -37,9 +38,11 @@ BELIEVED = 1.5
 def bounded(window: Window, estimate: ModelEstimate, settings: FitSettings) -> ModelEstimate:
     """The estimate with a dead time of one sampling interval, where that is all that it lacks; else as it is."""
     dt, model = window.sample_time_s, estimate.log.model()
-    limit = FEWEST_SAMPLES_IN_THETA * dt
     short = without_second_lag(model)
-    if estimate.identifiable or short.theta_s >= limit or short.tau1_s < LEAST_LAG * dt:
+    integrates = bool(model.linear().integrators)
+    limit = (CALM if integrates else 1.0) * FEWEST_SAMPLES_IN_THETA * dt
+    quick = not integrates and short.tau1_s < LEAST_LAG * dt
+    if estimate.identifiable or short.theta_s >= FEWEST_SAMPLES_IN_THETA * dt or quick:
         return estimate
     if any(without_second_lag(p.model).theta_s > BELIEVED * limit for p in estimate.plausible):
         return estimate

@@ -30,7 +30,9 @@ from enum import StrEnum
 
 import numpy as np
 
+from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.fit.refine import Prior
+from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.candidate import Candidate, load_price, with_priors
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of, inflation_of
@@ -178,7 +180,8 @@ def update_region_model(
     through = through_valve(window, sign, fits, fit)
     if through is not None:
         window, fits = through.window, through.fits
-    record = NewRecord(window, fits.free, _estimate(fits, in_force, settings, fit), at, settings, fit)
+    alone = _seen_or_bounded(window, _estimate(fits, in_force, settings, fit), fit)
+    record = NewRecord(window, fits.free, alone, at, settings, fit)
     learned = _taken_in(region_model, record, in_force)
     return learned if through is None else replace(learned, valve=through.seen)
 
@@ -221,6 +224,11 @@ def _estimate(fits: Fits, in_force: PidGains, settings: TrackerSettings, fit: Fi
     both = (alone.log.model(), alone.rival.model)
     in_danger = all(sensitivity_peak(model.linear(), in_force) > settings.danger_ms for model in both)
     return fits.estimate(whatever_loads=True) if in_danger else alone
+
+
+def _seen_or_bounded(window: Window, estimate: ModelEstimate, fit: FitSettings) -> ModelEstimate:
+    """The estimate; where a setpoint step shows a dead time too short to be seen, with one of a sampling interval."""
+    return bounded(window, estimate, fit) if setpoint_changes(window) else estimate
 
 
 def _agreed(
@@ -330,7 +338,8 @@ def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: N
     least = _loads_at_least(record)
     again = with_priors(record.found, roots, inflation_of, least)
     summed = [replace(c, criterion=c.criterion + before[c.fit.misfit.type]) for c in again]
-    estimate = estimate_of(sorted(summed, key=lambda c: c.criterion), float(record.window.t_s[0]), roots, fit)
+    fitted = estimate_of(sorted(summed, key=lambda c: c.criterion), float(record.window.t_s[0]), roots, fit)
+    estimate = _seen_or_bounded(record.window, fitted, fit)
     after = []
     for alternative in estimate.alternatives:
         type_ = alternative.log.type
