@@ -132,7 +132,7 @@ def phase_crossovers(loop: OpenLoop, w: FloatArray) -> list[float]:
         def miss(x: float, target: float = target) -> float:
             return loop.phase_at(x) - target
 
-        found.append(_between(miss, float(w[i]), float(w[i + 1])))
+        found.append(float(_between(miss, float(w[i]), float(w[i + 1]))))
     return found
 
 

@@ -34,6 +34,28 @@ class ProcessType(StrEnum):
     TOPDT = "topdt"
 
 
+def _type_named(name: str) -> ProcessType:
+    """The structure of that name.
+
+    Raises
+    ------
+    ValueError
+        There is none; the message has the list.
+    """
+    try:
+        return ProcessType(name)
+    except ValueError:
+        raise ValueError(f"type = {name!r} is no process type; use one of {', '.join(ProcessType)}") from None
+
+
+def _plain(of: object, *names: str) -> None:
+    """Make numbers of numpy plain ones: a repr then shows numbers, and JSON takes them."""
+    for name in names:
+        value = getattr(of, name)
+        if type(value) is not float:
+            object.__setattr__(of, name, float(value))
+
+
 @dataclass(frozen=True, slots=True)
 class LinearProcess:
     """A linear process of any order with dead time: what a plant truly is at one operating point.
@@ -60,6 +82,10 @@ class LinearProcess:
     quadratics: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
+        _plain(self, "k", "theta_s")
+        for name in ("lags_s", "leads_s"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        object.__setattr__(self, "quadratics", tuple((float(c1), float(c2)) for c1, c2 in self.quadratics))
         for name, value in (
             ("k", self.k),
             ("theta_s", self.theta_s),
@@ -99,7 +125,7 @@ class ProcessModel:
 
     Parameters
     ----------
-    type : structure.
+    type : structure, or its name.
     k : steady-state gain, or k', k'' for one or two integrators.
     tau1_s, tau2_s : lags, tau1_s >= tau2_s; 0 where the structure has none. For integrating-lag the lag is tau2_s.
     theta_s : (effective) dead time.
@@ -111,7 +137,7 @@ class ProcessModel:
     Raises
     ------
     ValueError
-        A value is not finite, of the wrong sign, or the structure has no place for it.
+        There is no such structure, a value is not finite, of the wrong sign, or the structure has no place for it.
     """
 
     type: ProcessType
@@ -124,6 +150,9 @@ class ProcessModel:
     tau3_s: float = 0.0
 
     def __post_init__(self) -> None:
+        if type(self.type) is not ProcessType:
+            object.__setattr__(self, "type", _type_named(self.type))
+        _plain(self, "k", "tau1_s", "tau2_s", "theta_s", "zeta", "inverse_s", "tau3_s")
         LinearProcess(self.k, (self.tau1_s, self.tau2_s), (), self.theta_s)
         second = self.type in {ProcessType.SOPDT, ProcessType.SOPDT_INVERSE, ProcessType.TOPDT}
         has_tau1 = second or self.type == ProcessType.FOPDT
