@@ -4,7 +4,7 @@ The results of this room are values; words and pictures are the hall's, which sa
 """
 
 from collections.abc import Callable
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 
 class Shows(Protocol):
@@ -15,6 +15,9 @@ class Shows(Protocol):
 
     def html(self, result: object) -> str:
         """The result with its picture, as a part of an HTML page."""
+
+    def figure(self, result: object) -> Any:  # noqa: ANN401  matplotlib's Figure, which this room does not know
+        """The picture of the result."""
 
 
 _module: list[Callable[[], Shows]] = []
@@ -33,3 +36,14 @@ def text(result: object) -> str:
 def html(result: object) -> str:
     """A result as a part of an HTML page."""
     return _module[0]().html(result)
+
+
+def figure(result: object) -> Any:  # noqa: ANN401  matplotlib's Figure, which this room does not know
+    """The picture of a result.
+
+    Raises
+    ------
+    ValueError
+        There is nothing to draw: the record was not kept.
+    """
+    return _module[0]().figure(result)

@@ -66,7 +66,7 @@ def way(co: FloatArray) -> float:
 
 
 def even(window: Window, most: int = MOST_SAMPLES) -> Window:
-    """The newest of the record on an even grid of its usual interval; sp and co are held, pv runs on between samples."""
+    """The newest of the record on an even grid of its usual interval; sp and co are held, pv is interpolated."""
     dt_s, end = window.sample_time_s, float(window.t_s[-1])
     n = min(max(round((end - float(window.t_s[0])) / dt_s), 2) + 1, most)
     t_s = np.maximum(end - dt_s * np.arange(n - 1, -1, -1, dtype=np.float64), window.t_s[0])

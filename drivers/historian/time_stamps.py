@@ -14,12 +14,16 @@ from types import MappingProxyType
 from zoneinfo import ZoneInfo
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.record_form import TIME_UNITS, RecordForm
 from retuner.drivers.recorded.recording import NUMBER, RecordingError
 
+Numbers = Sequence[float] | npt.NDArray[np.floating]
+Times = Numbers | Sequence[datetime] | npt.NDArray[np.datetime64] | npt.NDArray[np.timedelta64]
+"""Seconds, or moments."""
 DATES = (
     "%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y",
     "%d/%m/%y", "%m/%d/%y", "%d-%m-%y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%b %d %Y", "%b %d, %Y", "%Y%m%d",
@@ -297,3 +301,22 @@ def _seconds(moment: datetime, zone: ZoneInfo | None, last: float) -> float:
         return (moment - EPOCH).total_seconds()
     early, late = ((moment.replace(tzinfo=zone, fold=fold) - EPOCH).total_seconds() for fold in (0, 1))
     return late if early <= last < late else early
+
+
+def seconds(t: Times) -> npt.NDArray[np.float64]:
+    """Times as seconds: numbers are seconds already, moments count from the first one."""
+    values = np.asarray(t)
+    if values.dtype.kind == "O":  # Python's own moments; numpy knows those without a zone
+        values = np.array([np.datetime64(_moment(v), "us") for v in values])
+    if values.dtype.kind == "M":
+        values = values - values[:1]
+    if values.dtype.kind == "m":
+        return values / np.timedelta64(1, "s")
+    return values.astype(np.float64)
+
+
+def _moment(value: object) -> datetime:
+    """A moment without its zone, in UTC if it had one."""
+    if not isinstance(value, datetime):
+        raise ValueError(f"t = {value!r}: give seconds or moments")  # noqa: TRY004  any wrong value is a ValueError here
+    return value if value.tzinfo is None else value.astimezone(UTC).replace(tzinfo=None)

@@ -59,6 +59,8 @@ if TYPE_CHECKING:
     from retuner.schedule.table import GainTable as GainTable
     from retuner.schedule.table import Lookup as Lookup
     from retuner.scheduling import design_schedule as design_schedule
+    from retuner.simulation.loop_trend import LoopTrend as LoopTrend
+    from retuner.simulation.simulate import simulate as simulate
     from retuner.tuning import TuneResult as TuneResult
     from retuner.tuning import tune as tune
 
@@ -77,6 +79,7 @@ __all__ = [
     "Lookup",
     "LoopMode",
     "LoopSample",
+    "LoopTrend",
     "Mode",
     "PidController",
     "PidGains",
@@ -102,6 +105,7 @@ __all__ = [
     "reduce",
     "remember",
     "restore",
+    "simulate",
     "to_control",
     "to_ideal",
     "to_scipy",
@@ -133,6 +137,8 @@ _HOMES = {
     "schedule.regions": ("Regions",),
     "schedule.table": ("GainTable", "Lookup"),
     "scheduling": ("design_schedule",),
+    "simulation.loop_trend": ("LoopTrend",),
+    "simulation.simulate": ("simulate",),
     "tuning": ("TuneResult", "tune"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from os import PathLike
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +26,12 @@ from retuner.adaptive.signals.sample import Window
 from retuner.drivers.historian.frames import is_frame
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
+from retuner.drivers.historian.time_stamps import Numbers, Times, seconds
 from retuner.schedule.gains import PidGains
 from retuner.tuning import TuneResult
 
-Numbers = Sequence[float] | npt.NDArray[np.floating]
-Times = Numbers | Sequence[datetime] | npt.NDArray[np.datetime64] | npt.NDArray[np.timedelta64]
-"""Seconds, or moments."""
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Frame(Protocol):
@@ -86,6 +85,21 @@ class Identification:
     def model(self) -> ProcessModel | None:
         """The process, None where the record does not say enough."""
         return self.estimate.log.model() if self.estimate.identifiable else None
+
+    @property
+    def recommended(self) -> PidGains | None:
+        """The settings that follow."""
+        return self.settings.gains if self.settings is not None else None
+
+    @property
+    def margins(self) -> Margins | None:
+        """What these settings leave on the best model."""
+        return self.settings.margins if self.settings is not None else None
+
+    def plot(self) -> "Figure":
+        """The picture that a notebook shows; ValueError where the record was not kept."""
+        figure: Figure = shown.figure(self)
+        return figure
 
     def to_dict(self) -> dict[str, object]:
         """Keys identifiable, model, std, gains, margins, aim, step_reason, margins_in_force, reason, loads, ..."""
@@ -203,25 +217,6 @@ def window_of(
         raise ValueError("give t, sp, pv and co, or a record of retuner.read")
     setpoint, value, output = (np.asarray(v, dtype=np.float64) for v in (sp, pv, co))
     return Window(seconds(cast("Times", t)), setpoint, value, output)
-
-
-def seconds(t: Times) -> npt.NDArray[np.float64]:
-    """Times as seconds: numbers are seconds already, moments count from the first one."""
-    values = np.asarray(t)
-    if values.dtype.kind == "O":  # Python's own moments; numpy knows those without a zone
-        values = np.array([np.datetime64(_moment(v), "us") for v in values])
-    if values.dtype.kind == "M":
-        values = values - values[:1]
-    if values.dtype.kind == "m":
-        return values / np.timedelta64(1, "s")
-    return values.astype(np.float64)
-
-
-def _moment(value: object) -> datetime:
-    """A moment without its zone, in UTC if it had one."""
-    if not isinstance(value, datetime):
-        raise ValueError(f"t = {value!r}: give seconds or moments")  # noqa: TRY004  any wrong value is a ValueError here
-    return value if value.tzinfo is None else value.astimezone(UTC).replace(tzinfo=None)
 
 
 def identify_record(
@@ -362,6 +357,8 @@ class RecordDiagnosis:
     fits : explanations of pv by name ("linear", "external", "stuck"), on the samples that were fitted.
     aim : where the settings are a first step only (diagnosis/first_step.py), those that they lead to.
     record : what it was told from, for the picture; None where it was not kept.
+    active : the settings in force, as given or as read off the record; None where neither is known.
+    co_limits : lowest and highest co as given.
     """
 
     diagnosis: Diagnosis
@@ -370,6 +367,8 @@ class RecordDiagnosis:
     fits: Mapping[str, npt.NDArray[np.float64]]
     aim: TuneResult | None = None
     record: Window | None = field(default=None, compare=False)
+    active: PidGains | None = None
+    co_limits: tuple[float | None, float | None] = (None, None)
 
     def __repr__(self) -> str:
         told = self.diagnosis
@@ -385,6 +384,32 @@ class RecordDiagnosis:
     def cause(self) -> Cause:
         """What is behind the loop's behaviour."""
         return self.diagnosis.cause
+
+    @property
+    def model(self) -> ProcessModel | None:
+        """The process, None where the record does not say enough."""
+        return self.estimate.log.model() if self.estimate is not None and self.estimate.identifiable else None
+
+    @property
+    def recommended(self) -> PidGains | None:
+        """The settings that would cure it; None where tuning is not the cause."""
+        return self.settings.gains if self.settings is not None and self.diagnosis.retune else None
+
+    @property
+    def margins(self) -> Margins | None:
+        """What the recommended settings leave on the best model."""
+        return self.settings.margins if self.settings is not None and self.diagnosis.retune else None
+
+    def plot(self) -> "Figure":
+        """The picture that a notebook shows: the record, what explains it, and before and after.
+
+        Raises
+        ------
+        ValueError
+            The record was not kept.
+        """
+        figure: Figure = shown.figure(self)
+        return figure
 
     def to_dict(self) -> dict[str, object]:
         """Keys cause, confidence, retune, evidence, reason, gains, form, margins, aim, rival."""
@@ -456,7 +481,7 @@ def diagnose_record(
     now, aim = (_result(found.estimate, tuning) for tuning in (found.tuning, found.aim))
     if worth is not None:
         now = TuneResult(worth.tuning, worth.tuning.form, margins(worth.model.linear(), worth.tuning.gains))
-    return RecordDiagnosis(found.diagnosis, found.estimate, now, fits, aim)
+    return RecordDiagnosis(found.diagnosis, found.estimate, now, fits, aim, active=gains, co_limits=(co_min, co_max))
 
 
 def _result(estimate: ModelEstimate | None, found: RobustTuning | None) -> TuneResult | None:

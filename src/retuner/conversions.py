@@ -7,7 +7,7 @@ signal was held, which the object does not say.
 import warnings
 from collections.abc import Iterable
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -15,6 +15,10 @@ from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.process.transfer_functions import from_roots, to_polynomials
 from retuner.errors import UserError
 from retuner.schedule.gains import PidGains
+
+if TYPE_CHECKING:
+    from control import TransferFunction as ControlFunction
+    from scipy.signal import TransferFunction as ScipyFunction
 
 PADE_ORDER = 5
 """Of the dead time in what is handed out: right to 0.2 degrees up to w = 5/theta."""
@@ -83,7 +87,7 @@ def _of_control(system: System, theta_s: float) -> LinearProcess:
     return from_roots(zeros, poles, float(np.real(gain)), theta_s)
 
 
-def to_scipy(thing: Thing, pade_order: int = PADE_ORDER) -> System:
+def to_scipy(thing: Thing, pade_order: int = PADE_ORDER) -> "ScipyFunction":
     """A scipy.signal.TransferFunction of a model (dead time by Pade) or of gains (improper with derivative action).
 
     Parameters
@@ -105,7 +109,7 @@ def to_scipy(thing: Thing, pade_order: int = PADE_ORDER) -> System:
     return TransferFunction(num, den)
 
 
-def to_control(thing: Thing, pade_order: int = PADE_ORDER) -> System:
+def to_control(thing: Thing, pade_order: int = PADE_ORDER) -> "ControlFunction":
     """A python-control TransferFunction of a model (dead time by Pade) or of gains.
 
     Parameters
@@ -128,7 +132,8 @@ def to_control(thing: Thing, pade_order: int = PADE_ORDER) -> System:
     except ImportError:
         raise UserError("to_control needs python-control, which is not part of retuner; pip install control") from None
     num, den = _polynomials(thing, pade_order)
-    return control.tf(num, den)
+    made: ControlFunction = control.tf(num, den)
+    return made
 
 
 def _polynomials(thing: Thing, pade_order: int) -> tuple[list[float], list[float]]:

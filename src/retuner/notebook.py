@@ -2,7 +2,10 @@
 
 import base64
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import singledispatch
+
+from matplotlib.figure import Figure
 
 from retuner.adaptive.identification.fitted_curve import fitted_pv
 from retuner.adaptive.loop.performance import performance
@@ -20,11 +23,14 @@ from retuner.decision_page.html import escaped
 from retuner.decision_page.page import article
 from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.historian.loop_record import LoopRecord
-from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
+from retuner.pid_controller import PidController
+from retuner.report.loop_plots import as_png, change_of, trend_figure
+from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure, record_png
 from retuner.report.rule_comparison import RuleRow
 from retuner.report.tuning_plots import responses_png
 from retuner.schedule_report.drawing import schedule_png
 from retuner.scheduling import ScheduleDesign
+from retuner.simulation.loop_trend import LoopTrend
 from retuner.tuning import TuneResult, tuning_lines
 
 
@@ -44,6 +50,20 @@ def text(result: object) -> str:
 def html(result: object) -> str:
     """A result as a part of an HTML page: its words, and its picture where there is one; errors as `text`."""
     raise TypeError(f"{type(result).__name__} is no result that can be shown")
+
+
+@singledispatch
+def figure(result: object) -> Figure:
+    """The picture of a result, as matplotlib's figure.
+
+    Raises
+    ------
+    TypeError
+        It is no result with a picture.
+    ValueError
+        There is nothing to draw: the record was not kept, or no sample was taken.
+    """
+    raise TypeError(f"{type(result).__name__} is no result that has a picture")
 
 
 @text.register
@@ -84,26 +104,66 @@ def _(result: TuneResult) -> str:
     return _shown(result, responses_png(result.model, (row,)))
 
 
-@html.register
-def _(result: Identification) -> str:
-    window, estimate = result.record, result.estimate
-    if window is None:
-        return _shown(result, b"")
+@figure.register
+def _(result: Identification) -> Figure:
+    window, estimate = _kept(result.record), result.estimate
     title = "identified" if estimate.identifiable else "not identifiable"
     curve = ExplainedCurve.of("model", window, fitted_pv(window, estimate))
-    picture = _picture(window, title, estimate.reason, described(result)[1:], [curve], estimate.load_times_s)
-    return _shown(result, picture)
+    return record_figure(
+        _picture(window, title, estimate.reason, described(result)[1:], [curve], estimate.load_times_s)
+    )
 
 
-@html.register
-def _(result: RecordDiagnosis) -> str:
-    window, told = result.record, result.diagnosis
-    if window is None:
-        return _shown(result, b"")
+@figure.register
+def _(result: RecordDiagnosis) -> Figure:
+    window, told = _kept(result.record), result.diagnosis
     names = [name for name in ("linear", WINNER.get(told.cause, "")) if name in result.fits]
     curves = [ExplainedCurve.of(NAMED[name], window, result.fits[name]) for name in names]
     loads_s = result.estimate.load_times_s if result.estimate is not None else ()
-    return _shown(result, _picture(window, _cause(result, reason=False), told.reason, _cure(result), curves, loads_s))
+    picture = _picture(window, _cause(result, reason=False), told.reason, _cure(result), curves, loads_s)
+    return record_figure(replace(picture, change=change_of(window, result)))
+
+
+@html.register(Identification)
+@html.register(RecordDiagnosis)
+def _(result: Identification | RecordDiagnosis) -> str:
+    return _shown(result, b"" if result.record is None else as_png(figure(result)))
+
+
+@text.register(LoopTrend)
+@text.register(PidController)
+def _(result: LoopTrend | PidController) -> str:
+    return repr(result)
+
+
+@figure.register
+def _(result: LoopTrend) -> Figure:
+    return trend_figure(result)
+
+
+@figure.register
+def _(result: PidController) -> Figure:
+    return trend_figure(result.trend)
+
+
+@html.register(LoopTrend)
+@html.register(PidController)
+def _(result: LoopTrend | PidController) -> str:
+    trend = result.trend if isinstance(result, PidController) else result
+    return _shown(result, as_png(trend_figure(trend)) if len(trend.t_s) else b"")
+
+
+def _kept(record: Window | None) -> Window:
+    """The record of a result.
+
+    Raises
+    ------
+    ValueError
+        It was not kept.
+    """
+    if record is None:
+        raise ValueError("this result has no record to draw: it was not made by retuner.diagnose or retuner.identify")
+    return record
 
 
 @text.register
@@ -115,7 +175,8 @@ def _(result: LoopRecord) -> str:
 def _(result: LoopRecord) -> str:
     window = result.recording.window()
     assumed = [one.what for one in result.assumed]
-    return _shown(result, _picture(window, result.tag or "record", result.recording.source, assumed, (), ()))
+    picture = _picture(window, result.tag or "record", result.recording.source, assumed, (), ())
+    return _shown(result, record_png(picture))
 
 
 @html.register
@@ -145,13 +206,11 @@ def _picture(
     lines: Sequence[str],
     curves: Sequence[ExplainedCurve],
     loads_s: Sequence[float],
-) -> bytes:
+) -> RecordPicture:
     """The record with what was found."""
     closed = bool((window.sp != window.pv).any())
-    return record_png(
-        RecordPicture(
-            window, title, subtitle, lines, curves, loads_s, noise_std=noise_sigma(window.pv), closed_loop=closed
-        )
+    return RecordPicture(
+        window, title, subtitle, lines, curves, loads_s, noise_std=noise_sigma(window.pv), closed_loop=closed
     )
 
 

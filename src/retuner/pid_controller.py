@@ -13,8 +13,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from retuner.adaptive import shown
 from retuner.adaptive.orders import operator_orders
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
@@ -29,6 +30,10 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PidLaw, PidState, StateTuple, change, law, start, step, track
 from retuner.schedule.regions import Regions, RegionState, choose, enter, values
 from retuner.schedule.table import GainTable, Lookup
+from retuner.simulation.loop_trend import Frame, History, LoopTrend
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LOG = logging.getLogger("retuner")
 LOG.addHandler(logging.NullHandler())
@@ -71,6 +76,7 @@ class PidController:
     name : of the loop, in decisions and in the log.
     memory : what `memory` gave before a restart: gains and all that is known go on, and the output as it was. A change
         that was on trial then is decided at once: the more robust set runs.
+    history : samples to keep for `history` and `plot`, 56 bytes each; 0 for none.
 
     Raises
     ------
@@ -103,6 +109,7 @@ class PidController:
         settings: RetunerSettings | None = None,
         name: str = "loop",
         memory: Mapping[str, Any] | None = None,
+        history: int = 100_000,
     ) -> None:
         low, high = _range("pv_range", pv_range)
         co_low, co_high = _range("co_range", co_range)
@@ -125,8 +132,22 @@ class PidController:
         self._proposed: Decision | None = None
         self._held_co: float | None = None
         self._begin_s = 0.0
+        self._history = History(history)
         if memory is not None:
             self._go_on(memory)
+
+    @classmethod
+    def from_kc(
+        cls, kc: float, tau_i_s: float | None = None, tau_d_s: float = 0.0, *, form: str = "ideal", **options: Any
+    ) -> "PidController":
+        """A controller from gain and times: see `PidGains.from_ideal`, and the class for the errors.
+
+        form : "ideal" or "series". options : all else that the class takes; dt_s and pv_range must be given.
+        """
+        if form not in ("ideal", "series"):
+            raise ValueError(f"form = {form!r} is unknown; use ideal, series")
+        make = PidGains.from_ideal if form == "ideal" else PidGains.from_series
+        return cls(make(kc, tau_i_s, tau_d_s), **options)
 
     def step(
         self,
@@ -171,9 +192,28 @@ class PidController:
         sample = LoopSample(place.t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
         self._place = place  # before anybody may break off what follows: the time of the next sample goes on from here
         self._decision = (self._background or self._retuner).observe(sample)
+        self._history.add((place.t_s, sp, pv, co, self._law.kp, self._law.ki, self._law.kd))
         if self._decision is not None:
             self._obey(self._decision)
         return co
+
+    @property
+    def trend(self) -> LoopTrend:
+        """The newest samples, with the gains that each was worked out with."""
+        return self._history.trend()
+
+    @property
+    def history(self) -> Frame:
+        """The same as a frame of pandas, or as arrays by name where pandas is not installed."""
+        return self.trend.frame()
+
+    def plot(self) -> "Figure":
+        """The picture of the newest samples, as a notebook shows it."""
+        figure: Figure = shown.figure(self)
+        return figure
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
 
     @property
     def decision(self) -> Decision | None:

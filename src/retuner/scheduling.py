@@ -20,7 +20,8 @@ from retuner.adaptive.schedule_choice.next_experiment import NextExperiment, nex
 from retuner.adaptive.schedule_design.cover import Layout
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.api import Numbers, Record, window_of, within
+from retuner.api import Record, window_of, within
+from retuner.drivers.historian.time_stamps import Numbers
 from retuner.schedule.axis import CAN, Axis
 from retuner.schedule.forms import to_ideal
 from retuner.schedule.gains import PidGains

@@ -4,12 +4,13 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.report.loop_plots import Change, change_into, floors
 from retuner.report.plots import DPI, MARK, PV, SP, time_axis
 
 if TYPE_CHECKING:
@@ -18,6 +19,13 @@ if TYPE_CHECKING:
 FAR = 2.0
 """A setpoint further from pv than this many ranges of pv would leave no room for the curves."""
 MODEL, LIMIT, BEFORE = "#d08a3c", "#999999", "#bbbbbb"
+HEIGHT, HEIGHT_OF_CHANGE = 8.2, 5.4
+"""Inches of the picture, and of what before and after add to it."""
+BELOW = 0.57
+"""Inches for the labels of time."""
+WHOLE: dict[str, Any] = {"width_ratios": (2.1, 1), "height_ratios": (2, 1.3, 1), "wspace": 0.08}
+CHANGED: dict[str, Any] = {"width_ratios": (2.1, 0.75, 0.75), "height_ratios": (1.6, 1), "wspace": 0.16}
+"""Shapes of the two grids of panels."""
 LINE_WIDTH, MOST_LINES = 72, 27
 """Characters in a line of the text beside the curves, and lines that fit."""
 
@@ -44,7 +52,7 @@ class RecordPicture:
     window : the record. title, subtitle : the finding and its sentence. lines : text beside the curves.
     explanations : pv as rivals explain it, the one that is believed last. loads_s : when load steps entered.
     limits : of co, None where not known. noise_std : of pv's noise, for the band round the remainder.
-    closed_loop : there was a controller with a setpoint.
+    closed_loop : there was a controller with a setpoint. change : what the recommended settings would have done.
     """
 
     window: Window
@@ -56,33 +64,37 @@ class RecordPicture:
     limits: tuple[float | None, float | None] = (None, None)
     noise_std: float = 0.0
     closed_loop: bool = True
+    change: Change | None = None
 
 
 def record_png(picture: RecordPicture) -> bytes:
     """Draw it as PNG."""
-    figure = Figure(figsize=(15, 8.2))
-    figure.suptitle(picture.title, x=0.06, ha="left", fontsize=14, weight="bold")
-    figure.text(0.06, 0.935, picture.subtitle, ha="left", va="top", fontsize=10.5, wrap=True)
-    grid = figure.add_gridspec(
-        3,
-        2,
-        width_ratios=(2.1, 1),
-        height_ratios=(2, 1.3, 1),
-        hspace=0.12,
-        wspace=0.08,
-        left=0.06,
-        right=0.955,
-        top=0.88,
-        bottom=0.07,
-    )
+    buffer = io.BytesIO()
+    record_figure(picture).savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def record_figure(picture: RecordPicture) -> Figure:
+    """Draw it: the record with its explanations, and below it before and after where a change is recommended."""
+    height = HEIGHT if picture.change is None else HEIGHT + HEIGHT_OF_CHANGE
+    figure = Figure(figsize=(15, height))
+
+    def down(inches: float) -> float:
+        return 1 - inches / height
+
+    figure.suptitle(picture.title, x=0.06, y=down(0.16), ha="left", fontsize=14, weight="bold")
+    figure.text(0.06, down(0.53), picture.subtitle, ha="left", va="top", fontsize=10.5, wrap=True)
+    sides: dict[str, Any] = {"left": 0.06, "hspace": 0.12}
+    grid = figure.add_gridspec(3, 2, **WHOLE, **sides, right=0.955, top=down(0.98), bottom=down(HEIGHT - BELOW))
     top = figure.add_subplot(grid[0, 0])
     middle, bottom = (figure.add_subplot(grid[i, 0], sharex=top) for i in (1, 2))
     _over_time(picture, (top, middle, bottom))
     _curve(figure.add_subplot(grid[0, 1]), picture.window)
     _words(figure.add_subplot(grid[1:, 1]), picture.lines)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
+    if picture.change is not None:
+        under: dict[str, Any] = {"top": down(HEIGHT + 0.75), "bottom": down(height - BELOW)}
+        change_into(figure, figure.add_gridspec(2, 3, **CHANGED, **sides, **under, right=0.985), picture.change)
+    return figure
 
 
 def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) -> None:
@@ -92,6 +104,7 @@ def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) ->
     _signals(top, picture, x)
     _output(middle, picture, x)
     _remainder(bottom, picture, x)
+    floors(top, middle, picture.window.pv)
     _events(picture, x, (top, middle, bottom))
     for axes in (top, middle):
         axes.tick_params(labelbottom=False)

@@ -217,6 +217,7 @@ WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 
 def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
     """The record with what was found."""
+    from retuner.report.loop_plots import change_of
     from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
 
     told, estimate = found.result.diagnosis, found.result.estimate
@@ -234,5 +235,6 @@ def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
         loads_s=estimate.load_times_s if estimate is not None else (),
         noise_std=noise_sigma(found.window.pv),
         closed_loop=not options.open_loop,
+        change=None if options.open_loop else change_of(found.window, found.result),
     )
     return record_png(picture)

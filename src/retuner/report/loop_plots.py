@@ -1,0 +1,215 @@
+"""Pictures of a loop: its trend, and a record before and after a change of settings."""
+
+import io
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from retuner.adaptive.fit.structure import model_at
+from retuner.adaptive.identification.estimate import STRUCTURE_STD
+from retuner.adaptive.loop.replayed import MOST_MODELS, BeforeAfter, before_after, spread
+from retuner.adaptive.loop.simulate import step_response
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.api import RecordDiagnosis
+from retuner.report.plots import DPI, FIXED, MARK, PV, SP, time_axis
+from retuner.schedule.gains import PidGains
+from retuner.simulation.loop_trend import LoopTrend
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.gridspec import GridSpec
+
+BAND = 0.22
+"""Opacity of the band over the models."""
+NOISE_BANDS, CO_FLOOR = 8.0, 10.0
+"""Least height of an axis: noise bands of pv (standard deviations), and co units. A loop at rest looks at rest."""
+OFF = 2.0 * STRUCTURE_STD
+"""How far each parameter of a process is off in the band, as a logarithm, beside what the record by itself allows."""
+SETTLED = 12.0
+"""Length of a step response in dead times, at the least."""
+OUT_OF_SIGHT = 1e9
+"""Where an unstable answer is cut off; the axes end long before."""
+
+
+def at_least(axes: "Axes", floor: float) -> None:
+    """Make the axis of values no shorter than that, about its middle."""
+    low, high = axes.get_ylim()
+    if high - low < floor:
+        axes.set_ylim((low + high - floor) / 2, (low + high + floor) / 2)
+
+
+def floors(pv_axes: "Axes", co_axes: "Axes", pv: FloatArray) -> None:
+    """The floors of pv's and of co's axis."""
+    known = pv[np.isfinite(pv)]
+    if len(known) > 2:
+        at_least(pv_axes, NOISE_BANDS * noise_sigma(known))
+    at_least(co_axes, CO_FLOOR)
+
+
+def as_png(figure: Figure) -> bytes:
+    """Draw to PNG; without the date, so that equal runs give equal bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, bbox_inches="tight", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def trend_figure(trend: LoopTrend) -> Figure:
+    """Setpoint and pv above, co below; a line where gains changed.
+
+    Raises
+    ------
+    ValueError
+        The trend has no samples.
+    """
+    if not len(trend.t_s):
+        raise ValueError("this trend has no samples yet: nothing to draw")
+    figure = Figure(figsize=(11, 5.6))
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
+    x, unit = time_axis(trend.t_s)
+    top.plot(x, trend.pv, color=PV, lw=0.9, label="pv")
+    top.plot(x, trend.sp, color=SP, lw=0.9, ls="--", label="sp")
+    bottom.plot(x, trend.co, color=PV, lw=0.8, drawstyle="steps-post")
+    for i, t_s in enumerate(trend.changes_s):
+        at = float(np.interp(t_s, trend.t_s, x))
+        for axes in (top, bottom):
+            axes.axvline(at, color=MARK, lw=1.0, label="gains changed" if i == 0 else None)
+    floors(top, bottom, trend.pv)
+    _finished(top, bottom, unit)
+    top.legend(loc="upper left", bbox_to_anchor=(0.0, 1.13), ncols=3, frameon=False, fontsize=9)
+    return figure
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A change of settings as it is drawn: found : the record before and after. processes : of the band, the best
+    first. active, recommended : the settings; active is None where they are not known.
+    """
+
+    found: BeforeAfter
+    processes: tuple[LinearProcess, ...]
+    active: PidGains | None
+    recommended: PidGains
+
+
+def change_words(found: BeforeAfter) -> str:
+    """What the replay says."""
+    error, travel = found.error_ratios, found.travel_ratios
+    if not math.isfinite(error[2]):
+        return "on a process that the record still allows the new settings would not hold the loop"
+    return f"the same record with the new settings: mean error {_percent(error)} of before, co's way {_percent(travel)}"
+
+
+def _percent(ratios: tuple[float, float, float]) -> str:
+    """The best model's share, and the band where it is wider than a per cent."""
+    best, low, high = (100.0 * ratio for ratio in ratios)
+    band = f" ({low:.0f} to {high:.0f} %)" if high - low > 1.0 else ""
+    return f"{best:.0f} %{band}"
+
+
+def change_of(window: Window, result: RecordDiagnosis) -> Change | None:
+    """The change that a diagnosis recommends, tried on its record; None where it recommends none."""
+    if result.recommended is None or result.estimate is None:
+        return None
+    log = result.estimate.log
+    corners = [way * axis for axis in OFF * np.eye(len(log.x)) for way in (1, -1)]
+    rounded = (model_at(log.type, log.x + corner, log.sign) for corner in corners)
+    models = (log.model(), *rounded, *(one.model for one in result.estimate.plausible))
+    processes = tuple(dict.fromkeys(model.linear() for model in models))
+    found = before_after(window, processes, result.recommended, result.co_limits)
+    return Change(found, spread(processes, MOST_MODELS), result.active, result.recommended)
+
+
+def change_into(figure: Figure, grid: "GridSpec", change: Change) -> None:
+    """Draw a change into a grid of two rows and three columns: the record, a setpoint step and a load step."""
+    top = figure.add_subplot(grid[0, 0])
+    replay_panels(top, figure.add_subplot(grid[1, 0], sharex=top), change)
+    for column, load in ((1, False), (2, True)):
+        pv = figure.add_subplot(grid[0, column])
+        step_panels(pv, figure.add_subplot(grid[1, column], sharex=pv), change, load=load)
+
+
+def replay_panels(top: "Axes", low: "Axes", change: Change) -> None:
+    """The record, and the same with the new settings, with the band over the models."""
+    found = change.found
+    x, unit = time_axis(found.record.t_s)
+    for axes, name, before in ((top, "pv", found.record.pv), (low, "co", found.record.co)):
+        axes.plot(x, before, color=FIXED, lw=0.9, label="as recorded")
+        band = found.band(name)
+        axes.fill_between(x, *band, color=PV, alpha=BAND, lw=0, label="on all plausible models")
+        axes.plot(x, getattr(found.best, name), color=PV, lw=1.0, label="with the new settings")
+        _keep_in_sight(axes, before, getattr(found.best, name))
+    top.plot(x, found.record.sp, color=SP, lw=0.9, ls="--", label="sp")
+    top.set_title(change_words(found), fontsize=10, loc="left", pad=18)
+    top.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.975), ncols=4, frameon=False, fontsize=8)
+    floors(top, low, found.record.pv)
+    _finished(top, low, unit)
+
+
+def step_panels(top: "Axes", low: "Axes", change: Change, *, load: bool) -> None:
+    """A unit step of setpoint or load, before and after, with the band over the models."""
+    until_s = _settling_s(change)
+    sets = [(change.active, FIXED, "active"), (change.recommended, PV, "new")]
+    for gains, colour, name in sets:
+        if gains is None:
+            continue
+        grid = np.linspace(0.0, until_s, 400)
+        curves = [_answer(process, gains, grid, load=load) for process in change.processes]
+        for axes, which in ((top, 0), (low, 1)):
+            stacked = np.stack([curve[which] for curve in curves])
+            axes.fill_between(grid, stacked.min(axis=0), stacked.max(axis=0), color=colour, alpha=BAND, lw=0)
+            axes.plot(grid, stacked[0], color=colour, lw=1.2, label=name)
+    best = _answer(change.processes[0], change.recommended, np.linspace(0.0, until_s, 400), load=load)
+    for axes, curve in ((top, best[0]), (low, best[1])):
+        axes.set_ylim(*_room(curve, axes.get_ylim()))
+    top.set_title("load step of 1 co" if load else "setpoint step of 1", fontsize=10, loc="left")
+    top.legend(loc="best", frameon=False, fontsize=8)
+    _finished(top, low, "s")
+
+
+def _room(curve: FloatArray, given: tuple[float, float]) -> tuple[float, float]:
+    """Axes for the new settings' answer and its double; an old one that swings further leaves the picture."""
+    low, high = min(float(curve.min()), 0.0), max(float(curve.max()), 0.0)
+    size = max(high - low, 1e-12)
+    return max(given[0], low - size), min(given[1], high + size)
+
+
+def _keep_in_sight(axes: "Axes", *signals: FloatArray) -> None:
+    """An axis for the signals, not for a band that runs away."""
+    ends = [(float(np.nanmin(s)), float(np.nanmax(s))) for s in signals if np.any(np.isfinite(s))]
+    low, high = min(a for a, _ in ends), max(b for _, b in ends)
+    room = 0.25 * max(high - low, 1e-12)
+    given = axes.get_ylim()
+    axes.set_ylim(max(given[0], low - room), min(given[1], high + room))
+
+
+def _settling_s(change: Change) -> float:
+    """How long a step response is drawn: until the new settings have settled."""
+    process, gains = change.processes[0], change.recommended
+    reset_s = gains.kp / gains.ki if gains.ki and gains.kp else sum(process.lags_s)
+    return max(4.0 * abs(reset_s), SETTLED * process.theta_s, 1e-6) + 4.0 * process.theta_s
+
+
+def _answer(process: LinearProcess, gains: PidGains, grid: FloatArray, *, load: bool) -> tuple[FloatArray, FloatArray]:
+    """pv and co on that grid of seconds."""
+    filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
+    found = step_response(process, gains, float(grid[-1]), filter_s, load=load)
+    pv, co = (np.interp(grid, found.t, values, left=0.0) for values in (found.pv, found.co))
+    return np.clip(np.nan_to_num(pv), -OUT_OF_SIGHT, OUT_OF_SIGHT), np.clip(
+        np.nan_to_num(co), -OUT_OF_SIGHT, OUT_OF_SIGHT
+    )
+
+
+def _finished(top: "Axes", low: "Axes", unit: str) -> None:
+    """Labels and grid."""
+    top.set_ylabel("pv")
+    low.set_ylabel("co")
+    low.set_xlabel(f"time [{unit}]")
+    top.tick_params(labelbottom=False)
+    for axes in (top, low):
+        axes.margins(x=0)
+        axes.grid(alpha=0.3)

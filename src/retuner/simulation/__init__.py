@@ -1,0 +1,1 @@
+"""A loop in simulated time, and its trend."""
