@@ -100,7 +100,7 @@ def change_words(found: BeforeAfter) -> str:
     """What the replay says."""
     error, travel = found.error_ratios, found.travel_ratios
     if not math.isfinite(error[2]):
-        return "on a process that the record still allows the new settings would not hold the loop"
+        return "on a plausible model the new settings would not hold the loop"
     return f"the same record with the new settings: mean error {_percent(error)} of before, co's way {_percent(travel)}"
 
 
