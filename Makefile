@@ -45,13 +45,16 @@ $(STAMP): pyproject.toml setup.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "retuner needs Python 3.11 or newer, and $(PYTHON) is " + sys.version.split()[0] + "; say which with: make PYTHON=python3.11")'
 	@test -f $@ && $(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	@rm -f $@ $(DEV)
-	$(PIP) --upgrade 'pip>=25.1'
-	$(PIP) -e '.[all]'
+	@echo "installing retuner and what it needs into $(VENV): a minute or two, once"
+	@$(PIP) --upgrade 'pip>=25.1'
+	@$(PIP) -e '.[all]'
+	@echo "installed"
 	@touch $@
 
 $(DEV): $(STAMP)
 	@rm -f $(STAMP)
-	$(PIP) --group test --group lint --group bench --group docs build 'setuptools>=77'
+	@echo "installing what tests, lint and docs need into $(VENV): a minute or two, once"
+	@$(PIP) --group test --group lint --group bench --group docs build 'setuptools>=77'
 	@touch $(STAMP) $@
 
 clean:  ## take away everything that the commands above made

@@ -74,14 +74,13 @@ def render(data: ReportData) -> str:
     body = [
         f"<h1>{escaped(data.loop)}: retuning report</h1>",
         paragraph(_lead(data, documents), "lead"),
-        "<h2>Regions</h2>",
-        _scores_table(data, documents),
-        overview(data.after, documents, data.advice),
-        "<h2>The whole run</h2>",
         image(
             trend_png(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit),
             "Trend with region bands",
         ),
+        "<h2>Regions</h2>",
+        _scores_table(data, documents),
+        overview(data.after, documents, data.advice),
         _twins(data),
         "<h2>Decisions</h2>",
         paragraph(

@@ -22,6 +22,7 @@ from retuner.serve.gate import PAGE_POLICY, Gate
 from retuner.serve.hub import Hub
 from retuner.serve.runs import WatchedLoop, WatchedSession
 from retuner.session.orders import Order, OrderKind, put_order
+from retuner.session.outputs import REPORT
 
 LARGEST = 4096
 """Bytes of what a browser sends."""
@@ -71,6 +72,7 @@ class Page:
             Route("/api/decision/{session}/{number}/{decision:int}", self._decision),
             Route("/api/ledger/{session}", self._told(self._rows)),
             Route("/api/ledger/{session}/csv", self._csv),
+            Route("/report/{session}", self._report),
             Route("/api/stream", self._stream),
             Route("/api/who", self._told(self._who)),
             Route("/api/login", self._login, methods=["POST"]),
@@ -139,6 +141,17 @@ class Page:
                     self._pages.pop(next(iter(self._pages)))
         headers = {"content-security-policy": PAGE_POLICY}
         return Response(self._pages[place], media_type="text/html; charset=utf-8", headers=headers)
+
+    async def _report(self, request: Request) -> Response:
+        """The report that a session left, which runs no script."""
+        session = self._session(request)
+        try:
+            content = await asyncio.to_thread((session.folder / REPORT).read_bytes)
+        except OSError:
+            raise NotTakenError(404, "this session has left no report yet") from None
+        return Response(
+            content, media_type="text/html; charset=utf-8", headers={"content-security-policy": PAGE_POLICY}
+        )
 
     def _rows(self, request: Request) -> object:
         asked = request.query_params

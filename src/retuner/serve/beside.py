@@ -32,11 +32,29 @@ def require_page(*, wanted: bool = True) -> None:
         raise UserError(MISSING)
 
 
+class Beside:
+    """The page beside a run. say : is told what a person should know. server : None where no page is wanted."""
+
+    def __init__(self, say: Callable[[str], None], server: "subprocess.Popen[bytes] | None" = None) -> None:
+        self._say, self._server = say, server
+
+    def stay(self, *, watched: bool) -> None:
+        """Keep the page up when the run is over, until Ctrl-C; where nobody is there to press it, not at all.
+
+        watched : whether a person sits at the terminal.
+        """
+        if self._server is None or not watched or self._server.poll() is not None:
+            return
+        self._say("the page stays up; Ctrl-C ends it")
+        with suppress(KeyboardInterrupt):
+            self._server.wait()
+
+
 @contextmanager
-def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = True) -> Iterator[None]:
+def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = True) -> Iterator[Beside]:
     """While inside, the page of a session's folder is served; say : is told where. Nothing happens unless wanted."""
     if not wanted:
-        yield
+        yield Beside(say)
         return
     options, token = ServeOptions(port=PORT), secrets.token_urlsafe(24)
     try:
@@ -49,7 +67,7 @@ def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = Tr
             say(line)
         server = _started(folder, ours.fileno(), token)
     try:
-        yield
+        yield Beside(say, server)
     finally:
         _ended(server)
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -16,6 +17,7 @@ from retuner.report.ledger_words import Told, no_formula
 from retuner.serve.ledger_tail import Decided, Document, LedgerTail
 from retuner.serve.runs import Runs, WatchedLoop, WatchedSession
 from retuner.session.order_queue import SHORT
+from retuner.session.outputs import REPORT, SUMMARY
 
 MOST_POINTS = 4000
 """Samples of a trend in one answer."""
@@ -38,6 +40,7 @@ def overview(runs: Runs) -> Document:
             "head": s.ledger.head,
             "broken": s.ledger.broken,
             "loops": [_short(s, loop) for loop in s.loops.values()],
+            "outcome": outcome(s),
         }
         for s in runs.sessions.values()
     ]
@@ -60,6 +63,26 @@ def _short(session: WatchedSession, loop: WatchedLoop) -> Document:
         "ended": session.ledger.ended,
         "silent_s": _silent(loop),
     }
+
+
+def outcome(session: WatchedSession) -> Document | None:
+    """What a session that ended came to, and where its report is; None before its report is written.
+
+    text : such as "ended: 8 changes, error -76 %", against the same run with fixed gains where there was one.
+    """
+    try:
+        told = json.loads((session.folder / SUMMARY).read_text(encoding="utf-8"))
+        loops = told.get("loops", [told])
+        changes = sum(one["action"] == "commit" for loop in loops for one in loop["decisions"])
+        scores = [score for loop in loops for score in loop["scores"] if score["iae_fixed"]]
+        before, after = (sum(float(score[name]) for score in scores) for name in ("iae_fixed", "iae"))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    if not session.ledger.ended or not (session.folder / REPORT).is_file():
+        return None
+    words_ = f"ended: {changes} {'change' if changes == 1 else 'changes'}"
+    less = f", error {100.0 * (after / before - 1.0):+.0f} % against the same run with fixed gains" if before else ""
+    return {"text": words_ + less, "report": f"/report/{session.name}"}
 
 
 def _silent(loop: WatchedLoop) -> float | None:
@@ -116,6 +139,7 @@ def loop_document(session: WatchedSession, loop: WatchedLoop) -> Document:
         "broken": session.ledger.broken,
         "decisions": [_decision(one) for one in mine[-NEWEST:]],
         "trial": _trial(mine),
+        "outcome": outcome(session),
     }
 
 

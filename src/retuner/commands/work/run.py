@@ -177,7 +177,24 @@ def _run(job: _Job, ledger: Ledger, screen: LiveScreen) -> int:
         before=job.fresh.moved,
     )
     screen.begin(job.title)
-    session, interrupted = _served(job, job_run, watching, screen)
+    with served_beside(job.folder, screen.say, wanted=job.options.serve) as page:
+        status = _carried_out(job, job_run, ledger, watching, screen)
+        page.stay(watched=status == 0 and sys.stdout.isatty())
+    return status
+
+
+def _carried_out(job: _Job, job_run: Run, ledger: Ledger, watching: Watching, screen: LiveScreen) -> int:
+    """The run to its end, and all that it leaves; its exit status.
+
+    Raises
+    ------
+    UserError
+        It ended with gains that nobody meant.
+    """
+    try:
+        session, interrupted = _play(job, job_run)
+    finally:
+        watching.close()
     compare = job.config.simulated and job.options.compare and not interrupted
     again = Run(job.config, nothing, mode=Mode.OFF, observer=OnScreen(screen, job.config))
     fixed = _unless_stopped(again, screen) if compare else None
@@ -285,15 +302,6 @@ def _keeper(ledger: Ledger, screen: LiveScreen, most_mb: float) -> Recorder:
         size.look()
 
     return keep
-
-
-def _served(job: _Job, job_run: Run, watching: Watching, screen: LiveScreen) -> tuple[Session, bool]:
-    """The run to its end, with its page beside it where that is wanted."""
-    with served_beside(job.folder, screen.say, wanted=job.options.serve):
-        try:
-            return _play(job, job_run)
-        finally:
-            watching.close()
 
 
 def _play(job: _Job, job_run: Run) -> tuple[Session, bool]:

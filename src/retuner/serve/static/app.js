@@ -52,12 +52,20 @@ function listen(keys) {
   stream.onopen = () => {
     $("link").textContent = "live";
     $("link").className = "";
+    if (state.page?.over) $("link").textContent = "ended";
     if (state.lost) { state.lost = false; state.page?.again(); }
   };
   stream.onerror = () => {
+    if (state.page?.over) { // the run is over, and its page went with it
+      stream.close();
+      $("link").textContent = "ended";
+      $("link").className = "";
+      return;
+    }
     state.lost = true;
     $("link").textContent = "connection lost; trying again";
     $("link").className = "lost";
+    state.page?.told?.();
   };
   stream.addEventListener("gap", () => state.page?.again());
   stream.onmessage = (event) => {
@@ -85,6 +93,7 @@ class Overview {
     $("main").replaceChildren(
       el("h1", {}, `${loops.length} ${loops.length === 1 ? "loop" : "loops"}`),
       el("p", { class: needs ? "bad" : "muted" }, needs ? `${needs} wait for you: marked, and first.` : "Nothing waits for an operator."),
+      ...found.sessions.filter((s) => s.outcome).map((s) => el("p", { class: "outcome" }, outcomeOf(s.outcome))),
       ...found.sessions.filter((s) => s.broken).map((s) => el("p", { class: "bad" }, `${s.name}: ${s.broken}`)),
       el("div", { class: "cards" }, cards), ...refused,
       loops.length ? "" : el("p", {}, "No loop has been seen yet: the session waits for its controller, or was made by an earlier release."));
@@ -96,7 +105,8 @@ class Overview {
 
   async fill(loop) {
     const span = 600 * loop.head.sample_time_s, to = loop.newest ? loop.newest[0] : 0;
-    const { columns } = await get(`/api/trend/${loop.key}?from=${to - span}&to=${to}&points=160`);
+    const part = loop.ended ? "" : `from=${to - span}&to=${to}&`; // of a run that is over, the whole
+    const { columns } = await get(`/api/trend/${loop.key}?${part}points=160`);
     const card = state.page === this ? this.cards.get(loop.key) : null;
     if (card) { card.pv = columns.pv; card.sp = columns.sp; card.draw(); }
   }
@@ -109,10 +119,10 @@ class Overview {
       el("div", { class: "values" }, valueBox("sp", fields.sp, loop.head.unit), valueBox("pv", fields.pv, loop.head.unit), valueBox("co", fields.co, "%")),
       canvas,
       el("div", {}, "region ", fields.region, ", ", fields.gains),
-      el("div", {}, "Ms ", fields.ms, loop.cause ? `; last cause: ${loop.cause}` : ""),
+      el("div", {}, "Ms ", fields.ms, loop.cause && !loop.ended ? `; last cause: ${loop.cause}` : ""),
       el("div", { class: "muted" }, "waits for ", fields.waits));
     const card = { pv: [], sp: [], loop, canvas,
-      draw: () => spark(canvas, card.pv.slice(-300), card.sp.slice(-300)),
+      draw: () => spark(canvas, card.pv.slice(-300), card.sp.slice(-300), loop.state.band || 0),
       told: (told) => {
         if (told.state) loop.state = told.state;
         const s = told.samples?.at(-1) ?? loop.newest;
@@ -144,22 +154,32 @@ class Overview {
     if (Object.keys(told.rows).length) this.later();
   }
 
-  later() {
+  later(ms = 700) {
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.refresh(), 700);
+    this.timer = setTimeout(() => this.refresh(), ms);
   }
+
+  get over() { return Boolean(this.sessions?.length && this.sessions.every((s) => s.ended)); }
+  told() { for (const card of this.cards.values()) card.told({}); }
 
   async refresh() {
     const found = await get("/api/overview").catch(() => null);
     if (!found || state.page !== this) return;
     const loops = found.sessions.flatMap((s) => s.loops);
-    if (loops.some((l) => !this.cards.has(l.key))) return this.start();
+    const ended = found.sessions.some((s) => s.outcome && !this.sessions.find((o) => o.name === s.name)?.outcome);
+    if (ended || loops.some((l) => !this.cards.has(l.key))) return this.start();
+    if (found.sessions.some((s) => s.ended && !s.outcome)) this.later(2000);
     for (const l of loops) { Object.assign(this.cards.get(l.key).loop, { waiting: l.waiting, ended: l.ended, cause: l.cause, silent_s: l.silent_s }); this.cards.get(l.key).told({}); }
   }
 
   again() { this.start(); }
   key() { return false; }
   end() { clearTimeout(this.timer); }
+}
+
+// What a run came to, with the way to its report.
+function outcomeOf(outcome) {
+  return [el("b", {}, outcome.text), "; ", el("a", { href: outcome.report, target: "_blank", rel: "noopener" }, "open the report")];
 }
 
 function valueBox(name, field, unit) {
@@ -171,6 +191,7 @@ function badge(loop, here) {
   if (loop.broken) return ["ledger broken", "bad"];
   if (loop.waiting.length) return ["needs you", "bad"];
   if (loop.ended) return ["ended", "warn"];
+  if (state.lost) return ["not connected", "bad"];
   if (loop.silent_s) return [`no sample for ${clock(loop.silent_s, 5000)}`, "bad"];
   if (here && here.trial !== "idle") return [here.trial, "warn"];
   if (here?.mode === "off") return ["off", "warn"];
@@ -207,6 +228,7 @@ class Loop {
     if (state.page !== this) return;
     this.charts = new Charts(this.parts.charts, () => ({
       columns: this.columns, names: this.doc.head.regions, decisions: this.doc.decisions, peaks: this.peaks, unit: this.doc.head.unit,
+      band: this.doc.state.band,
     }), (a, b) => this.zoom(a, b), (t) => this.openNear(t));
     this.draw();
     this.fill();
@@ -279,13 +301,24 @@ class Loop {
     this.frame = requestAnimationFrame(() => { this.frame = 0; this.draw(); this.values(); if (this.doc.state !== this.shown) this.fill(); });
   }
 
-  later() {
+  get over() { return Boolean(this.doc?.ended); }
+  told() { if (this.doc) this.fill(); }
+
+  later(ms = 400) {
     clearTimeout(this.timer);
     this.timer = setTimeout(async () => {
       const doc = await get(`/api/loop/${this.key_}`).catch(() => null);
       if (!doc || state.page !== this) return;
       doc.newest = doc.newest ?? this.doc.newest;
+      const ends = doc.ended && !this.doc.ended;
       this.doc = doc;
+      if (ends) { // the whole run, in place of its last minutes at rest
+        this.live = false;
+        $("hold").hidden = true;
+        $("link").textContent = "ended";
+        await this.window(true).catch(() => null);
+      }
+      if (doc.ended && !doc.outcome) this.later(2000); // its report is being written
       this.fill();
       this.draw();
       this.ledger();
@@ -319,9 +352,9 @@ class Loop {
     const [text, tone] = badge(d, here);
     this.parts.title.replaceChildren(el("h1", {}, d.head.loop, " ", el("span", { class: "muted" }, this.session), " ", el("span", { class: `badge ${tone}` }, text)));
     const newest = d.decisions.at(-1);
-    const doing = d.ended ? "The session has ended." : ["Waits for ", el("b", {}, s.waits_for ?? "the first sample"), "."];
+    const doing = d.outcome ? outcomeOf(d.outcome) : d.ended ? "The session has ended." : ["Waits for ", el("b", {}, s.waits_for ?? "the first sample"), "."];
     this.parts.now.className = "now";
-    this.parts.now.replaceChildren(...[doing].flat(), newest ? ` Last: ${newest.cause}, ${newest.change || `nothing changed (${newest.reason})`}.` : " No decision yet.");
+    this.parts.now.replaceChildren(...[doing].flat(), d.outcome ? "" : newest ? ` Last: ${newest.cause}, ${newest.change || `nothing changed (${newest.reason})`}.` : " No decision yet.");
     if (d.broken) this.parts.now.append(el("p", { class: "bad" }, d.broken));
     this.face(here);
     this.needs();

@@ -94,6 +94,14 @@ function peaks(u, found, sp) {
   ctx.restore();
 }
 
+// Room for values on an axis that is never shorter than its floor: a loop at rest looks at rest.
+export function floored(low, high, floor) {
+  if (low === null || high === null || low === undefined || high === undefined) return [0, 1];
+  const room = Math.max(1.16 * (high - low), floor || 1e-9), middle = (low + high) / 2;
+  return [middle - room / 2, middle + room / 2];
+}
+const NOISE_BANDS = 8, CO_FLOOR = 10; // least heights: noise bands of pv, per cent of co
+
 // The two charts of a loop, one time axis. view: () => {columns, names, decisions, peaks, unit}; zoomed(from, to).
 export class Charts {
   constructor(place, view, zoomed, chosen) {
@@ -124,6 +132,7 @@ export class Charts {
     const { unit } = view();
     this.top = new uPlot({
       ...base, height: 300, padding: [18, 24, 0, 0],
+      scales: { ...base.scales, y: { range: (u, low, high) => floored(low, high, NOISE_BANDS * (view().band || 0)) } },
       axes: [time(false), axis(`pv, sp [${unit}]`, 52)],
       series: [{ label: "time", value: label },
         { label: `sp [${unit}]`, stroke: () => colour("sp"), dash: [6, 4], width: 1.3, value, paths: uPlot.paths.stepped({ align: 1 }) },
@@ -137,6 +146,7 @@ export class Charts {
     }, this.data().top, place);
     this.bottom = new uPlot({
       ...base, height: 150, padding: [8, 24, 0, 0], legend: { show: false },
+      scales: { ...base.scales, y: { range: (u, low, high) => floored(low, high, CO_FLOOR) } },
       axes: [time(true), axis("co [%]", 52)],
       series: [{ label: "time", value: label }, { label: "co [%]", stroke: () => colour("co"), width: 1.4, value }],
       hooks: { drawClear: [(u) => bands(u, view().columns, [])], draw: [(u) => marks(u, view().decisions, false)], setSelect: [selected] },
@@ -179,13 +189,13 @@ export class Charts {
   }
 }
 
-export function spark(canvas, values, reference) {
+export function spark(canvas, values, reference, band = 0) {
   const box = canvas.getBoundingClientRect(), scale = devicePixelRatio;
   canvas.width = Math.max(box.width * scale, 10);
   canvas.height = Math.max(box.height * scale, 10);
   const ctx = canvas.getContext("2d"), all = values.concat(reference);
   if (values.length < 2) return;
-  const low = Math.min(...all), high = Math.max(...all), room = high - low || 1;
+  const [low, high] = floored(Math.min(...all), Math.max(...all), NOISE_BANDS * band), room = high - low;
   for (const [line, tone, dash] of [[reference, "sp", [4, 3]], [values, "pv", []]]) {
     ctx.strokeStyle = colour(tone);
     ctx.setLineDash(dash.map((n) => n * scale));
