@@ -37,7 +37,8 @@ class Excitation:
 
     clear : of the setpoint responses, how many were clear (see is_clear). alternative : the same of what last
     contradicted it. rested : how many of the last load responses in a row led from rest to rest
-    (see from_rest_to_rest).
+    (see from_rest_to_rest). lost : of the last responses of any kind in a row, after how many the loop was unstable on
+    every plausible model, whichever models these were.
     """
 
     setpoints: int = 0
@@ -45,9 +46,10 @@ class Excitation:
     clear: int = 0
     alternative: int = 0
     rested: int = 0
+    lost: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("setpoints", "loads", "clear", "alternative", "rested"):
+        for name in ("setpoints", "loads", "clear", "alternative", "rested", "lost"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} = {getattr(self, name)} must be 0 or more")
 

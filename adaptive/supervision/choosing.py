@@ -2,6 +2,7 @@
 which models, and how much of that hangs on the newest record alone (choice/expected_cost.py, choice/odd_record.py).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,18 +20,28 @@ from retuner.adaptive.choice.odd_record import by_odds, oddness
 from retuner.adaptive.guard import GuardSettings, Verdict, prove
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.supervision.guard_request import choosable, request_of, still_allowed
 from retuner.adaptive.supervision.pipeline_types import Findings
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
+from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import decay_seen
+from retuner.schedule.gains import PidGains
 
 
 def proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: GuardSettings | None = None) -> Verdict:
     """The guard's word on what the rule gives for a model. guard : its settings, None for those of the loop."""
     request = request_of(found.record, model, wanted.tuning, found.learned, found.settings)
     return prove(request, guard or found.settings.guard)
+
+
+def lost_on_all(allowed: Sequence[Plausible], gains: PidGains, settings: RetunerSettings) -> bool:
+    """Whether a loop is unstable with these gains on every model, of which there is one at least."""
+    dt_s, filter_s = settings.sample_time_s, settings.filter_s
+    processes = (one.model.seen_by_controller(dt_s).linear() for one in allowed)
+    return bool(allowed) and all(math.isinf(sensitivity_peak(process, gains, filter_s)) for process in processes)
 
 
 def chosen(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> tuple[Choice, Verdict]:

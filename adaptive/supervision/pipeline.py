@@ -30,6 +30,7 @@ from retuner.adaptive.supervision.causes import (
     doubt_of,
     foreign_swing,
     hidden,
+    in_danger,
     is_known,
     is_sure,
     joining,
@@ -41,7 +42,7 @@ from retuner.adaptive.supervision.causes import (
     wanted_of,
     wrong_way,
 )
-from retuner.adaptive.supervision.choosing import chosen, proved
+from retuner.adaptive.supervision.choosing import chosen, lost_on_all, proved
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import may_follow, posterior_of, promised, unproved_request, walked
@@ -213,6 +214,7 @@ def region_model(found: Findings) -> None:
         now = now.with_response(record.response, clear=found.clear, rested=rested)
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
+    now = replace(now, lost=0)  # until the proof says otherwise
     found.excitation = found.excitation_now = now
     found.tuning = wanted_of(record, found.in_use, settings)
 
@@ -295,6 +297,9 @@ def proof(found: Findings) -> None:
     wanted = _wanted(found)
     found.verdict = proved(found, _in_use(found), wanted)
     found.proposal, found.basis = wanted.tuning, Basis.MODEL
+    if lost_on_all(found.verdict.allowed, found.record.in_force, found.settings):
+        lost = found.record.excitation.lost + 1
+        found.excitation = found.excitation_now = replace(found.excitation_now, lost=lost)
     if not found.verdict.accepted:
         found.stop(found.verdict.ruling.name.lower(), found.verdict.sentence)
 
@@ -343,7 +348,7 @@ def confirmation(found: Findings) -> None:
         return
     if not (found.clear or is_known(found, learned) or is_sure(found, verdict, learned, _in_use(found))):
         doubt = doubt_of(found, wanted.diagnosis)
-        if doubt is not None:
+        if doubt is not None and not in_danger(found, doubt):
             _not_confirmed(found, doubt)
             return
         _confirmed(found)
@@ -366,7 +371,8 @@ def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
         found.region_model = None
         one_more_foreign(found, doubt)
         if _learned(found).agreement in ANEW:  # what was known before stays, and what that rested on
-            found.excitation = found.record.excitation.with_response(found.record.response)
+            before = found.record.excitation.with_response(found.record.response)
+            found.excitation = replace(before, lost=found.excitation_now.lost)
     wanted = found.diagnosis.reason if found.diagnosis is not None else ""
     found.doubted(replace(doubt, reason=NOT_CONFIRMED.format(wanted=wanted, doubt=doubt.reason)))
 

@@ -24,9 +24,9 @@ from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.adaptive.signals.to_and_fro import to_and_fro
 from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region, setpoint_led
-from retuner.adaptive.supervision.decision import WRITES, Action, Basis, Decision
+from retuner.adaptive.supervision.decision import WRITES, Action, Basis, Decision, Mode
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
-from retuner.adaptive.supervision.response_finder import FinderState
+from retuner.adaptive.supervision.response_finder import FinderState, Left
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
@@ -232,6 +232,20 @@ LOST = StageResult(
     "the scheduling variable was lost, so the region of the response is unknown: not used to update the model",
 )
 """What follows from a response that was cut off, because it is not known where the loop is."""
+
+
+def left(seen: Left, settings: RetunerSettings) -> StageResult | None:
+    """What is said of a response that was cut off, or of gaps between which none is ever complete; None for nothing."""
+    if seen.under_way:
+        return LOST
+    if not seen.broken or settings.mode_of(seen.region) is Mode.OFF:
+        return None
+    return StageResult(
+        "broken_off",
+        f"{seen.broken} gaps of more than {settings.gap_samples} sample times in a row came before a response was "
+        f"complete: nothing can be evaluated between them; look for where samples are lost",
+    )
+
 
 NOT_EVALUATED = "not_evaluated"
 """Code: a defect, or a record that nobody thought of, ended the evaluation."""

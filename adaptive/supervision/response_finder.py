@@ -51,7 +51,8 @@ class FinderState(NamedTuple):
     """Where a finder stands in its record; with the gains in force, all that its later responses depend on.
 
     noise : of pv. setpoint : noise of the setpoint; None for one of which nothing is known. rounding : standard
-    deviation that pv's rounding to the steps of its sensor has, pv units; 0 where it is not seen.
+    deviation that pv's rounding to the steps of its sensor has, pv units; 0 where it is not seen. broken : gaps in a
+    row that came before a response was complete.
     """
 
     region: RegionState | None
@@ -60,6 +61,7 @@ class FinderState(NamedTuple):
     samples: tuple[LoopSample, ...]
     setpoint: NoiseState | None = None
     rounding: float = 0.0
+    broken: int = 0
 
 
 class Completed(NamedTuple):
@@ -76,10 +78,19 @@ class Completed(NamedTuple):
 
 
 class Left(NamedTuple):
-    """It is not known any more where the loop is. region : where it was. under_way : a response was cut off by it."""
+    """It is not known any more where the loop is, or samples are missing again and again.
+
+    region : where it was. under_way : a response was cut off by it. broken : gaps in a row that came before a response
+    was complete, where that is to be told; else 0.
+    """
 
     region: int
     under_way: bool
+    broken: int = 0
+
+
+FIRST_TOLD, THEN = 3, 10
+"""Gaps in a row after which it is said that nothing can be evaluated, and the factor to the next time."""
 
 
 GainsAt = Callable[[int, float, float], PidGains]
@@ -111,6 +122,7 @@ class ResponseFinder:
         self._clean = noise_start(CLEAN_SHARE * self._floor / settings.band_sigmas)
         self._setpoint = NoiseState(self._clean, 0.0, 0.0)
         self._rounding = 0.0
+        self._broken = 0
 
     @property
     def region(self) -> int | None:
@@ -166,11 +178,13 @@ class ResponseFinder:
     def state(self) -> FinderState:
         """Where it stands: see memory.py, which turns it into plain values."""
         noise = NoiseState(self._median, self._last, self._before)
-        return FinderState(self._region, self._state, noise, tuple(self._samples), self._setpoint, self._rounding)
+        return FinderState(
+            self._region, self._state, noise, tuple(self._samples), self._setpoint, self._rounding, self._broken
+        )
 
     def resume(self, state: FinderState) -> None:
         """Go on from there."""
-        self._region, self._state, noise, samples, setpoint, rounding = state
+        self._region, self._state, noise, samples, setpoint, rounding, self._broken = state
         self._take_rounding(rounding)
         self._setpoint = setpoint or NoiseState(self._clean, 0.0, 0.0)
         self._median, self._last, self._before = noise
@@ -196,8 +210,9 @@ class ResponseFinder:
                 self._restart(sample)
             return None
         if not 0.0 < t_s - samples[-1][0] <= self._gap_s or mode != AUTO:
+            cut, resting = mode == AUTO and t_s - samples[-1][0] > self._gap_s, self.at_rest
             self._restart(sample)
-            return None
+            return self._broken_off(region.region) if cut and not resting else None
         total = sp + pv + co + x + x2
         if total - total != 0.0 and not self._is_placed(sample):
             return self._unknown(sample)
@@ -247,6 +262,14 @@ class ResponseFinder:
         else:
             self._region = enter(self._regions, sample.x, sample.t_s, sample.x2, region)
         self._forget(sample)
+
+    def _broken_off(self, region: int) -> Left | None:
+        """A gap has come before a response was complete: told after some in a row, and ever more seldom."""
+        self._broken += 1
+        told = FIRST_TOLD
+        while told < self._broken:
+            told *= THEN
+        return Left(region, under_way=False, broken=told) if told == self._broken else None
 
     def _is_placed(self, sample: LoopSample) -> bool:
         """Whether it is known where the sample lies; only a signal on the bus may be unknown.
@@ -320,6 +343,7 @@ class ResponseFinder:
     def _complete(self, state: RecogniserState) -> Completed:
         """A response is complete."""
         response = response_of(state, self.band)
+        self._broken = 0
         assert response is not None
         assert self._region is not None
         self._take_rounding(self._seen_rounding())

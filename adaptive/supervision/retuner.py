@@ -35,7 +35,6 @@ from retuner.adaptive.supervision.decision import (
 from retuner.adaptive.supervision.guard_request import known_of, promise_of, seen_of
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
-    LOST,
     NOBODY,
     NOT_EVALUATED,
     NOTHING,
@@ -49,6 +48,7 @@ from retuner.adaptive.supervision.pipeline_types import (
     StageResult,
     Step,
     held,
+    left,
     not_evaluated,
     overtaken_by,
     passed_over,
@@ -357,7 +357,7 @@ class Retuner:
         ended : trials that the same sample ended.
         """
         if isinstance(seen, Left):
-            return Step(self._decision(seen.region, LOST)) if seen.under_way else NOTHING
+            return Step(self._decision(seen.region, told)) if (told := left(seen, self.settings)) else NOTHING
         if self.settings.mode_of(seen.region) == Mode.OFF:
             return NOTHING
         region = next(iter(ended), seen.region)

@@ -193,6 +193,7 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "noise": _numbers_out(finder.noise),
         "setpoint_noise": _numbers_out(finder.setpoint),
         "rounding": finder.rounding,
+        "broken": finder.broken,
         "led": _numbers_out(state.led),
         "samples": [_numbers_out(sample) for sample in finder.samples],
         "decisions": state.decisions,
@@ -200,7 +201,7 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "trials": retuner.trials.to_dict(),
         "foreign": {str(region): count for region, count in retuner.foreign.items()},
         "excitation": {
-            str(region): [e.setpoints, e.loads, e.clear, e.alternative, e.rested]
+            str(region): [e.setpoints, e.loads, e.clear, e.alternative, e.rested, e.lost]
             for region, e in retuner.excitation.items()
         },
     }
@@ -244,6 +245,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             samples=_samples_in(memory["samples"]),
             setpoint=_state_in(NoiseState, setpoint) if (setpoint := memory.get("setpoint_noise")) else None,
             rounding=float(memory.get("rounding", 0.0)),
+            broken=int(memory.get("broken", 0)),
         )
         retuner.trials.resume(memory["trials"])
         led = _state_in(Led, memory.get("led", Led()))
