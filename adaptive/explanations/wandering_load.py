@@ -149,7 +149,7 @@ def responses(inputs: FloatArray, lag: float) -> FloatArray:
     inputs : shape (..., n). Returns shape (second lags, ..., n).
     """
     n = inputs.shape[-1]
-    k = np.arange(n)
+    k = np.arange(n, dtype=np.float64)
     pole = 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
     rise = np.where(k > 0, pole ** np.maximum(k - 1.0, 0.0), 0.0) * (1.0 if math.isinf(lag) else 1.0 - pole)
     first = filtered(spectrum(inputs), n, rise)

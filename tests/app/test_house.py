@@ -21,8 +21,8 @@ ORDER = (
     *(f"adaptive.{name}" for name in (
         "setting", "shown", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings",
         "experiments",
-        "fit", "identification", "valve", "explanations", "schedule_design", "schedule_choice", "region_model", "guard", "trial",
-        "choice", "diagnosis", "cause_odds", "without_model",
+        "fit", "identification", "valve", "explanations", "schedule_design", "schedule_choice", "region_model", "guard",
+        "trial", "choice", "diagnosis", "cause_odds", "without_model",
         "supervision", "orders", "pretune", "nudge", "audit",
     )),
     *(f"drivers.{name}" for name in (

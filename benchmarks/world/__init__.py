@@ -1,0 +1,1 @@
+"""A world with real loads: see command.py."""

@@ -1,0 +1,135 @@
+"""How good are the odds of `diagnose` in a world with real loads, and are they honest?
+
+    python benchmarks/world --data FOLDER [--set step8] [--seed 1] [--cases 80] [--fold 0] [--jobs 2] [--out FILE]
+    python benchmarks/world --data FOLDER --real          what is said of the real records themselves
+
+FOLDER holds index.csv (file, tag, label) and records (t, sp, pv, co) of real loops; their co are the loads (draw.py).
+--fold takes the loads of every second tag only, so that what was chosen on one half is counted on the other. Right: the
+cause that is named is the true one; slow_integrating counts as aggressive (both have too little robustness), and what
+is called external, noise, saturation or unknown is wrong. Log score: ln of the probability given to the true cause;
+knowing nothing has ln(1/4) = -1.39. Settings are held to Ms on the true process. Seeds from 9000 are for final counts.
+"""
+
+import argparse
+import csv
+import functools
+import json
+import math
+import statistics
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from cases.counting import share, spread
+
+from retuner import api
+from retuner.schedule.gains import PidGains
+from world.draw import CLASSES, DT_S, SETS, drawn
+from world.process import margins
+
+AS = {"ok": "ok", "sluggish": "sluggish", "aggressive": "aggressive", "slow_integrating": "aggressive",
+      "stiction": "stiction"}  # fmt: skip
+LEAST = 0.003
+"""Probability that a log score counts at least."""
+BANDS = ((0.0, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.95), (0.95, 1.01))
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One case. said : the cause named. odds : of the four classes. ms_after : with the settings given, nan without."""
+
+    index: int
+    true: str
+    said: str
+    odds: dict[str, float]
+    ms_before: float
+    ms_after: float
+    next_size: float
+    cpu_s: float
+
+
+def scored(seed: int, kind: str, folder: str, fold: int | None, index: int) -> Score:
+    """Draw a loop, diagnose its record with its gains told, judge the answer."""
+    case = drawn(seed, index, kind, folder, fold)
+    gains = PidGains(case.kc, case.kc / (case.tau_i * DT_S))
+    begun = time.process_time()
+    result = api.diagnose(case.t, case.sp, case.pv, case.co, gains=gains)
+    cpu_s = time.process_time() - begun
+    told = result.diagnosis
+    odds = dict.fromkeys(CLASSES, 0.0)
+    for cause, p in (told.causes or {str(told.cause): told.confidence}).items():
+        if cause in AS:
+            odds[AS[cause]] += p
+    after = math.nan
+    if told.retune and result.settings is not None:
+        new = result.settings.tuning.gains
+        after = margins(case.process, new.kp, new.kp / new.ki / DT_S if new.ki else 1e9)[0]
+    size = told.next.size if told.next is not None else math.nan
+    return Score(index, case.cause, AS.get(str(told.cause), str(told.cause)), odds, case.ms, after, size, cpu_s)
+
+
+def table(scores: list[Score]) -> list[str]:
+    """The counts."""
+    n = len(scores)
+    right = sum(s.said == s.true for s in scores)
+    lines = [f"right        {share(right, n)}", f"unknown      {share(sum(s.said == 'unknown' for s in scores), n)}"]
+    lines.append(f"log score    {statistics.mean(math.log(max(s.odds[s.true], LEAST)) for s in scores):.2f}")
+    for low, high in BANDS:
+        told = [s for s in scores if low <= max(s.odds.values()) < high]
+        hits = sum(max(s.odds, key=lambda c, odds=s.odds: odds[c]) == s.true for s in told)
+        lines.append(f"told at {low:4.0%} to {min(high, 1):4.0%}   right {share(hits, len(told))}")
+    due = [s for s in scores if s.true in {"sluggish", "aggressive"}]
+    given = [s for s in due if not math.isnan(s.ms_after)]
+    lines.append(f"settings given where due           {share(len(given), len(due))}")
+    false = [s for s in scores if s.true not in {"sluggish", "aggressive"} and not math.isnan(s.ms_after)]
+    lines.append(f"change of gains where none is due  {share(len(false), n - len(due))}")
+    if given:
+        over = sum(s.ms_after > 2.1 for s in given)
+        lines.append(f"Ms after: largest {max(s.ms_after for s in given):.2f}, over 2.1 in {over} of {len(given)}")
+    for true in CLASSES:
+        counts = Counter(s.said for s in scores if s.true == true)
+        lines.append(f"{true:12} {', '.join(f'{said} {count}' for said, count in counts.most_common())}")
+    cpu = sorted(s.cpu_s for s in scores)
+    return [*lines, f"CPU s a record: median {statistics.median(cpu):.2f}, largest {cpu[-1]:.2f}"]
+
+
+def real(folder: str) -> list[str]:
+    """What is said of the real records, a line each, and the count of unknown."""
+    lines, counts = [], Counter[str]()
+    with (Path(folder) / "index.csv").open() as index:
+        for row in csv.DictReader(index):
+            result = api.diagnose(Path(folder) / row["file"])
+            told = result.diagnosis
+            counts[str(told.cause)] += 1
+            odds = ", ".join(f"{cause} {p:.0%}" for cause, p in list(told.causes.items())[:3])
+            given = "settings" if told.retune and result.settings is not None else "-"
+            lines.append(f"{row['file']:28} {row['label']:12} {given:8} {odds}")
+    return [*lines, ", ".join(f"{cause} {count}" for cause, count in counts.most_common())]
+
+
+def main() -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", required=True)
+    parser.add_argument("--set", choices=SETS, default="real", dest="kind")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--cases", type=int, default=80)
+    parser.add_argument("--fold", type=int, choices=(0, 1))
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--real", action="store_true")
+    options = parser.parse_args()
+    if options.real:
+        print("\n".join(real(options.data)))
+        return 0
+    work = functools.partial(scored, options.seed, options.kind, options.data, options.fold)
+    scores = []
+    for score in spread(work, range(options.cases), options.jobs):
+        scores.append(score)
+        if options.out is not None:
+            with options.out.open("a") as out:
+                out.write(json.dumps({"seed": options.seed, "set": options.kind, **asdict(score)}) + "\n")
+    print(f"set {options.kind}, seed {options.seed}, {options.cases} cases")
+    print("\n".join(table(scores)))
+    return 0

@@ -1,0 +1,155 @@
+"""A loop of the world with real loads: known process, known tuning, loads and setpoints of other real loops.
+
+class        in order (Ms up to 1.75, half of them calmer still), sluggish (Kc x 0.1 to 0.22), aggressive (gain
+             margin 1.12 to 1.45), or a valve that sticks and makes the mean error at least a quarter larger
+load         a piece of the co of a real loop, stretched by 0.5 to 1.5, at the process input
+noise        0.2 to 6 % of pv's span; pv and co quantised in 7 of 10
+setpoint     real: a piece of a real one in 6 of 10; none; step4, step8: one step out and back of 4 or 8 times the
+             standard deviation that the load gives pv
+"""
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from world.process import FloatArray, TrueProcess, drawn_process, margins, simc, simulated
+
+CLASSES = ("ok", "sluggish", "aggressive", "stiction")
+SETS = {"real": 0, "none": 1, "step4": 4, "step8": 8}
+SAMPLES, DT_S = 751, 10.0
+TRIES = 80
+
+
+@dataclass(frozen=True, slots=True)
+class WorldCase:
+    """A record with its truth. cause : one of CLASSES. kc, tau_i : in samples. ms : of them. tag : the load's loop."""
+
+    cause: str
+    process: TrueProcess
+    kc: float
+    tau_i: float
+    ms: float
+    tag: str
+    t: FloatArray
+    sp: FloatArray
+    pv: FloatArray
+    co: FloatArray
+
+
+@lru_cache(maxsize=4)
+def real_loops(folder: str, fold: int | None) -> tuple[tuple[str, FloatArray, FloatArray], ...]:
+    """Tag, setpoint and output of every record that moves; of every second tag, where a fold (0, 1) is given."""
+    with (Path(folder) / "index.csv").open() as index:
+        rows = list(csv.DictReader(index))
+    tags = sorted({row["tag"] for row in rows})
+    kept = tags if fold is None else tags[fold::2]
+    found = []
+    for row in rows:
+        if row["tag"] in kept:
+            table = np.genfromtxt(Path(folder) / row["file"], delimiter=",", names=True)
+            whole = np.all([np.isfinite(table[name]) for name in ("sp", "pv", "co")], axis=0)
+            if np.std(table["co"][whole]) > 0:
+                found.append((row["tag"], table["sp"][whole], table["co"][whole]))
+    return tuple(found)
+
+
+def piece(rng: np.random.Generator, x: FloatArray) -> FloatArray:
+    """A piece of a signal, stretched by 0.5 to 1.5, from zero; what is too short goes on backwards."""
+    stretch = rng.uniform(0.5, 1.5)
+    length = int(SAMPLES / stretch) + 2
+    while len(x) < length:
+        x = np.concatenate([x, x[::-1]])
+    first = int(rng.integers(0, len(x) - length + 1))
+    found = np.interp(np.arange(SAMPLES) / stretch, np.arange(length), x[first : first + length])
+    return np.asarray(found - found[0], dtype=np.float64)
+
+
+def where(meets: Callable[[float], bool], start: float) -> float:
+    """The largest gain that meets a condition which larger ones do not."""
+    low, high = start * 1e-3, start * 1e3
+    for _ in range(50):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if meets(middle) else (low, middle)
+    return low
+
+
+def settings(rng: np.random.Generator, process: TrueProcess, cause: str) -> tuple[float, float]:
+    """kc and tau_i of a class."""
+    start, tau_i = simc(process)
+    tau_i *= rng.uniform(0.8, 1.3)
+    limit = rng.uniform(1.5, 1.75)
+    good = where(lambda kc: margins(process, kc, tau_i)[0] < limit, start)
+    if cause == "sluggish":
+        return good * rng.uniform(0.1, 0.22), tau_i
+    if cause == "aggressive":
+        margin = rng.uniform(1.12, 1.45)
+        return where(lambda kc: margins(process, kc, tau_i)[1] > margin, start), tau_i
+    return good * (rng.uniform(0.55, 1.0) if rng.random() < 0.5 else 1.0), tau_i
+
+
+def setpoint(
+    rng: np.random.Generator, kind: str, std: float, loops: tuple[tuple[str, FloatArray, FloatArray], ...]
+) -> FloatArray:
+    """The setpoint of a set. std : of pv under the load."""
+    sp = np.zeros(SAMPLES)
+    if kind in {"step4", "step8"}:
+        first = int(rng.integers(SAMPLES // 8, SAMPLES // 3))
+        last = first + int(rng.integers(SAMPLES // 5, SAMPLES // 2))
+        sp[first:last] = SETS[kind] * std * (1 if rng.random() < 0.5 else -1)
+    elif kind == "real" and rng.random() < 0.6:
+        moved = piece(rng, loops[int(rng.integers(len(loops)))][1])
+        if np.std(moved) > 0:
+            sp = moved / np.std(moved) * std * np.exp(rng.uniform(np.log(0.3), np.log(3.0)))
+    return sp
+
+
+def drawn(seed: int, index: int, kind: str, folder: str, fold: int | None = None) -> WorldCase:
+    """One loop of a set.
+
+    Raises
+    ------
+    RuntimeError
+        None could be drawn in TRIES.
+    """
+    rng = np.random.default_rng([seed, index, SETS[kind]])
+    cause, loops = CLASSES[index % len(CLASSES)], real_loops(folder, fold)
+    for _ in range(TRIES):
+        found = _tried(rng, cause, kind, loops)
+        if found is not None:
+            return found
+    raise RuntimeError(f"seed {seed}, case {index}: no loop of class {cause} could be drawn")
+
+
+def _tried(
+    rng: np.random.Generator, cause: str, kind: str, loops: tuple[tuple[str, FloatArray, FloatArray], ...]
+) -> WorldCase | None:
+    """One try; None where the loop is unstable, the load is still, or the valve does not matter."""
+    process = drawn_process(rng)
+    gains = settings(rng, process, cause)
+    ms = margins(process, *gains)[0]
+    tag, _, co = loops[int(rng.integers(len(loops)))]
+    load, rest = piece(rng, co), np.zeros(SAMPLES)
+    if not np.isfinite(ms) or np.std(load) == 0:
+        return None
+    load = load / np.std(load) * (1 if rng.random() < 0.5 else -1)
+    std = float(np.std(simulated(process, gains, (rest, load, rest))[0]))
+    sp = setpoint(rng, kind, std, loops)
+    pv, co = simulated(process, gains, (sp, load, rest))
+    spans = float(np.ptp(pv)), float(np.ptp(co))
+    noise = rng.normal(size=SAMPLES) * spans[0] * np.exp(rng.uniform(np.log(0.002), np.log(0.06)))
+    steps = [s * np.exp(rng.uniform(np.log(0.001), np.log(0.02))) if rng.random() < 0.7 else 0.0 for s in spans]
+    signals, recorded = (sp, load, noise), (float(steps[0]), float(steps[1]))
+    pv, co = simulated(process, gains, signals, 0.0, recorded)
+    if cause == "stiction":
+        free = float(np.mean(np.abs(pv - sp)))
+        pv, co = simulated(process, gains, signals, spans[1] * rng.uniform(0.15, 0.8), recorded)
+        if not np.mean(np.abs(pv - sp)) >= 1.25 * free:
+            return None
+    if not np.all(np.isfinite(pv)) or np.std(pv) > 100 * std:
+        return None
+    t = np.arange(SAMPLES) * DT_S
+    return WorldCase(cause, process, gains[0], gains[1], ms, tag, t, sp + 50.0, pv + 50.0, co + 50.0)
