@@ -23,7 +23,7 @@ from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import Found
-from retuner.adaptive.explanations.deciding_test import DecidingTest, deciding_test
+from retuner.adaptive.explanations.deciding_test import DecidingTest, deciding_test, valve_test
 from retuner.adaptive.explanations.process_grid import gain_unit
 from retuner.adaptive.explanations.settings_by_odds import (
     Worthwhile,
@@ -68,11 +68,13 @@ class OddsFound:
 
     found : of the record that the verdict rests on. tuning : processes and their odds, None without gains in force.
     settings : those worth having, where they come from the odds; None where the verdict's own hold, or none.
+    record : which of the records that is.
     """
 
     found: Found
     tuning: TuningOdds | None = None
     settings: Worthwhile | None = None
+    record: int = 0
 
 
 def diagnose_records(
@@ -105,11 +107,12 @@ def diagnose_records(
     if not open_ones:
         return OddsFound(_alone(each[0], settings))
     told = max((f for _, f in open_ones), key=lambda f: (f.diagnosis.cause != Cause.UNKNOWN, f.diagnosis.confidence))
+    at = next(i for i, f in enumerate(each) if f is told)
     known = gains or rough
     sign = known.direction if known is not None else direction
     walk = _walk([w for w, _ in open_ones], known, sign, settings) if sign else None
     if walk is None:
-        return OddsFound(_alone(told, settings))
+        return OddsFound(_alone(told, settings), record=at)
     odds = None
     if known is not None:
         odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
@@ -117,7 +120,7 @@ def diagnose_records(
     under_steps, weight = _under_steps(open_ones, under_walk, walk, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
     causes = _mixed(under_steps, under_walk, weight, most)
-    return _verdict(told, causes, weight, odds, walk, open_ones, settings, sure=gains is not None)
+    return replace(_verdict(told, causes, weight, odds, walk, open_ones, settings, sure=gains is not None), record=at)
 
 
 def _final(window: Window, found: Found) -> bool:
@@ -294,8 +297,7 @@ def _verdict(
     if odds is not None:
         evidence |= _ms_range(odds)
         if p < settings.undecided:
-            error = open_ones[0][0].sp - open_ones[0][0].pv
-            test = _next(odds, walk, float(np.std(error)))
+            test = _next(causes, odds, walk, open_ones[0][0])
     reason = _reason(cause, odds, evidence, told)
     settled = cause not in TUNING_CAUSES or worth is not None
     verdict = Diagnosis(cause, p, evidence, reason, settled, shares, test)
@@ -303,8 +305,14 @@ def _verdict(
     return OddsFound(kept, odds, worth)
 
 
-def _next(odds: TuningOdds, walk: Walk, error_std: float) -> DecidingTest | None:
-    """The deciding test; None for a loop that cannot be moved by its setpoint, or whose error never moves."""
+def _next(causes: Mapping[Cause, float], odds: TuningOdds, walk: Walk, window: Window) -> DecidingTest | None:
+    """The deciding test: of the valve where it is one of the two causes in question, else of the tuning.
+
+    None for a loop that cannot be moved by its setpoint, or whose error never moves.
+    """
+    if Cause.STICTION in list(causes)[:2]:
+        return valve_test(odds, walk.record, float(np.std(window.co)))
+    error_std = float(np.std(window.sp - window.pv))
     if not (odds.gains.kp or odds.gains.ki) or not error_std > 0:
         return None
     return deciding_test(odds, walk.record, error_std)

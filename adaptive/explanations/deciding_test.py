@@ -3,6 +3,8 @@
     D_ij = sum over the test of [A/C (pv_i - x_j)]^2 / s^2          pv_i: process i under the test; x_j: j under i's co
     P(decides) = sum_i P_i min_j Phi((D_ij / 2T + ln P_i/P_j - ln 9) / sqrt(D_ij / T))
 
+A valve that may stay behind co is told by steps of co in manual: D is then between the process's answer and none.
+
 D/2 is the mean of the log-likelihood ratio of two processes under the load and noise that the record has shown (A/C
 and s, wandering_load.py), T its temper, and the ratio is normal with variance D. The test decides where the odds come
 out at nine to one or more. In each class the processes nearest to one another count.
@@ -11,6 +13,7 @@ out at nine to one or more. In each class the processes nearest to one another c
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -45,21 +48,30 @@ SHORTEST, LONGEST = 30, 250
 SETTLED = 0.05
 
 
+class TestKind(StrEnum):
+    """SETPOINT : a step of the setpoint out and back. VALVE : in manual, steps of co up, up, down and down."""
+
+    __test__ = False  # no class of tests, whatever its name begins with
+
+    SETPOINT = "setpoint"
+    VALVE = "valve"
+
+
 @dataclass(frozen=True, slots=True)
 class DecidingTest:
-    """A test to make. kind : "setpoint" (a step out and back). size : of the step, pv units.
+    """A test to make. size : of each step, pv units, or co units for a valve.
 
-    hold_s : how long each of the two is held. decides : probability that the record of it leaves one cause at 90 %.
+    hold_s : how long each step is held. decides : probability that the record of it leaves one cause at 90 %.
     """
 
-    kind: str
+    kind: TestKind
     size: float
     hold_s: float
     decides: float
 
     def to_dict(self) -> dict[str, object]:
         """Keys kind, size, hold_s, decides."""
-        return {"kind": self.kind, "size": self.size, "hold_s": self.hold_s, "decides": self.decides}
+        return {"kind": str(self.kind), "size": self.size, "hold_s": self.hold_s, "decides": self.decides}
 
 
 def deciding_test(odds: TuningOdds, record: Prepared, error_std: float) -> DecidingTest:
@@ -76,7 +88,26 @@ def deciding_test(odds: TuningOdds, record: Prepared, error_std: float) -> Decid
     energy = np.array([_energies(odds, one, groups, hold, load) for one in true]) * (error_std / std) ** 2
     decides = [_decides(energy * size**2, weight) for size in SIZES]
     at = next((i for i, share in enumerate(decides) if share >= ENOUGH), len(SIZES) - 1)
-    return DecidingTest("setpoint", _rounded(SIZES[at] * error_std), hold * odds.sample_time_s, decides[at])
+    return DecidingTest(TestKind.SETPOINT, _rounded(SIZES[at] * error_std), hold * odds.sample_time_s, decides[at])
+
+
+def valve_test(odds: TuningOdds, record: Prepared, co_std: float) -> DecidingTest:
+    """The smallest steps of co in manual at which a pv that follows is told from one behind a valve that stays.
+
+    A pv that follows shows D of the head of this file between the process's answer and none; a valve that stays shows
+    none. co_std : standard deviation of co in the record, co units.
+    """
+    load, std = _load(odds, record)
+    group = [process for each in _groups(odds) for process in each[:1]]
+    weight = np.array([odds.classes[CLASSES[process.kind]] for process in group])
+    hold = max(min(_settling(odds, process), LONGEST // 2) for process in group)
+    co = np.concatenate([np.full(hold, level) for level in (1.0, 2.0, 1.0, 0.0)])
+    white = impulse_response(load.a, load.c, len(co))
+    shown = [filtered(spectrum(_answer(process, co)), len(co), white) for process in group]
+    energy = np.array([float(d @ d) for d in shown]) * (co_std / std) ** 2
+    decides = [float(weight @ [_reaches(float(e) * size**2, 0.0) for e in energy] / weight.sum()) for size in SIZES]
+    at = next((i for i, share in enumerate(decides) if share >= ENOUGH), len(SIZES) - 1)
+    return DecidingTest(TestKind.VALVE, _rounded(SIZES[at] * co_std), hold * odds.sample_time_s, decides[at])
 
 
 @dataclass(frozen=True, slots=True)

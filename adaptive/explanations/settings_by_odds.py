@@ -68,21 +68,28 @@ TAU_CS = (1.0, 1.5, 2.5, 4.0)
 """tau_c of the candidates, in effective dead times."""
 SCALES = (0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
 """Of all actions of the set in force."""
+TOLD_SHARE, TOLD_MOST = 0.9, 20
+"""Share of the odds whose processes are told with settings, and how many at the most."""
+LEAST_ROOM, MOST_ROOM, ROOMS = 0.1, 10.0, 41
+"""Factors on the set in force that are tried for how far it may be changed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Worthwhile:
     """Settings worth having.
 
-    model : the likeliest process. ms : of the settings on it. ms_worst : nine of ten processes have less.
-    worth : expected gain, in logarithms of the integrated error.
+    models : the likeliest processes, which have most of the odds, the likeliest first. ms : of the settings on the
+    first. ms_worst : nine of ten processes have less. worth : expected gain, in logarithms of the integrated error.
+    sure, likely : times all actions in force that keep Ms good on next to every process, and on half of the odds.
     """
 
     tuning: Tuning
-    model: ProcessModel
+    models: tuple[ProcessModel, ...]
     ms: float
     ms_worst: float
     worth: float
+    sure: float
+    likely: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +164,9 @@ def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
         worth = before - cost
         if worth >= settings.worth and (best is None or worth > best.worth):
             worst = quantile(peaks, likely.weights, 1.0 - settings.bad_share)
-            best = Worthwhile(tuning, known[0], float(peaks[0]), worst, worth)
+            best = Worthwhile(
+                tuning, _told(known, likely), float(peaks[0]), worst, worth, *_room(odds, likely, settings)
+            )
     return best
 
 
@@ -175,7 +184,25 @@ def halved(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
     if before - cost < settings.worth or worse > settings.bad_share:
         return None
     worst = quantile(peaks, likely.weights, 1.0 - settings.bad_share)
-    return Worthwhile(half, models(odds, likely)[0], float(peaks[0]), worst, before - cost)
+    known = _told(models(odds, likely), likely)
+    return Worthwhile(half, known, float(peaks[0]), worst, before - cost, *_room(odds, likely, settings))
+
+
+def _told(known: list[ProcessModel], likely: LikelyProcesses) -> tuple[ProcessModel, ...]:
+    """The processes that have most of the odds."""
+    count = int(np.searchsorted(np.cumsum(likely.weights), TOLD_SHARE)) + 1
+    return tuple(known[: min(count, TOLD_MOST)])
+
+
+def _room(odds: TuningOdds, likely: LikelyProcesses, settings: WorthSettings) -> tuple[float, float]:
+    """Factors on all actions in force up to which Ms stays good: on next to every process, and on half of the odds."""
+    now, found = odds.gains, [LEAST_ROOM, LEAST_ROOM]
+    for scale in np.geomspace(LEAST_ROOM, MOST_ROOM, ROOMS).tolist():
+        peaks = likely.peaks(PidGains(now.kp * scale, now.ki * scale, now.kd * scale))
+        bad = float(likely.weights @ (peaks > settings.ms_bad))
+        for i, share in enumerate((settings.unstable_share, 0.5)):
+            found[i] = scale if bad <= share else found[i]
+    return found[0], found[1]
 
 
 def quantile(values: FloatArray, weights: FloatArray, share: float) -> float:

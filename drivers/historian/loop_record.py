@@ -8,7 +8,7 @@ What is ambiguous is not guessed: the refusal names the option that answers it.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +31,7 @@ FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
 TRAFFIC = (".blf", ".asc", ".mf4", ".log")
 """Logs of bus traffic; of a folder they are read where a DBC is given."""
 TAGS_SHOWN = 8
+EMPTY = "no file in the folder; give text (.csv, .txt) or .parquet"
 WHOLE = RecordForm()
 
 
@@ -80,10 +81,35 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
     """
     tables = [table for source in sources for table in _tables(source, form)]
     if not tables:
-        raise RecordingError("no file in the folder; give text (.csv, .txt) or .parquet")
+        raise RecordingError(EMPTY)
     read = [signals_of(table, form, in_automatic=in_automatic) for table in tables]
     loop = _chosen(_together(read), form, tables[0])
     return _record(loop, read, form)
+
+
+def read_records(
+    sources: Iterable[object], form: RecordForm = WHOLE, *, in_automatic: bool = False
+) -> list[LoopRecord]:
+    """Records of one loop: of several sources each one that holds pv and co, where all do; else all as one record.
+
+    Raises
+    ------
+    RecordingError
+        As read_loop_record; or the records are of several loops.
+    """
+    tables = [_tables(source, form) for source in sources]
+    read = [[signals_of(table, form, in_automatic=in_automatic) for table in each] for each in tables]
+    if not all(any({"pv", "co"} <= roles.keys() for roles in _pieces(each).values()) for each in read):
+        tables, read = [list(chain(*tables))], [list(chain(*read))]
+    if not all(tables):
+        raise RecordingError(EMPTY)
+    found = [
+        _record(_chosen(_together(each), form, its[0]), each, form) for its, each in zip(tables, read, strict=True)
+    ]
+    tags = {record.tag for record in found}
+    if len(tags) > 1:
+        raise RecordingError(f"records of {len(tags)} loops: {_listed(sorted(tags))}; give those of one, or say --tag")
+    return found
 
 
 def read_loops(

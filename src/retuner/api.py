@@ -358,7 +358,10 @@ class RecordDiagnosis:
     aim : where the settings are a first step only (diagnosis/first_step.py), those that they lead to.
     record : what it was told from, for the picture; None where it was not kept.
     active : the settings in force, as given or as read off the record; None where neither is known.
-    co_limits : lowest and highest co as given.
+    co_limits : lowest and highest co as given. likely : the processes that the settings rest on where these come from
+        the odds of many (adaptive/explanations/), the likeliest first; else empty, and `model` is the process.
+    room : times all actions in force that stay robust on next to every process, and on half of the odds; None where
+        settings do not come from odds. on : which of several records it is told of, from 0.
     """
 
     diagnosis: Diagnosis
@@ -369,6 +372,9 @@ class RecordDiagnosis:
     record: Window | None = field(default=None, compare=False)
     active: PidGains | None = None
     co_limits: tuple[float | None, float | None] = (None, None)
+    likely: tuple[ProcessModel, ...] = ()
+    room: tuple[float, float] | None = None
+    on: int = 0
 
     def __repr__(self) -> str:
         told = self.diagnosis
@@ -388,6 +394,8 @@ class RecordDiagnosis:
     @property
     def model(self) -> ProcessModel | None:
         """The process, None where the record does not say enough."""
+        if self.likely:
+            return self.likely[0]
         return self.estimate.log.model() if self.estimate is not None and self.estimate.identifiable else None
 
     @property
@@ -426,7 +434,7 @@ class RecordDiagnosis:
 
 
 def diagnose(
-    t: Times | Record,
+    t: Times | Record | Sequence[Record],
     sp: Numbers | None = None,
     pv: Numbers | None = None,
     co: Numbers | None = None,
@@ -439,8 +447,10 @@ def diagnose(
 
     Parameters
     ----------
-    t, sp, pv, co : the record in automatic, see identify. gains : the controller in force; where it is not given it is
-        read off the record if the record shows it. co_min, co_max : limits of the controller output, co units.
+    t, sp, pv, co : the record in automatic, see identify; or t is a list of records of one loop, all with the same
+        controller, from oldest to newest: each adds to the odds. gains : the controller in force; where it is not
+        given it is read off the record if the record shows it. co_min, co_max : limits of the controller output, co
+        units.
 
     Returns
     -------
@@ -462,26 +472,65 @@ def diagnose(
     >>> diagnose(t, np.full(400, 50.0), pv, np.full(400, 30.0)).cause
     <Cause.UNKNOWN: 'unknown'>
     """
-    window = window_of(t, sp, pv, co)
-    return replace(diagnose_record(window, gains=gains, co_min=co_min, co_max=co_max), record=window)
+    if isinstance(t, list | tuple) and sp is None:
+        windows = [window_of(cast("Record", one), None, None, None) for one in t]
+    else:
+        windows = [window_of(t, sp, pv, co)]
+    found = diagnose_windows(windows, gains=gains, co_min=co_min, co_max=co_max)
+    return replace(found, record=windows[found.on])
 
 
 def diagnose_record(
     window: Window, *, gains: PidGains | None = None, co_min: float | None = None, co_max: float | None = None
 ) -> RecordDiagnosis:
     """The same for a record that is a Window already."""
-    window = within(window, co_min, co_max)
+    return diagnose_windows([window], gains=gains, co_min=co_min, co_max=co_max)
+
+
+def diagnose_windows(
+    windows: Sequence[Window],
+    *,
+    gains: PidGains | None = None,
+    co_min: float | None = None,
+    co_max: float | None = None,
+) -> RecordDiagnosis:
+    """The same for several records of one loop with one controller: each adds to the odds.
+
+    Where no gains are given, those of the newest record that shows any are taken for all.
+    """
+    windows = [within(window, co_min, co_max) for window in windows]
     direction = rough = None
     if gains is None:
-        read_off = settings_in_force(window, co_min, co_max)
-        gains, direction, rough = read_off.gains, read_off.direction, read_off.rough
-    told = diagnose_records([window], gains, co_min, co_max, direction=direction, rough=rough)
+        gains, rough, direction = _settings_shown(windows, co_min, co_max)
+    told = diagnose_records(windows, gains, co_min, co_max, direction=direction, rough=rough)
     found, worth = told.found, told.settings
     fits = {name: c.fit.at.explained for name, c in found.fits.items()}
     now, aim = (_result(found.estimate, tuning) for tuning in (found.tuning, found.aim))
     if worth is not None:
-        now = TuneResult(worth.tuning, worth.tuning.form, margins(worth.model.linear(), worth.tuning.gains))
-    return RecordDiagnosis(found.diagnosis, found.estimate, now, fits, aim, active=gains, co_limits=(co_min, co_max))
+        now = TuneResult(worth.tuning, worth.tuning.form, margins(worth.models[0].linear(), worth.tuning.gains))
+    return RecordDiagnosis(
+        found.diagnosis,
+        found.estimate,
+        now,
+        fits,
+        aim,
+        active=gains,
+        co_limits=(co_min, co_max),
+        likely=worth.models if worth is not None else (),
+        room=(worth.sure, worth.likely) if worth is not None else None,
+        on=told.record,
+    )
+
+
+def _settings_shown(
+    windows: Sequence[Window], co_min: float | None, co_max: float | None
+) -> tuple[PidGains | None, PidGains | None, int | None]:
+    """Gains that the newest record shows, else rough ones, and the direction of the controller; None for not known."""
+    each = [settings_in_force(window, co_min, co_max) for window in reversed(windows)]
+    gains = next((one.gains for one in each if one.gains is not None), None)
+    rough = next((one.rough for one in each if one.rough is not None), None) if gains is None else None
+    signs = [one.direction for one in each if one.direction is not None]
+    return gains, rough, (1 if sum(signs) > 0 else -1) if signs else None
 
 
 def _result(estimate: ModelEstimate | None, found: RobustTuning | None) -> TuneResult | None:

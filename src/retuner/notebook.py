@@ -24,7 +24,8 @@ from retuner.decision_page.page import article
 from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.pid_controller import PidController
-from retuner.report.loop_plots import as_png, change_of, trend_figure
+from retuner.report.change_of_settings import change_of
+from retuner.report.loop_plots import as_png, trend_figure
 from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure, record_png
 from retuner.report.rule_comparison import RuleRow
 from retuner.report.tuning_plots import responses_png

@@ -1,21 +1,16 @@
 """Pictures of a loop: its trend, and a record before and after a change of settings."""
 
 import io
-import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from retuner.adaptive.fit.structure import model_at
-from retuner.adaptive.identification.estimate import STRUCTURE_STD
-from retuner.adaptive.loop.replayed import MOST_MODELS, BeforeAfter, before_after, spread
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.api import RecordDiagnosis
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.report.change_of_settings import Change, change_words, settling_s
 from retuner.report.plots import DPI, FIXED, MARK, PV, SP, time_axis
 from retuner.schedule.gains import PidGains
 from retuner.simulation.loop_trend import LoopTrend
@@ -28,10 +23,6 @@ BAND = 0.22
 """Opacity of the band over the models."""
 NOISE_BANDS, CO_FLOOR = 8.0, 10.0
 """Least height of an axis: noise bands of pv (standard deviations), and co units. A loop at rest looks at rest."""
-OFF = 2.0 * STRUCTURE_STD
-"""How far each parameter of a process is off in the band, as a logarithm, beside what the record by itself allows."""
-SETTLED = 12.0
-"""Length of a step response in dead times, at the least."""
 OUT_OF_SIGHT = 1e9
 """Where an unstable answer is cut off; the axes end long before."""
 
@@ -84,46 +75,6 @@ def trend_figure(trend: LoopTrend) -> Figure:
     return figure
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
-    """A change of settings as it is drawn: found : the record before and after. processes : of the band, the best
-    first. active, recommended : the settings; active is None where they are not known.
-    """
-
-    found: BeforeAfter
-    processes: tuple[LinearProcess, ...]
-    active: PidGains | None
-    recommended: PidGains
-
-
-def change_words(found: BeforeAfter) -> str:
-    """What the replay says."""
-    error, travel = found.error_ratios, found.travel_ratios
-    if not math.isfinite(error[2]):
-        return "on a plausible model the new settings would not hold the loop"
-    return f"the same record with the new settings: mean error {_percent(error)} of before, co's way {_percent(travel)}"
-
-
-def _percent(ratios: tuple[float, float, float]) -> str:
-    """The best model's share, and the band where it is wider than a per cent."""
-    best, low, high = (100.0 * ratio for ratio in ratios)
-    band = f" ({low:.0f} to {high:.0f} %)" if high - low > 1.0 else ""
-    return f"{best:.0f} %{band}"
-
-
-def change_of(window: Window, result: RecordDiagnosis) -> Change | None:
-    """The change that a diagnosis recommends, tried on its record; None where it recommends none."""
-    if result.recommended is None or result.estimate is None:
-        return None
-    log = result.estimate.log
-    corners = [way * axis for axis in OFF * np.eye(len(log.x)) for way in (1, -1)]
-    rounded = (model_at(log.type, log.x + corner, log.sign) for corner in corners)
-    models = (log.model(), *rounded, *(one.model for one in result.estimate.plausible))
-    processes = tuple(dict.fromkeys(model.linear() for model in models))
-    found = before_after(window, processes, result.recommended, result.co_limits)
-    return Change(found, spread(processes, MOST_MODELS), result.active, result.recommended)
-
-
 def change_into(figure: Figure, grid: "GridSpec", change: Change) -> None:
     """Draw a change into a grid of two rows and three columns: the record, a setpoint step and a load step."""
     top = figure.add_subplot(grid[0, 0])
@@ -144,7 +95,7 @@ def replay_panels(top: "Axes", low: "Axes", change: Change) -> None:
         axes.plot(x, getattr(found.best, name), color=PV, lw=1.0, label="with the new settings")
         _keep_in_sight(axes, before, getattr(found.best, name))
     top.plot(x, found.record.sp, color=SP, lw=0.9, ls="--", label="sp")
-    top.set_title(change_words(found), fontsize=10, loc="left", pad=18)
+    top.set_title(f"the same record with the new settings: {change_words(found)}", fontsize=10, loc="left", pad=18)
     top.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.975), ncols=4, frameon=False, fontsize=8)
     floors(top, low, found.record.pv)
     _finished(top, low, unit)
@@ -152,7 +103,7 @@ def replay_panels(top: "Axes", low: "Axes", change: Change) -> None:
 
 def step_panels(top: "Axes", low: "Axes", change: Change, *, load: bool) -> None:
     """A unit step of setpoint or load, before and after, with the band over the models."""
-    until_s = _settling_s(change)
+    until_s = settling_s(change.processes[0], change.recommended)
     sets = [(change.active, FIXED, "active"), (change.recommended, PV, "new")]
     for gains, colour, name in sets:
         if gains is None:
@@ -185,13 +136,6 @@ def _keep_in_sight(axes: "Axes", *signals: FloatArray) -> None:
     room = 0.25 * max(high - low, 1e-12)
     given = axes.get_ylim()
     axes.set_ylim(max(given[0], low - room), min(given[1], high + room))
-
-
-def _settling_s(change: Change) -> float:
-    """How long a step response is drawn: until the new settings have settled."""
-    process, gains = change.processes[0], change.recommended
-    reset_s = gains.kp / gains.ki if gains.ki and gains.kp else sum(process.lags_s)
-    return max(4.0 * abs(reset_s), SETTLED * process.theta_s, 1e-6) + 4.0 * process.theta_s
 
 
 def _answer(process: LinearProcess, gains: PidGains, grid: FloatArray, *, load: bool) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.report.loop_plots import Change, change_into, floors
+from retuner.report.change_of_settings import Change
+from retuner.report.loop_plots import change_into, floors
 from retuner.report.plots import DPI, MARK, PV, SP, time_axis
 
 if TYPE_CHECKING:

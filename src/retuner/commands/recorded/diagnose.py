@@ -13,11 +13,12 @@ from typing import Annotated
 import typer
 
 from retuner import api
+from retuner.adaptive.audit.loop_screen import LoopScreen, screen_loop
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
-from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.enough_data import shortcomings
+from retuner.adaptive.explanations.deciding_test import DecidingTest, TestKind
 from retuner.adaptive.indexes.screening import Screening, screen
-from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
@@ -27,7 +28,7 @@ from retuner.commands.recorded.record_form import tell_assumed
 from retuner.commands.recorded.recorded_loop import (
     RecordOptions,
     controller,
-    read_loop,
+    read_records_of_loop,
     require_direction,
     require_length,
 )
@@ -37,6 +38,7 @@ from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.recorded.recording import Recording
 from retuner.errors import user_input
 from retuner.files import write_whole
+from retuner.report.change_of_settings import Change, change_of, change_words, step_words
 from retuner.schedule.gains import PidGains
 from retuner.tuning import tuning_lines
 from retuner.verbosity import busy
@@ -48,8 +50,10 @@ app = typer.Typer(add_completion=False)
 class DiagnosedRecord:
     """A diagnosed record with everything that is shown.
 
-    gains : the settings in force, given or read off. read_off : how they were, None when they were given.
-    evidence : numbers by name, of the indexes and of the diagnosis. notes : what the record lacks.
+    source : of all records. window : of the one that the verdict is told of. gains : the settings in force, given or
+    read off. read_off : how they were, None when they were given. seen, loop : indexes of that record. change : what
+    the recommended settings would have done, None where there are none. evidence : numbers by name, of the indexes and
+    of the diagnosis. notes : what the record lacks.
     """
 
     source: str
@@ -58,6 +62,8 @@ class DiagnosedRecord:
     gains: PidGains | None
     read_off: SettingsInForce | None
     seen: Screening
+    loop: LoopScreen
+    change: Change | None
     evidence: dict[str, float]
     notes: tuple[str, ...]
 
@@ -66,7 +72,12 @@ class DiagnosedRecord:
 class DiagnoseOptions(RecordOptions):
     """Find the cause of a loop's behaviour, with evidence and recommended settings."""
 
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Records of one loop, oldest first; or one, a file for each signal."),
+    ]
     kc: Annotated[float | None, typer.Option(help="Active controller gain; else identified from the record.")] = None
+    with_evidence: Annotated[bool, typer.Option("--evidence", help="All numbers behind it, and other forms.")] = False
 
 
 @app.command(epilog="Example: retuner diagnose loop.csv --kc 0.8 --tau-i 40 --co-min 0 --co-max 100 --plot loop.png")
@@ -80,42 +91,42 @@ def diagnose(options: DiagnoseOptions) -> int:
         The file or an option cannot be used.
     """
     gains = controller(options)
-    read = read_loop(options)
-    recording = read.recording
-    require_length(recording)
-    require_direction(recording, gains)
-    with user_input(recording.source), busy(f"diagnosing {recording.source}"):
-        found = _found(recording, gains, options)
+    records = read_records_of_loop(options)
+    for read in records:
+        require_length(read.recording)
+        require_direction(read.recording, gains)
+    source = records[0].recording.source
+    source = source if len(records) == 1 else f"{source} and {len(records) - 1} more"
+    with user_input(source), busy(f"diagnosing {source}"):
+        found = _found(source, [read.recording for read in records], gains, options)
     if options.plot is not None:
         write_whole(options.plot, _picture(found, options))
-    tell_assumed(read.assumed, options)
+    assumed = tuple(dict.fromkeys(one for read in records for one in read.assumed))
+    tell_assumed(assumed, options)
     if options.as_json:
-        sys.stdout.write(
-            json.dumps({**document(found), "assumed": [a.what for a in read.assumed]}, indent=2, allow_nan=False) + "\n"
-        )
+        told = {**document(found), "records": len(records), "assumed": [a.what for a in assumed]}
+        sys.stdout.write(json.dumps(told, indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.write("\n".join(described(found)) + "\n")
+        lines = described(found) + (evidence_of(found) if options.with_evidence else [])
+        sys.stdout.write("\n".join(lines) + "\n")
     return 1 if found.result.diagnosis.cause == Cause.UNKNOWN else 0
 
 
-def _found(recording: Recording, given: PidGains | None, options: RecordOptions) -> DiagnosedRecord:
+def _found(source: str, recordings: list[Recording], given: PidGains | None, options: RecordOptions) -> DiagnosedRecord:
     """The diagnosis with all that belongs to it."""
-    window = recording.window()
+    windows = [recording.window() for recording in recordings]
+    result = api.diagnose_windows(windows, gains=given, co_min=options.co_min, co_max=options.co_max)
+    window = windows[result.on]
     read_off = None
     if given is None and not options.open_loop:
         read_off = settings_in_force(window, options.co_min, options.co_max)
-    gains = given or (read_off.gains if read_off is not None else None)
-    result = api.diagnose_record(window, gains=gains, co_min=options.co_min, co_max=options.co_max)
-    seen = screen(window, gains, options.co_min, options.co_max)
+    seen = screen(window, result.active, options.co_min, options.co_max)
     evidence = {**seen.evidence, **result.diagnosis.evidence}
-    notes = shortcomings(window, seen, _model(result))
-    return DiagnosedRecord(recording.source, window, result, gains, read_off, seen, evidence, notes)
-
-
-def _model(result: RecordDiagnosis) -> ProcessModel | None:
-    """The process, where it is known well enough to say so."""
-    estimate = result.estimate
-    return estimate.log.model() if estimate is not None and estimate.identifiable else None
+    model = result.model
+    notes = shortcomings(window, seen, model)
+    loop = screen_loop(window, model.theta_s if model is not None else None)
+    change = None if options.open_loop else change_of(window, result)
+    return DiagnosedRecord(source, window, result, result.active, read_off, seen, loop, change, evidence, notes)
 
 
 def document(found: DiagnosedRecord) -> dict[str, object]:
@@ -134,6 +145,8 @@ def document(found: DiagnosedRecord) -> dict[str, object]:
         "identifiable": estimate.get("identifiable", False),
         "model": estimate.get("model"),
         "std": estimate.get("std"),
+        "next": told.get("next"),
+        "performance": found.loop.to_dict(),
         "notes": list(found.notes),
         "by_eye": _by_eye(found),
     }
@@ -155,27 +168,113 @@ def _in_force(found: DiagnosedRecord) -> dict[str, object] | None:
 
 
 def described(found: DiagnosedRecord) -> list[str]:
-    """The finding in lines."""
-    told = found.result.diagnosis
-    lines = [f"{str(told.cause).replace('_', ' ').upper()} (confidence {told.confidence:.0%}): {told.reason}"]
-    lines += [f"  note: {note}" for note in found.notes if note != told.reason]
-    lines += [f"  {line}" for line in _controller_lines(found)]
-    lines += [f"  {line}" for line in _process_lines(found)]
-    if told.retune and found.result.settings is not None:
-        aim = found.result.aim
-        title = "recommended settings:" if aim is None else "recommended first step:"
-        lines += [title, *tuning_lines(found.result.settings, chosen_units())]
-        if aim is not None:
-            lines += ["final settings, once the next record confirms:", *tuning_lines(aim, chosen_units())]
+    """The finding in some eight lines."""
+    result = found.result
+    told = result.diagnosis
+    lines = [f"{_headline(told)}: {told.reason}", *_controller_lines(found)]
+    if told.retune and result.settings is not None:
+        lines += _recommended_lines(found)
     elif not told.retune:
-        lines.append("no change of settings recommended")
-    lines += [f"hint: {line}" for line in _by_eye(found)]
+        unsure = "; no set is surely better" if told.cause in TUNING_CAUSES else ""
+        lines.append(f"{'recommended':<{NAME}}no change of settings{unsure}")
+    lines += _process_lines(found)
+    lines.append(f"{'the loop':<{NAME}}{loop_words(found.loop)}")
+    lines += [f"{'note':<{NAME}}{note}" for note in found.notes if note != told.reason]
+    lines += [f"{'next':<{NAME}}{line}" for line in _next(found)]
+    return [lines[0], *(f"  {line}" for line in lines[1:])]
+
+
+NAME = 13
+"""Width of the names of lines."""
+WORTH_NAMING = 0.1
+"""Probability from which a second cause is named in the headline."""
+
+
+def _headline(told: Diagnosis) -> str:
+    """The cause with its odds, and what else may be behind it."""
+    title = str(told.cause).replace("_", " ").upper()
+    others = [(cause, p) for cause, p in told.causes.items() if cause != told.cause and p >= WORTH_NAMING]
+    second = "".join(f", or {cause.replace('_', ' ')} {_odds(p)}" for cause, p in others[:1])
+    return f"{title} ({_odds(told.confidence)}{second})"
+
+
+def _odds(p: float) -> str:
+    """A probability, in words."""
+    return "over 99 %" if p > SUREST else f"{100.0 * p:.0f} %"
+
+
+SUREST = 0.99
+"""No probability is told larger."""
+
+
+def _recommended_lines(found: DiagnosedRecord) -> list[str]:
+    """The settings, and what they do."""
+    result = found.result
+    assert result.settings is not None
+    tuning = result.settings.tuning
+    title = "first step" if result.aim is not None else "recommended"
+    tau_c = "" if tuning.tau_c_s is None else f" (tau_c {tuning.tau_c_s:.4g} s)"
+    lines = [f"{title:<{NAME}}{settings_text(tuning.gains)}{tau_c}"]
+    if result.aim is not None:
+        lines.append(f"{'then':<{NAME}}{settings_text(result.aim.tuning.gains)}, once the next record confirms")
+    if result.room is not None and min(result.room) > 1.0:
+        sure, likely = result.room
+        lines[0] += f"; Kc x {sure:.2g} is safe on every likely process, x {likely:.2g} on half of them"
+    if found.change is not None:
+        lines.append(f"{'with these':<{NAME}}{change_words(found.change.found)}; {step_words(found.change)}")
+    return lines
+
+
+def loop_words(loop: LoopScreen) -> str:
+    """What monitoring products tell of a loop, in a line."""
+    days = loop.span_s / DAY_S
+    mean = loop.iae_per_day / DAY_S
+    parts = [f"mean error {mean:.3g}" if loop.setpoint else "no setpoint"]
+    parts += [f"Harris index {loop.harris:.2f}"] if loop.setpoint else []
+    parts.append("no lasting oscillation" if loop.period_s is None else f"oscillates at {loop.period_s:.3g} s")
+    parts.append(f"co travels {loop.effort_per_day * days:.3g} and turns {loop.reversals_per_day * days:.0f} times")
+    parts.append(f"automatic {100.0 * loop.in_automatic:.0f} %, at limits {100.0 * loop.at_limits:.0f} %")
+    return ", ".join(parts)
+
+
+DAY_S = 86_400.0
+
+
+def _next(found: DiagnosedRecord) -> list[str]:
+    """What to do."""
+    told = found.result.diagnosis
+    if told.retune:
+        return ["set these, and diagnose the next record together with this one"]
+    lines = [] if told.next is None else [f"{test_words(told.next)}; diagnose its record together with this one"]
+    return lines + _by_eye(found)
+
+
+def test_words(test: DecidingTest) -> str:
+    """A test to make, in words."""
+    what = {
+        TestKind.SETPOINT: "a setpoint step of {size:.3g} out and back, each held {hold_s:.3g} s, decides",
+        TestKind.VALVE: "in manual, steps of co of {size:.3g} up, up, down, down, each held {hold_s:.3g} s, decide",
+    }[test.kind]
+    return f"{what.format(size=test.size, hold_s=test.hold_s)} with {_odds(test.decides)}"
+
+
+def evidence_of(found: DiagnosedRecord) -> list[str]:
+    """All numbers behind it: odds, settings in every form, indexes."""
+    result = found.result
+    odds = ", ".join(f"{cause.replace('_', ' ')} {p:.1%}" for cause, p in result.diagnosis.causes.items())
+    lines = [f"odds: {odds}"] if odds else []
+    lines += [f"hint: {line}" for line in _by_eye(found)] if result.diagnosis.retune else []
+    if found.read_off is not None and found.read_off.gains is not None:
+        lines.append(f"active settings: identified from the record ({found.read_off.reason})")
+    for title, settings in (("recommended settings:", result.settings), ("final settings:", result.aim)):
+        if settings is not None and result.diagnosis.retune:
+            lines += [title, *tuning_lines(settings, chosen_units())]
     return [*lines, "evidence", *evidence_lines(found.evidence)]
 
 
 def _by_eye(found: DiagnosedRecord) -> list[str]:
     """What the visual rules say of the trend."""
-    model, cause, lines = _model(found.result), found.result.diagnosis.cause, []
+    model, cause, lines = found.result.model, found.result.diagnosis.cause, []
     period_s = found.evidence.get("period_s", 0.0)
     if period_s > 0 and found.evidence.get("regularity", 0.0) > REGULAR:
         integrating = model is not None and model.linear().integrators > 0
@@ -189,24 +288,25 @@ def _by_eye(found: DiagnosedRecord) -> list[str]:
 def _controller_lines(found: DiagnosedRecord) -> list[str]:
     """The settings in force in a line."""
     if found.gains is None:
-        return [f"active settings: not known; {found.read_off.reason}"] if found.read_off is not None else []
-    line = f"active settings: {settings_text(found.gains)}"
-    if found.read_off is not None:
-        line += f", identified from the record ({found.read_off.reason})"
-    return [line]
+        return [f"{'active':<{NAME}}not known: {found.read_off.reason}"] if found.read_off is not None else []
+    shown = ", as the record shows" if found.read_off is not None else ""
+    return [f"{'active':<{NAME}}{settings_text(found.gains)}{shown}"]
 
 
 def _process_lines(found: DiagnosedRecord) -> list[str]:
     """The process in a line."""
-    model = _model(found.result)
-    if model is None or found.result.estimate is None:
+    model, estimate = found.result.model, found.result.estimate
+    if model is None:
         return []
-    std = found.result.estimate.log.std()
+    std = estimate.log.std() if estimate is not None and not found.result.likely else {}
     values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "tau3": model.tau3_s, "theta": model.theta_s}
+    known = [name for name in values if name in std] or [name for name, value in values.items() if value]
     numbers = (
-        f"{name} {values[name]:.4g} +- {std[name]:.2g}{' s' if name != 'k' else ''}" for name in values if name in std
+        f"{name} {values[name]:.4g}{f' +- {std[name]:.2g}' if name in std else ''}{' s' if name != 'k' else ''}"
+        for name in known
     )
-    return [f"process: {model.type}, " + ", ".join(numbers)]
+    among = f", the likeliest of {len(found.result.likely)}" if found.result.likely else ""
+    return [f"{'process':<{NAME}}{model.type}, {', '.join(numbers)}{among}"]
 
 
 SHOWN = {"linear": "the loop alone", "external": "with an external oscillation", "stuck": "with a sticking valve"}
@@ -217,7 +317,6 @@ WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 
 def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
     """The record with what was found."""
-    from retuner.report.loop_plots import change_of
     from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
 
     told, estimate = found.result.diagnosis, found.result.estimate
@@ -235,6 +334,6 @@ def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
         loads_s=estimate.load_times_s if estimate is not None else (),
         noise_std=noise_sigma(found.window.pv),
         closed_loop=not options.open_loop,
-        change=None if options.open_loop else change_of(found.window, found.result),
+        change=found.change,
     )
     return record_png(picture)

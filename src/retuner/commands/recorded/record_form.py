@@ -8,7 +8,7 @@ from typing import Any
 
 from retuner.commands.options import FormOptions
 from retuner.drivers.historian.assumption import Assumption, in_a_line, in_full
-from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
+from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record, read_records
 from retuner.drivers.historian.record_form import COLUMN_ROLES, RecordForm, form_from_toml
 from retuner.errors import UserError, user_input
 from retuner.verbosity import LOGGER, busy, quiet
@@ -77,13 +77,21 @@ def read_record(
     UserError, RecordingError
         A file or an option cannot be used.
     """
-    names = ", ".join(map(str, files))
-    with busy(f"reading {names}"):
+    with busy(f"reading {', '.join(map(str, files))}"):
         form = record_form(options)
         form = replace(form, others=tuple(dict.fromkeys((*form.others, *others))))
         read = read_loop_record(files, form, in_automatic=in_automatic)
-    LOGGER.info("read %d samples from %s", len(read.recording.t_s), names)
+    LOGGER.info("read %d samples from %s", len(read.recording.t_s), read.recording.source)
     return read
+
+
+def read_several(files: Sequence[Path], options: FormOptions) -> list[LoopRecord]:
+    """The records in automatic of one loop: a file each, or one in several files; errors as read_record."""
+    with busy(f"reading {', '.join(map(str, files))}"):
+        found = read_records(files, record_form(options), in_automatic=True)
+    for read in found:
+        LOGGER.info("read %d samples from %s", len(read.recording.t_s), read.recording.source)
+    return found
 
 
 def tell_assumed(assumed: tuple[Assumption, ...], options: FormOptions) -> None:

@@ -1,15 +1,18 @@
 """What identify and diagnose share: a recorded loop with its columns, and the controller that was in force."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
+from zoneinfo import ZoneInfo
 
+import numpy as np
 import typer
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.commands.options import ActionOption, Controller, FormOptions, Json, PvSpan, controller_units
-from retuner.commands.recorded.record_form import read_record
+from retuner.commands.recorded.record_form import read_record, read_several
 from retuner.decision_page.shown_units import show_units
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import Recording, require_setpoint
@@ -42,6 +45,10 @@ class RecordOptions(FormOptions):
     pv_span: PvSpan = None
     co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
     co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
+    begin: Annotated[
+        str, typer.Option("--from", metavar="WHEN", help="Begin here: seconds of the record, or 2026-05-04T08:30.")
+    ] = ""
+    end: Annotated[str, typer.Option("--to", metavar="WHEN", help="End here, likewise.")] = ""
     plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Draw the record and what was found.")] = None
     as_json: Json = False
 
@@ -54,14 +61,82 @@ def read_loop(options: RecordOptions) -> LoopRecord:
     UserError, RecordingError
         The file or an option cannot be used, or a closed loop has no setpoint.
     """
+    _check_options(options)
+    return _checked(read_record(options.files, options, in_automatic=not options.open_loop), options)
+
+
+def read_records_of_loop(options: RecordOptions) -> list[LoopRecord]:
+    """The records of one loop, a file each, or one record in several files; checked likewise, errors as read_loop."""
+    _check_options(options)
+    return [_checked(read, options) for read in read_several(options.files, options)]
+
+
+def _check_options(options: RecordOptions) -> None:
+    """Refuse limits and names that cannot be used."""
     _check_limits(options)
     if options.plot is not None and options.plot.suffix.lower() != ".png":
         raise UserError(f"--plot {options.plot}: give a name that ends in .png")
-    read = read_record(options.files, options, in_automatic=not options.open_loop)
+
+
+def _checked(read: LoopRecord, options: RecordOptions) -> LoopRecord:
+    """The record as far as it is wanted, where it is one of a loop."""
+    read = _cut(read, options)
     if not options.open_loop:
         require_setpoint(read.recording)
     _check_range(read.recording, options)
     return read
+
+
+def _cut(read: LoopRecord, options: RecordOptions) -> LoopRecord:
+    """The record from --from to --to.
+
+    Raises
+    ------
+    UserError
+        A time is none, or hardly anything is left between them.
+    """
+    if not options.begin and not options.end:
+        return read
+    recording = read.recording
+    t_s = recording.t_s
+    first = _moment_s(read, "--from", options.begin, options.zone) if options.begin else float(t_s[0])
+    last = _moment_s(read, "--to", options.end, options.zone) if options.end else float(t_s[-1])
+    kept = (t_s >= first) & (t_s <= last)
+    if (left := np.count_nonzero(kept)) < FEWEST_SAMPLES:
+        raise UserError(
+            f"{recording.source}: from {first:g} s to {last:g} s there are {left} samples; the record runs from "
+            f"{t_s[0]:g} s to {t_s[-1]:g} s"
+        )
+    sp = None if recording.sp is None else recording.sp[kept]
+    part = Recording(recording.source, t_s[kept], recording.pv[kept], recording.co[kept], sp)
+    others = {name: values[kept] for name, values in read.others.items()}
+    return replace(read, recording=part, others=others)
+
+
+def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:
+    """A time of the record in its own seconds.
+
+    Raises
+    ------
+    UserError
+        It is neither seconds nor a moment; or it is a moment, and the record has no dates.
+    """
+    try:
+        found = float(text)
+    except ValueError:
+        pass
+    else:
+        if math.isfinite(found):
+            return found
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise UserError(f"{option} {text}: give seconds of the record, or a time as 2026-05-04T08:30") from None
+    if read.begin_s is None:
+        raise UserError(f"{option} {text}: {read.recording.source} has no dates; give seconds of the record")
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=ZoneInfo(zone) if zone else UTC)
+    return moment.timestamp() - read.begin_s
 
 
 def _check_range(recording: Recording, options: RecordOptions) -> None:

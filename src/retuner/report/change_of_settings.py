@@ -1,0 +1,122 @@
+"""A recommended change of settings, tried on the record that it comes from: what the loop would have done with it."""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from retuner.adaptive.fit.structure import model_at
+from retuner.adaptive.identification.estimate import STRUCTURE_STD, ModelEstimate
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.loop.replayed import MOST_MODELS, BeforeAfter, before_after, spread
+from retuner.adaptive.loop.simulate import step_response
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import Window
+from retuner.api import RecordDiagnosis
+from retuner.schedule.gains import PidGains
+
+OFF = 2.0 * STRUCTURE_STD
+"""How far each parameter of a process is off in the band, as a logarithm, beside what the record by itself allows."""
+SETTLED = 12.0
+"""Length of a step response in dead times, at the least."""
+WITHIN = 0.05
+"""A step response has settled where it stays this near to its end, as a share of the step."""
+LONGER, SURE = (1.0, 4.0, 16.0), 0.9
+"""A step response is looked at for so many times the usual length, and has settled where it did in this share of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A change of settings as it is shown.
+
+    found : the record before and after. processes : of the band, the best first. seen : the best as the controller sees
+    it, with its hold. active, recommended : the settings; active is None where they are not known.
+    """
+
+    found: BeforeAfter
+    processes: tuple[LinearProcess, ...]
+    seen: LinearProcess
+    active: PidGains | None
+    recommended: PidGains
+
+
+def change_words(found: BeforeAfter) -> str:
+    """What the replay says."""
+    error, travel = found.error_ratios, found.travel_ratios
+    if not math.isfinite(error[2]):
+        return "on a plausible model the new settings would not hold the loop"
+    return f"mean error {_percent(error)} of before, co's way {_percent(travel)}"
+
+
+def step_words(change: Change) -> str:
+    """What the change does to a setpoint step and to Ms, on the best model."""
+    sets = [gains for gains in (change.active, change.recommended) if gains is not None]
+    until_s = settling_s(change.seen, change.recommended)
+    each = [_StepFigures.of(change.seen, gains, until_s) for gains in sets]
+    names = (("overshoot", "overshoot"), ("settling", "settles in"), ("ms", "Ms"))
+    return ", ".join(f"{title} {' > '.join(getattr(one, name) for one in each)}" for name, title in names)
+
+
+@dataclass(frozen=True, slots=True)
+class _StepFigures:
+    """Of a setpoint step, in words: overshoot, settling time; and the loop's Ms."""
+
+    overshoot: str
+    settling: str
+    ms: str
+
+    @classmethod
+    def of(cls, process: LinearProcess, gains: PidGains, until_s: float) -> Self:
+        """With these settings on a process."""
+        peak = sensitivity_peak(process, gains)
+        if math.isinf(peak):
+            return cls("without end", "never", "unstable")
+        filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
+        settling = f"over {LONGER[-1] * until_s:.2g} s"
+        over = 0.0
+        for times in LONGER:
+            found = step_response(process, gains, times * until_s, filter_s)
+            over = max(over, float(np.max(found.pv)) - 1.0)
+            away = np.flatnonzero(np.abs(found.pv - 1.0) > WITHIN)
+            if not len(away) or found.t[away[-1]] < SURE * times * until_s:
+                settling = f"{found.t[away[-1]] if len(away) else 0.0:.3g} s"
+                break
+        return cls(f"{100.0 * over:.0f} %", settling, f"{peak:.2f}")
+
+
+def settling_s(process: LinearProcess, gains: PidGains) -> float:
+    """How long a step response is looked at: until these settings have settled."""
+    reset_s = gains.kp / gains.ki if gains.ki and gains.kp else sum(process.lags_s)
+    return max(4.0 * abs(reset_s), SETTLED * process.theta_s, 1e-6) + 4.0 * process.theta_s
+
+
+def _percent(ratios: tuple[float, float, float]) -> str:
+    """The best model's share, and the band where it is wider than a per cent."""
+    best, low, high = (100.0 * ratio for ratio in ratios)
+    band = f" ({low:.0f} to {high:.0f} %)" if high - low > 1.0 else ""
+    return f"{best:.0f} %{band}"
+
+
+def change_of(window: Window, result: RecordDiagnosis) -> Change | None:
+    """The change that a diagnosis recommends, tried on its record; None where it recommends none."""
+    if result.recommended is None:
+        return None
+    if result.likely:
+        best, processes = result.likely[0], tuple(dict.fromkeys(model.linear() for model in result.likely))
+    elif result.estimate is not None:
+        best, processes = result.estimate.log.model(), _around(result.estimate)
+    else:
+        return None
+    seen = best.seen_by_controller(window.sample_time_s).linear()
+    found = before_after(window, processes, result.recommended, result.co_limits)
+    return Change(found, spread(processes, MOST_MODELS), seen, result.active, result.recommended)
+
+
+def _around(estimate: ModelEstimate) -> tuple[LinearProcess, ...]:
+    """The best process, those that the record allows, and what a structure of few numbers leaves out."""
+    log = estimate.log
+    corners = [way * axis for axis in OFF * np.eye(len(log.x)) for way in (1, -1)]
+    rounded = (model_at(log.type, log.x + corner, log.sign) for corner in corners)
+    models = (log.model(), *rounded, *(one.model for one in estimate.plausible))
+    return tuple(dict.fromkeys(model.linear() for model in models))
