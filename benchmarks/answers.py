@@ -42,7 +42,7 @@ from online.loop import WatchedLoop
 from online.supervisors import Watching, one_region, settings
 
 from retuner import PidGains, identify
-from retuner.api import diagnose
+from retuner.diagnosing import diagnose
 
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = "examples/oven.toml"

@@ -28,7 +28,7 @@ from cases.case import DiagnosisCase
 from cases.counting import picture, share, spread
 from cases.robustness import robustness
 
-from retuner import api
+from retuner import diagnosing
 from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST = 1.8, 1.03
@@ -68,7 +68,7 @@ def score(seed: int, folder: str | None, trap: bool, item: tuple[int, str | None
     record, begun = case.record, time.process_time()
     confidence, retune, evidence, gains = 1.0, False, {}, None
     try:
-        result = api.diagnose(
+        result = diagnosing.diagnose(
             record.t, record.sp, record.pv, record.co, gains=case.gains, co_min=case.co_min, co_max=case.co_max
         )
     except ValueError as error:

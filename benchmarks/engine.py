@@ -81,7 +81,7 @@ def drawn(kind: Kind) -> Any:  # noqa: ANN401  a case of either kind
 def calls(case: Any) -> dict[str, Callable[[], Any]]:  # noqa: ANN401  a case of either kind
     """What is timed of a case."""
     from retuner import identify
-    from retuner.api import diagnose
+    from retuner.diagnosing import diagnose
 
     record = case.record
     signals = (record.t, record.sp, record.pv, record.co)

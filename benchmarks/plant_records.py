@@ -29,7 +29,7 @@ from cases.counting import spread
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from retuner import api
+from retuner import api, diagnosing
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -91,7 +91,7 @@ def judge(entry: dict[str, str]) -> Row:
     begun = time.process_time()
     try:
         found = api.identify(record.t, record.sp, record.pv, record.co, gains=gains)
-        told = api.diagnose(record.t, record.sp, record.pv, record.co)
+        told = diagnosing.diagnose(record.t, record.sp, record.pv, record.co)
     except ValueError as error:
         return Row(entry["file"], entry["tag"], entry["label"], False, str(error), *_refused(record, error))
     given = [s.tuning.gains for s in (found.settings, told.settings) if s is not None]
@@ -116,7 +116,7 @@ def judge(entry: dict[str, str]) -> Row:
 def _refused(record: Record, error: ValueError) -> tuple[str, float, bool, str]:
     """Cause, confidence, retune and reason where identification has nothing to work on."""
     try:
-        said = api.diagnose(record.t, record.sp, record.pv, record.co).diagnosis
+        said = diagnosing.diagnose(record.t, record.sp, record.pv, record.co).diagnosis
     except ValueError:
         return "refused", 1.0, False, str(error)
     return str(said.cause), said.confidence, said.retune, said.reason

@@ -427,26 +427,26 @@ def doubt_of(found: Findings, wanted_for: Diagnosis | None = None) -> Diagnosis 
 def _seen_so_far(found: Findings) -> Excitation:
     """What was seen, whatever the model in use rests on: that begins anew with each record that contradicts it.
 
-    A setpoint step is one also where its fit does not tell. A swing that goes on is more than one response.
+    A setpoint step is one also where its fit does not tell.
     """
-    record, now = found.record, found.excitation_now
-    if record.response.sp_changed:
-        return replace(now, setpoints=max(now.setpoints, 1))
-    if lasting(record.samples, record.response.band, found.settings.growth) is None:
-        return now
-    return replace(now, loads=max(now.loads, found.settings.swing.fewest_loads))
+    now = found.excitation_now
+    return replace(now, setpoints=max(now.setpoints, 1)) if found.record.response.sp_changed else now
 
 
 def in_danger(found: Findings, doubt: Diagnosis) -> bool:
     """Whether the loop was unstable on every plausible model at two responses in a row: what is proved makes it safer.
 
-    Such a loop does not wait for a confirmation, only for another cause that is named. An output that goes from limit
-    to limit is none: that is how an unstable loop ends.
+    Such a loop does not wait for a confirmation, only for another cause that is named; and not for a tone, or for an
+    output at its limits, where it goes from limit to limit: that is how an unstable loop ends.
     """
     if found.excitation_now.lost < SECOND:
         return False
-    held_up = doubt.cause is Cause.SATURATION and swings_between_limits(found.record, found.settings)
+    held_up = doubt.cause in ENDS and swings_between_limits(found.record, found.settings)
     return held_up or doubt.cause not in FOREIGN
+
+
+ENDS = frozenset({Cause.SATURATION, Cause.EXTERNAL})
+"""What an unstable loop between its limits reads like."""
 
 
 SECOND = 2

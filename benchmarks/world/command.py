@@ -23,7 +23,7 @@ from pathlib import Path
 
 from cases.counting import share, spread
 
-from retuner import api
+from retuner import diagnosing
 from retuner.schedule.gains import PidGains
 from world.draw import CLASSES, DT_S, SETS, drawn
 from world.process import margins
@@ -54,7 +54,7 @@ def scored(seed: int, kind: str, folder: str, fold: int | None, index: int) -> S
     case = drawn(seed, index, kind, folder, fold)
     gains = PidGains(case.kc, case.kc / (case.tau_i * DT_S))
     begun = time.process_time()
-    result = api.diagnose(case.t, case.sp, case.pv, case.co, gains=gains)
+    result = diagnosing.diagnose(case.t, case.sp, case.pv, case.co, gains=gains)
     cpu_s = time.process_time() - begun
     told = result.diagnosis
     odds = dict.fromkeys(CLASSES, 0.0)
@@ -99,7 +99,7 @@ def real(folder: str) -> list[str]:
     lines, counts = [], Counter[str]()
     with (Path(folder) / "index.csv").open() as index:
         for row in csv.DictReader(index):
-            result = api.diagnose(Path(folder) / row["file"])
+            result = diagnosing.diagnose(Path(folder) / row["file"])
             told = result.diagnosis
             counts[str(told.cause)] += 1
             odds = ", ".join(f"{cause} {p:.0%}" for cause, p in list(told.causes.items())[:3])

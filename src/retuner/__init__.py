@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from retuner.adaptive.supervision.state_file import restore as restore
     from retuner.adaptive.trial.phase import TrialEvent as TrialEvent
     from retuner.api import Identification as Identification
-    from retuner.api import RecordDiagnosis as RecordDiagnosis
-    from retuner.api import diagnose as diagnose
     from retuner.api import identify as identify
     from retuner.api import read as read
     from retuner.config import load_config as load_config
@@ -48,6 +46,8 @@ if TYPE_CHECKING:
     from retuner.conversions import to_control as to_control
     from retuner.conversions import to_scipy as to_scipy
     from retuner.decisions.background import BackgroundRetuner as BackgroundRetuner
+    from retuner.diagnosing import RecordDiagnosis as RecordDiagnosis
+    from retuner.diagnosing import diagnose as diagnose
     from retuner.pid_controller import PidController as PidController
     from retuner.schedule.axis import Axis as Axis
     from retuner.schedule.controller_units import Acting as Acting
@@ -125,7 +125,8 @@ _HOMES = {
     "adaptive.supervision.settings": ("RetunerSettings",),
     "adaptive.supervision.state_file": ("remember", "restore"),
     "adaptive.trial.phase": ("TrialEvent",),
-    "api": ("Identification", "RecordDiagnosis", "diagnose", "identify", "read"),
+    "api": ("Identification", "identify", "read"),
+    "diagnosing": ("RecordDiagnosis", "diagnose"),
     "config": ("load_config",),
     "conversions": ("gains_of", "process_of", "to_control", "to_scipy"),
     "decisions.background": ("BackgroundRetuner",),

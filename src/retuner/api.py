@@ -1,17 +1,13 @@
-"""`retuner.identify` and `retuner.diagnose`: process and cause behind a record of arrays, as frozen results."""
+"""`retuner.identify`: the process behind a record of arrays or of a file, as a frozen result."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from retuner.adaptive import shown
-from retuner.adaptive.cause_odds.odds import diagnose_records
-from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing_verdict
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
@@ -327,7 +323,7 @@ def _no_farther(found: Identification, window: Window, gains: PidGains) -> Ident
     step = first_step(aim, gains, events, estimate.log.model(), dt)
     if step is None:
         return found
-    return replace(found, settings=_result(estimate, step.now), aim=found.settings, step_reason=step.sentence)
+    return replace(found, settings=followed_settings(estimate, step.now), aim=found.settings, step_reason=step.sentence)
 
 
 def within(window: Window, co_min: float | None, co_max: float | None) -> Window:
@@ -350,190 +346,7 @@ def settings_for(estimate: ModelEstimate, sample_time_s: float) -> TuneResult:
     return TuneResult(found.tuning, found.tuning.form, margins(estimate.log.model().linear(), found.tuning.gains))
 
 
-@dataclass(frozen=True, slots=True)
-class RecordDiagnosis:
-    """The cause of a loop's behaviour, the process where it could be told, and the settings that would cure it.
-
-    fits : explanations of pv by name ("linear", "external", "stuck"), on the samples that were fitted.
-    aim : where the settings are a first step only (diagnosis/first_step.py), those that they lead to.
-    record : what it was told from, for the picture; None where it was not kept.
-    active : the settings in force, as given or as read off the record; None where neither is known.
-    co_limits : lowest and highest co as given. likely : the processes that the settings rest on where these come from
-        the odds of many (adaptive/explanations/), the likeliest first; else empty, and `model` is the process.
-    room : times all actions in force that stay robust on next to every process, and on half of the odds; None where
-        settings do not come from odds. on : which of several records it is told of, from 0.
-    """
-
-    diagnosis: Diagnosis
-    estimate: ModelEstimate | None
-    settings: TuneResult | None
-    fits: Mapping[str, npt.NDArray[np.float64]]
-    aim: TuneResult | None = None
-    record: Window | None = field(default=None, compare=False)
-    active: PidGains | None = None
-    co_limits: tuple[float | None, float | None] = (None, None)
-    likely: tuple[ProcessModel, ...] = ()
-    room: tuple[float, float] | None = None
-    on: int = 0
-
-    def __repr__(self) -> str:
-        told = self.diagnosis
-        return f"RecordDiagnosis({told.cause}, confidence {told.confidence:.0%}: {told.reason})"
-
-    def __str__(self) -> str:
-        return shown.text(self)
-
-    def _repr_html_(self) -> str:
-        return shown.html(self)
-
-    @property
-    def cause(self) -> Cause:
-        """What is behind the loop's behaviour."""
-        return self.diagnosis.cause
-
-    @property
-    def model(self) -> ProcessModel | None:
-        """The process, None where the record does not say enough."""
-        if self.likely:
-            return self.likely[0]
-        return self.estimate.log.model() if self.estimate is not None and self.estimate.identifiable else None
-
-    @property
-    def recommended(self) -> PidGains | None:
-        """The settings that would cure it; None where tuning is not the cause."""
-        return self.settings.gains if self.settings is not None and self.diagnosis.retune else None
-
-    @property
-    def margins(self) -> Margins | None:
-        """What the recommended settings leave on the best model."""
-        return self.settings.margins if self.settings is not None and self.diagnosis.retune else None
-
-    def plot(self) -> "Figure":
-        """The picture that a notebook shows: the record, what explains it, and before and after.
-
-        Raises
-        ------
-        ValueError
-            The record was not kept.
-        """
-        figure: Figure = shown.figure(self)
-        return figure
-
-    def to_dict(self) -> dict[str, object]:
-        """Keys cause, confidence, retune, evidence, reason, gains, form, margins, aim, rival."""
-        found = self.settings.to_dict() if self.settings else None
-        rival = self.estimate.rival if self.estimate is not None else None
-        return {
-            **self.diagnosis.to_dict(),
-            "aim": self.aim.to_dict()["gains"] if self.aim else None,
-            "rival": rival.to_dict() if rival is not None else None,
-            "gains": found["gains"] if found else None,
-            "form": found["form"] if found else None,
-            "margins": found["margins"] if found else None,
-        }
-
-
-def diagnose(
-    t: Times | Record | Sequence[Record],
-    sp: Numbers | None = None,
-    pv: Numbers | None = None,
-    co: Numbers | None = None,
-    *,
-    gains: PidGains | None = None,
-    co_min: float | None = None,
-    co_max: float | None = None,
-) -> RecordDiagnosis:
-    """Name the cause of a loop's behaviour.
-
-    Parameters
-    ----------
-    t, sp, pv, co : the record in automatic, see identify; or t is a list of records of one loop, all with the same
-        controller, from oldest to newest: each adds to the odds. gains : the controller in force; where it is not
-        given it is read off the record if the record shows it. co_min, co_max : limits of the controller output, co
-        units.
-
-    Returns
-    -------
-    RecordDiagnosis
-        The cause with its confidence and evidence; settings where tuning is the cause.
-
-    Raises
-    ------
-    ValueError
-        Shapes differ, a value is not finite, or time does not increase; a record cannot be read.
-
-    Examples
-    --------
-    A loop whose setpoint and output stand still while nothing moves it:
-
-    >>> import numpy as np
-    >>> t = np.arange(0.0, 400.0, 1.0)
-    >>> pv = 50.0 + 0.1 * np.random.default_rng(1).standard_normal(400)
-    >>> diagnose(t, np.full(400, 50.0), pv, np.full(400, 30.0)).cause
-    <Cause.UNKNOWN: 'unknown'>
-    """
-    if isinstance(t, list | tuple) and sp is None:
-        windows = [window_of(cast("Record", one), None, None, None) for one in t]
-    else:
-        windows = [window_of(t, sp, pv, co)]
-    found = diagnose_windows(windows, gains=gains, co_min=co_min, co_max=co_max)
-    return replace(found, record=windows[found.on])
-
-
-def diagnose_record(
-    window: Window, *, gains: PidGains | None = None, co_min: float | None = None, co_max: float | None = None
-) -> RecordDiagnosis:
-    """The same for a record that is a Window already."""
-    return diagnose_windows([window], gains=gains, co_min=co_min, co_max=co_max)
-
-
-def diagnose_windows(
-    windows: Sequence[Window],
-    *,
-    gains: PidGains | None = None,
-    co_min: float | None = None,
-    co_max: float | None = None,
-) -> RecordDiagnosis:
-    """The same for several records of one loop with one controller: each adds to the odds.
-
-    Where no gains are given, those of the newest record that shows any are taken for all.
-    """
-    windows = [within(window, co_min, co_max) for window in windows]
-    direction = rough = None
-    if gains is None:
-        gains, rough, direction = _settings_shown(windows, co_min, co_max)
-    told = diagnose_records(windows, gains, co_min, co_max, direction=direction, rough=rough)
-    found, worth = told.found, told.settings
-    fits = {name: c.fit.at.explained for name, c in found.fits.items()}
-    now, aim = (_result(found.estimate, tuning) for tuning in (found.tuning, found.aim))
-    if worth is not None:
-        now = TuneResult(worth.tuning, worth.tuning.form, margins(worth.models[0].linear(), worth.tuning.gains))
-    return RecordDiagnosis(
-        found.diagnosis,
-        found.estimate,
-        now,
-        fits,
-        aim,
-        active=gains,
-        co_limits=(co_min, co_max),
-        likely=worth.models if worth is not None else (),
-        room=(worth.sure, worth.likely) if worth is not None else None,
-        on=told.record,
-    )
-
-
-def _settings_shown(
-    windows: Sequence[Window], co_min: float | None, co_max: float | None
-) -> tuple[PidGains | None, PidGains | None, int | None]:
-    """Gains that the newest record shows, else rough ones, and the direction of the controller; None for not known."""
-    each = [settings_in_force(window, co_min, co_max) for window in reversed(windows)]
-    gains = next((one.gains for one in each if one.gains is not None), None)
-    rough = next((one.rough for one in each if one.rough is not None), None) if gains is None else None
-    signs = [one.direction for one in each if one.direction is not None]
-    return gains, rough, (1 if sum(signs) > 0 else -1) if signs else None
-
-
-def _result(estimate: ModelEstimate | None, found: RobustTuning | None) -> TuneResult | None:
+def followed_settings(estimate: ModelEstimate | None, found: RobustTuning | None) -> TuneResult | None:
     """Settings with their margins on the best model, where there are any."""
     if found is None or estimate is None:
         return None

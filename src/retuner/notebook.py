@@ -12,7 +12,7 @@ from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision
-from retuner.api import Identification, RecordDiagnosis
+from retuner.api import Identification
 from retuner.commands.recorded.diagnose import SHOWN as NAMED
 from retuner.commands.recorded.diagnose import WINNER
 from retuner.commands.recorded.identify import described
@@ -22,6 +22,7 @@ from retuner.decision_page.explain import document_of, one_line
 from retuner.decision_page.html import escaped
 from retuner.decision_page.page import article
 from retuner.decision_page.shown_units import chosen_units
+from retuner.diagnosing import RecordDiagnosis
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.pid_controller import PidController
 from retuner.report.change_of_settings import change_of

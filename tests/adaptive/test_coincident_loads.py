@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retuner import api
+from retuner import api, diagnosing
 from retuner.adaptive.fit.coincident_loads import apart, near, setpoint_changes
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -64,7 +64,7 @@ def test_a_healthy_flow_loop_does_not_become_a_fiction():
     assert told["at"] == pytest.approx(1370.0, abs=20.0)
     assert found.estimate.rival is not None
     assert found.estimate.rival.model.theta_s < 0.2 * found.estimate.log.model().theta_s
-    diagnosed = api.diagnose(*record)
+    diagnosed = diagnosing.diagnose(*record)
     assert not diagnosed.diagnosis.retune
     assert "by a load step or by the process" in diagnosed.diagnosis.reason
     assert diagnosed.to_dict()["rival"] is not None

@@ -7,7 +7,7 @@ import pytest
 from effort import sized
 from test_coincident_loads import recorded
 
-from retuner import api
+from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -186,27 +186,27 @@ def test_a_load_beyond_the_output_is_not_taken_for_the_wrong_way() -> None:
 
 def test_a_real_record_whose_gaps_were_filled_is_said_to_be_so():
     """Of every 300 s the recorder held pv and co together for 180; the rest was told as an unexplained disturbance."""
-    found = api.diagnose(*recorded("LIC42502_0620_1.csv"))
+    found = diagnosing.diagnose(*recorded("LIC42502_0620_1.csv"))
     assert found.diagnosis.cause == Cause.UNKNOWN
     assert "stand still together for 170 s" in found.diagnosis.reason
     assert found.settings is None
 
 
 def test_a_real_relay_test_is_no_oscillation_from_outside():
-    found = api.diagnose(*recorded("../servo/relay.csv")).diagnosis
+    found = diagnosing.diagnose(*recorded("../servo/relay.csv")).diagnosis
     assert found.cause == Cause.UNKNOWN
     assert "co switches between -100 and 100" in found.reason
 
 
 def test_a_real_servo_that_overshoots_is_said_to():
-    found = api.diagnose(*recorded("../servo/pid_step.csv")).diagnosis
+    found = diagnosing.diagnose(*recorded("../servo/pid_step.csv")).diagnosis
     assert found.cause == Cause.UNKNOWN
     assert "Its setpoint responses overshoot by 4" in found.reason
 
 
 def test_margins_beside_a_verdict_are_of_one_model() -> None:
     """No loop has a gain margin under Ms / (Ms - 1), nor a phase margin under 2 asin(1 / (2 Ms))."""
-    found = api.diagnose(*recorded("FIC46002_1102_1.csv")).diagnosis
+    found = diagnosing.diagnose(*recorded("FIC46002_1102_1.csv")).diagnosis
     ms, gm, pm_deg = (found.evidence[name] for name in ("ms", "gm", "pm_deg"))
     assert f"Ms {ms:.2f}" in found.reason
     assert gm >= ms / (ms - 1)

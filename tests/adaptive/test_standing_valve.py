@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_coincident_loads import recorded
 
-from retuner import api
+from retuner import api, diagnosing
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.controller_settings.summed_law import summed_law
 from retuner.adaptive.diagnosis.cause import Cause
@@ -93,7 +93,7 @@ def test_nothing_is_asked_of_a_controller_without_integral_action():
 def test_a_real_sticking_valve():
     """One or two slips a record, another band at every stop; gains were changed in 4 of its 23 records."""
     record = recorded("FIC20102_1016_12.csv")
-    found = api.diagnose(*record).diagnosis
+    found = diagnosing.diagnose(*record).diagnosis
     assert found.cause == Cause.STICTION
     assert not found.retune
     assert "pv does not move while co moves" in found.reason
@@ -110,7 +110,7 @@ def test_a_real_healthy_flow_loop():
 def test_a_real_sticking_valve_whose_co_was_stored_in_pieces():
     """One and a half rounds: pv stands while co ramps, jumps, stands while co ramps back, jumps."""
     record = recorded("FIC31102_0628_1.csv")
-    found = api.diagnose(*record).diagnosis
+    found = diagnosing.diagnose(*record).diagnosis
     assert found.cause == Cause.STICTION
     assert not found.retune
     assert settings_in_force(Window(*record)).gains is None

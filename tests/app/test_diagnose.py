@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retuner import api
+from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.enough_data import shortcomings
 from retuner.adaptive.indexes.screening import screen
@@ -54,12 +54,12 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict]:
         calls.append({"window": window, "gains": gains, "co_min": co_min, "co_max": co_max})
         if gains is None:
             nothing = Diagnosis(Cause.UNKNOWN, 0.0, {}, "the active settings are not known")
-            return api.RecordDiagnosis(nothing, None, None, {})
+            return diagnosing.RecordDiagnosis(nothing, None, None, {})
         told = Diagnosis(Cause.AGGRESSIVE, 0.97, {"ms": 3.1, "gm": float("inf")}, "Ms 3.10 is over 1.8")
         cure = tune(ProcessModel(ProcessType.FOPDT, 1.0, 20.0, 0.0, 3.0))
-        return api.RecordDiagnosis(told, None, cure, {"linear": window.pv[::2]})
+        return diagnosing.RecordDiagnosis(told, None, cure, {"linear": window.pv[::2]})
 
-    monkeypatch.setattr(api, "diagnose_record", double, raising=False)
+    monkeypatch.setattr(diagnosing, "diagnose_windows", double)
     return calls
 
 

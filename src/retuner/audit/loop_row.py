@@ -20,8 +20,8 @@ from retuner.adaptive.audit.windows import spread_over, stretches_of_interest
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.identification.robust_simc import RobustSettings, believed, robust_simc
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.api import RecordDiagnosis, diagnose_record
 from retuner.audit.catalogue import ANY_FAULT, Task, told_fault
+from retuner.diagnosing import RecordDiagnosis, diagnose_record
 from retuner.drivers.historian.loop_record import LoopRecord, loop_in_pieces, read_loop_record, read_loops
 from retuner.drivers.historian.parquet_tables import MOST_ROWS
 from retuner.drivers.historian.record_form import RecordForm

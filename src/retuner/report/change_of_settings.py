@@ -13,7 +13,7 @@ from retuner.adaptive.loop.replayed import MOST_MODELS, BeforeAfter, before_afte
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
-from retuner.api import RecordDiagnosis
+from retuner.diagnosing import RecordDiagnosis
 from retuner.schedule.gains import PidGains
 
 OFF = 2.0 * STRUCTURE_STD

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from retuner import api
+from retuner import diagnosing
 from retuner.adaptive.audit.loop_screen import LoopScreen, screen_loop
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
@@ -22,7 +22,6 @@ from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
-from retuner.api import RecordDiagnosis
 from retuner.commands.options import signed_by
 from retuner.commands.recorded.record_form import tell_assumed
 from retuner.commands.recorded.recorded_loop import (
@@ -35,6 +34,7 @@ from retuner.commands.recorded.recorded_loop import (
 from retuner.decision_page.evidence_words import REGULAR, evidence_lines
 from retuner.decision_page.explain import settings_text
 from retuner.decision_page.shown_units import chosen_units
+from retuner.diagnosing import RecordDiagnosis
 from retuner.drivers.recorded.recording import Recording
 from retuner.errors import user_input
 from retuner.files import write_whole
@@ -115,7 +115,7 @@ def diagnose(options: DiagnoseOptions) -> int:
 def _found(source: str, recordings: list[Recording], given: PidGains | None, options: RecordOptions) -> DiagnosedRecord:
     """The diagnosis with all that belongs to it."""
     windows = [recording.window() for recording in recordings]
-    result = api.diagnose_windows(windows, gains=given, co_min=options.co_min, co_max=options.co_max)
+    result = diagnosing.diagnose_windows(windows, gains=given, co_min=options.co_min, co_max=options.co_max)
     window = windows[result.on]
     read_off = None
     if given is None and not options.open_loop:

@@ -14,7 +14,6 @@ from retuner.api import (
     NO_STRETCH,
     Identification,
     RegionIdentification,
-    diagnose_record,
     identify_by_region,
     identify_record,
 )
@@ -28,6 +27,7 @@ from retuner.commands.recorded.recorded_loop import (
     require_length,
 )
 from retuner.decision_page.shown_units import chosen_units
+from retuner.diagnosing import diagnose_record
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import UserError, user_input
