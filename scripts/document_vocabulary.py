@@ -6,7 +6,7 @@ python scripts/document_vocabulary.py
 import re
 from pathlib import Path
 
-from retuner.vocabulary import TERMS, Term
+from retuner.decision_page.vocabulary import TERMS, Term
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "vocabulary.md"
 HEAD = """# Vocabulary

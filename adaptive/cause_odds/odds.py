@@ -25,6 +25,7 @@ from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import Found
 from retuner.adaptive.explanations.deciding_test import DecidingTest, deciding_test, valve_test
 from retuner.adaptive.explanations.process_grid import gain_unit
+from retuner.adaptive.explanations.setpoint_overshoot import SeenOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import (
     Worthwhile,
     halved,
@@ -37,6 +38,7 @@ from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES, TEMPER, P
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition, record_condition
+from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 
@@ -116,6 +118,7 @@ def diagnose_records(
     odds = None
     if known is not None:
         odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
+        odds = with_overshoot(odds, [one for w, f in open_ones if (one := _overshoot(w, f))], settings.limits)
     under_walk = _under_walk(walk, odds, sum(_shapes(f, settings) for _, f in open_ones), settings)
     under_steps, weight = _under_steps(open_ones, under_walk, walk, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
@@ -124,9 +127,10 @@ def diagnose_records(
 
 
 def _final(window: Window, found: Found) -> bool:
-    """Whether a record needs no likelihood: too short, or no loop at work in it that is not led."""
+    """Whether a record needs no likelihood: too short, mostly filled gaps, or no loop at work in it that is not led."""
     told = found.diagnosis
-    if len(window.t_s) < FEWEST:
+    holds = held_together(window.pv, window.co)
+    if len(window.t_s) < FEWEST or (holds is not None and holds.share >= DiagnosisSettings().held_share):
         return True
     if found.fits or told.cause != Cause.UNKNOWN or told.confidence < FINAL:
         return told.cause in {Cause.SATURATION, Cause.NOISE}
@@ -152,7 +156,7 @@ def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
 
 def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings) -> Walk | None:
     """All records and windows under a load that wanders, on one clock; None where nothing moves."""
-    dt = max(w.sample_time_s * -(-len(w.t_s) // (settings.most_windows * MOST_SAMPLES)) for w in windows)
+    dt = max(_interval_s(w, settings) for w in windows)
     parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
     records = [Prepared.at(part, dt) for part in parts]
     records = [r for r in records if len(r.pv) >= FEWEST and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
@@ -164,6 +168,22 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
     best = TEMPER * float(np.max(each[longest])) / len(records[longest].pv)
     return Walk(np.sum(each, axis=0), valve, records[longest], best)
+
+
+def _interval_s(window: Window, settings: OddsSettings) -> float:
+    """The interval at which a record is compared: a few windows hold it, and pv shows a change in most of its rows."""
+    fits = -(-len(window.t_s) // (settings.most_windows * MOST_SAMPLES))
+    moves = float(np.mean(np.diff(window.pv) != 0.0))
+    shown = min(round(1.0 / max(moves, 1e-9)), settings.most_held)
+    return window.sample_time_s * max(fits, min(shown, max(len(window.t_s) // FEWEST, 1)))
+
+
+def _overshoot(window: Window, found: Found) -> SeenOvershoot | None:
+    """What was read off the setpoint responses, where there are any."""
+    evidence = found.diagnosis.evidence
+    if not evidence.get("setpoint_steps"):
+        return None
+    return SeenOvershoot.of(window.sp - window.pv, evidence["overshoot"], evidence["setpoint_size"])
 
 
 def _shapes(found: Found, settings: OddsSettings) -> float:
@@ -178,7 +198,8 @@ def _shapes(found: Found, settings: OddsSettings) -> float:
 def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: OddsSettings) -> dict[Cause, float]:
     """Odds under a load that wanders. shapes : what shapes and plateaus say for a valve, in all records."""
     prior = math.log(settings.stiction / (1.0 - settings.stiction))
-    evidence = settings.valve_weight * walk.valve + shapes
+    grid = settings.valve_weight * walk.valve
+    evidence = shapes + (max(grid, 0.0) if shapes else grid)  # shapes see valves that no grid has
     stiction = 1.0 / (1.0 + math.exp(-min(max(prior + evidence, -50.0), 50.0)))
     rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
     return {Cause.STICTION: stiction, **{cause: p * (1.0 - stiction) for cause, p in rest.items()}}
@@ -292,7 +313,7 @@ def _verdict(
     worth = _settings(causes, odds, settings) if odds is not None and sure and not _swings_alone(open_ones) else None
     if by_steps and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
-    evidence = dict(told.diagnosis.evidence)
+    evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
     test = None
     if odds is not None:
         evidence |= _ms_range(odds)
@@ -303,6 +324,10 @@ def _verdict(
     verdict = Diagnosis(cause, p, evidence, reason, settled, shares, test)
     kept = replace(told, diagnosis=verdict, tuning=None, aim=None)
     return OddsFound(kept, odds, worth)
+
+
+OF_ONE_MODEL = frozenset({"ms", "gm", "pm_deg", "ki_ratio", "kp_ratio"})
+"""Evidence of a model that the verdict does not rest on."""
 
 
 def _next(causes: Mapping[Cause, float], odds: TuningOdds, walk: Walk, window: Window) -> DecidingTest | None:
@@ -351,11 +376,14 @@ def _ms_range(odds: TuningOdds) -> dict[str, float]:
     kept = weights > 1e-9 * float(weights.max())
     peaks, weights = np.minimum(peaks[kept], MS_SHOWN), weights[kept] / float(weights[kept].sum())
     low, middle, high = (quantile(peaks, weights, share) for share in (0.05, 0.5, 0.95))
-    return {"ms_low": low, "ms_likely": middle, "ms_high": high}
+    return {"ms": middle, "ms_low": low, "ms_high": high}
 
 
 MS_SHOWN = 20.0
 """A larger Ms, and an unstable loop, is told as this."""
+
+OVERSHOOTS = 0.25
+"""Overshoot from which it is told with a verdict."""
 
 WORDS = {
     Cause.OK: "the tuning is in order",
@@ -372,9 +400,11 @@ def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float]
         return told.diagnosis.reason
     if cause == Cause.STICTION or odds is None:
         return told.diagnosis.reason if told.diagnosis.cause == cause else WORDS[cause]
-    low, middle, high = (evidence[name] for name in ("ms_low", "ms_likely", "ms_high"))
+    low, middle, high = (evidence[name] for name in ("ms_low", "ms", "ms_high"))
     most = "or more" if high >= MS_SHOWN else f"to {high:.2f}"
+    overshoot = evidence.get("overshoot", 0.0)
+    seen = f"; its setpoint responses overshoot by {overshoot:.0%}" if overshoot > OVERSHOOTS else ""
     return (
         f"{WORDS[cause]}: Ms {middle:.2f} ({low:.2f} {most}) with the active gains, on the processes that explain the "
-        "record under a load that wanders"
+        f"record under a load that wanders{seen}"
     )

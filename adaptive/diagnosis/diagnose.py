@@ -96,9 +96,11 @@ def _helps(evidence: dict[str, float], settings: DiagnosisSettings) -> bool:
 
 
 def _moves_pv(tone: Candidate, evidence: Mapping[str, float], settings: DiagnosisSettings) -> bool:
-    """Whether a tone is what moves pv, and the loop's own setpoint responses do not swing anyway."""
-    own = evidence.get("setpoint_steps", 0.0) > 0 and evidence.get("overshoot", 0.0) > settings.most_overshoot
-    return _amplitude(tone) >= settings.tone_size * float(np.std(tone.fit.misfit.record.pv)) and not own
+    """Whether a tone is what moves pv, and setpoint responses overshoot no further than it lifts them."""
+    record, size = tone.fit.misfit.record, _amplitude(tone)
+    step = evidence.get("setpoint_size", 0.0)
+    lifted = settings.most_overshoot + (size / step if step else math.inf)
+    return size >= settings.tone_size * float(np.std(record.pv)) and evidence.get("overshoot", 0.0) <= lifted
 
 
 def _amplitude(tone: Candidate) -> float:

@@ -25,6 +25,7 @@ GLOSSARY: dict[str, Entry] = {
     "iae_loads": Entry("half cycles that count", "count", "", "Hagglund 1995"),
     "iae_count": Entry("oscillation detector", "count", "above 10: oscillates", "Hagglund 1995"),
     "setpoint_steps": Entry("setpoint responses", "count", "", ""),
+    "setpoint_size": Entry("size of setpoint steps", "pv", "", ""),
     "overshoot": Entry("overshoot of setpoint responses", "share", "0.05 to 0.2 is usual", "Foxboro TI 039-200"),
     "damping": Entry("decay ratio, setpoint responses", "ratio", "0 dead-beat, 1 sustained", "Foxboro TI 039-200"),
     "idle_index": Entry("idle index", "index", "near 1: sluggish", "Hagglund 1999"),

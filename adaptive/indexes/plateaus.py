@@ -12,6 +12,7 @@ differences, and no finer than 0.4 % of pv's range.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -91,7 +92,7 @@ def as_steps(pv: FloatArray) -> Steps:
     return found[best]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Responses:
     """Responses to a jump at each row from 1 on, as columns j = 0 ... n - 2; the jump of column j is at row j + 1.
 
@@ -105,8 +106,13 @@ class _Responses:
 
     def columns(self, at: npt.ArrayLike) -> FloatArray:
         """Some of them, shape (n, number)."""
-        since = np.arange(self.n)[:, None] - (np.atleast_1d(np.asarray(at))[None, :] + 1)
-        return np.where(since >= 0, self._response(since.clip(0)), 0.0)
+        since = np.arange(self.n)[:, None] - (np.atleast_1d(np.asarray(at, dtype=np.intp))[None, :] + 1)
+        return np.asarray(self._padded[since + self.n])
+
+    @cached_property
+    def _padded(self) -> FloatArray:
+        """The response to a jump at row n, shape (2 n,)."""
+        return np.concatenate([np.zeros(self.n), self._response(np.arange(self.n))])
 
     def against(self, x: FloatArray) -> FloatArray:
         """Products of a signal with all of them, shape (n - 1,)."""
@@ -180,16 +186,25 @@ def _chosen(pv: FloatArray, responses: _Responses, rest: FloatArray, sigma: floa
 def _moved(pv: FloatArray, responses: _Responses, rest: FloatArray, chosen: list[int]) -> list[int]:
     """Every jump at its best row nearby, the others held where they are."""
     at = list(chosen)
+    columns = np.concatenate([rest, responses.columns(at)], axis=1)
+    products, onto = columns.T @ columns, columns.T @ pv
     for i, j in enumerate(at):
-        others = np.concatenate([rest, responses.columns(at[:i] + at[i + 1 :])], axis=1)
-        q, _ = np.linalg.qr(others)
+        mine = rest.shape[1] + i
+        others = np.arange(columns.shape[1]) != mine
         near = np.arange(max(j - MOVED_ROWS, 0), min(j + MOVED_ROWS + 1, len(pv) - 1))
-        columns = responses.columns(near)
-        columns -= q @ (q.T @ columns)
-        size = np.einsum("ij,ij->j", columns, columns)
+        tried = responses.columns(near)
+        shared = columns[:, others].T @ tried
+        explained = np.linalg.solve(products[np.ix_(others, others)], np.column_stack([onto[others], shared]))
+        size = np.einsum("ij,ij->j", tried, tried) - np.einsum("ij,ij->j", shared, explained[:, 1:])
         usable = size > NEW * len(pv)
-        taken = np.where(usable, (pv @ columns) ** 2 / np.where(usable, size, 1.0), 0.0)
-        at[i] = int(near[np.argmax(taken)])
+        if not usable.any():
+            continue
+        taken = np.where(usable, (pv @ tried - explained[:, 0] @ shared) ** 2 / np.where(usable, size, 1.0), 0.0)
+        best = int(np.argmax(taken))
+        at[i] = int(near[best])
+        columns[:, mine] = tried[:, best]
+        products[mine] = products[:, mine] = columns.T @ columns[:, mine]
+        onto[mine] = columns[:, mine] @ pv
     return at
 
 

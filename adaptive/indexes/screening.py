@@ -130,7 +130,12 @@ def _setpoint(window: Window) -> dict[str, float | None]:
     seen = setpoint_responses(window.sp, window.pv)
     if seen is None:
         return {}
-    return {"setpoint_steps": float(seen.steps), "overshoot": seen.overshoot, "damping": seen.damping}
+    return {
+        "setpoint_steps": float(seen.steps),
+        "setpoint_size": seen.size,
+        "overshoot": seen.overshoot,
+        "damping": seen.damping,
+    }
 
 
 def _oscillation(window: Window) -> Regularity | None:

@@ -33,12 +33,14 @@ class SetpointResponses:
     """Medians over the setpoint responses of a record.
 
     steps : how many could be read. overshoot : share of the step, 0 when none stands out of the noise.
-    damping : 0 dead-beat to 1 undamped; None where no response has a third peak out of the noise.
+    damping : 0 dead-beat to 1 undamped; None where no response has a third peak out of the noise. size : of the steps,
+    pv units.
     """
 
     steps: int
     overshoot: float
     damping: float | None
+    size: float
 
 
 def setpoint_responses(sp: FloatArray, pv: FloatArray) -> SetpointResponses | None:
@@ -54,13 +56,12 @@ def setpoint_responses(sp: FloatArray, pv: FloatArray) -> SetpointResponses | No
         if abs(step) > STEP_BAND * sigma and end - last >= FEWEST_SAMPLES and rest <= AT_REST * abs(step):
             error = (sp[last:end] - pv[last:end]) / step
             if not _cut_short(error):
-                read.append(_response(error, PEAK_BAND * sigma / abs(step)))
+                read.append((*_response(error, PEAK_BAND * sigma / abs(step)), abs(step)))
     if not read:
         return None
-    damped = [d for _, d in read if d is not None]
-    return SetpointResponses(
-        len(read), float(np.median([o for o, _ in read])), float(np.median(damped)) if damped else None
-    )
+    damped = [d for _, d, _ in read if d is not None]
+    overshoot, size = (float(np.median([one[i] for one in read])) for i in (0, 2))
+    return SetpointResponses(len(read), overshoot, float(np.median(damped)) if damped else None, size)
 
 
 def _steps(sp: FloatArray) -> list[tuple[int, int]]:

@@ -252,14 +252,14 @@ NOT_EVALUATED = "not_evaluated"
 
 
 def not_evaluated(where: str, error: BaseException) -> StageResult:
-    """What follows from a response whose evaluation failed: nothing is learned, nothing changes, and it is said.
+    """What follows from a response whose evaluation failed: it changes neither model nor gains, and it is said.
 
     where : the stage.
     """
     what = " ".join(f"{type(error).__name__}: {error}".split())[:MOST_TOLD]
     return StageResult(
         NOT_EVALUATED,
-        f"not evaluated: stage {where!r} failed ({what}); nothing is learned from this response, and nothing changes",
+        f"not evaluated: stage {where!r} failed ({what}); this response changes neither the model nor the gains",
     )
 
 

@@ -210,9 +210,7 @@ class ResponseFinder:
                 self._restart(sample)
             return None
         if not 0.0 < t_s - samples[-1][0] <= self._gap_s or mode != AUTO:
-            cut, resting = mode == AUTO and t_s - samples[-1][0] > self._gap_s, self.at_rest
-            self._restart(sample)
-            return self._broken_off(region.region) if cut and not resting else None
+            return self._interrupted(sample, region.region)
         total = sp + pv + co + x + x2
         if total - total != 0.0 and not self._is_placed(sample):
             return self._unknown(sample)
@@ -263,8 +261,12 @@ class ResponseFinder:
             self._region = enter(self._regions, sample.x, sample.t_s, sample.x2, region)
         self._forget(sample)
 
-    def _broken_off(self, region: int) -> Left | None:
-        """A gap has come before a response was complete: told after some in a row, and ever more seldom."""
+    def _interrupted(self, sample: LoopSample, region: int) -> Left | None:
+        """It begins anew. A gap before a response was complete is told after some in a row, and ever more seldom."""
+        cut = sample.mode == AUTO and sample.t_s - self._samples[-1].t_s > self._gap_s and not self.at_rest
+        self._restart(sample)
+        if not cut:
+            return None
         self._broken += 1
         told = FIRST_TOLD
         while told < self._broken:

@@ -1,6 +1,7 @@
 """retuner diagnose and identify on records: the JSON contract, the words, the pictures, what a record lacks."""
 
 import json
+import re
 import runpy
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from retuner.errors import UserError
 from retuner.tuning import tune
 
 SERVO = Path(__file__).parents[1] / "data" / "servo" / "pid_step.csv"
+PLANT = Path(__file__).parents[1] / "data" / "plant"
 HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
 PNG = b"\x89PNG\r\n\x1a\n"
 Capture = pytest.CaptureFixture[str]
@@ -42,6 +44,9 @@ KEYS = {
     "std",
     "identifiable",
     "notes",
+    "next",
+    "performance",
+    "records",
 }
 
 
@@ -50,14 +55,14 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict]:
     """A double of the diagnosis that notes what it was asked; aggressive when it is told the gains, else unknown."""
     calls: list[dict] = []
 
-    def double(window, *, gains=None, co_min=None, co_max=None):
-        calls.append({"window": window, "gains": gains, "co_min": co_min, "co_max": co_max})
+    def double(windows, *, gains=None, co_min=None, co_max=None):
+        calls.append({"windows": windows, "gains": gains, "co_min": co_min, "co_max": co_max})
         if gains is None:
             nothing = Diagnosis(Cause.UNKNOWN, 0.0, {}, "the active settings are not known")
             return diagnosing.RecordDiagnosis(nothing, None, None, {})
         told = Diagnosis(Cause.AGGRESSIVE, 0.97, {"ms": 3.1, "gm": float("inf")}, "Ms 3.10 is over 1.8")
         cure = tune(ProcessModel(ProcessType.FOPDT, 1.0, 20.0, 0.0, 3.0))
-        return diagnosing.RecordDiagnosis(told, None, cure, {"linear": window.pv[::2]})
+        return diagnosing.RecordDiagnosis(told, None, cure, {"linear": windows[0].pv[::2]}, active=gains)
 
     monkeypatch.setattr(diagnosing, "diagnose_windows", double)
     return calls
@@ -125,11 +130,11 @@ def test_json_has_its_keys_and_gains_only_where_a_retune_is_right(tmp_path, caps
     assert (asked[0]["co_min"], asked[0]["co_max"]) == (0.0, 100.0)
 
 
-def test_settings_in_force_are_read_off_the_record_when_they_are_not_given(tmp_path, capsys, asked):
+def test_settings_in_force_are_read_off_the_record_when_they_are_not_given(tmp_path, capsys):
     found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv")))
-    assert asked[0]["gains"].kp == pytest.approx(2.0, abs=0.06)
-    assert asked[0]["gains"].ki == pytest.approx(0.1, rel=1e-3)
     assert found["gains_in_force"]["source"] == "record"
+    assert found["gains_in_force"]["parallel"]["kp"] == pytest.approx(2.0, abs=0.06)
+    assert found["gains_in_force"]["parallel"]["ki"] == pytest.approx(0.1, rel=1e-3)
     assert found["gains_in_force"]["forms"]["ideal"]["tau_i"] == pytest.approx(20, rel=0.05)
     assert found["gains_in_force"]["explained"] > 0.999
 
@@ -157,16 +162,96 @@ def test_open_loop_records_have_no_controller(capsys, asked):
 
 
 @pytest.mark.usefixtures("asked")
-def test_it_reads_well(tmp_path, capsys):
-    assert main(["diagnose", str(loop(tmp_path / "a.csv")), "--plot", str(tmp_path / "a.png")]) == 0
-    shown = capsys.readouterr().out
-    first = shown.splitlines()[0]
-    assert first == "AGGRESSIVE (confidence 97%): Ms 3.10 is over 1.8"
-    assert "active settings: Kc 1.95 tau_I 19.5 s, identified from the record" in shown
-    assert "recommended settings:" in shown
-    assert "overshoot of setpoint responses" in shown
-    assert (tmp_path / "a.png").read_bytes().startswith(PNG)
-    assert "no change of settings recommended" not in shown
+def test_it_reads_well_in_eight_lines(tmp_path, capsys):
+    path, picture = str(loop(tmp_path / "a.csv")), tmp_path / "a.png"
+    assert main(["diagnose", path, "--kc", "2", "--tau-i", "20", "--plot", str(picture)]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert len(shown) <= 8
+    assert shown[0] == "AGGRESSIVE (97 %): Ms 3.10 is over 1.8"
+    assert shown[1] == "  active       Kc 2 tau_I 20 s"
+    assert shown[2].startswith("  recommended  Kc ")
+    assert any(line.startswith("  the loop     mean error ") and "Harris index" in line for line in shown)
+    assert not any("overshoot of setpoint responses" in line for line in shown)
+    assert picture.read_bytes().startswith(PNG)
+    assert main(["diagnose", path, "--kc", "2", "--tau-i", "20", "--evidence"]) == 0
+    more = capsys.readouterr().out
+    assert more.splitlines()[: len(shown)] == shown
+    assert "overshoot of setpoint responses" in more
+    assert "parallel  kp" in more
+
+
+def test_a_change_is_told_by_what_it_does(tmp_path, capsys):
+    assert main(["diagnose", str(loop(tmp_path / "a.csv", kc=7.0)), "--co-min", "-50", "--co-max", "100"]) == 0
+    line = next(one for one in capsys.readouterr().out.splitlines() if one.startswith("  with these"))
+    found = re.search(r"mean error (\d+) % .*overshoot (\d+) % > (\d+) %, settles in .* Ms (\S+) > (\S+)$", line)
+    assert found
+    error, before, after = (int(found[i]) for i in (1, 2, 3))
+    assert error < 90
+    assert before > 50
+    assert after < 20
+    assert float(found[4]) > 2.5
+    assert float(found[5]) < 1.8
+
+
+def test_records_of_one_loop_give_one_answer(tmp_path, capsys):
+    paths = [str(loop(tmp_path / f"{i}.csv", n=n, kc=7.0)) for i, n in enumerate((400, 300))]
+    one, both = answer(capsys, "diagnose", paths[0]), answer(capsys, "diagnose", *paths)
+    assert (one["records"], both["records"]) == (1, 2)
+    assert both["cause"] == one["cause"] == "aggressive"
+    assert sum(both["causes"].values()) == pytest.approx(1.0)
+    assert both["causes"]["aggressive"] >= one["causes"]["aggressive"] - 1e-9
+
+
+def test_files_of_a_signal_each_are_one_record(tmp_path, capsys):
+    whole = np.genfromtxt(loop(tmp_path / "a.csv", kc=7.0), delimiter=",", names=True)
+    paths = []
+    for name in ("sp", "pv", "co"):
+        np.savetxt(tmp_path / f"{name}.csv", np.stack([whole["t"], whole[name]], 1), delimiter=",",
+                   header=f"t,{name}", comments="")  # fmt: skip
+        paths.append(str(tmp_path / f"{name}.csv"))
+    found = answer(capsys, "diagnose", *paths)
+    assert (found["records"], found["cause"]) == (1, "aggressive")
+
+
+def test_records_of_two_loops_are_refused(tmp_path, capsys):
+    for tag in ("FIC101", "TIC202"):
+        whole = np.genfromtxt(loop(tmp_path / "a.csv"), delimiter=",", names=True)
+        np.savetxt(tmp_path / f"{tag}.csv", np.stack([whole[n] for n in whole.dtype.names], 1), delimiter=",",
+                   header=f"t,{tag}.SP,{tag}.PV,{tag}.OP", comments="")  # fmt: skip
+    assert "records of 2 loops" in refused(
+        capsys, "diagnose", str(tmp_path / "FIC101.csv"), str(tmp_path / "TIC202.csv")
+    )
+
+
+def test_a_part_of_a_record_is_cut_out(tmp_path, capsys):
+    path = str(loop(tmp_path / "a.csv"))
+    parts = [read_loop(RecordOptions(files=[Path(path)], begin=begin, end=end)).recording.t_s
+             for begin, end in (("", ""), ("100", ""), ("100", "250.5"))]  # fmt: skip
+    assert [(part[0], part[-1]) for part in parts] == [(0.0, 399.0), (100.0, 399.0), (100.0, 250.0)]
+    for wrong, message in (
+        (["--from", "tomorrow"], "--from tomorrow: give seconds of the record, or a time as"),
+        (["--from", "nan"], "--from nan: give seconds of the record"),
+        (["--to", "2026-05-04T08:30"], "has no dates; give seconds of the record"),
+        (["--from", "395"], "there are 5 samples; the record runs from 0 s to 399 s"),
+    ):
+        assert message in refused(capsys, "diagnose", path, *wrong)
+
+
+def test_a_record_with_dates_is_cut_by_them(tmp_path):
+    path = tmp_path / "dated.csv"
+    rows = [f"2026-05-04 08:{i // 60:02d}:{i % 60:02d},10,{10 + i % 3},{20 + i % 5}" for i in range(600)]
+    path.write_text("\n".join(["time,sp,pv,co", *rows]), encoding="utf-8")
+    read = read_loop(RecordOptions(files=[path], begin="2026-05-04T08:02", end="2026-05-04T08:05:00Z"))
+    assert (read.recording.t_s[0], read.recording.t_s[-1]) == (120.0, 300.0)
+
+
+def test_the_deciding_test_is_told_where_the_odds_are_open(capsys):
+    found = answer(capsys, "diagnose", str(PLANT / "FIC46002_1102_1.csv"))
+    assert found["confidence"] < 0.9
+    assert found["next"]["kind"] in {"setpoint", "valve"}
+    assert 0.0 < found["next"]["decides"] <= 1.0
+    assert found["next"]["size"] > 0.0 < found["next"]["hold_s"]
+    assert 0.0 <= found["performance"]["harris"] <= 1.0
 
 
 @pytest.mark.parametrize(

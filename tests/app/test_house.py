@@ -31,8 +31,8 @@ ORDER = (
         "profiles", "dbc", "canopen",
         "historian",
     )),
-    "vocabulary", "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api",
-    "scheduling", "config", "ledger", "decisions", "simulation", "pid_controller", "",
+    "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api",
+    "diagnosing", "scheduling", "config", "ledger", "decisions", "simulation", "pid_controller", "",
     "decision_page", "report", "schedule_report", "experiment", "audit", "session", "live_view", "replay", "serve",
     "gain_export", "doctor", "commands", "notebook", "cli", "__main__",
 )

@@ -212,7 +212,7 @@ def test_gains_are_given_and_shown_in_the_controllers_units(tmp_path: Path, caps
     same = answer(capsys, "identify", path, "--kc", "500", "--tau-i", "3", *trade)  # 100 / 500 % of 10 is 2 %/unit
     assert same["margins_in_force"]["ms"] == pytest.approx(plain["margins_in_force"]["ms"])
     assert main(["diagnose", path, "--kc", "500", "--tau-i", "3", *trade, "--action", "reverse"]) == 0
-    assert "active settings: PB 500 % reset 3 repeats/min" in capsys.readouterr().out
+    assert "active       PB 500 % reset 3 repeats/min" in capsys.readouterr().out
     assert main(["identify", path, *trade]) == 0
     assert "  dialled   PB " in capsys.readouterr().out
     assert main(["identify", path]) == 0

@@ -1,4 +1,4 @@
-"""The words that people read are the trade's, in short sentences: src/retuner/vocabulary.py says which.
+"""The words that people read are the trade's, in short sentences: src/retuner/decision_page/vocabulary.py says which.
 
 Looked at are the texts in the code that reach a person (all that hold a space, but docstrings and program text that is
 exported), the templates, the page in the browser, README and docs.
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from retuner.vocabulary import TERMS
+from retuner.decision_page.vocabulary import TERMS
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("src", "adaptive", "drivers", "schedule")

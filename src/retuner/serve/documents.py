@@ -76,7 +76,7 @@ def outcome(session: WatchedSession) -> Document | None:
         changes = sum(one["action"] == "commit" for loop in loops for one in loop["decisions"])
         scores = [score for loop in loops for score in loop["scores"] if score["iae_fixed"]]
         before, after = (sum(float(score[name]) for score in scores) for name in ("iae_fixed", "iae"))
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # damaged, or of another release
         return None
     if not session.ledger.ended or not (session.folder / REPORT).is_file():
         return None

@@ -245,8 +245,9 @@ def _next(found: DiagnosedRecord) -> list[str]:
     told = found.result.diagnosis
     if told.retune:
         return ["set these, and diagnose the next record together with this one"]
-    lines = [] if told.next is None else [f"{test_words(told.next)}; diagnose its record together with this one"]
-    return lines + _by_eye(found)
+    if told.next is not None:
+        return [f"{test_words(told.next)}; diagnose its record together with this one"]
+    return _by_eye(found)
 
 
 def test_words(test: DecidingTest) -> str:
@@ -263,7 +264,7 @@ def evidence_of(found: DiagnosedRecord) -> list[str]:
     result = found.result
     odds = ", ".join(f"{cause.replace('_', ' ')} {p:.1%}" for cause, p in result.diagnosis.causes.items())
     lines = [f"odds: {odds}"] if odds else []
-    lines += [f"hint: {line}" for line in _by_eye(found)] if result.diagnosis.retune else []
+    lines += [f"hint: {line}" for line in _by_eye(found)]
     if found.read_off is not None and found.read_off.gains is not None:
         lines.append(f"active settings: identified from the record ({found.read_off.reason})")
     for title, settings in (("recommended settings:", result.settings), ("final settings:", result.aim)):
