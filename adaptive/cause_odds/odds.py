@@ -8,8 +8,8 @@ P_steps    the verdict where loads are steps, ramps or a tone (diagnosis/diagnos
 w          the odds that loads are what the second says: its fit against the walk, by likelihood. Where its residual is
            white noise after a few steps it is by far the likelier one; under the loads of a plant it is not
 
-What needs no fit (a dead signal, manual, a relay, a controller that acts the wrong way) stays as it is told. Records of
-one loop add up: one process, loads of their own.
+A test in manual, co in steps, adds its likelihood. What needs no fit (a dead signal, manual, a relay, a controller that
+acts the wrong way) stays as it is told. Records of one loop add up: one process, loads of their own.
 """
 
 import math
@@ -112,7 +112,8 @@ def diagnose_records(
     at = next(i for i, f in enumerate(each) if f is told)
     known = gains or rough
     sign = known.direction if known is not None else direction
-    walk = _walk([w for w, _ in open_ones], known, sign, settings) if sign else None
+    tests = [w for w, f in zip(windows, each, strict=True) if _final(w, f) and _in_steps(w)]
+    walk = _walk([*(w for w, _ in open_ones), *tests], known, sign, settings) if sign else None
     if walk is None:
         return OddsFound(_alone(told, settings), record=at)
     odds = None
@@ -135,6 +136,13 @@ def _final(window: Window, found: Found) -> bool:
     if found.fits or told.cause != Cause.UNKNOWN or told.confidence < FINAL:
         return told.cause in {Cause.SATURATION, Cause.NOISE}
     return record_condition(window).condition != Condition.MOVING_SETPOINT
+
+
+def _in_steps(window: Window) -> bool:
+    """Whether a record is a test in manual: co goes in steps, and pv and co are alive. It says what the process is."""
+    if len(window.t_s) < FEWEST or record_condition(window).condition != Condition.MANUAL:
+        return False
+    return bool(np.ptp(window.co) > 0.0 and np.ptp(window.pv) > 0.0)
 
 
 def _alone(found: Found, settings: OddsSettings) -> Found:

@@ -1,6 +1,7 @@
 """How good are the odds of `diagnose` in a world with real loads, and are they honest?
 
     python benchmarks/world --data FOLDER [--set step8] [--seed 1] [--cases 80] [--fold 0] [--jobs 2] [--out FILE]
+    python benchmarks/world --data FOLDER --next ...      with the test made that each answer proposes
     python benchmarks/world --data FOLDER --real          what is said of the real records themselves
 
 FOLDER holds index.csv (file, tag, label) and records (t, sp, pv, co) of real loops; their co are the loads (draw.py).
@@ -18,14 +19,16 @@ import math
 import statistics
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from cases.counting import share, spread
 
 from retuner import diagnosing
+from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
-from world.draw import CLASSES, DT_S, SETS, drawn
+from world.draw import CLASSES, DT_S, SETS, drawn, tested
 from world.process import margins
 
 AS = {"ok": "ok", "sluggish": "sluggish", "aggressive": "aggressive", "slow_integrating": "aggressive",
@@ -37,7 +40,10 @@ BANDS = ((0.0, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.95), (0.95, 1.01))
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One case. said : the cause named. odds : of the four classes. ms_after : with the settings given, nan without."""
+    """One case. said : the cause named. odds : of the four classes. ms_after : with the settings given, nan without.
+
+    then, then_odds : the cause named, and the odds, once the test that was proposed was made as well.
+    """
 
     index: int
     true: str
@@ -47,26 +53,44 @@ class Score:
     ms_after: float
     next_size: float
     cpu_s: float
+    then: str = ""
+    then_odds: dict[str, float] = field(default_factory=dict)
 
 
-def scored(seed: int, kind: str, folder: str, fold: int | None, index: int) -> Score:
-    """Draw a loop, diagnose its record with its gains told, judge the answer."""
+def scored(seed: int, kind: str, folder: str, fold: int | None, test: bool, index: int) -> Score:
+    """Draw a loop, diagnose its record with its gains told, judge the answer. test : make the test that it proposes."""
     case = drawn(seed, index, kind, folder, fold)
     gains = PidGains(case.kc, case.kc / (case.tau_i * DT_S))
     begun = time.process_time()
     result = diagnosing.diagnose(case.t, case.sp, case.pv, case.co, gains=gains)
     cpu_s = time.process_time() - begun
     told = result.diagnosis
+    odds, size = shares(told), math.nan
+    then, then_odds = "", {}
+    if told.next is not None:
+        size = told.next.size
+        if test:
+            hold = max(round(told.next.hold_s / DT_S), 1)
+            record = tested(case, seed, str(told.next.kind), told.next.size, hold)
+            windows = [Window(case.t, case.sp, case.pv, case.co), Window(*record)]
+            result = diagnosing.diagnose_windows(windows, gains=gains)
+            told_then = result.diagnosis
+            then, then_odds = AS.get(str(told_then.cause), str(told_then.cause)), shares(told_then)
+    after = math.nan
+    if result.recommended is not None:
+        new = result.recommended
+        after = margins(case.process, new.kp, new.kp / new.ki / DT_S if new.ki else 1e9)[0]
+    said = AS.get(str(told.cause), str(told.cause))
+    return Score(index, case.cause, said, odds, case.ms, after, size, cpu_s, then, then_odds)
+
+
+def shares(told: Diagnosis) -> dict[str, float]:
+    """The odds of the four classes."""
     odds = dict.fromkeys(CLASSES, 0.0)
     for cause, p in (told.causes or {str(told.cause): told.confidence}).items():
         if cause in AS:
             odds[AS[cause]] += p
-    after = math.nan
-    if told.retune and result.settings is not None:
-        new = result.settings.tuning.gains
-        after = margins(case.process, new.kp, new.kp / new.ki / DT_S if new.ki else 1e9)[0]
-    size = told.next.size if told.next is not None else math.nan
-    return Score(index, case.cause, AS.get(str(told.cause), str(told.cause)), odds, case.ms, after, size, cpu_s)
+    return odds
 
 
 def table(scores: list[Score]) -> list[str]:
@@ -90,6 +114,15 @@ def table(scores: list[Score]) -> list[str]:
     for true in CLASSES:
         counts = Counter(s.said for s in scores if s.true == true)
         lines.append(f"{true:12} {', '.join(f'{said} {count}' for said, count in counts.most_common())}")
+    proposed = [s for s in scores if s.then]
+    if proposed:
+        before = sum(s.said == s.true for s in proposed)
+        lines.append(f"where a test was proposed: right before   {share(before, len(proposed))}")
+        lines.append(
+            f"                           right after it {share(sum(s.then == s.true for s in proposed), len(proposed))}"
+        )
+        final = sum((s.then or s.said) == s.true for s in scores)
+        lines.append(f"all, after the tests that were proposed   {share(final, n)}")
     cpu = sorted(s.cpu_s for s in scores)
     return [*lines, f"CPU s a record: median {statistics.median(cpu):.2f}, largest {cpu[-1]:.2f}"]
 
@@ -116,6 +149,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--cases", type=int, default=80)
     parser.add_argument("--fold", type=int, choices=(0, 1))
+    parser.add_argument("--next", action="store_true", help="make the test that is proposed, and judge both records")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--real", action="store_true")
@@ -123,7 +157,7 @@ def main() -> int:
     if options.real:
         print("\n".join(real(options.data)))
         return 0
-    work = functools.partial(scored, options.seed, options.kind, options.data, options.fold)
+    work = functools.partial(scored, options.seed, options.kind, options.data, options.fold, options.next)
     scores = []
     for score in spread(work, range(options.cases), options.jobs):
         scores.append(score)

@@ -26,7 +26,10 @@ TRIES = 80
 
 @dataclass(frozen=True, slots=True)
 class WorldCase:
-    """A record with its truth. cause : one of CLASSES. kc, tau_i : in samples. ms : of them. tag : the load's loop."""
+    """A record with its truth.
+
+    cause : one of CLASSES. kc, tau_i : in samples. ms : of them. tag : the load's loop. scene : what it was drawn with.
+    """
 
     cause: str
     process: TrueProcess
@@ -38,6 +41,18 @@ class WorldCase:
     sp: FloatArray
     pv: FloatArray
     co: FloatArray
+    scene: "Scene"
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What stays from record to record: noise, steps of the recorded pv and co, the valve's band, the load's source."""
+
+    noise: float
+    steps: tuple[float, float]
+    band: float
+    sign: int
+    source: FloatArray
 
 
 @lru_cache(maxsize=4)
@@ -57,14 +72,14 @@ def real_loops(folder: str, fold: int | None) -> tuple[tuple[str, FloatArray, Fl
     return tuple(found)
 
 
-def piece(rng: np.random.Generator, x: FloatArray) -> FloatArray:
+def piece(rng: np.random.Generator, x: FloatArray, samples: int = SAMPLES) -> FloatArray:
     """A piece of a signal, stretched by 0.5 to 1.5, from zero; what is too short goes on backwards."""
     stretch = rng.uniform(0.5, 1.5)
-    length = int(SAMPLES / stretch) + 2
+    length = int(samples / stretch) + 2
     while len(x) < length:
         x = np.concatenate([x, x[::-1]])
     first = int(rng.integers(0, len(x) - length + 1))
-    found = np.interp(np.arange(SAMPLES) / stretch, np.arange(length), x[first : first + length])
+    found = np.interp(np.arange(samples) / stretch, np.arange(length), x[first : first + length])
     return np.asarray(found - found[0], dtype=np.float64)
 
 
@@ -135,21 +150,46 @@ def _tried(
     load, rest = piece(rng, co), np.zeros(SAMPLES)
     if not np.isfinite(ms) or np.std(load) == 0:
         return None
-    load = load / np.std(load) * (1 if rng.random() < 0.5 else -1)
+    sign = 1 if rng.random() < 0.5 else -1
+    source, load = sign * co / np.std(load), sign * load / np.std(load)
     std = float(np.std(simulated(process, gains, (rest, load, rest))[0]))
     sp = setpoint(rng, kind, std, loops)
     pv, co = simulated(process, gains, (sp, load, rest))
     spans = float(np.ptp(pv)), float(np.ptp(co))
-    noise = rng.normal(size=SAMPLES) * spans[0] * np.exp(rng.uniform(np.log(0.002), np.log(0.06)))
+    noise_std = spans[0] * float(np.exp(rng.uniform(np.log(0.002), np.log(0.06))))
+    noise = rng.normal(size=SAMPLES) * noise_std
     steps = [s * np.exp(rng.uniform(np.log(0.001), np.log(0.02))) if rng.random() < 0.7 else 0.0 for s in spans]
     signals, recorded = (sp, load, noise), (float(steps[0]), float(steps[1]))
     pv, co = simulated(process, gains, signals, 0.0, recorded)
+    band = 0.0
     if cause == "stiction":
         free = float(np.mean(np.abs(pv - sp)))
-        pv, co = simulated(process, gains, signals, spans[1] * rng.uniform(0.15, 0.8), recorded)
+        band = spans[1] * rng.uniform(0.15, 0.8)
+        pv, co = simulated(process, gains, signals, band, recorded)
         if not np.mean(np.abs(pv - sp)) >= 1.25 * free:
             return None
     if not np.all(np.isfinite(pv)) or np.std(pv) > 100 * std:
         return None
     t = np.arange(SAMPLES) * DT_S
-    return WorldCase(cause, process, gains[0], gains[1], ms, tag, t, sp + 50.0, pv + 50.0, co + 50.0)
+    scene = Scene(noise_std, recorded, band, sign, source)
+    return WorldCase(cause, process, gains[0], gains[1], ms, tag, t, sp + 50.0, pv + 50.0, co + 50.0, scene)
+
+
+def tested(case: WorldCase, seed: int, kind: str, size: float, hold: int) -> tuple[FloatArray, ...]:
+    """The record of a test on the same loop, under a load from the same source: t, sp, pv, co.
+
+    kind : "setpoint", a step out and back; "valve", in manual steps of co up, up, down, down. hold : samples of each.
+    """
+    rng = np.random.default_rng([seed, hold])
+    levels = {"setpoint": (0.0, size, 0.0), "valve": (0.0, size, 2 * size, size, 0.0)}[kind]
+    wanted = np.repeat(levels, [BEFORE, *([hold] * (len(levels) - 1))])
+    load, noise = piece(rng, case.scene.source, len(wanted)), rng.normal(size=len(wanted)) * case.scene.noise
+    signals = (wanted, load, noise)
+    gains = (case.kc, case.tau_i)
+    pv, co = simulated(case.process, gains, signals, case.scene.band, case.scene.steps, manual=kind == "valve")
+    sp = wanted if kind == "setpoint" else pv
+    return np.arange(len(wanted)) * DT_S, sp + 50.0, pv + 50.0, co + 50.0
+
+
+BEFORE = 40
+"""Samples before a test's first step."""

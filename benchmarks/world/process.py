@@ -82,11 +82,14 @@ def simulated(
     signals: tuple[FloatArray, FloatArray, FloatArray],
     band: float = 0.0,
     steps: tuple[float, float] = (0.0, 0.0),
+    *,
+    manual: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
     """pv and co of the loop.
 
     gains : kc and tau_i. signals : setpoint, load at the process input, noise. band : a valve stays where it is until
-    co is farther from it than this. steps : of the recorded pv and co (quantised), 0 for none.
+    co is farther from it than this. steps : of the recorded pv and co (quantised), 0 for none. manual : co is what
+    stands in the place of the setpoint.
     """
     kc, tau_i = gains
     setpoint, load, noise = signals
@@ -101,7 +104,7 @@ def simulated(
         measured = y + noise[t]
         measured = round(measured / steps[0]) * steps[0] if steps[0] else measured
         total += kc / tau_i * (setpoint[t] - measured)
-        output = kc * (setpoint[t] - measured) + total
+        output = setpoint[t] if manual else kc * (setpoint[t] - measured) + total
         output = round(output / steps[1]) * steps[1] if steps[1] else output
         pv[t], co[t] = measured, output
         valve = output if abs(output - valve) > band else valve
