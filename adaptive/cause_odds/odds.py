@@ -369,7 +369,8 @@ def _settings(causes: Mapping[Cause, float], odds: TuningOdds, settings: OddsSet
         return None
     if _calmer(found, odds):
         return found if less >= settings.less_odds else None
-    return found if more >= settings.more_odds else None
+    unseen = causes.get(Cause.STICTION, 0.0) > settings.most_valve  # behind a valve no process is seen
+    return found if more >= settings.more_odds and not unseen else None
 
 
 def _calmer(found: Worthwhile, odds: TuningOdds) -> bool:

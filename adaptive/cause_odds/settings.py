@@ -30,7 +30,8 @@ class OddsSettings:
         0 to 0.38 in 28 of 29, tones and narrow bands 0.41 to 1).
     most : no probability is told larger; 0.9 to 0.99, default 0.97: more was never counted.
     more_odds : odds of a cause that asks for more gain from which settings are given; 0.5 to 0.9, default 0.6.
-        less_odds : of one that asks for less; default 0.65.
+        less_odds : of one that asks for less; default 0.65. most_valve : of a valve, up to which more gain is given;
+        0.05 to 0.3, default 0.15.
     undecided : the most probable cause has less than this where a test is proposed; 0.7 to 0.95, default 0.9.
     most_held : rows for which a coarse pv stands still that are averaged into one; 1 to 20, default 8.
     most_windows : windows of a long record, or of several, that are compared; 2 to 20, default 4 (of each record).
@@ -53,6 +54,7 @@ class OddsSettings:
     most: float = 0.97
     more_odds: float = 0.6
     less_odds: float = 0.65
+    most_valve: float = 0.15
     undecided: float = 0.9
     most_held: int = 8
     most_windows: int = 4

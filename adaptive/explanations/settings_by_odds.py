@@ -66,8 +66,10 @@ class WorthSettings:
 
 TAU_CS = (1.0, 1.5, 2.5, 4.0)
 """tau_c of the candidates, in effective dead times."""
-SCALES = (0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
+SCALES = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
 """Of all actions of the set in force."""
+CALMER = (0.5, 0.4, 0.3, 0.25)
+"""The same for a loop that is too tight, where no set is good on nearly all processes: the first that is on half."""
 TOLD_SHARE, TOLD_MOST = 0.9, 20
 """Share of the odds whose processes are told with settings, and how many at the most."""
 LEAST_ROOM, MOST_ROOM, ROOMS = 0.1, 10.0, 41
@@ -171,15 +173,18 @@ def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
 
 
 def halved(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
-    """Half of every action: for a loop that is too tight, where no whole set is good on nearly all processes.
+    """Half of every action or less: for a loop that is too tight, where no set is good on nearly all processes.
 
     None where even that is not expected to be worth a change, or makes likely processes worse.
     """
     likely = likely_processes(odds, settings.processes)
     now = odds.gains
-    half = Tuning("simc", "series", PidGains(now.kp / 2, now.ki / 2, now.kd / 2))
     before, peaks_before = _cost(likely, now, settings)
-    cost, peaks = _cost(likely, half.gains, settings)
+    for scale in CALMER:
+        half = Tuning("simc", "series", PidGains(now.kp * scale, now.ki * scale, now.kd * scale))
+        cost, peaks = _cost(likely, half.gains, settings)
+        if float(likely.weights @ (peaks > settings.ms_bad)) <= 0.5:
+            break
     worse = float(likely.weights @ (peaks > np.maximum(peaks_before, settings.ms_bad)))
     if before - cost < settings.worth or worse > settings.bad_share:
         return None
@@ -237,6 +242,8 @@ def _candidates(
                 new = PidGains(new.kp / size, new.ki / size)
             if active.ki and abs(new.ki) > most * abs(active.ki):
                 new = PidGains(new.kp, most * active.ki)
+            if abs(new.kp) < abs(active.kp) and abs(new.ki) > abs(active.ki):
+                new = PidGains(new.kp, active.ki)  # a calmer set adds nothing
             if abs(new.kp) >= settings.least_at_once * abs(active.kp):
                 yield Tuning(tuning.rule, tuning.form, new, tuning.tau_c_s)
     for scale in SCALES:

@@ -9,6 +9,7 @@ setpoint     real: a piece of a real one in 6 of 10; none; step4, step8: one ste
 """
 
 import csv
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,6 +23,8 @@ CLASSES = ("ok", "sluggish", "aggressive", "stiction")
 SETS = {"real": 0, "none": 1, "step4": 4, "step8": 8}
 SAMPLES, DT_S = 751, 10.0
 TRIES = 80
+CALM = 1.76
+"""The largest Ms of a loop that is in order, sluggish, or behind a valve."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +87,8 @@ def piece(rng: np.random.Generator, x: FloatArray, samples: int = SAMPLES) -> Fl
 
 
 def where(meets: Callable[[float], bool], start: float) -> float:
-    """The largest gain that meets a condition which larger ones do not."""
-    low, high = start * 1e-3, start * 1e3
-    for _ in range(50):
-        middle = (low * high) ** 0.5
-        low, high = (middle, high) if meets(middle) else (low, middle)
-    return low
+    """The largest gain that meets a condition; nan where none does. Too little gain may fail it as too much does."""
+    return next((kc for kc in start * np.logspace(1.5, -2.0, 300) if meets(kc)), math.nan)
 
 
 def settings(rng: np.random.Generator, process: TrueProcess, cause: str) -> tuple[float, float]:
@@ -99,7 +98,8 @@ def settings(rng: np.random.Generator, process: TrueProcess, cause: str) -> tupl
     limit = rng.uniform(1.5, 1.75)
     good = where(lambda kc: margins(process, kc, tau_i)[0] < limit, start)
     if cause == "sluggish":
-        return good * rng.uniform(0.1, 0.22), tau_i
+        weak = rng.uniform(0.1, 0.22)  # an integral time that stays makes a slow swing of an integrating process
+        return good * weak, tau_i / weak if process.integrates else tau_i
     if cause == "aggressive":
         margin = rng.uniform(1.12, 1.45)
         return where(lambda kc: margins(process, kc, tau_i)[1] > margin, start), tau_i
@@ -142,13 +142,13 @@ def drawn(seed: int, index: int, kind: str, folder: str, fold: int | None = None
 def _tried(
     rng: np.random.Generator, cause: str, kind: str, loops: tuple[tuple[str, FloatArray, FloatArray], ...]
 ) -> WorldCase | None:
-    """One try; None where the loop is unstable, the load is still, or the valve does not matter."""
+    """One try; None where the loop is not of its class, the load is still, or the valve does not matter."""
     process = drawn_process(rng)
     gains = settings(rng, process, cause)
     ms = margins(process, *gains)[0]
     tag, _, co = loops[int(rng.integers(len(loops)))]
     load, rest = piece(rng, co), np.zeros(SAMPLES)
-    if not np.isfinite(ms) or np.std(load) == 0:
+    if not np.isfinite(ms) or (cause != "aggressive" and ms > CALM) or np.std(load) == 0:
         return None
     sign = 1 if rng.random() < 0.5 else -1
     source, load = sign * co / np.std(load), sign * load / np.std(load)
