@@ -174,7 +174,8 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     each = [log_likelihood(r, direction, unit) if gains is not None else np.zeros(1) for r in records]
     valve = sum(log_odds_of_valve(r, direction) for r in records)
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
-    best = TEMPER * float(np.max(each[longest])) / len(records[longest].pv)
+    size = 0.5 * math.log(float(np.var(records[longest].pv)))  # likelihoods are counted in it
+    best = TEMPER * float(np.max(each[longest])) / len(records[longest].pv) - size
     return Walk(np.sum(each, axis=0), valve, records[longest], best)
 
 

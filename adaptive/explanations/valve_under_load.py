@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from retuner.adaptive.explanations.wandering_load import (
-    TEMPER,
     Prepared,
     Signals,
     load_model,
@@ -49,16 +48,16 @@ def log_odds_of_valve(record: Prepared, direction: int) -> float:
 
     direction : sign of the process gain.
     """
-    inputs = positions(record.co)
-    if len(inputs) == 1 or not np.ptp(record.co) > 0:
+    inputs = positions(record.co) if np.ptp(record.co) > 0 else np.zeros((1, 0))
+    if len(inputs) == 1:
         return 0.0
     found = []
     for lag in LAGS:
         signals = Signals.of(record, responses(inputs, lag)[0], lag)
         for bandwidth, order in LOADS:
             fit = whitened(signals, load_model(lag, bandwidth, order), DEAD_TIMES)
-            against = np.where(fit.gain * direction > 0, 0.0, fit.information * fit.gain**2)
-            found.append(-fit.freedom / (2 * TEMPER) * np.log(fit.left + against))
+            right = np.where(fit.gain * direction > 0, fit.gain, 0.0)  # no gain where it has the wrong sign
+            found.append(fit.tempered(right[..., None])[..., 0])
     every = np.array(found).transpose(1, 0, 2).reshape(len(inputs), -1)
     return float(_log_mean(every[1:]) - _log_mean(every[:1]))
 

@@ -105,13 +105,19 @@ class Whitened:
     """Least squares of the whitened pv on every whitened input and dead time, under one load.
 
     gain, information, left : K of least squares, S and RSS (head of this file), shape (inputs, dead times).
-    freedom : samples less nuisances.
+    freedom : samples less nuisances. size : see Signals.
     """
 
     gain: FloatArray
     information: FloatArray
     left: FloatArray
     freedom: int
+    size: float
+
+    def tempered(self, gain: FloatArray) -> FloatArray:
+        """Tempered log-likelihood of gains; shape (inputs, dead times, gains). gain : along the last axis."""
+        more = self.information[..., None] * (gain - self.gain[..., None]) ** 2
+        return np.asarray(-self.freedom / (2 * TEMPER) * np.log((self.left[..., None] + more) / self.size))
 
 
 _PAD = int(max(DEAD_TIMES)) + 2
@@ -160,17 +166,22 @@ def responses(inputs: FloatArray, lag: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """pv and what inputs do to it through one first lag, as spectra; shape (1 + inputs, ...). n : samples."""
+    """pv and what inputs do to it through one first lag, as spectra; shape (1 + inputs, ...).
+
+    n : samples. size : variance of pv, in which sums of squares are counted: loads of other orders have other freedoms.
+    """
 
     spectra: ComplexArray
     lag: float
     n: int
     resolution: float
+    size: float
 
     @classmethod
     def of(cls, record: Prepared, moved: FloatArray, lag: float) -> "Signals":
         """moved : shape (inputs, n), of `responses`."""
-        return cls(spectrum(np.vstack([record.pv, moved])), lag, len(record.pv), record.resolution)
+        size = float(np.var(record.pv)) or 1.0
+        return cls(spectrum(np.vstack([record.pv, moved])), lag, len(record.pv), record.resolution, size)
 
 
 def whitened(signals: Signals, model: LoadModel, dead_times: tuple[float, ...]) -> Whitened:
@@ -195,7 +206,7 @@ def whitened(signals: Signals, model: LoadModel, dead_times: tuple[float, ...]) 
     freedom = n - basis.shape[1]
     left = np.maximum(y @ y - gain * along[:, 0], 0.0) + freedom * signals.resolution**2
     form = (len(rows) - 1, len(dead_times))
-    return Whitened(gain.reshape(form), information.reshape(form), left.reshape(form), freedom)
+    return Whitened(gain.reshape(form), information.reshape(form), left.reshape(form), freedom, signals.size)
 
 
 LEAST_SHARE, LEAST_INFORMATION = 1e-12, 1e-300
@@ -241,13 +252,6 @@ def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatA
 
 def _over_loads(fits: list[Whitened], gains: FloatArray) -> FloatArray:
     """ln of the mean over loads of exp(ln L / TEMPER). gains : shape (second lags, 1, gains)."""
-    every = np.array(
-        [
-            -fit.freedom
-            / (2 * TEMPER)
-            * np.log(fit.left[..., None] + fit.information[..., None] * (gains - fit.gain[..., None]) ** 2)
-            for fit in fits
-        ]
-    )
+    every = np.array([fit.tempered(gains) for fit in fits])
     top = every.max(axis=0)
     return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)), dtype=np.float64)

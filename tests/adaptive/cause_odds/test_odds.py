@@ -1,0 +1,165 @@
+"""Odds of every cause, from one record or several: they sum to one, and what means nothing changes nothing."""
+
+import csv
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.cause_odds.odds import diagnose_records, windows_of
+from retuner.adaptive.cause_odds.settings import OddsSettings
+from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES
+from retuner.adaptive.signals.sample import Window
+from retuner.diagnosing import diagnose, diagnose_windows
+from retuner.schedule.gains import PidGains
+
+PLANT = Path(__file__).parents[2] / "data" / "plant"
+GAINS = PidGains(1.0, 0.05)
+
+
+def recorded(name: str) -> Window:
+    with (PLANT / name).open(encoding="utf-8") as lines:
+        rows = list(csv.DictReader(lines))
+    t, sp, pv, co = (np.array([float(row[key]) for row in rows]) for key in ("t", "sp", "pv", "co"))
+    return Window(t, sp, pv, co)
+
+
+def loop(kc: float = 1.0, *, seed: int = 1, n: int = 600, step: float = 0.0, sign: int = 1) -> Window:
+    """PI on a lag of 20 s with 4 s dead time under a load that wanders, every second."""
+    rng = np.random.default_rng(seed)
+    drift, noise = np.cumsum(rng.standard_normal(n)) * 0.1, 0.02 * rng.standard_normal(n)
+    sp = np.where((np.arange(n) > n // 4) & (np.arange(n) < n // 2), step, 0.0)
+    pole, total, y = math.exp(-1 / 20.0), 0.0, 0.0
+    pv, co = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        y = pole * y + (1 - pole) * ((sign * co[i - 5] if i > 4 else 0.0) + drift[i])
+        pv[i] = y + noise[i]
+        total += sign * kc / 20.0 * (sp[i] - pv[i])
+        co[i] = sign * kc * (sp[i] - pv[i]) + total
+    return Window(np.arange(float(n)), sp, pv, co)
+
+
+def told(window: Window, kc: float = 1.0, sign: int = 1) -> Diagnosis:
+    return diagnose_records([window], PidGains(sign * kc, sign * kc / 20.0)).found.diagnosis
+
+
+@pytest.mark.parametrize(
+    "window",
+    [loop(), loop(4.0, step=4.0), recorded("FIC46002_1102_1.csv"), recorded("LIC42502_0620_1.csv")],
+    ids=["walk", "tight", "real", "gaps"],
+)
+def test_the_odds_sum_to_one_the_largest_is_named(window: Window) -> None:
+    gains = settings_in_force(window).gains or GAINS
+    found = diagnose_records([window], gains).found.diagnosis
+    assert sum(found.causes.values()) == pytest.approx(1.0)
+    assert list(found.causes.values()) == sorted(found.causes.values(), reverse=True)
+    assert next(iter(found.causes)) == found.cause
+    assert found.confidence <= found.causes[str(found.cause)] + 1e-9
+
+
+@pytest.mark.parametrize(("kc", "cause"), [(4.2, Cause.AGGRESSIVE), (0.12, Cause.SLUGGISH)])
+def test_a_step_of_some_times_the_load_shows_the_tuning(kc: float, cause: Cause) -> None:
+    window = loop(kc, step=6.0 if kc > 1 else 40.0, seed=4)
+    found = diagnose_windows([window], gains=PidGains(kc, kc / 20.0))
+    assert found.cause == cause
+    assert found.recommended is not None
+    assert (found.recommended.kp < kc) is (cause is Cause.AGGRESSIVE)
+
+
+def _same(one: Diagnosis, other: Diagnosis, within: float = 0.02) -> None:
+    assert other.cause == one.cause
+    assert other.causes == pytest.approx(one.causes, abs=within)
+
+
+def test_units_signs_places_and_times_that_mean_nothing_change_nothing() -> None:
+    window = loop(seed=2)
+    one = told(window)
+    moved = Window(window.t_s + 1e6, window.sp + 300.0, window.pv + 300.0, window.co + 40.0)
+    _same(one, told(moved))
+    thousand = replace(window, sp=window.sp * 1000, pv=window.pv * 1000)
+    _same(one, diagnose_records([thousand], PidGains(1e-3, 0.05e-3)).found.diagnosis)
+    minutes = replace(window, t_s=window.t_s * 60.0)
+    _same(one, diagnose_records([minutes], PidGains(1.0, 0.05 / 60.0)).found.diagnosis)
+    turned = replace(window, co=-window.co)
+    _same(one, told(turned, sign=-1))
+
+
+def test_records_of_a_loop_add_up() -> None:
+    windows = [loop(4.0, seed=seed) for seed in (1, 2, 3)]
+    gains = PidGains(4.0, 0.2)
+    alone = [diagnose_records([w], gains).found.diagnosis.causes["aggressive"] for w in windows]
+    together = diagnose_records(windows, gains)
+    assert together.found.diagnosis.causes["aggressive"] >= max(alone) - 0.02
+    assert together.found.diagnosis.cause == Cause.AGGRESSIVE
+
+
+def test_records_of_the_same_sticking_valve_are_surer_than_one() -> None:
+    window = recorded("FIC20102_1016_12.csv")
+    one = diagnose_windows([window])
+    both = diagnose_windows([window, window])
+    assert one.cause == both.cause == Cause.STICTION
+    assert both.diagnosis.causes["stiction"] >= one.diagnosis.causes["stiction"]
+    assert both.recommended is None
+
+
+def test_a_record_of_a_test_in_manual_adds_to_the_odds() -> None:
+    window = loop(0.3, seed=9)
+    n = 400
+    co = np.repeat([0.0, 3.0, 6.0, 3.0, 0.0], n // 5)
+    pv = np.zeros(n)
+    for i in range(1, n):
+        pv[i] = math.exp(-1 / 20.0) * pv[i - 1] + (1 - math.exp(-1 / 20.0)) * (co[i - 5] if i > 4 else 0.0)
+    noisy = pv + 0.02 * np.random.default_rng(1).standard_normal(n)
+    test = Window(np.arange(float(n)), noisy, noisy, co)
+    gains = PidGains(0.3, 0.015)
+    before = diagnose_records([window], gains).found.diagnosis.causes
+    after = diagnose_records([window, test], gains).found.diagnosis.causes
+    assert after["sluggish"] > before["sluggish"]
+    assert after["stiction"] < before["stiction"]
+
+
+def test_a_dead_signal_has_nothing_but_unknown() -> None:
+    n = 200
+    window = Window(np.arange(float(n)), np.zeros(n), np.zeros(n), np.zeros(n))
+    found = diagnose_records([window], GAINS).found.diagnosis
+    assert found.causes == {"unknown": 1.0}
+    assert diagnose_records([window, loop(4.0, step=4.0)], PidGains(4.0, 0.2)).record == 1
+
+
+def test_open_odds_come_with_a_test_and_sure_ones_without() -> None:
+    open_one = told(loop(seed=2))
+    assert open_one.confidence < 0.9
+    assert open_one.next is not None
+    assert open_one.to_dict()["next"] == open_one.next.to_dict()
+    sure = diagnose_windows([loop(4.2, step=8.0, seed=4)], gains=PidGains(4.2, 0.21)).diagnosis
+    assert sure.confidence > 0.9
+    assert sure.next is None
+
+
+def test_a_long_record_is_cut_into_windows_over_all_of_it() -> None:
+    window = loop(n=5000)
+    parts = windows_of(window, 1.0, 4)
+    assert len(parts) == 4
+    assert all(len(part.t_s) == MOST_SAMPLES for part in parts)
+    assert (parts[0].t_s[0], parts[-1].t_s[-1]) == (0.0, 4999.0)
+    assert len(windows_of(loop(n=300), 1.0, 4)) == 1
+
+
+def test_a_list_of_records_is_diagnosed_as_one_loop() -> None:
+    paths = [PLANT / "FIC46002_1102_1.csv"] * 2
+    found = diagnose(paths)
+    assert found.record is not None
+    assert sum(found.diagnosis.causes.values()) == pytest.approx(1.0)
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ValueError, match="must sum to 1"):
+        OddsSettings(ok=0.9)
+    with pytest.raises(ValueError, match="undecided"):
+        OddsSettings(undecided=-1.0)
+    with pytest.raises(ValueError, match="the probabilities of the causes sum to"):
+        Diagnosis(Cause.OK, 0.5, {}, "", causes={"ok": 0.5})

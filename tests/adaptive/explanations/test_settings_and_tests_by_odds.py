@@ -1,0 +1,134 @@
+"""Settings by what they are worth over the odds, the overshoot as evidence, valves, and the tests that would decide."""
+
+import math
+
+import numpy as np
+import pytest
+from drawn_loop import PRIOR, loop_record
+
+from retuner.adaptive.explanations.deciding_test import DecidingTest, TestKind, deciding_test, valve_test
+from retuner.adaptive.explanations.process_grid import gain_unit
+from retuner.adaptive.explanations.setpoint_overshoot import SeenOvershoot, with_overshoot
+from retuner.adaptive.explanations.settings_by_odds import WorthSettings, halved, likely_processes, worthwhile
+from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, tuning_odds
+from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
+from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.schedule.gains import PidGains
+
+TRUTH = LinearProcess(1.0, (20.0,), (), 4.5)
+
+
+def odds_of(kc: float, *, seed: int = 5, step: float = 4.0) -> tuple[TuningOdds, Prepared]:
+    gains = PidGains(kc, kc / 20.0)
+    _, pv, co = loop_record((1.0, 4, 20.0), gains, seed=seed, step=step)
+    record = Prepared(pv - pv[0], co - co[0], 0.0, 1.0)
+    return tuning_odds(log_likelihood(record, 1, gain_unit(gains, 1.0)), gains, 1.0, PRIOR, TuningLimits()), record
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("kc", [0.3, 4.2])
+def test_settings_are_robust_on_nearly_all_odds_and_on_the_truth(kc: float, seed: int) -> None:
+    odds, _ = odds_of(kc, seed=seed)
+    settings = WorthSettings()
+    found = worthwhile(odds, settings)
+    assert found is not None
+    gains = found.tuning.gains
+    likely = likely_processes(odds, settings.processes)
+    peaks = likely.peaks(gains)
+    assert float(likely.weights @ (peaks > settings.ms_bad)) <= settings.bad_share
+    assert float(likely.weights @ np.isinf(peaks)) <= settings.unstable_share
+    assert sensitivity_peak(TRUTH, gains) < 2.1
+    assert (gains.kp > kc) is (kc < 1.0)
+    assert gains.kp <= settings.most_at_once * kc * (1 + 1e-9)
+    if gains.kp < kc:
+        assert gains.ki <= kc / 20.0 * (1 + 1e-9)
+    assert found.sure <= found.likely
+
+
+def test_a_loop_in_order_needs_no_other_settings() -> None:
+    odds, _ = odds_of(2.2)
+    assert worthwhile(odds, WorthSettings()) is None
+    assert halved(odds, WorthSettings()) is None
+
+
+def test_a_loop_far_too_tight_is_calmed_where_no_set_is_sure() -> None:
+    odds, _ = odds_of(5.0)
+    found = halved(odds, WorthSettings())
+    assert found is not None
+    share = found.tuning.gains.kp / 5.0
+    assert 0.25 <= share <= 0.5
+    assert found.tuning.gains.ki == pytest.approx(share * 0.25)
+
+
+def test_an_overshoot_that_was_seen_speaks_for_a_tight_loop_and_none_for_nothing() -> None:
+    odds, _ = odds_of(2.5, step=0.0)
+    error = 0.01 * np.random.default_rng(1).standard_normal(500)
+    seen = with_overshoot(odds, [SeenOvershoot.of(error, 0.86, 5.0)], TuningLimits())
+    tight = seen.classes["aggressive"] + seen.classes["slow_integrating"]
+    assert tight > 0.9
+    assert odds.classes["aggressive"] + odds.classes["slow_integrating"] < 0.8
+    assert seen.classes["sluggish"] < 0.05
+    assert sum(seen.classes.values()) == pytest.approx(1.0)
+    none = with_overshoot(odds, [SeenOvershoot.of(error, 0.0, 5.0)], TuningLimits())
+    assert none.classes == pytest.approx(odds.classes)
+    assert with_overshoot(odds, [], TuningLimits()) is odds
+
+
+def test_an_overshoot_under_large_loads_says_little() -> None:
+    odds, _ = odds_of(2.5, step=0.0)
+    error = 5.0 * np.random.default_rng(1).standard_normal(500)
+    seen = with_overshoot(odds, [SeenOvershoot.of(error, 0.86, 5.0)], TuningLimits())
+    assert seen.classes == pytest.approx(odds.classes, abs=0.1)
+
+
+@pytest.mark.parametrize("sticks", [True, False])
+def test_a_valve_that_sticks_is_seen_under_a_load_and_a_free_one_is_not(sticks: bool) -> None:
+    gains, rng = PidGains(1.5, 0.075), np.random.default_rng(2)
+    load, pole = np.cumsum(rng.standard_normal(700)) * 0.05, math.exp(-1 / 10.0)
+    pv, co = np.zeros(700), np.zeros(700)
+    y = total = valve = 0.0
+    for i in range(700):
+        pv[i] = y + 0.02 * rng.standard_normal()
+        total -= gains.ki * pv[i]
+        co[i] = -gains.kp * pv[i] + total
+        valve = co[i] if not sticks or abs(co[i] - valve) > 1.5 else valve
+        y = pole * y + (1 - pole) * (valve + load[i])
+    found = log_odds_of_valve(Prepared(pv - pv[0], co - co[0], 0.0, 1.0), 1)
+    assert (found > 1.0) if sticks else (found < 0.0)
+
+
+def test_a_valve_that_never_moves_is_no_valve() -> None:
+    record = Prepared(np.random.default_rng(1).standard_normal(100), np.zeros(100), 0.0, 1.0)
+    assert log_odds_of_valve(record, 1) == 0.0
+
+
+def test_the_deciding_test_grows_with_the_load_and_has_the_units_of_pv() -> None:
+    odds, record = odds_of(1.0, step=0.0)
+    error_std = float(np.std(record.pv))
+    found = deciding_test(odds, record, error_std)
+    assert found.kind is TestKind.SETPOINT
+    assert 0.0 < found.decides <= 1.0
+    assert found.hold_s >= 30.0
+    scaled = Prepared(1000.0 * record.pv, record.co, 0.0, 1.0)
+    likelihood = log_likelihood(scaled, 1, gain_unit(odds.gains, 1.0) / 1000.0)
+    same = tuning_odds(likelihood, PidGains(odds.gains.kp / 1000, odds.gains.ki / 1000), 1.0, PRIOR, TuningLimits())
+    other = deciding_test(same, scaled, 1000.0 * error_std)
+    assert other.size == pytest.approx(1000.0 * found.size, rel=0.02)
+    assert other.decides == pytest.approx(found.decides, abs=0.02)
+
+
+def test_the_valve_test_is_in_units_of_co() -> None:
+    odds, record = odds_of(1.0, step=0.0)
+    found = valve_test(odds, record, float(np.std(record.co)))
+    assert found.kind is TestKind.VALVE
+    assert 0.5 * np.std(record.co) < found.size < 10 * np.std(record.co)
+    assert 0.0 < found.decides <= 1.0
+    assert found.to_dict() == {
+        "kind": "valve",
+        "size": found.size,
+        "hold_s": found.hold_s,
+        "decides": found.decides,
+    }
+    assert DecidingTest(TestKind.SETPOINT, 1.0, 2.0, 0.5).to_dict()["kind"] == "setpoint"

@@ -1,0 +1,128 @@
+"""The likelihood of a process under a load that wanders, against what it must be by other means."""
+
+import math
+
+import numpy as np
+import pytest
+from drawn_loop import PRIOR, loop_record
+
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, robustness, shapes
+from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, class_of, tuning_odds
+from retuner.adaptive.explanations.wandering_load import (
+    LoadModel,
+    Prepared,
+    Signals,
+    impulse_response,
+    load_model,
+    log_likelihood,
+    responses,
+    whitened,
+)
+from retuner.adaptive.loop.margins import gain_margin, sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.schedule.gains import PidGains
+
+
+@pytest.mark.parametrize("lag", [3.0, 33.0, math.inf])
+@pytest.mark.parametrize("bandwidth", [0.05, 0.4])
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_filter_factors_the_spectrum_of_load_and_noise(lag: float, bandwidth: float, order: int) -> None:
+    """r + A(q) A(1/q) is s C(q) C(1/q), and C has no root on or inside the unit circle."""
+    model = load_model(lag, bandwidth, order)
+    w = np.linspace(0.01, math.pi, 50)
+    a, c = (np.abs(np.polyval(side[::-1], np.exp(-1j * w))) ** 2 for side in (model.a, model.c))
+    r = abs(np.polyval(model.a[::-1], np.exp(-1j * bandwidth))) ** 2
+    assert (r + a) / c == pytest.approx(np.full(50, float(((r + a) / c)[0])), rel=1e-6)
+    assert np.all(np.abs(np.roots(model.c)) < 1.0 + 1e-12)
+
+
+def test_a_filter_by_transforms_is_the_recursion() -> None:
+    model, n = load_model(10.0, 0.2, 2), 300
+    found = impulse_response(model.a, model.c, n)
+    expected = np.zeros(n)
+    for i in range(n):
+        expected[i] = model.a[i] if i < len(model.a) else 0.0
+        expected[i] -= sum(model.c[j] * expected[i - j] for j in range(1, min(i, len(model.c) - 1) + 1))
+    assert found == pytest.approx(expected, abs=1e-7)
+
+
+def test_a_response_through_lags_is_the_recursion() -> None:
+    u = np.random.default_rng(1).standard_normal(200)
+    found = responses(u, 7.0)
+    pole, other = math.exp(-1 / 7.0), math.exp(-1 / (0.4 * 7.0))
+    first, second = np.zeros(200), np.zeros(200)
+    for i in range(1, 200):
+        first[i] = pole * first[i - 1] + (1 - pole) * u[i - 1]
+        second[i] = other * second[i - 1] + (1 - other) * first[i]
+    assert found[0] == pytest.approx(first, abs=1e-9)
+    assert found[2] == pytest.approx(second, abs=1e-2)
+    slope = responses(np.ones(50), math.inf)[0]
+    assert slope == pytest.approx(np.arange(50.0), abs=1e-6)
+
+
+def test_least_squares_under_a_load_are_those_of_the_whole_covariance() -> None:
+    """The gain by the filter is that of generalised least squares with the covariance of walk and noise in full."""
+    n, lag, rng = 120, 10.0, np.random.default_rng(3)
+    u = np.repeat(rng.standard_normal(12), 10)
+    load, noise = np.cumsum(rng.standard_normal(n)) * 0.05, 0.3 * rng.standard_normal(n)
+    x = responses(u, lag)[0]
+    pv = 2.0 * x + responses(load, lag)[0] + noise
+    model = load_model(lag, 0.1, 1)
+    record = Prepared(pv - pv[0], u - u[0], 0.0, 1.0)
+    fit = whitened(Signals.of(record, responses(record.co, lag), lag), model, (0.0,))
+    # in full: A z = w makes z's covariance from w's; its unknown start is a column for each root of A
+    r = abs(np.polyval(model.a[::-1], np.exp(-0.1j))) ** 2
+    drive = np.array([np.concatenate([np.zeros(i), impulse_response((1.0,), model.a, n - i)]) for i in range(n)]).T
+    inverse = np.linalg.inv(drive @ drive.T + np.eye(n) / r * 1.0)
+    pole = math.exp(-1 / lag)
+    columns = np.column_stack([responses(record.co, lag)[0], np.ones(n), pole ** np.arange(n)])
+    full = np.linalg.solve(columns.T @ inverse @ columns, columns.T @ inverse @ record.pv)[0]
+    assert fit.gain[0, 0] == pytest.approx(full, rel=0.02)
+    assert fit.gain[0, 0] == pytest.approx(2.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("kc", "cause"), [(4.2, "aggressive"), (1.6, "ok"), (0.15, "sluggish")], ids=["aggressive", "ok", "sluggish"]
+)
+def test_the_class_of_a_loop_under_a_walk_and_one_step_is_found(kc: float, cause: str) -> None:
+    gains = PidGains(kc, kc / 20.0)
+    _, pv, co = loop_record((1.0, 4, 20.0), gains, seed=5, step=4.0)
+    record = Prepared(pv - pv[0], co - co[0], 0.0, 1.0)
+    found = log_likelihood(record, 1, gain_unit(gains, 1.0))
+    odds = tuning_odds(found, gains, 1.0, PRIOR, TuningLimits())
+    assert max(odds.classes, key=lambda name: odds.classes[name]) == cause
+    assert sum(odds.classes.values()) == pytest.approx(1.0)
+    assert float(odds.weights.sum()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 40.0])
+def test_the_units_of_pv_mean_nothing(scale: float) -> None:
+    gains = PidGains(1.6, 0.08)
+    _, pv, co = loop_record((1.0, 4, 20.0), gains, seed=6)
+    one = log_likelihood(Prepared(pv - pv[0], co - co[0], 0.0, 1.0), 1, gain_unit(gains, 1.0))
+    other = log_likelihood(Prepared(scale * (pv - pv[0]), co - co[0], 0.0, 1.0), 1, gain_unit(gains, 1.0) / scale)
+    assert other - other.max() == pytest.approx(one - one.max(), abs=1e-6)
+
+
+@pytest.mark.parametrize("gain", [0.5, 2.0, 6.0])
+def test_robustness_of_the_grid_is_that_of_the_margins(gain: float) -> None:
+    gains = PidGains(gain, gain / 22.0)
+    known = robustness(gains, 1.0)
+    row = next(i for i, shape in enumerate(shapes()) if shape.lag == 22.0 and not shape.second)
+    column, middle = DEAD_TIMES.index(4.0), len(GAINS) // 2
+    process = LinearProcess(1.0 / gain, (22.0,), (), 4.5)  # half a sample for the hold
+    assert known.ms[row, column, middle] == pytest.approx(sensitivity_peak(process, gains), rel=0.03)
+    assert known.gain_margin[row, column, middle] == pytest.approx(gain_margin(process, gains), rel=0.03)
+
+
+def test_every_process_has_one_class_and_an_unstable_one_is_too_tight() -> None:
+    gains = PidGains(2.0, 0.1)
+    known = robustness(gains, 1.0)
+    classes = class_of(known, gains, 1.0, TuningLimits())
+    assert set(np.unique(classes)) <= set(range(len(CLASSES)))
+    tight = {CLASSES.index("aggressive"), CLASSES.index("slow_integrating")}
+    assert set(np.unique(classes[np.isinf(known.ms)])) <= tight
+
+
+def test_a_load_without_noise_is_differenced_only() -> None:
+    assert load_model(math.inf, math.inf, 1) == LoadModel((1.0, -2.0, 1.0), (1.0, 0.0, 0.0))
