@@ -23,7 +23,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, counted
 from retuner.adaptive.diagnosis.enough_data import FEWEST_SAMPLES
-from retuner.adaptive.diagnosis.rival_fits import external, linear, room_for_a_tone, sharper
+from retuner.adaptive.diagnosis.rival_fits import amplitude, external, linear, moves_pv, room_for_a_tone, sharper
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
 from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, standing_verdict
@@ -75,7 +75,7 @@ def rival_verdict(
         return None
     if tone_left > settings.rival_explains and cause == Cause.EXTERNAL:
         return _neither(evidence, settings)
-    if cause == Cause.EXTERNAL and not (_helps(evidence, settings) and _moves_pv(tone, evidence, settings)):
+    if cause == Cause.EXTERNAL and not (_helps(evidence, settings) and moves_pv(tone, evidence, settings)):
         return None
     apart = abs(math.log(stuck_left / tone_left / (1 if cause == Cause.EXTERNAL else allowed)))
     confidence = 0.5 + 0.5 * math.tanh(min(leads[cause] / needed / 2, 4 * apart))
@@ -93,19 +93,6 @@ def _helps(evidence: dict[str, float], settings: DiagnosisSettings) -> bool:
     """
     left, without = evidence["external_left"], evidence["linear_left"]
     return left <= settings.tone_explains or left < settings.tone_as_good * without
-
-
-def _moves_pv(tone: Candidate, evidence: Mapping[str, float], settings: DiagnosisSettings) -> bool:
-    """Whether a tone is what moves pv, and setpoint responses overshoot no further than it lifts them."""
-    record, size = tone.fit.misfit.record, _amplitude(tone)
-    step = evidence.get("setpoint_size", 0.0)
-    lifted = settings.most_overshoot + (size / step if step else math.inf)
-    return size >= settings.tone_size * float(np.std(record.pv)) and evidence.get("overshoot", 0.0) <= lifted
-
-
-def _amplitude(tone: Candidate) -> float:
-    """Of a tone's first harmonic in pv, pv units."""
-    return float(np.hypot(*tone.fit.at.c[tone.fit.at.priors + tone.fit.misfit.loads :][:2]))
 
 
 def _period_s(tone: Candidate) -> float:
@@ -330,7 +317,7 @@ def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found
     period_s = _period_s(tone)
     if told.diagnosis.cause != Cause.UNKNOWN or _left(tone) > settings.tone_explains:
         return told
-    small = _amplitude(tone) < settings.tone_size * float(np.std(record.pv))
+    small = amplitude(tone) < settings.tone_size * float(np.std(record.pv))
     if record.span_s < settings.tone_cycles * period_s or small:
         return told
     reason = (

@@ -1,11 +1,12 @@
 """How far settings may go at once: no farther than what the record was asked.
 
-One event shows a process once. Settings whose gain is more than three times the one in force are an aim then, and what
-is given is a first step towards it: the same rule with the tau_c at which Kc is three times what it was, so that the
-integral time fits the gain on the way as well. A gain that is cut is cut at once: that way lies safety.
+Each event shows a process once, and no record shows more than so much of it. Settings with more than three times the
+gain in force an event, or the integral action, are an aim then. What is given is a first step towards it: the same rule
+with the tau_c at which Kc has grown so far, so that the integral time fits the gain on the way as well, and no more
+integral action than that either. A gain that is cut is cut at once: that way lies safety.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -14,23 +15,29 @@ from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.schedule.gains import PidGains
 
 MOST_AT_ONCE = 3.0
-"""Factor on Kc that one event carries."""
+"""Factor on Kc, and on Ki, that one event carries."""
+MOST_OF_A_RECORD = 10.0
+"""And any number of them in one record."""
 
 
 @dataclass(frozen=True, slots=True)
 class FirstStep:
-    """Settings to be set now, and those that they lead to. factor : on Kc, of the aim."""
+    """Settings to be set now, and those that they lead to. factor : of the aim, the larger of those on Kc and on Ki.
+
+    carried : the factor that the record carries at once.
+    """
 
     now: RobustTuning
     aim: RobustTuning
     factor: float
+    carried: float
 
     @property
     def sentence(self) -> str:
         """Why not all at once."""
         return (
-            f"one event does not carry {self.factor:.1f} times the gain at once: a first step of "
-            f"{MOST_AT_ONCE:g} times, to be confirmed by the next record"
+            f"this record does not carry {self.factor:.1f} times the gain or integral action at once: a first step of "
+            f"{self.carried:g} times at most, to be confirmed by the next record"
         )
 
 
@@ -44,16 +51,22 @@ def first_step(
     aim : settings that the model asks for. in_force : gains now. events : setpoint and load steps in the record.
     process : the most likely model. sample_time_s : half of it is dead time.
     """
-    if events > 1 or not in_force.kp:
+    if not in_force.kp:
         return None
-    factor = aim.tuning.gains.kp / in_force.kp
-    if factor <= MOST_AT_ONCE:
+    most = min(MOST_AT_ONCE * max(events, 1.0), MOST_OF_A_RECORD)
+    wanted = aim.tuning.gains
+    factor, of_integral = wanted.kp / in_force.kp, wanted.ki / in_force.ki if in_force.ki else 0.0
+    if max(factor, of_integral) <= most:
         return None
     model = process.seen_by_controller(sample_time_s)
-    plain = without_second_lag(model)
-    span = 1 / (plain.slope * MOST_AT_ONCE * in_force.kp)
-    if span <= 2 * plain.theta_s:
-        return None
-    tuning = simc(model, span - plain.theta_s)
+    plain, tuning = without_second_lag(model), aim.tuning
+    if factor > most:
+        span = 1 / (plain.slope * most * in_force.kp)
+        if span <= 2 * plain.theta_s:
+            return None
+        tuning = simc(model, span - plain.theta_s)
+    gains = tuning.gains
+    if in_force.ki and gains.ki / in_force.ki > most:
+        tuning = replace(tuning, gains=PidGains(gains.kp, most * in_force.ki, gains.kd))
     ms = sensitivity_peak(model.linear(), tuning.gains)
-    return FirstStep(RobustTuning(tuning, ms, max(ms, aim.ms_worst)), aim, factor)
+    return FirstStep(RobustTuning(tuning, ms, max(ms, aim.ms_worst)), aim, max(factor, of_integral), most)

@@ -10,11 +10,13 @@ oscillation that is slow against the sampling for noise.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
+from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.structure import SLOPE
@@ -105,3 +107,18 @@ def _afresh(plain: Misfit, w: float) -> tuple[Misfit, FloatArray]:
         for lag, theta, gain in product(FRESH_LAGS, FRESH_THETAS, FRESH_GAINS)
     ]
     return misfit, points[int(np.argmin(misfit.costs(points)))]
+
+
+def moves_pv(tone: Candidate | None, evidence: Mapping[str, float], settings: DiagnosisSettings) -> bool:
+    """Whether a tone is what moves pv, and setpoint responses overshoot no further than it lifts them."""
+    if tone is None:
+        return False
+    record, size = tone.fit.misfit.record, amplitude(tone)
+    step = evidence.get("setpoint_size", 0.0)
+    lifted = settings.most_overshoot + (size / step if step else math.inf)
+    return size >= settings.tone_size * float(np.std(record.pv)) and evidence.get("overshoot", 0.0) <= lifted
+
+
+def amplitude(tone: Candidate) -> float:
+    """Of a tone's first harmonic in pv, pv units."""
+    return float(np.hypot(*tone.fit.at.c[tone.fit.at.priors + tone.fit.misfit.loads :][:2]))

@@ -22,6 +22,7 @@ from retuner.adaptive.diagnosis.cause import (
     with_second_lag,
 )
 from retuner.adaptive.diagnosis.first_step import first_step
+from retuner.adaptive.diagnosis.rival_fits import moves_pv
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
 from retuner.adaptive.fit.structure import model_at
@@ -302,7 +303,7 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
         seen = _overshoots(evidence, settings) or _not_brought_back(window)
         return Doubt(Cause.UNKNOWN, unexplained + seen, explained)
     by_tone = _tone_doubt(loop, evidence, explained and not oscillates)
-    if by_tone is not None:
+    if by_tone is not None and (not steps or moves_pv(loop.tone, evidence, settings)):
         return by_tone
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if oscillates and not steps and (as_likely or not explained):

@@ -39,12 +39,14 @@ def test_a_leap_from_one_event_is_a_first_step():
     assert "10.0 times the gain" in step.sentence
 
 
-def test_two_events_or_a_cut_carry_the_aim():
+def test_more_events_or_a_cut_carry_the_aim():
     aim = RobustTuning(simc(INTEGRATING, 3.0), 1.7, 1.8)
     slow = PidGains(aim.tuning.gains.kp / 10, aim.tuning.gains.ki / 10)
-    assert first_step(aim, slow, 2.0, INTEGRATING, 0.1) is None
+    assert first_step(aim, slow, 4.0, INTEGRATING, 0.1) is None
     assert first_step(aim, PidGains(aim.tuning.gains.kp * 10, 1.0), 1.0, INTEGRATING, 0.1) is None
-    assert first_step(aim, PidGains(aim.tuning.gains.kp / 2.9, 1.0), 1.0, INTEGRATING, 0.1) is None
+    assert (
+        first_step(aim, PidGains(aim.tuning.gains.kp / 2.9, aim.tuning.gains.ki / 2.9), 1.0, INTEGRATING, 0.1) is None
+    )
 
 
 def test_a_sluggish_loop_seen_once_is_told_the_first_step():

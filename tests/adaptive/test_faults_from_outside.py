@@ -1,0 +1,134 @@
+"""Faults that were found from outside: floats compared with 0, tones of nothing, ramps of historians, no dead time."""
+
+import random
+import re
+
+import numpy as np
+import pytest
+from test_diagnose import DT, GOOD, loop, times
+
+import retuner
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
+from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.first_step import MOST_AT_ONCE, MOST_OF_A_RECORD, first_step
+from retuner.adaptive.identification.robust_simc import RobustTuning
+from retuner.adaptive.indexes.setpoint_responses import setpoint_responses
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.signals.sample import Window
+from retuner.drivers.historian.raw_table import VALUE, WITH_UNIT
+from retuner.pid_controller import PidController
+from retuner.schedule.gains import PidGains
+
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def heated(
+    gains: PidGains, mode: str, seconds: int, sp: tuple[float, float], every: int
+) -> tuple[PidController, Arrays]:
+    """A plain tank without dead time, every second: gain 1.2, lag 40 s."""
+    random.seed(1)
+    pid = PidController(gains, dt_s=1, pv_range=(0, 200), mode=mode)
+    x, rows = 30.0, []
+    for i in range(seconds):
+        wanted, pv = sp[(i // every) % 2], x + random.gauss(0, 0.05)
+        co = pid.step(wanted, pv)
+        rows.append((float(i), wanted, pv, co))
+        x += (1 - np.exp(-1 / 40)) * (1.2 * co - x)
+    t, setpoint, value, output = np.array(rows).T
+    return pid, (t, setpoint, value, output)
+
+
+def test_a_covariance_with_a_row_of_zeros_is_a_covariance() -> None:
+    """Its eigenvalues are 0 but for rounding: identify had refused a clean record."""
+    _, record = heated(PidGains(0.5, 0.5 / 120), "off", 3000, (30.0, 36.0), 400)
+    found = retuner.identify(*record)
+    assert found.estimate.identifiable, found.estimate.reason
+    model = found.model
+    assert model is not None
+    assert model.k == pytest.approx(1.2, rel=0.05)
+    assert model.tau1_s + model.theta_s == pytest.approx(40.5, rel=0.1)
+
+
+def test_a_process_without_dead_time_is_tuned_from_its_record() -> None:
+    _, record = heated(PidGains(0.5, 0.5 / 120), "off", 3000, (30.0, 36.0), 400)
+    found = retuner.diagnose(*record)
+    assert found.cause is Cause.SLUGGISH
+    assert found.recommended is not None
+    assert found.recommended.kp > 0.5
+    assert sensitivity_peak(LinearProcess(1.2, (40.0,), (), 0.5), found.recommended) < 1.7
+
+
+def test_a_process_without_dead_time_is_tuned_while_it_runs() -> None:
+    """The dead time counts as one sampling interval."""
+    gains = PidGains(0.5, 0.5 / 120)
+    pid, _ = heated(gains, "auto", 3000, (40.0, 50.0), 500)
+    assert pid.gains.kp > 1.9 * gains.kp
+    assert sensitivity_peak(LinearProcess(1.2, (40.0,), (), 0.5), pid.gains) < 1.7
+
+
+ODD = next(sp for sp in np.arange(30.01, 31.0, 0.01).tolist() if np.mean(np.full(700, sp)) != sp)
+"""A number that is not the mean of itself, by rounding."""
+
+
+@pytest.mark.parametrize("sp", [30.0, ODD])
+def test_a_constant_setpoint_that_is_no_round_number_stands_still(sp: float) -> None:
+    """The tone was the setpoint's own, and dropped, where the setpoint differs from its mean by rounding."""
+    record = loop(GOOD, out=lambda i: 0.4 * np.sin(2 * np.pi * i * DT / 34.0))
+    window = Window(record.t_s, record.sp + sp, record.pv + sp, record.co)
+    assert diagnose_window(window, GOOD).diagnosis.cause is Cause.EXTERNAL
+
+
+def test_a_tone_that_moves_nothing_is_not_the_cause() -> None:
+    """A loop that overshoots and swings after each step, with a faint tone beside it."""
+    strong = times(2.4, 2.4)
+    record = loop(strong, sp=lambda i: float((i // 175) % 2), out=lambda i: 0.02 * np.sin(2 * np.pi * i * DT / 5.3))
+    found = diagnose_window(record, strong).diagnosis
+    assert found.evidence["overshoot"] > 0.4
+    assert found.cause in TUNING_CAUSES, found.reason
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 5])
+def test_a_setpoint_step_that_a_historian_has_ramped_is_one_step(rows: int) -> None:
+    strong = times(2.2, 2.2)
+    record = loop(strong, sp=lambda i: float(80 <= i < 380), n=700)
+    sp = record.sp.copy()
+    for first, low, high in ((80, 0.0, 1.0), (380, 1.0, 0.0)):
+        sp[first : first + rows] = low + (high - low) * np.arange(1, rows + 1) / rows
+    whole, ramped = (setpoint_responses(one, record.pv) for one in (record.sp, sp))
+    assert whole is not None
+    assert ramped is not None
+    assert ramped.steps == whole.steps == 2
+    assert ramped.overshoot == pytest.approx(whole.overshoot, abs=0.05)
+    assert ramped.size == pytest.approx(1.0)
+
+
+def test_a_response_that_was_cut_short_is_not_read() -> None:
+    n = 200
+    sp = np.where(np.arange(n) >= 190, 1.0, 0.0)
+    pv = 0.001 * np.random.default_rng(1).standard_normal(n)
+    assert setpoint_responses(sp, pv) is None
+
+
+@pytest.mark.parametrize("pattern", [VALUE, WITH_UNIT])
+def test_a_field_of_digits_without_end_is_read_in_no_time(pattern: re.Pattern[str]) -> None:
+    """A pattern that tries every split takes minutes for this."""
+    assert pattern.fullmatch("1" * 200_000 + "x") is None
+
+
+SLOW = ProcessModel(ProcessType.FOPDT, 1.0, 100.0, 0.0, 2.0)
+
+
+@pytest.mark.parametrize(("events", "most"), [(1.0, MOST_AT_ONCE), (2.0, 2 * MOST_AT_ONCE), (9.0, MOST_OF_A_RECORD)])
+def test_no_record_carries_gain_or_integral_action_without_end(events: float, most: float) -> None:
+    tuning = simc(SLOW)
+    aim = RobustTuning(tuning, 1.6, 1.6)
+    weak = PidGains(tuning.gains.kp / 6.7, tuning.gains.ki / 194.0)
+    step = first_step(aim, weak, events, SLOW, 0.1)
+    assert step is not None
+    gains = step.now.tuning.gains
+    assert gains.kp <= most * weak.kp * (1 + 1e-9)
+    assert gains.ki == pytest.approx(most * weak.ki)
+    assert sensitivity_peak(SLOW.linear(), gains) < 1.8
+    assert "194.0 times the gain or integral action" in step.sentence
