@@ -319,7 +319,8 @@ def _verdict(
     cause, p = next(iter(causes.items()))
     shares = {str(c): q for c, q in causes.items()}
     by_steps = weight >= HALF and told.diagnosis.cause == cause
-    worth = _settings(causes, odds, settings) if odds is not None and sure and not _swings_alone(open_ones) else None
+    wanted = odds if sure and not _swings_alone(open_ones) and not (by_steps and told.tuning is not None) else None
+    worth = _settings(causes, wanted, settings) if wanted is not None else None
     if by_steps and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}

@@ -35,8 +35,8 @@ from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 
-MOST_SAMPLES = 800
-"""Longer records are condensed, or cut into windows, to this many."""
+MOST_SAMPLES = 1024
+"""Longer records are condensed, or cut into windows, to this many; transforms of a power of two hold them."""
 BANDWIDTHS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, math.inf)
 """Frequency, rad per sample, at which load and noise are equally large; without end there is no noise."""
 ORDERS = (1, 2)
