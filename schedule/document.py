@@ -21,15 +21,20 @@ SCHEMA = 1
 """Version of this document. Older ones will be read, newer ones are refused."""
 MOST_AXES = 2
 
+PERCENT = "in percent of the output range"
+"""The unit of co in every configuration."""
 HEAD = """\
-# Gain table of retuner. Gains are in parallel form, co in percent of the output range, times in seconds.
+# Gain table of retuner. Gains are in parallel form, co {co}, times in seconds.
 #   co = kp (b sp - pv) + ki integral(sp - pv) dt - kd d(pv)/dt
 # The comment below each set is the same controller in ideal form; it is not read.
 """
 
 
-def to_toml(table: GainTable) -> str:
-    """The document of a table: UTF-8 text that ends with a line end; `from_toml` gives the same table back."""
+def to_toml(table: GainTable, co: str = PERCENT) -> str:
+    """The document of a table: UTF-8 text that ends with a line end; `from_toml` gives the same table back.
+
+    co : the unit of co in its gains, for people: no key tells it.
+    """
     regions = table.regions
     simple = len(regions.axes) == 1 and regions.axes[0].is_plain
     lines = [
@@ -42,7 +47,7 @@ def to_toml(table: GainTable) -> str:
         lines += ["", "[schedule]" if simple else "[[axis]]", *_axis_lines(axis, simple=simple)]
     for i, gains in enumerate(table.gains):
         lines += ["", *_region_lines(regions, i, gains)]
-    return HEAD + "\n".join(lines) + "\n"
+    return HEAD.format(co=co) + "\n".join(lines) + "\n"
 
 
 def _axis_lines(axis: Axis, *, simple: bool) -> Iterator[str]:

@@ -36,8 +36,8 @@ class FirstStep:
     def sentence(self) -> str:
         """Why not all at once."""
         return (
-            f"this record does not carry {self.factor:.1f} times the gain or integral action at once: a first step of "
-            f"{self.carried:g} times at most, to be confirmed by the next record"
+            f"this record does not carry {self.factor:.1f} times the gain or integral action at once; a first step of "
+            f"{self.carried:g} times at most is for the next record to confirm"
         )
 
 

@@ -29,7 +29,7 @@ from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import RecordingError, require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
-from retuner.schedule.document import from_toml, to_toml
+from retuner.schedule.document import PERCENT, from_toml, to_toml
 from retuner.schedule.table import GainTable
 from retuner.schedule_report.sentences import (
     experiment_sentence,
@@ -208,7 +208,11 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
         folder / "schedule.png": schedule_png(found, windows),
     }
     if found.table is not None:
-        files |= {folder / "gains.toml": to_toml(found.table), folder / "schedule.toml": schedule_section(found.table)}
+        low, high = (f(float(f(window.co)) for window in windows) for f in (min, max))
+        co = f"in the unit of the records, where it runs from {low:g} to {high:g}"
+        told = f"# co {co}. A configuration has co {PERCENT}: convert first where that is another.\n"
+        files |= {folder / "gains.toml": to_toml(found.table, co)}
+        files |= {folder / "schedule.toml": told + schedule_section(found.table)}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path, content in files.items():
