@@ -26,21 +26,32 @@ def why_sentence(found: ScheduleDesign) -> str:
 
 
 def changing_with(found: ScheduleDesign, *, second: bool = False) -> list[str]:
-    """What changes along a variable, from its low to its high end, the other one in its middle."""
+    """What changes along a variable, from its low to its high end, the other one in its middle.
+
+    By its own shape, or by what all of it goes through: the installed characteristic bends the gain.
+    """
     curves = found.design.curves
     form, two = curves.form, curves.form.second
     if two is None:
-        shapes, ends = form.shapes, () if second else curves.ln(form.axis.grid(2)).tolist()
+        shapes, curve = form.shapes, None if second else curves.ln(form.axis.grid(ALONG))
     elif second:
         middle = float(form.axis.grid(3)[1])
-        shapes, ends = two.shapes, curves.ln(np.full(2, middle), two.axis.grid(2)).tolist()
+        shapes, curve = two.shapes, curves.ln(np.full(ALONG, middle), two.axis.grid(ALONG))
     else:
-        shapes, ends = form.shapes, curves.ln(form.axis.grid(2), np.full(2, two.axis.grid(3)[1])).tolist()
+        shapes, curve = form.shapes, curves.ln(form.axis.grid(ALONG), np.full(ALONG, two.axis.grid(3)[1]))
+    if curve is None:
+        return []
     return [
-        f"{name} (from {math.exp(a):.3g} to {math.exp(b):.3g})"
-        for name, shape, a, b in zip(PARAMETERS, shapes, *(ends or [()] * 2), strict=False)
-        if shape > Shape.CONSTANT
+        f"{name} (from {math.exp(one[0]):.3g} to {math.exp(one[-1]):.3g})"
+        for name, shape, one in zip(PARAMETERS, shapes, np.asarray(curve).T, strict=False)
+        if shape > Shape.CONSTANT or np.ptp(one) > MOVES
     ]
+
+
+ALONG = 9
+"""Places at which a curve is looked at."""
+MOVES = 0.05
+"""Range of a curve, as a logarithm, from which its parameter is said to change."""
 
 
 HARDLY = 5.0

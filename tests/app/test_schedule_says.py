@@ -1,4 +1,4 @@
-"""Gains that come from records have co in the records' own unit, and the files say so."""
+"""What a schedule from records says of itself: the unit of co in its gains, and what changes along the variable."""
 
 from pathlib import Path
 
@@ -23,4 +23,7 @@ def test_the_gain_table_of_records_names_their_unit_of_co(tmp_path: Path) -> Non
         text = (tmp_path / "out" / name).read_text(encoding="utf-8")
         assert told in text.splitlines()[0]
     assert "percent" not in (tmp_path / "out" / "gains.toml").read_text(encoding="utf-8")
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Nothing changes with it" not in report
+    assert "With pv change: slope gain k/tau (from " in report
     assert from_toml((tmp_path / "out" / "gains.toml").read_text(encoding="utf-8")).gains
