@@ -16,6 +16,7 @@ from retuner.adaptive.nudge.watching import Nudger
 from retuner.adaptive.orders.operator_orders import acts
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
+from retuner.adaptive.supervision.pipeline import WRONG_WAY
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import DecideHere, Decider
@@ -185,6 +186,13 @@ class LoopSession:
         """Come to an end after a defect: no sample is looked at any more, and the verified set comes back."""
         self.ended_by = self.ended_by or reason
         self.machine.take(SessionInput.FAILED)
+
+    @property
+    def wrong_way(self) -> str:
+        """What is wrong where the controller acts the wrong way; else empty."""
+        if all(decision.code != WRONG_WAY for decision in self.decisions):
+            return ""
+        return f"loop {self.name}: the controller acts the wrong way; turn its action or the sign of its gain round"
 
     def poll(self, now_s: float) -> int:
         """Take what the device has to tell; returns the number of samples among it.

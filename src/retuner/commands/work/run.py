@@ -212,7 +212,7 @@ def _wrong(job: _Job, session: Session) -> Iterator[str]:
     """What a person must see to after the run, in a line each."""
     if told := session.frozen or session.left_open:
         yield f"{told}; the run was ended, and {job.folder / REPORT} says what the controller runs"
-    yield from job.unwritten.lines
+    yield from [*filter(None, (loop.wrong_way for loop in session.loops)), *job.unwritten.lines]
     if job.unwritten.lines:
         yield f"make room; the ledger has every decision: retuner report {job.folder} makes the report"
 
