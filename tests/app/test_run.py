@@ -146,7 +146,7 @@ def test_a_run_that_ends_just_after_a_setpoint_step_has_its_report_and_summary(q
 
 def test_gains_of_the_wrong_sign_are_told_before_anything_runs(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
     quick.write_text(QUICK.replace("kc = ", "kc = -"))
-    assert main(["run", str(quick), "--out", str(quick.parent / "out"), "--no-compare"]) == 0
+    assert main(["run", str(quick), "--out", str(quick.parent / "out"), "--no-compare"]) == 2
     told = capsys.readouterr().out.splitlines()
     assert "needs a reverse-acting controller; these gains are direct acting" in told[0]
 
