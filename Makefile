@@ -36,7 +36,7 @@ bench: $(DEV)  ## speed ratios, measured in one run
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/per_sample.py
 
-nightly: $(DEV)  ## the long runs behind docs/safety.md and docs/simulation.md; hours
+nightly: $(DEV)  ## the long runs behind docs/developers/safety.md and docs/developers/simulation.md; hours
 	scripts/nightly
 
 # The stamp is taken away while something is being installed, so an environment without one is half-installed (or not

@@ -1,7 +1,7 @@
-"""docs/real-records.md: a picture of each real record, what the program says of it, and what is seen by eye.
+"""docs/developers/real-records.md: a picture of each real record, what the program says of it, and what is seen by eye.
 
     python benchmarks/real_record_page.py --data FOLDER --also servo/pid_step.csv --also servo/relay.csv
-           [--step FILE] [--from FILE] [--docs docs]
+           [--step FILE] [--from FILE] [--docs docs/developers]
 
 FOLDER and --also are those of plant_records.py. --step is a record of an open-loop step (t, pv, co). --from takes what
 plant_records.py kept with --out and fits nothing again. What is seen by eye stands in real_records_by_eye.toml.
@@ -170,7 +170,7 @@ def main() -> int:
     parser.add_argument("--also", type=Path, action="append", default=[], metavar="FILE")
     parser.add_argument("--step", type=Path, metavar="FILE")
     parser.add_argument("--from", type=Path, dest="kept")
-    parser.add_argument("--docs", type=Path, default=Path("docs"))
+    parser.add_argument("--docs", type=Path, default=Path("docs/developers"))
     options = parser.parse_args()
     entries = entries_of(options.data, options.also, None)
     if options.kept is not None:

@@ -1,4 +1,4 @@
-"""Write docs/state-machines.md: every state machine as a diagram, drawn from the table that the code goes by.
+"""Write docs/developers/state-machines.md: every state machine as a diagram, drawn from the table in the code.
 
 python scripts/document_machines.py
 """
@@ -16,7 +16,7 @@ from retuner.drivers.host import connection, write_protocol
 from retuner.drivers.profiles import gain_course
 from retuner.session import gain_writer, loop_session
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "state-machines.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "developers" / "state-machines.md"
 HEAD = """# State machines
 
 Whatever has phases here has one enum of them, one enum of what can happen, and one table; these are the tables, drawn.

@@ -1,9 +1,9 @@
-"""The worked session of docs/protocol.md and the test vectors, from the virtual device.
+"""The worked session of docs/developers/protocol.md and the test vectors, from the virtual device.
 
 python scripts/document_protocol.py
 
 Writes drivers/protocol_vectors.json (frames in, frames out, state at the end) and, between the marks in
-docs/protocol.md, the layout hash and the session byte by byte.
+docs/developers/protocol.md, the layout hash and the session byte by byte.
 """
 
 import json
@@ -43,7 +43,7 @@ from retuner.schedule.gains import PidGains
 
 ROOT = Path(__file__).resolve().parents[1]
 VECTORS = ROOT / "drivers" / "protocol_vectors.json"
-PAGE = ROOT / "docs" / "protocol.md"
+PAGE = ROOT / "docs" / "developers" / "protocol.md"
 NODE, EPOCH, OWNER, PV, CO = 1, 7, 0x1234, 50.0, 40.0
 FIRST, SECOND = PidGains(1.0, 0.0625, 0.5), PidGains(1.5, 0.125, 0.75)
 BOX = GainBox(kp_max=20.0, ki_max=2.0, kd_max=5.0, ratio_max=10.0, direction=1)
@@ -330,7 +330,7 @@ def vectors() -> str:
         "challenges_in_order": [f"{nonce:012x}" for nonce in NONCES[BEFORE:]],
     }  # fmt: skip
     whole = {
-        "what": "docs/protocol.md: what a device answers, from boot with these settings, in auto, sp = pv",
+        "what": "docs/developers/protocol.md: what a device answers, from boot with these settings, in auto, sp = pv",
         "protocol": PROTOCOL_VERSION,
         "layout_hash": f"{schema():#06x}",
         "settings": settings,

@@ -80,7 +80,7 @@ def blocks(text: str) -> list[Block]:
 
 def pages() -> list[Path]:
     """Pages with something to run."""
-    every = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    every = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [page for page in every if any(block.to_run for block in blocks(page.read_text(encoding="utf-8")))]
 
 

@@ -5,7 +5,7 @@
 
 A bump is a step of the setpoint and, once the loop has come to rest, the step back: two ordinary responses, which go
 the ordinary way through admission, proof and trial. A record of loads alone leaves open what is load and what is
-process (docs/online.md has the Cramer-Rao bounds); a step whose cause is known does not.
+process (docs/developers/online.md has the Cramer-Rao bounds); a step whose cause is known does not.
 
 A loop that loads move all the time is never at rest, and one step shows its loads as much as its process. There the
 bump goes to and fro about the old setpoint, at times that are not even, and the whole of it is fitted as one record

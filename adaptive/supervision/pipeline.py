@@ -1,6 +1,6 @@
 """What a completed response leads to, a stage at a time; each may end it with its reason.
 
-The stages stand in STAGES, in the order of docs/how-it-works.md. They are functions over one Findings: everything that
+The stages stand in STAGES, in the order of developers/how-it-works.md. They are functions over one Findings: all that
 the result depends on is in its Question, so another process may work it out. The Retuner keeps what was learned.
 """
 
@@ -425,7 +425,7 @@ def _wanted(found: Findings) -> RobustProposal:
 
 
 class Stage(NamedTuple):
-    """name : as in docs/how-it-works.md. run : what it does. always : also when an earlier one has decided."""
+    """name : as in developers/how-it-works.md. run : what it does. always : also when an earlier one has decided."""
 
     name: str
     run: Callable[[Findings], None]

@@ -1,4 +1,4 @@
-"""What really happened in the device, and the invariants over it: every promise of docs/protocol.md as a function.
+"""What really happened in the device, and the invariants over it: each promise of developers/protocol.md as a function.
 
 Each takes what has just happened and raises ViolationError when a promise is broken. `Truth` only remembers.
 """

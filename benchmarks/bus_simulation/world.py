@@ -29,7 +29,7 @@ from retuner.schedule.gains import PidGains
 FIRST = PidGains(1.0, 0.0625, 0.25)
 BOX = GainBox(kp_max=100.0, ki_max=10.0, kd_max=50.0, ratio_max=10.0, direction=1)
 LEASE_LONGEST = 120  # samples
-CALM_STEPS = 60  # within which, and ALONE heartbeats, everything must be known: docs/protocol.md
+CALM_STEPS = 60  # within which, and ALONE heartbeats, everything must be known: docs/developers/protocol.md
 LEASE_STEPS = 200  # a lease of somebody who is gone has run out by then
 ONE_WRONG = 0.5  # share of an intruder's turns in which it also sends something with exactly one thing wrong
 WRITE_STEPS = 10  # the promise of the gain transaction on an idle bus

@@ -1,1 +1,1 @@
-"""How good is retuning on line? The measurements behind docs/online.md, as one command: `python benchmarks/online`."""
+"""How good is retuning on line? The measurements of docs/developers/online.md: `python benchmarks/online`."""

@@ -1,4 +1,4 @@
-"""How good is retuning on line? One part of the measurement per command; docs/online.md has the tables.
+"""How good is retuning on line? One part of the measurement per command; docs/developers/online.md has the tables.
 
 Examples
 --------
@@ -336,7 +336,7 @@ def _parser() -> argparse.ArgumentParser:
     _more_parts(parts, common)
     seven = parts.add_parser("tables", help="the tables again, of rows from files")
     seven.add_argument("files", type=Path, nargs="+", metavar="FILE", help="as --out writes them")
-    six = parts.add_parser("pictures", help="the pictures of docs/online.md")
+    six = parts.add_parser("pictures", help="the pictures of docs/developers/online.md")
     six.add_argument("folder", type=Path)
     six.add_argument("--batch", type=Path, nargs="+", required=True, metavar="FILE", help="rows of batch, as --out")
     return parser

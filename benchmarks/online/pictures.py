@@ -1,4 +1,4 @@
-"""The pictures of docs/online.md: what a run looks like, and the shares that the tables have."""
+"""The pictures of docs/developers/online.md: what a run looks like, and the shares that the tables have."""
 
 from pathlib import Path
 from typing import Any

@@ -1,1 +1,1 @@
-"""Retuner on plants and loads made by others; docs/plants-of-others.md has the tables."""
+"""Retuner on plants and loads made by others; docs/developers/plants-of-others.md has the tables."""

@@ -1,4 +1,4 @@
-"""Retuner on plants and loads made by others. docs/plants-of-others.md has the tables, licences and versions.
+"""Retuner on plants and loads made by others. docs/developers/plants-of-others.md has the tables and licences.
 
 Each part needs the package that brings its plant, and says so when it is missing:
 
@@ -123,7 +123,7 @@ def _parser() -> argparse.ArgumentParser:
         part.add_argument("--offset", type=int, default=0, help="and the first of these")
         part.add_argument("--out", type=Path, metavar="FILE", help="every session as a line of JSON")
         part.add_argument("--verbose", action="store_true", help="tell what was decided, and what is true")
-    picture = parts.add_parser("picture", help="the picture of docs/plants-of-others.md")
+    picture = parts.add_parser("picture", help="the picture of docs/developers/plants-of-others.md")
     picture.add_argument("folder", type=Path)
     picture.add_argument("--seed", type=int, default=1)
     picture.add_argument("--start", choices=tuple(session.STARTS), default="slow")

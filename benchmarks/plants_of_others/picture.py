@@ -1,4 +1,4 @@
-"""The picture of docs/plants-of-others.md: a session in the temperature lab, and the same under its first gains."""
+"""Picture of developers/plants-of-others.md: a session in the temperature lab, and the same under its first gains."""
 
 from pathlib import Path
 

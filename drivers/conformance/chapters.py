@@ -1,4 +1,4 @@
-"""The whole examination, in its order: chapter of docs/protocol.md and what is tried of it."""
+"""The whole examination, in its order: chapter of docs/developers/protocol.md and what is tried of it."""
 
 from retuner.drivers.conformance import frame_checks, set_checks
 from retuner.drivers.conformance.examination import Check

@@ -1,4 +1,4 @@
-"""What an examination comes to: what was tried, and what the device did otherwise than docs/protocol.md says."""
+"""What an examination comes to: what was tried, and what the device did otherwise than developers/protocol.md says."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from retuner.schedule.gains import PidGains
 
 
 class Finding(NamedTuple):
-    """Something that the device does wrong, and the chapter of docs/protocol.md that says how it should be."""
+    """Something that the device does wrong, and the chapter of developers/protocol.md that says how it should be."""
 
     chapter: str
     said: str

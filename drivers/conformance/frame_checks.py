@@ -1,4 +1,4 @@
-"""The chapters of docs/protocol.md on frames, samples, connecting, the lease and commands, each as an examination."""
+"""The chapters of the protocol on frames, samples, connecting, the lease and commands, each as an examination."""
 
 import math
 import struct

@@ -1,4 +1,4 @@
-"""The chapters of docs/protocol.md on gain sets: changing, trial, store, codes, restarts, each as an examination."""
+"""The chapters of the protocol on gain sets: changing, trial, store, codes, restarts, each as an examination."""
 
 from collections.abc import Callable
 from dataclasses import replace

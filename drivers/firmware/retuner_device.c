@@ -1,4 +1,4 @@
-/* The device's side of the retuner protocol and the PID law behind it: see retuner_device.h and docs/protocol.md.
+/* The device's side of the retuner protocol and the PID law behind it: see retuner_device.h and docs/developers/protocol.md.
 
    The promise: the running set is always one that was committed complete, newer than its predecessor, built on it, with
    the right CRC-32 and inside the box; it changes between reading pv and working out co of one sample. */

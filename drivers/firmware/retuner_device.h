@@ -1,4 +1,4 @@
-/* A PID controller that speaks the retuner protocol, version 3 (docs/protocol.md), for any microcontroller with CAN.
+/* A PID controller that speaks the retuner protocol, version 3 (docs/developers/protocol.md), for any microcontroller with CAN.
 
    Portable C99, float32, no allocation, no clock, no operating system. The application calls
 

@@ -1,6 +1,6 @@
 """What travels on the bus, as values: one frozen dataclass a frame, with the fields of drivers/retuner.dbc.
 
-codec.py turns them into bytes and back and holds every value to the DBC's ranges; docs/protocol.md tells the story.
+codec.py turns them into bytes and back and holds every value to the DBC's ranges; docs/developers has the protocol.
 """
 
 from dataclasses import dataclass

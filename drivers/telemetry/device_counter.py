@@ -10,7 +10,7 @@ from enum import Enum
 from itertools import pairwise
 
 LONGEST_BEAT = 100
-"""Samples from heartbeat to heartbeat at most, as docs/protocol.md has it."""
+"""Samples from heartbeat to heartbeat at most, as docs/developers/protocol.md has it."""
 REMEMBERED = 256
 """Samples over which the rhythm is looked at: more than two of the longest intervals."""
 LATE = 16

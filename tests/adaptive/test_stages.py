@@ -5,7 +5,7 @@ from pathlib import Path
 
 from retuner.adaptive.supervision.pipeline import STAGES
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-it-works.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "developers" / "how-it-works.md"
 
 
 def test_the_documentation_lists_the_stages_as_they_run() -> None:

@@ -302,7 +302,7 @@ def told_paths(text: str) -> Iterator[str]:
 
 
 def test_pages_name_files_that_are_there() -> None:
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     named = [(page.name, path) for page in pages for path in told_paths(page.read_text(encoding="utf-8"))]
     assert len(named) > 30
     assert [pair for pair in named if not (ROOT / pair[1]).exists()] == []

@@ -328,7 +328,7 @@ def test_a_broken_ledger_is_let_go_of(tmp_path: Path) -> None:
 
 
 def test_a_row_is_waited_for_as_long_as_the_page_says() -> None:
-    """docs/safety.md: up to two minutes."""
+    """docs/developers/safety.md: up to two minutes."""
     assert BUSY_TRIES * BUSY_TIMEOUT_S == 120.0
 
 

@@ -25,7 +25,9 @@ TABLES = [
 
 def test_the_page_shows_what_the_tables_say() -> None:
     page = runpy.run_path(str(ROOT / "scripts" / "document_machines.py"))["page"]()
-    assert (ROOT / "docs" / "state-machines.md").read_text() == page, "run: python scripts/document_machines.py"
+    assert (ROOT / "docs" / "developers" / "state-machines.md").read_text() == page, (
+        "run: python scripts/document_machines.py"
+    )
     for table, *_ in TABLES:
         for (old, event), new in table.items():
             assert re.search(rf"    {old.name} --> {new.name}: .*\b{event.name}\b", page)

@@ -21,7 +21,7 @@ from retuner.schedule.gains import PidGains
 
 KEY = bytes(range(16))
 TRIAL = 20
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "protocol.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "developers" / "protocol.md"
 
 
 def examined(make=FirmwareDevice, *, key: bytes | None = KEY, gains: PidGains | None = None, **more) -> Examination:

@@ -225,4 +225,4 @@ def test_owners_are_numbers_of_16_bits() -> None:
 
 
 def test_an_unattended_lease_is_kept_for_four_times_its_length() -> None:
-    assert UNATTENDED == 4.0  # docs/safety.md promises it
+    assert UNATTENDED == 4.0  # docs/developers/safety.md promises it

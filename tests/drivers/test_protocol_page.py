@@ -1,4 +1,4 @@
-"""docs/protocol.md and the test vectors: they are what the code does, and the firmware in C does it too."""
+"""docs/developers/protocol.md and the test vectors: they are what the code does, and the firmware in C does it too."""
 
 import json
 import runpy
@@ -80,7 +80,7 @@ def test_the_file_is_in_step_with_the_code() -> None:
 
 
 def test_the_page_is_in_step_with_the_code() -> None:
-    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "developers" / "protocol.md").read_text(encoding="utf-8")
     assert SCRIPT["page"](page) == page, "run: python scripts/document_protocol.py"
 
 
@@ -89,12 +89,12 @@ def test_version_and_layout_are_the_same_everywhere() -> None:
     assert f"#define RT_PROTOCOL_VERSION {PROTOCOL_VERSION}u" in header
     assert f"#define RT_LAYOUT_HASH {schema():#06x}u" in header
     assert (VECTORS["protocol"], VECTORS["layout_hash"]) == (PROTOCOL_VERSION, f"{schema():#06x}")
-    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "developers" / "protocol.md").read_text(encoding="utf-8")
     assert f"# The CAN protocol, version {PROTOCOL_VERSION}\n" in page
 
 
 def test_every_chapter_of_a_vector_is_one_of_the_page() -> None:
-    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "developers" / "protocol.md").read_text(encoding="utf-8")
     assert {case["chapter"] for case in VECTORS["cases"]} <= {
         line.removeprefix("## ") for line in page.splitlines() if line.startswith("## ")
     }

@@ -1,4 +1,4 @@
-"""Every rule of docs/protocol.md is there in these words, and something holds a device, or a host, to it."""
+"""Every rule of docs/developers/protocol.md is there in these words, and something holds a device, or a host, to it."""
 
 import re
 import tomllib
@@ -15,7 +15,7 @@ from retuner.drivers.controller.virtual_device import VirtualDevice
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-PAGE = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "developers" / "protocol.md").read_text(encoding="utf-8")
 RULES = tomllib.loads((HERE / "protocol_rules.toml").read_text(encoding="utf-8"))
 HOLDERS = {"conformance", "vectors", "layer", "host", "open"}
 NO_RULES = {"What this version does not do", "A session, byte by byte"}

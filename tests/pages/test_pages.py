@@ -26,7 +26,7 @@ from run_pages import agrees, blocks, rewritten  # noqa: E402
 FRONT = {"README", "start", "how-to-control", "how-to-plant", "how-to-python", "diagnose", "schedule", "units"}
 """What a newcomer copies from; the other pages take minutes, and are the nightly's."""
 RUN = [page for page in run_pages.pages() if page.stem in FRONT or EFFORT.name == "nightly"]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @pytest.mark.slow

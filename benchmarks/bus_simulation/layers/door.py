@@ -1,4 +1,4 @@
-"""Everything that passes a device's door, held to docs/protocol.md layer by layer.
+"""Everything that passes a device's door, held to docs/developers/protocol.md layer by layer.
 
 The invariants of truth.py say what must never come of all layers together; a layer whose work another one does as well
 may be gone without any of them noticing. Here each is asked by itself.

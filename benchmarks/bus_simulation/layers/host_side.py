@@ -1,4 +1,4 @@
-"""What one life of a host sends and tells, held to docs/protocol.md layer by layer.
+"""What one life of a host sends and tells, held to docs/developers/protocol.md layer by layer.
 
 The invariants of truth.py say what must never come of host and device together: a device that refuses keeps a careless
 host from doing harm. Here the host is asked by itself whether it had every reason for what it did.

@@ -1,4 +1,4 @@
-"""Frames taken apart by hand, and their checks, from the tables of docs/protocol.md: no code of host or device is used.
+"""Frames and their checks taken apart by hand, from docs/developers/protocol.md, without code of host or device.
 
 A mistake in the shipped codec or checksums is one in both ends, so neither of them would notice.
 """

@@ -33,7 +33,7 @@ def conformance(
     restart: Annotated[bool, typer.Option("--restart", help="Test a power cycle too (you switch it).")] = False,
     as_json: Json = False,
 ) -> int:
-    """Test a device on a bus against every chapter of docs/protocol.md, faults included.
+    """Test a device on a bus against every chapter of docs/developers/protocol.md, faults included.
 
     Its gains are changed by a few per cent, stored, and restored at the end: use it on no process that matters.
     """
@@ -103,5 +103,5 @@ def _tell(found: "Examination", *, as_json: bool) -> None:
         return
     lines = [f"{one.chapter}: {one.said}" for one in found.findings]
     lines += [f"not tried: {one}" for one in found.left_out]
-    verdict = f"{len(found.findings)} of {found.tried} answers are not those of docs/protocol.md"
+    verdict = f"{len(found.findings)} of {found.tried} answers are not those of docs/developers/protocol.md"
     sys.stdout.write("\n".join([*lines, verdict if found.findings else f"{found.tried} answers, all right"]) + "\n")
