@@ -2,23 +2,16 @@
 
     python benchmarks/mutation.py firmware      every mutant of drivers/firmware: examination, simulation
     python benchmarks/mutation.py host          every host with one layer taken away: simulation
-    python benchmarks/mutation.py python        200 mutants of write protocol, device, guard and ledger, 50 of each,
-                                                drawn from all places where a comparison, a sign, a number, a condition
-                                                or a call stands; by the tests that run the statement
 
-The last works in a copy of the project and keeps what it found beside it: a second run goes on there; --again asks
-once more about those that survived. What equals the original stands in equal_mutants.toml, each with its reason, and is
-printed. Exit status 1 when the score is below 95 %.
+Exit status 1 when the score is below 95 %. Mutants of the Python code are made by mutmut or cosmic-ray.
 """
 
 import argparse
-import math
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
-from itertools import chain
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -29,9 +22,6 @@ from bus_simulation.host_mutants import HOST_MUTANTS, broken_by
 from bus_simulation.mutants import MUTANTS, MUTANTS_OF_THE_STORE, Mutant
 from bus_simulation.truth import ViolationError
 from bus_simulation.world import BOX, FIRST, World
-from cases.counting import share
-from mutant_runs import Copy, Kept
-from source_mutants import ROOT, Change, draw, why_equal
 
 from retuner.drivers.conformance.chapters import chapters
 from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
@@ -119,60 +109,10 @@ def host() -> float:
     return found / len(HOST_MUTANTS)
 
 
-# Python
-
-
-def python(count: int, seed: int, kept: Kept, copy: Copy) -> float:
-    """So many mutants, drawn; the share that is killed of those that are not equal to the original."""
-    drawn, places = draw(count, seed)
-    if not copy.make(kept):
-        print("which tests run which lines is not yet known of all; go on with the same command")
-        return 0.0
-    for change in chain.from_iterable(zip(*drawn.values(), strict=True)):  # a count that is broken off is of all groups
-        if not why_equal(change):
-            kept.look(change, copy)
-    total = dead = 0
-    for group, changes in drawn.items():
-        counted = [change for change in changes if not why_equal(change)]
-        looked = [(change, kept.look(change, copy)) for change in counted]
-        died = sum(_told(change, is_dead) for change, is_dead in looked if is_dead is not None)
-        open_ = sum(is_dead is None for _, is_dead in looked)
-        print(
-            f"{group}: killed {share(died, len(counted) - open_)}; {len(changes) - len(counted)} equal to the "
-            f"original, {open_} not tried yet"
-        )
-        total, dead = total + len(counted) - open_, dead + died
-    copy.close()
-    for change in (change for changes in drawn.values() for change in changes if why_equal(change)):
-        print(f"equal  {change.name}\n       {why_equal(change)}")
-    print(f"killed {share(dead, total)} of {places} places, seed {seed}")
-    return dead / total if total else 0.0
-
-
-def _told(change: Change, is_dead: bool) -> bool:
-    """The same, printed."""
-    print(f"{'killed  ' if is_dead else 'SURVIVED'}  {change.name}", flush=True)
-    return is_dead
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("firmware", "host", "python"))
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--copy", type=Path, default=ROOT / "runs" / "mutants", help="folder of the copy")
-    parser.add_argument(
-        "--seconds", type=float, default=math.inf, help="begin no mutant after so many; go on next time"
-    )
-    parser.add_argument("--again", action="store_true", help="ask once more about those that survived")
-    options = parser.parse_args()
-    if options.what == "firmware":
-        return int(firmware() < AIM)
-    if options.what == "host":
-        return int(host() < AIM)
-    folder = options.copy.resolve()
-    kept = Kept(folder.with_name(f"{folder.name}-{options.seed}.jsonl"), again=options.again, seconds=options.seconds)
-    return int(python(options.count, options.seed, kept, Copy(folder)) < AIM)
+    parser.add_argument("what", choices=("firmware", "host"))
+    return int((firmware() if parser.parse_args().what == "firmware" else host()) < AIM)
 
 
 if __name__ == "__main__":

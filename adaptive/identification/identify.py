@@ -61,7 +61,7 @@ class FitSettings:
         records of which settings came out right: up to 0.10; a noisy pressure loop's fiction: 0.5).
     valve_lead : by how much (criterion) a valve that sticks or has play must explain a setpoint step better than none,
         beyond its price; 0 to 50, default 15 (without a valve, beside noise or a load step, no record came near that;
-        ramps and walks did: benchmarks/through_valve.py).
+        ramps and walks did).
     theta_share : longest effective dead time as a share of the record; 0.1 to 0.5, default 0.25: no event is seen for
         long enough after a longer one.
     hopeless : a rival model that leaves so many times as much is none; 1.3 to 3, default 1.5 (the fictions of three

@@ -44,7 +44,7 @@ HOLDS = (5.0, 1.2, 2.4, 0.6, 3.5, 1.8, 0.9, 5.0, 1.2, 3.0, 0.6, 2.4, 1.2, 1.8)
 
 Long and short ones in turn show slow and fast parts of the process. By the Cramer-Rao bound 86 % of loops under a walk
 and 67 % under coloured loads can be known after six such bumps, 73 and 56 % by five even holds in the same time
-(`online oracle --seed 3704 --nudge 5 --moves uneven`, 100 loops each; 42 and 30 % by one step)."""
+(100 loops each; 42 and 30 % by one step)."""
 RESET_SHARE = 0.1
 """Of the integral time: a loop is hardly faster than that, whatever a load makes of the error."""
 MOST_SAMPLES = 2000

@@ -1,6 +1,6 @@
 """Tours of nonlinear plants with retuner in charge: how many visits does a region need, and what teaches?
 
-Plants: drawn ones (schedules/drawn.py), from physics, and written by others (pc-gym). Four regions along pv, equally
+Plants: drawn ones (schedules/drawn.py) and from physics. Four regions along pv, equally
 wide (the demo's oven has its own three, and its own gains). The setpoint goes to a new random place and stays there for
 HOLD_THETA dead times of the middle; all watch the same places with the same noise. Starts:
 
@@ -14,7 +14,7 @@ that the guard may let through: SIMC with perfect knowledge of their centre has 
 too slow for the centre where it is eased to 2.1. Those that have are counted apart, and the places in them. Then places
 in spec and IAE (noise aside) from the second third on, beside a table of SIMC with perfect knowledge of each centre;
 changes that made Ms too large, or a region unstable, at its centre; the largest Ms of what runs at any of PROBES places
-in the end, beside that of the perfect table; and what other schedule is proposed in the end (proposals.py).
+in the end, beside that of the perfect table.
 """
 
 import math
@@ -25,10 +25,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from schedules import drawn, others, physics
+from schedules import drawn, physics
 from schedules.subject import Live, Subject
 
-from online import proposals
 from online.counting import counted
 from online.judge import Judge, effect
 from online.loop import FixedGains, LostLoop, Supervisor, WatchedLoop
@@ -41,7 +40,7 @@ from retuner.schedule.table import GainTable, Lookup
 Row = dict[str, Any]
 WHO = ("fixed", "retuner", "perfect")
 SMOOTH = "smooth"
-KINDS = (SMOOTH, "tank", "ph", "reactor", "drive", "oven", *others.MAKERS)
+KINDS = (SMOOTH, "tank", "ph", "reactor", "drive", "oven")
 REGIONS = 4
 PLACES = 42
 HOLD_THETA, MOST_SAMPLES = 80.0, 2500
@@ -132,7 +131,7 @@ class Tour:
 def _subject(kind: str, rng: np.random.Generator) -> Subject:
     if kind == SMOOTH:
         return drawn.draw(rng, SMOOTH, 4.0)
-    return (physics.MAKERS.get(kind) or others.MAKERS[kind])()
+    return physics.MAKERS[kind]()
 
 
 def _regions(subject: Subject) -> Regions:
@@ -175,7 +174,6 @@ def run(task: Task) -> Row:
         "bearable": bearable(tour),
         "where": [sum(sp >= bound for bound in tour.regions.law().bounds) for sp in tour.sps],
         "worst": [_worst(tour, table(list(gains))) for gains in (watching.retuner.table.gains, tour.best)],
-        "proposal": proposals.proposed(tour.subject, tour.regions, watching.retuner),
         **_told(watching),
         **_harm(tour, watching),
     }
@@ -335,5 +333,5 @@ def _line_of(name: str, rows: list[Row]) -> str:
         f"{name:<34}{taught:>12}{good:>34}{statistics.median(ratios):>7.2f}{max(ratios):>7.2f}  "
         f"{told['retuner']} (perfect {told['perfect']}, fixed {told['fixed']}); "
         f"good after {VISITS} where one set can be: {told['can']}; of {len(there['perfect'])} places there "
-        f"{told['there']}; {harm}, lost {lost}; {proposals.told(rows)}"
+        f"{told['there']}; {harm}, lost {lost}"
     )

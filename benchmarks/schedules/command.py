@@ -20,7 +20,7 @@ from schedules.measure import MODES, PLACES, WALK, Row, measure, tasks
 from schedules.stream import stream
 from schedules.tables import line, table
 
-PARTS = ("drawn", "signal", "constant", "physics", "others")
+PARTS = ("drawn", "signal", "constant", "physics")
 
 
 def main() -> int:

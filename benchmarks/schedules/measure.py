@@ -9,7 +9,7 @@ import numpy as np
 
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
-from schedules import drawn, others, physics, rivals
+from schedules import drawn, physics, rivals
 from schedules.designer import Designed, design
 from schedules.lookups import Curve, Lookup, Table
 from schedules.loop import Trace, Visit, run
@@ -51,7 +51,6 @@ def tasks(seed: int, loops: int, parts: tuple[str, ...], modes: tuple[str, ...],
         "signal": ["smooth 4 by flow"] * loops,
         "constant": ["constant 1"] * loops,
         "physics": list(physics.MAKERS),
-        "others": list(others.MAKERS),
     }
     found = []
     for part in parts:
@@ -62,9 +61,8 @@ def tasks(seed: int, loops: int, parts: tuple[str, ...], modes: tuple[str, ...],
 
 def subject_of(task: Task) -> Subject:
     """Drawn, or by its name."""
-    for makers in (physics.MAKERS, others.MAKERS):
-        if task.subject in makers:
-            return makers[task.subject]()
+    if task.subject in physics.MAKERS:
+        return physics.MAKERS[task.subject]()
     kind, factor, *by = task.subject.split()
     rng = np.random.default_rng([task.seed, task.index, 40])
     return drawn.draw(rng, kind, float(factor), by=by[-1] if by else "pv")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases.plant import HeldPlant
 from cases.setting import draw_loop
-from online import harm, injected, walks
+from online import harm, injected
 from online.judge import Judge, effect
 from online.rivals import relay_then_ziegler_nichols, step_then_simc
 
@@ -132,16 +132,3 @@ def test_a_load_that_wanders_takes_back_no_right_set_and_hides_no_unstable_one()
     wrong = injected.run(injected.Task("gain", 31, 0, "walk"))
     assert math.isinf(wrong["ms"])
     assert wrong["rolled_back"]
-
-
-def test_a_walk_stays_in_its_range_and_is_the_same_for_everybody():
-    walk, again = (walks.Walk.drawn(walks.Task(3, 1, 8)) for _ in range(2))
-    assert walk.sps == again.sps
-    assert walk.noise == again.noise
-    assert all(5 <= sp <= 95 for sp in walk.sps)
-    assert all(abs(a - b) <= walks.FARTHEST for a, b in zip(walk.sps, walk.sps[1:], strict=False))
-    perfect = walks.walked(walk, walks.table_of([walk.best(y) for y in walks.CENTRES]), walks.FixedGains())
-    bad = walks.walked(walk, walks.table_of([scaled(walk.best(50.0), 0.2)] * 4), walks.FixedGains())
-    assert not perfect["lost"]
-    assert sum(bad["iae"][1:]) > 1.5 * sum(perfect["iae"][1:])
-    assert sum(perfect["spec"]) > sum(bad["spec"])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from cases.plant import HeldPlant
-from online import changes, elsewhere
+from online import changes
 from online.judge import Judge
 from online.loop import FixedGains, WatchedLoop
 from online.varying import Changing, Local, Range, VaryingPlant
@@ -103,27 +103,3 @@ def test_a_loop_with_an_interpolated_table_runs_the_mean_where_it_is():
     ((now, _),) = loop.run(75.0, 0.0, [0.0])
     assert loop.gains == loop.table.at(0, now)
     assert loop.gains.kp > table.at(0, now).kp
-
-
-@pytest.mark.parametrize("outside", [1.0, 3.0])
-def test_a_process_in_pieces_rests_on_the_integral_of_one_over_its_gain(outside):
-    plant = elsewhere.Pieces([Local(1.0, 5.0, 1.0, 1.0), Local(3.0, 5.0, 1.0, 1.0)], [40.0])
-    plant.outside = outside
-    assert plant.rest(50.0) == pytest.approx(0.0)
-    assert (plant.at(20.0).k, plant.at(60.0).k) == pytest.approx((outside, 3.0 * outside))
-    assert plant.at(60.0).tau2_s == pytest.approx(1.0)
-    for y in (10.0, 38.0, 41.0, 90.0):
-        slope = (plant.rest(y + 0.25) - plant.rest(y - 0.25)) / 0.5
-        assert slope == pytest.approx(1 / plant.at(y).k, rel=0.1)
-
-
-@pytest.mark.parametrize("kind", elsewhere.KINDS)
-def test_scenes_of_regions_are_reproducible_and_begin_as_they_say(kind):
-    scenes = [elsewhere.scene_of(elsewhere.Task(7, index, kind)) for index in (0, 0, 2)]
-    assert scenes[0].sps == scenes[1].sps
-    assert scenes[0].start == scenes[1].start
-    right = [scenes[0].judge(i, scenes[0].outside[0]) for i in range(len(scenes[0].regions))]
-    assert all(judge.of(gains).in_spec for judge, gains in zip(right, scenes[0].start, strict=True))
-    quarter = [scenes[2].judge(i, scenes[2].outside[0]) for i in range(len(scenes[2].regions))]
-    assert [judge.best.kp / 4 for judge in quarter] == pytest.approx([gains.kp for gains in scenes[2].start])
-    assert elsewhere.FEWEST <= len(scenes[0].regions) <= elsewhere.MOST
