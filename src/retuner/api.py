@@ -15,6 +15,7 @@ from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.by_region import FEWEST_SAMPLES, by_region, identify_region
 from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.identify import FitSettings, identify_manual, identify_window
+from retuner.adaptive.identification.in_parts import identify_parts
 from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTuning, robust_simc
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
@@ -226,8 +227,11 @@ def identify_record(
     """The same for a record that is a Window already; see identify."""
     window = within(window, co_min, co_max)
     sign = gains.direction if gains else None
-    estimate = identify_manual(window, sign) if open_loop else identify_window(window, sign)
-    return _followed(window, estimate, gains, open_loop)
+    if open_loop:
+        return _followed(window, identify_manual(window, sign), gains, open_loop)
+    found = _followed(window, identify_window(window, sign), gains, open_loop)
+    joint = None if found.identifiable else identify_parts(window, sign)
+    return found if joint is None else _followed(window, joint, gains, open_loop)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,46 @@
+"""A whole record knows no less than its parts: a long trend of a plain tank, and a valve that is no process."""
+
+import numpy as np
+import pytest
+
+from retuner import PidGains, identify, simulate
+from retuner.adaptive.identification.in_parts import MOST_PARTS, identify_parts, parts_of
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.signals.sample import Window
+
+GAINS = PidGains(2.0, 2.0 / 160.0)
+
+
+def tank(theta_s: float, gap_s: float, noise: float = 0.02) -> Window:
+    """Gain 1.2, lag 40 s: four setpoint steps and three loads in turn, a row a second."""
+    setpoint = [(0.0, 50.0), (gap_s, 55.0), (3 * gap_s, 50.0), (5 * gap_s, 58.0), (7 * gap_s, 50.0)]
+    loads = [(0.0, 0.0), (2 * gap_s, 4.0), (4 * gap_s, -3.0), (6 * gap_s, 3.0)]
+    model = ProcessModel("fopdt", k=1.2, tau1_s=40.0, theta_s=theta_s)
+    return simulate(model, GAINS, setpoint=setpoint, loads=loads, until_s=8 * gap_s, noise=noise).window
+
+
+@pytest.mark.parametrize(("theta_s", "gap_s"), [(0.0, 250.0), (2.0, 250.0), (2.0, 600.0), (4.0, 250.0), (4.0, 600.0)])
+def test_a_long_trend_of_a_plain_tank_is_identified_as_its_first_part_is(theta_s: float, gap_s: float) -> None:
+    record = tank(theta_s, gap_s)
+    found = identify(record.t_s, record.sp, record.pv, record.co, gains=GAINS)
+    assert found.identifiable
+    assert found.model is not None
+    assert found.model.k == pytest.approx(1.2, rel=0.02)
+    assert found.model.tau1_s == pytest.approx(40.0, rel=0.03)
+    assert found.model.theta_s == pytest.approx(max(theta_s, 1.0), abs=0.3)
+
+
+def test_parts_hold_the_whole_record_and_are_long_enough() -> None:
+    record = tank(2.0, 250.0)
+    parts = parts_of(record, 1500)
+    assert sum(len(part.t_s) for part in parts) == len(record.t_s)
+    assert 2 <= len(parts) <= MOST_PARTS
+    assert min(len(part.t_s) for part in parts) >= len(record.t_s) // MOST_PARTS
+
+
+def test_parts_that_contradict_each_other_know_nothing_together() -> None:
+    record = tank(2.0, 250.0)
+    half = len(record.t_s) // 2
+    pv = np.where(np.arange(len(record.t_s)) < half, record.pv, 50.0 + 4.0 * (record.pv - 50.0))
+    changed = Window(record.t_s, record.sp, pv, record.co)
+    assert identify_parts(changed, 1) is None
