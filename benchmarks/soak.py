@@ -36,7 +36,7 @@ from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDevi
 from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.ledger import Ledger
-from retuner.report.trend import Trend
+from retuner.ledger.trend import Trend
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable

@@ -15,6 +15,7 @@ from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.device import (
     CommandDone,
     CommandFailed,
+    Contact,
     DeviceMismatchError,
     DeviceRestarted,
     DeviceSilentError,
@@ -30,7 +31,6 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
-from retuner.drivers.host.connection import Contact
 from retuner.drivers.profiles.access import Access, Acknowledged, Denied, Doubted, Heard, Runs, Started, Stopped, Told
 from retuner.drivers.profiles.bench_loop import load_frame
 from retuner.drivers.profiles.foreign_settings import ForeignSettings

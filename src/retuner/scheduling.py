@@ -1,6 +1,5 @@
 """`retuner.design_schedule`: a gain schedule from ordinary records of a loop, with what it rests on."""
 
-import json
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +22,6 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import Record, window_of, within
 from retuner.drivers.historian.time_stamps import Numbers
 from retuner.schedule.axis import CAN, Axis
-from retuner.schedule.forms import to_ideal
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
@@ -410,55 +408,4 @@ def _rounded(value: float, digits: int = DIGITS) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def schedule_section(table: GainTable, loop: str = "") -> str:
-    """The [schedule] of a configuration (loop.toml) that runs this table.
-
-    loop : its name where it is one of several; its section is then [loop.schedule], below its [[loop]].
-    """
-    text = _section(table)
-    if not loop:
-        return text
-    below = text.replace("\n[[schedule.", "\n[[loop.schedule.").replace("[schedule]", "[loop.schedule]", 1)
-    return f"# Of the loop {json.dumps(loop)}: to stand below its [[loop]], before the next one.\n{below}"
-
-
-def _section(table: GainTable) -> str:
-    axes = table.regions.axes
-    simple = table.lookup is Lookup.HARD and len(axes) == 1 and axes[0].variable != CAN
-    lines = ["[schedule]"]
-    if table.lookup is Lookup.INTERPOLATED:
-        lines.append('lookup = "interpolated"')
-    for axis in axes:
-        lines += _axis_lines(axis, simple=simple)
-    for i, (region, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
-        cell = [] if len(axes) == 1 else [f"cell = [{', '.join(str(place + 1) for place in table.regions.cell(i))}]"]
-        lines += ["", *_region_lines(region, gains), *cell]
-    return "\n".join(lines) + "\n"
-
-
-def _axis_lines(axis: Axis, *, simple: bool) -> list[str]:
-    """The keys of one axis. simple : in [schedule] itself."""
-    lines = [] if simple else ["", "[[schedule.axis]]"]
-    lines.append(f'variable = "{axis.variable}"')
-    if not simple:
-        lines.append(f"range = [{axis.low!r}, {axis.high!r}]")
-    if axis.variable == CAN:
-        unit, signal = json.dumps(axis.unit or "-"), json.dumps(axis.signal)  # quoted as TOML has it
-        lines += [f"unit = {unit}", 'message = "FILL_IN"', f"signal = {signal}"]
-    if axis.bounds:
-        lines.append(f"bounds = [{', '.join(map(repr, axis.bounds))}]")
-    for key, value in (("hysteresis", axis.hysteresis), ("min_stay_s", axis.min_stay_s), ("filter_s", axis.filter_s)):
-        lines += [f"{key} = {value!r}"] if value else []
-    return lines
-
-
-def _region_lines(name: str, gains: PidGains) -> list[str]:
-    """One [[schedule.region]]."""
-    ideal = to_ideal(gains)
-    kc, tau_i, tau_d = ideal.kc, ideal.tau_i_s, ideal.tau_d_s
-    told = '"none"' if tau_i is None else repr(_rounded(tau_i, 8))
-    lines = ["[[schedule.region]]", f'name = "{name}"', f"kc = {_rounded(kc, 8)!r}", f"tau_i_s = {told}"]
-    return [*lines, *([f"tau_d_s = {_rounded(tau_d, 8)!r}"] if tau_d else []), 'form = "ideal"']
-
-
-__all__ = ["AUTO", "OWN", "Record", "ScheduleDesign", "design_schedule", "schedule_section", "table_of"]
+__all__ = ["AUTO", "OWN", "Record", "ScheduleDesign", "design_schedule", "table_of"]

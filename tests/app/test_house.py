@@ -23,7 +23,7 @@ ORDER = (
         "experiments",
         "fit", "identification", "valve", "explanations", "schedule_design", "schedule_choice", "region_model", "guard",
         "trial", "choice", "diagnosis", "cause_odds", "without_model",
-        "supervision", "orders", "pretune", "nudge", "audit",
+        "supervision", "orders", "nudge", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",

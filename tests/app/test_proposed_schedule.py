@@ -24,10 +24,10 @@ from retuner.files import write_whole
 from retuner.gain_export.schedule_into import schedule_into
 from retuner.ledger import Row
 from retuner.report.ledger_words import told
+from retuner.schedule.config_section import schedule_section
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
-from retuner.scheduling import schedule_section
 
 sys.path.append(str(Path(__file__).parent))
 

@@ -14,11 +14,12 @@ from retuner.adaptive.schedule_choice.design import Design, Evidence
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
 from retuner.decision_page.shown_units import show_units
+from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 from retuner.schedule_report.sentences import message_sentence, push_sentence, variable_sentence
-from retuner.scheduling import RecordedGains, ScheduleDesign, at_limits, schedule_section, table_of
+from retuner.scheduling import RecordedGains, ScheduleDesign, at_limits, table_of
 
 Capture = pytest.CaptureFixture[str]
 LOOP = """

@@ -14,9 +14,9 @@ from retuner.adaptive.region_model.refinement import Refinement, refinement
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.config.model import Config
 from retuner.schedule.axis import CAN
+from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.table import GainTable
-from retuner.scheduling import schedule_section
 
 ROW = "schedule"
 """Kind of the row."""

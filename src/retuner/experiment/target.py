@@ -6,7 +6,7 @@ from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Kind, Plan, RelayState, Rest, relay_output
 from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.decision_page.explain import settings_text
+from retuner.decision_page.shown_units import units_of
 from retuner.drivers.device import Device, WriteRefusedError
 from retuner.schedule.gains import PidGains
 
@@ -29,7 +29,7 @@ class OldState(NamedTuple):
     @property
     def words(self) -> str:
         """For a person who has to bring it back by hand."""
-        return f"{settings_text(self.gains)}, sp {self.sp:g}, mode {'auto' if self.mode else 'manual'}"
+        return f"{units_of().text(self.gains)}, sp {self.sp:g}, mode {'auto' if self.mode else 'manual'}"
 
 
 class Target(NamedTuple):

@@ -21,8 +21,8 @@ from retuner.config.session_config import SessionConfig
 from retuner.decisions.proposed_schedule import digest_of, stands
 from retuner.errors import UserError
 from retuner.gain_export.into_config import sameness
+from retuner.schedule.config_section import schedule_section
 from retuner.schedule.table import GainTable
-from retuner.scheduling import schedule_section
 
 SAME = ("name", "pv_unit", "pv_min", "pv_max", "sample_time_s")
 """Keys of [loop] on which a schedule depends."""

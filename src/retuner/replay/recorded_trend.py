@@ -10,8 +10,8 @@ from retuner.drivers.recorded.bus_log_samples import Overhearing
 from retuner.drivers.recorded.frame_log import read_parts
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError
+from retuner.ledger.trend import COLUMNS, COLUMNS_2, NO_PYARROW
 from retuner.report.scores import Columns
-from retuner.report.trend import COLUMNS, COLUMNS_2, NO_PYARROW
 from retuner.session.outputs import BUS_LOG, TREND
 from retuner.session.recorded_session import RecordedSession
 

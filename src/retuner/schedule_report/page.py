@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from retuner.adaptive.signals.sample import Window
 from retuner.decision_page.html import document, escaped, image, paragraph, text_table
 from retuner.decision_page.shown_units import chosen_units
+from retuner.schedule.config_section import schedule_section
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
@@ -17,7 +18,7 @@ from retuner.schedule_report.sentences import (
     variable_sentence,
     why_sentence,
 )
-from retuner.scheduling import ScheduleDesign, schedule_section
+from retuner.scheduling import ScheduleDesign
 
 
 def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:

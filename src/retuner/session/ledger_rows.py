@@ -9,7 +9,7 @@ import numpy as np
 from retuner.adaptive.nudge.planner import NudgePhase
 from retuner.adaptive.orders.operator_orders import accept, acts, approve, revert, set_mode, unlock
 from retuner.adaptive.orders.pending_proposal import Proposal
-from retuner.adaptive.pretune import pretune
+from retuner.adaptive.orders.pretune import pretune
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pipeline import decide

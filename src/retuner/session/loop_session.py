@@ -33,7 +33,7 @@ from retuner.drivers.device import (
 )
 from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
-from retuner.report.trend import Trend
+from retuner.ledger.trend import Trend
 from retuner.schedule.table import GainTable
 from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, GainWriter
 from retuner.session.ledger_rows import HELD_BY, abort_cause, trouble

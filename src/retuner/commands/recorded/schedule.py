@@ -29,6 +29,7 @@ from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import RecordingError, require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
+from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import PERCENT, from_toml, to_toml
 from retuner.schedule.table import GainTable
 from retuner.schedule_report.sentences import (
@@ -39,7 +40,7 @@ from retuner.schedule_report.sentences import (
     push_sentence,
     variable_sentence,
 )
-from retuner.scheduling import AUTO, OWN, RecordedGains, ScheduleDesign, design_schedule, schedule_section
+from retuner.scheduling import AUTO, OWN, RecordedGains, ScheduleDesign, design_schedule
 from retuner.verbosity import quiet
 
 app = typer.Typer(add_completion=False)

@@ -28,6 +28,7 @@ from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import Unwritten, write_json, write_whole
 from retuner.ledger import Ledger, Recorder
+from retuner.ledger.trend import require_writer, write_trend
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.watching import OnScreen, Watching
 from retuner.live_view.what_next import Changed, narrow_scores, what_next
@@ -35,9 +36,8 @@ from retuner.report.console import counted, scores_table, screen_console
 from retuner.report.loops_index import LoopLine, loop_line, render_index
 from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
-from retuner.report.trend import require_writer, write_trend
+from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import to_toml
-from retuner.scheduling import schedule_section
 from retuner.serve.beside import require_page, served_beside
 from retuner.session.assembly import make_plant
 from retuner.session.loop_session import LoopSession
