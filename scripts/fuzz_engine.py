@@ -25,8 +25,8 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "adaptive" / "fit" / "_engine.c"
-SIZE = (3, 4, 2, 3)
-SECOND = (False, True, False, True)
+SIZE = (3, 4, 2, 3, 5, 5)
+SECOND = (False, True, False, True, True, True)
 SPECIAL = (
     0.0,
     -0.0,
@@ -54,20 +54,25 @@ def record(random: Random) -> list[Any]:
     n, dt, even = random.randint(3, 60), 10 ** random.uniform(-3, 3), random.random() < 0.5
     steps = [dt if even else dt * random.uniform(0.1, 2) for _ in range(n)]
     t = array("d", (sum(steps[:i]) for i in range(n)))
-    type_, loads, rounded, ramp = random.randrange(4), random.randint(0, 3), random.randint(0, 1), random.randint(0, 1)
+    type_, loads, rounded, ramp = (
+        random.randrange(len(SIZE)),
+        random.randint(0, 3),
+        random.randint(0, 1),
+        random.randint(0, 1),
+    )
     motion, harmonics, starts, order = (random.randint(0, 1), random.choice((0, 0, 2)), random.randint(0, 3),
                                         random.randint(0, 4))  # fmt: skip
     priors = starts * (1 + SECOND[type_] + 2 * motion) + ramp
     head = [dt if even else 0.0, max(t[-1], dt), 10 ** random.uniform(-6, 3), random.choice((-1.0, 1.0)), type_, loads,
-            harmonics, ramp, rounded, motion, starts, order]  # fmt: skip
+            harmonics, ramp, rounded, random.randint(0, loads), motion, starts, order]  # fmt: skip
     tail = [random.uniform(0, t[-1]) for _ in range(starts)] + [random.uniform(-0.5, 0.5) for _ in range(order)]
     return [t, numbers(random, n), numbers(random, n), array("d", [*head, *tail, *(0.1 for _ in range(priors))])]
 
 
 def sizes(arguments: list[Any]) -> tuple[int, int, int, int, int]:
     """n, size of p, its process part, columns and priors of a problem."""
-    head = [int(x) for x in arguments[3][4:12]]
-    type_, loads, harmonics, ramp, rounded, motion, starts, _ = head
+    head = [int(x) for x in arguments[3][4:13]]
+    type_, loads, harmonics, ramp, rounded, _, motion, starts, _ = head
     priors = starts * (1 + SECOND[type_] + 2 * motion) + ramp
     size = SIZE[type_] + loads + rounded + (harmonics > 0)
     return len(arguments[0]), size, SIZE[type_], priors + loads + 2 * harmonics + 1, priors
@@ -124,7 +129,7 @@ def call_colour(random: Random) -> list[Any]:
 def plain(random: Random) -> list[Any]:
     """A record without anything fitted along."""
     given = record(random)
-    return [*given[:3], array("d", [*given[3][:4], *([0.0] * 8)])]
+    return [*given[:3], array("d", [*given[3][:4], *([0.0] * 9)])]
 
 
 def call_search(random: Random) -> list[Any]:
@@ -160,7 +165,8 @@ def call_scan(random: Random) -> list[Any]:
     rows = (n - first - 1) // stride + 1
     positive = [array("d", (10 ** random.uniform(-3, 4) for _ in range(k))) for k in (lags, thetas)]
     nodes = lags * thetas
-    return [*given, valves(random, many), *positive, numbers(random, 3 * lags * rows), numbers(random, lags * rows),
+    return [*given, valves(random, many), positive[0], array("d", [random.choice((0.0, 2.0)) for _ in range(lags)]),
+            positive[1], numbers(random, 3 * lags * rows), numbers(random, lags * rows),
             first, stride, zeros(many * nodes), zeros(many * nodes)]  # fmt: skip
 
 
@@ -176,6 +182,29 @@ def call_screen(random: Random) -> list[Any]:
     t = array("d", (10.0 * i for i in range(n)))
     band, shortest = random.choice((0.0, 0.3)), float(random.randint(1, 30))
     return [t, *(numbers(random, n) for _ in range(3)), 50.0, band, shortest, random.randint(1, n), zeros(56)]
+
+
+def call_walk(random: Random) -> list[Any]:
+    """Proper arguments of walk."""
+    n, inputs, loads, deads = random.randint(8, 60), random.randint(0, 5), random.randint(0, 3), random.randint(0, 4)
+    walks = array("d")
+    for _ in range(loads):
+        degree = random.randint(1, 3)
+        walks.extend((degree, *(random.choice((1.0, random.random())) for _ in range(3)), -0.9, 0.2, 0.0))
+    poles = [array("d", [random.random() for _ in range(random.randint(low, 4))]) for low in (1, 0)]
+    late = array("d", [random.choice((0.0, 0.5, 3.0, 70.0, random.uniform(0, 90))) for _ in range(deads)])
+    cells = loads * len(poles[0]) * inputs * deads
+    return [numbers(random, n), numbers(random, inputs * n), walks, *poles, late, array("d", (0.9, 0.1, 1e-4)),
+            *(zeros(cells) for _ in range(3))]  # fmt: skip
+
+
+def call_mix(random: Random) -> list[Any]:
+    """Proper arguments of mix."""
+    loads, rows, deads, many = random.randint(1, 4), random.randint(1, 3), random.randint(1, 3), random.randint(0, 5)
+    cells = loads * rows * deads
+    positive = [array("d", (10 ** random.uniform(-9, 3) for _ in range(cells))) for _ in range(2)]
+    return [numbers(random, cells), *positive, array("d", [60.0] * loads), numbers(random, rows * many), 1.0, rows,
+            zeros(rows * deads * many)]  # fmt: skip
 
 
 CALLS: dict[str, Callable[[Random], list[Any]]] = {
@@ -204,8 +233,8 @@ def spoilt(random: Random, value: Any) -> Any:  # noqa: ANN401  anything goes in
 
 
 def run(engine: ModuleType, seed: int, calls: int) -> dict[str, int]:
-    """Call and count: answered, refused."""
-    random, counts = Random(seed), {"answered": 0, "refused": 0}
+    """Call and count: answered, refused; every door must have answered, or its proper arguments are none any more."""
+    random, counts, answered = Random(seed), {"answered": 0, "refused": 0}, set[str]()
     for _ in range(calls):
         name = random.choice(list(CALLS))
         arguments = CALLS[name](random)
@@ -217,10 +246,13 @@ def run(engine: ModuleType, seed: int, calls: int) -> dict[str, int]:
         try:
             getattr(engine, name)(*arguments)
             counts["answered"] += 1
+            answered.add(name)
         except (ValueError, TypeError, OverflowError) as error:
             if "\n" in str(error):
                 raise RuntimeError("more than one line") from error
             counts["refused"] += 1
+    if calls > 100 * len(CALLS) and answered != set(CALLS):
+        raise RuntimeError(f"never answered: {', '.join(sorted(set(CALLS) - answered))}")
     return counts
 
 

@@ -20,18 +20,16 @@ import numpy as np
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, TuningOdds, class_of
 from retuner.adaptive.explanations.wandering_load import (
-    BANDWIDTHS,
-    ORDERS,
+    LOADS,
     TEMPER,
     LoadModel,
     Prepared,
-    Signals,
     filtered,
     impulse_response,
     load_model,
     responses,
     spectrum,
-    whitened,
+    under_loads,
 )
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -145,15 +143,10 @@ def _load(odds: TuningOdds, record: Prepared) -> tuple[LoadModel, float]:
     """Load and noise that explain the record best beside the likeliest process, and the standard deviation s."""
     i = int(np.unravel_index(int(np.argmax(odds.weights)), odds.weights.shape)[0])
     lag = shapes()[i].lag
-    signals = Signals.of(record, responses(record.co, lag), lag)
-    tried = []
-    for order in ORDERS:
-        for bandwidth in BANDWIDTHS:
-            model = load_model(lag, bandwidth, order)
-            fit = whitened(signals, model, DEAD_TIMES)
-            tried.append((float(np.min(fit.left)) / fit.freedom, model))
-    variance, model = min(tried, key=lambda one: one[0])
-    return model, math.sqrt(variance)
+    fits = under_loads(record, record.co[None], lag, LOADS, DEAD_TIMES)
+    variance = fits.left.min(axis=(1, 2)) / fits.freedom
+    best = int(np.argmin(variance))
+    return load_model(lag, *LOADS[best]), math.sqrt(float(variance[best]))
 
 
 def _answer(process: _Process, co: FloatArray) -> FloatArray:

@@ -11,13 +11,7 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.explanations.wandering_load import (
-    Prepared,
-    Signals,
-    load_model,
-    responses,
-    whitened,
-)
+from retuner.adaptive.explanations.wandering_load import Prepared, under_loads
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.stuck_valve import Family, StuckValve
 
@@ -53,12 +47,10 @@ def log_odds_of_valve(record: Prepared, direction: int) -> float:
         return 0.0
     found = []
     for lag in LAGS:
-        signals = Signals.of(record, responses(inputs, lag)[0], lag)
-        for bandwidth, order in LOADS:
-            fit = whitened(signals, load_model(lag, bandwidth, order), DEAD_TIMES)
-            right = np.where(fit.gain * direction > 0, fit.gain, 0.0)  # no gain where it has the wrong sign
-            found.append(fit.tempered(right[..., None])[..., 0])
-    every = np.array(found).transpose(1, 0, 2).reshape(len(inputs), -1)
+        fits = under_loads(record, inputs, lag, LOADS, DEAD_TIMES, first_only=True)
+        right = np.where(fits.gain * direction > 0, fits.gain, 0.0)  # no gain where it has the wrong sign
+        found.append(fits.tempered(right[..., None])[..., 0])
+    every = np.concatenate(found).transpose(1, 0, 2).reshape(len(inputs), -1)
     return float(_log_mean(every[1:]) - _log_mean(every[:1]))
 
 

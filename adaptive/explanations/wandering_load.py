@@ -8,8 +8,10 @@ Real loads wander, pause, step and oscillate. The output of a well-controlled lo
 a fit that knows only steps and ramps must buy steps that never were. Here the load is a state with its own variance.
 For given lags and ratio of load to noise the Kalman filter of (z, v) in its steady state is the filter A/C, with C from
     r + A(q) A(1/q) = s C(q) C(1/q)                              (spectral factorisation; Astrom 1970, ch. 5)
-which whitens pv and x alike. The unknown start of the filter and of the lags is a column each of a least squares fit
-(a diffuse start). The gain follows in closed form with its variance, so its whole likelihood is known:
+which whitens pv and x alike: A first, by differences, which are exact where signals are slow, then 1/C. The unknown
+start of the filter and of the lags is a column each of a least squares fit (a diffuse start). The compiled engine does
+it by recursion, in a tenth of the time; here it is done by transforms.
+The gain follows in closed form with its variance, so its whole likelihood is known:
     ln L(K) = -(n - m)/2 ln(RSS + S (K - K_ls)^2)                          (noise variance profiled)
 
 Samples under a real load are far from independent: no model of a load is right. So ln L is divided by TEMPER before it
@@ -17,6 +19,7 @@ counts, which was chosen so that what is told at 90 % is right in nine of ten (b
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
@@ -31,6 +34,7 @@ from retuner.adaptive.explanations.process_grid import (
     shapes,
     units,
 )
+from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -41,6 +45,7 @@ BANDWIDTHS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, math.inf)
 """Frequency, rad per sample, at which load and noise are equally large; without end there is no noise."""
 ORDERS = (1, 2)
 """Of the walk: the load's value, or its slope."""
+LOADS = tuple((bandwidth, order) for order in ORDERS for bandwidth in BANDWIDTHS)
 TEMPER = 6.0
 """What the logarithm of a likelihood is divided by; 3 to 30."""
 LEAST_NOISE = 1e-3
@@ -49,27 +54,35 @@ LEAST_NOISE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class LoadModel:
-    """Coefficients of the whitening filter A/C, the newest first; shape (order + 1,) each."""
+    """The whitening filter A/C. roots : A is the product of 1 - root q. c : coefficients of C, the newest first."""
 
-    a: tuple[float, ...]
+    roots: tuple[float, ...]
     c: tuple[float, ...]
+
+    @property
+    def a(self) -> tuple[float, ...]:
+        """Coefficients of A, the newest first."""
+        return tuple(np.poly(self.roots).tolist())
 
 
 @cache
 def load_model(lag: float, bandwidth: float, order: int) -> LoadModel:
     """The filter that whitens a load behind a first lag. lag : in samples. order : of the walk. See the head."""
-    pole = 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
-    a = np.array([1.0, -pole])
-    for _ in range(order):
-        a = np.convolve(a, [1.0, -1.0])
+    roots = (_pole(lag),) + (1.0,) * order
+    a = np.poly(roots)
     if math.isinf(bandwidth):
-        return LoadModel(tuple(a), (1.0,) + (0.0,) * (len(a) - 1))
+        return LoadModel(roots, (1.0,) + (0.0,) * (len(a) - 1))
     ratio = abs(np.polyval(a[::-1], np.exp(-1j * bandwidth))) ** 2
     both = np.convolve(a, a[::-1])
     both[len(a) - 1] += ratio
-    roots = np.roots(both)
-    inside = roots[np.argsort(np.abs(roots))][: len(a) - 1]
-    return LoadModel(tuple(a), tuple(np.real(np.poly(inside)).tolist()))
+    found = np.roots(both)
+    inside = found[np.argsort(np.abs(found))][: len(a) - 1]
+    return LoadModel(roots, tuple(np.real(np.poly(inside)).tolist()))
+
+
+def _pole(lag: float) -> float:
+    """What is left of a lag's state after a sample."""
+    return 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,23 +114,69 @@ class Prepared:
 
 
 @dataclass(frozen=True, slots=True)
-class Whitened:
-    """Least squares of the whitened pv on every whitened input and dead time, under one load.
+class UnderLoads:
+    """Least squares of the whitened pv on every whitened input and dead time, under each of some loads.
 
-    gain, information, left : K of least squares, S and RSS (head of this file), shape (inputs, dead times).
-    freedom : samples less nuisances. size : see Signals.
+    gain, information, left : K of least squares, S and RSS (head of this file), shape (loads, inputs, dead times).
+    freedom : samples less nuisances, shape (loads,). size : variance of pv, in which sums of squares are counted: loads
+    of other orders have other freedoms.
     """
 
     gain: FloatArray
     information: FloatArray
     left: FloatArray
-    freedom: int
+    freedom: FloatArray
     size: float
 
     def tempered(self, gain: FloatArray) -> FloatArray:
-        """Tempered log-likelihood of gains; shape (inputs, dead times, gains). gain : along the last axis."""
+        """Tempered log-likelihood of gains; shape (loads, inputs, dead times, gains). gain : along the last axis."""
         more = self.information[..., None] * (gain - self.gain[..., None]) ** 2
-        return np.asarray(-self.freedom / (2 * TEMPER) * np.log((self.left[..., None] + more) / self.size))
+        half = self.freedom[:, None, None, None] / (2 * TEMPER)
+        return np.asarray(-half * np.log((self.left[..., None] + more) / self.size))
+
+    def mixed(self, gains: FloatArray) -> FloatArray:
+        """ln of the mean over loads of exp(ln L / TEMPER), shape (inputs, dead times, gains).
+
+        gains : shape (inputs, 1, gains).
+        """
+        if (engine := compiled()) is not None:
+            half = self.freedom / (2 * TEMPER)
+            fits = (self.gain, self.information, self.left)
+            return np.asarray(engine.walks_mixed(fits, half, gains[:, 0, :], self.size), dtype=np.float64)
+        every = self.tempered(gains)
+        top = every.max(axis=0)
+        return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)), dtype=np.float64)
+
+
+def under_loads(
+    record: Prepared,
+    inputs: FloatArray,
+    lag: float,
+    loads: Sequence[tuple[float, int]],
+    dead_times: tuple[float, ...],
+    *,
+    first_only: bool = False,
+) -> UnderLoads:
+    """What inputs through a first lag, each second one and each dead time explain of a record under each load.
+
+    inputs : held between samples, shape (inputs, n). loads : bandwidth and order of each. first_only : without second
+    lags. The rows of the answer are second lags by inputs.
+    """
+    models = [load_model(lag, *load) for load in loads]
+    seconds = second_lags(lag)[: 1 if first_only else None]
+    falls = [_pole(second) for second in second_lags(lag)[1:]]
+    freedom = np.array([len(record.pv) - len(model.roots) - len(falls) for model in models], dtype=np.float64)
+    size = float(np.var(record.pv)) or 1.0
+    if (engine := compiled()) is not None:
+        poles = [0.0 if not second else _pole(second) for second in seconds]
+        walks = [(model.roots, model.c) for model in models]
+        noise = record.resolution**2
+        gain, information, left = engine.walks(record.pv, inputs, lag, walks, poles, falls, dead_times, noise)
+        return UnderLoads(gain, information, left, freedom, size)
+    moved = responses(inputs, lag)[: len(seconds)].reshape(-1, len(record.pv))
+    each = [_whitened(record, moved, lag, model, dead_times) for model in models]
+    gain, information, left = (np.array(part) for part in zip(*each, strict=True))
+    return UnderLoads(gain, information, left, freedom, size)
 
 
 _PAD = int(max(DEAD_TIMES)) + 2
@@ -164,31 +223,20 @@ def responses(inputs: FloatArray, lag: float) -> FloatArray:
     return np.array([first, *(filtered(passed, n, (1.0 - other) * other**k) for other in others)])
 
 
-@dataclass(frozen=True, slots=True)
-class Signals:
-    """pv and what inputs do to it through one first lag, as spectra; shape (1 + inputs, ...).
-
-    n : samples. size : variance of pv, in which sums of squares are counted: loads of other orders have other freedoms.
-    """
-
-    spectra: ComplexArray
-    lag: float
-    n: int
-    resolution: float
-    size: float
-
-    @classmethod
-    def of(cls, record: Prepared, moved: FloatArray, lag: float) -> "Signals":
-        """moved : shape (inputs, n), of `responses`."""
-        size = float(np.var(record.pv)) or 1.0
-        return cls(spectrum(np.vstack([record.pv, moved])), lag, len(record.pv), record.resolution, size)
+def reduced(rows: FloatArray, roots: tuple[float, ...]) -> FloatArray:
+    """Rows through A, from rest; shape (..., n)."""
+    for root in roots:
+        rows = np.concatenate([rows[..., :1], rows[..., 1:] - root * rows[..., :-1]], axis=-1)
+    return rows
 
 
-def whitened(signals: Signals, model: LoadModel, dead_times: tuple[float, ...]) -> Whitened:
-    """Least squares under one load."""
-    n = signals.n
-    white, basis = _whitening(n, signals.lag, model)
-    rows = np.fft.irfft(signals.spectra * white, _length(n))[:, :n]
+def _whitened(
+    record: Prepared, moved: FloatArray, lag: float, model: LoadModel, dead_times: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """gain, information and left under one load, shape (inputs, dead times). moved : of `responses`."""
+    n = len(record.pv)
+    memory, basis = _whitening(n, lag, model)
+    rows = filtered(spectrum(reduced(np.vstack([record.pv, moved]), model.roots)), n, memory)
     y = rows[0] - basis @ (basis.T @ rows[0])
     padded = np.concatenate([np.zeros((len(rows) - 1, _PAD)), rows[1:]], axis=1)
     delayed = np.empty((len(rows) - 1, len(dead_times), n))
@@ -203,10 +251,9 @@ def whitened(signals: Signals, model: LoadModel, dead_times: tuple[float, ...]) 
     information = np.einsum("ij,ij->i", flat, flat) - np.sum(along[:, 1:] ** 2, axis=1)
     information = np.maximum(information, LEAST_SHARE * float(np.max(information, initial=0.0)) + LEAST_INFORMATION)
     gain = along[:, 0] / information
-    freedom = n - basis.shape[1]
-    left = np.maximum(y @ y - gain * along[:, 0], 0.0) + freedom * signals.resolution**2
+    left = np.maximum(y @ y - gain * along[:, 0], 0.0) + (n - basis.shape[1]) * record.resolution**2
     form = (len(rows) - 1, len(dead_times))
-    return Whitened(gain.reshape(form), information.reshape(form), left.reshape(form), freedom, signals.size)
+    return gain.reshape(form), information.reshape(form), left.reshape(form)
 
 
 LEAST_SHARE, LEAST_INFORMATION = 1e-12, 1e-300
@@ -214,18 +261,17 @@ LEAST_SHARE, LEAST_INFORMATION = 1e-12, 1e-300
 
 
 @lru_cache(maxsize=1024)
-def _whitening(n: int, lag: float, model: LoadModel) -> tuple[ComplexArray, FloatArray]:
-    """The whitening filter as a spectrum, and what unknown starts add to what it gives: orthonormal columns.
+def _whitening(n: int, lag: float, model: LoadModel) -> tuple[FloatArray, FloatArray]:
+    """The impulse response of 1/C, and what unknown starts add to what A/C gives: orthonormal columns.
 
     Starts of the filter itself and of the second lags; that of the first lag is in the filter.
     """
-    white = spectrum(impulse_response(model.a, model.c, n))
     memory = impulse_response((1.0,), model.c, n)
-    columns = [np.concatenate([np.zeros(i), memory[: n - i]]) for i in range(len(model.a) - 1)]
-    rows = np.arange(n)
-    falls = [np.exp(-rows / second) for second in second_lags(lag)[1:]]
-    columns += [np.fft.irfft(spectrum(fall) * white, _length(n))[:n] for fall in falls]
-    return white, np.asarray(np.linalg.qr(np.array(columns).T)[0], dtype=np.float64)
+    starts = [np.concatenate([np.zeros(i), memory[: n - i]]) for i in range(len(model.roots))]
+    falls = [_pole(second) ** np.arange(n) for second in second_lags(lag)[1:]]
+    if falls:
+        starts.extend(filtered(spectrum(reduced(np.array(falls), model.roots)), n, memory))
+    return memory, np.asarray(np.linalg.qr(np.array(starts).T)[0], dtype=np.float64)
 
 
 def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatArray:
@@ -237,21 +283,7 @@ def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatA
     gains = direction * GAINS * units() / gain_unit
     found, at = np.empty((len(shapes()), len(DEAD_TIMES), len(GAINS))), 0
     for lag in LAGS:
-        moved = responses(record.co, lag)
-        signals = Signals.of(record, moved, lag)
-        fits = [
-            whitened(signals, load_model(lag, bandwidth, order), DEAD_TIMES)
-            for order in ORDERS
-            for bandwidth in BANDWIDTHS
-        ]
-        rows = slice(at, at + len(moved))
-        found[rows] = _over_loads(fits, gains[rows])
-        at += len(moved)
+        rows = slice(at, at + len(second_lags(lag)))
+        found[rows] = under_loads(record, record.co[None], lag, LOADS, DEAD_TIMES).mixed(gains[rows])
+        at = rows.stop
     return found
-
-
-def _over_loads(fits: list[Whitened], gains: FloatArray) -> FloatArray:
-    """ln of the mean over loads of exp(ln L / TEMPER). gains : shape (second lags, 1, gains)."""
-    every = np.array([fit.tempered(gains) for fit in fits])
-    top = every.max(axis=0)
-    return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)), dtype=np.float64)

@@ -2,8 +2,9 @@
  *
  * The formulas, the settings and the order of every decision are those of the numpy engine, which stays the reference:
  * dynamics and misfit (variable projection, Golub & Pereyra 1973; Jacobian after Kaufman 1975), refine (Levenberg-
- * Marquardt, Marquardt 1963), the coarse search, the remainder's colour, and the scan of sticking valves. See those
- * files for what is computed and why; engine_c/ says how; here is the door to Python.
+ * Marquardt, Marquardt 1963), the coarse search, the remainder's colour, the scan of sticking valves, and the grid of
+ * processes under a load that wanders. See those files for what is computed and why; engine_c/ says how; here is the
+ * door to Python.
  *
  * Two lanes. A process is one real mode, two real modes, or a conjugate pair of complex ones. Its signals are carried
  * as two real lanes (a, b): one lane a mode, or real and imaginary part of the pair's first. Advancing over an interval
@@ -26,8 +27,9 @@
 #include "engine_c/screen.h"
 #include "engine_c/search.h"
 #include "engine_c/valves.h"
+#include "engine_c/walk.h"
 
-#define VERSION "6"
+#define VERSION "7"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -50,7 +52,7 @@ static int view(PyObject *object, View *v, const char *name, int writable) {
     v->open = 1, v->x = v->buffer.buf, v->n = v->buffer.len / (Py_ssize_t)sizeof(double);
     const char *format = v->buffer.format;
     if (!format || strcmp(format, "d") || v->buffer.itemsize != sizeof(double) ||
-        (uintptr_t)v->x % _Alignof(double)) {
+        (v->n && (uintptr_t)v->x % _Alignof(double))) {
         PyErr_Format(PyExc_ValueError, "%s: a buffer of doubles is needed", name);
         return -1;
     }
@@ -504,13 +506,97 @@ static PyObject *py_screen(PyObject *self, PyObject *args) {
     return ended(call, Py_NewRef(Py_None));
 }
 
+/* Whether all of some numbers lie within two bounds. */
+static int within(const View *v, double low, double high, const char *sentence) {
+    for (Py_ssize_t i = 0; i < v->n; i++)
+        if (!(v->x[i] >= low && v->x[i] <= high))
+            return refuse(sentence);
+    return 0;
+}
+
+static int are_loads(const View *v) {
+    if (v->n % LOAD)
+        return refuse("loads: seven numbers each are needed");
+    for (Py_ssize_t i = 0; i < v->n; i += LOAD)
+        if (!(v->x[i] == floor(v->x[i]) && v->x[i] >= 1 && v->x[i] <= MOST_DEGREE))
+            return refuse("loads: a degree of 1 to 3");
+    return 0;
+}
+
+/* walk(pv, inputs, loads, seconds, falls, deads, numbers, gain, information, left): see Walk; numbers are pole, rise and
+ * noise. */
+static PyObject *py_walk(PyObject *self, PyObject *args) {
+    (void)self;
+    static const char *const NAMES[] = {"pv", "inputs", "loads", "seconds", "falls", "deads", "numbers"};
+    static const char *const ANSWERS[] = {"gain", "information", "left"};
+    PyObject *from[10];
+    Call *call = begun(args, from, 10);
+    if (!call)
+        return NULL;
+    View *v = call->views;
+    for (int i = 0; i < 7; i++)
+        if (finite_view(from[i], &v[i], NAMES[i], 0))
+            return ended(call, NULL);
+    Py_ssize_t n = v[0].n, inputs = n ? v[1].n / n : 0, rows = inputs * v[3].n;
+    if (n < LANES || n > 10000000 || inputs > 4096 || v[3].n > 64 || v[4].n > MOST_FALLS || v[5].n > MOST_DEADS)
+        return refuse("walk: too few samples, or too many inputs, lags or dead times"), ended(call, NULL);
+    if (sized(&v[1], inputs * n, "inputs") || are_loads(&v[2]) ||
+        within(&v[3], 0, 1, "seconds: poles from 0 to 1") || within(&v[4], 0, 1, "falls: poles from 0 to 1") ||
+        within(&v[5], 0, 100000, "deads: 0 to 100000 samples") || sized(&v[6], 3, "numbers") ||
+        within(&v[6], 0, 1e300, "numbers: none below 0"))
+        return ended(call, NULL);
+    for (int i = 0; i < 3; i++)
+        if (view(from[7 + i], &v[7 + i], ANSWERS[i], 1) ||
+            sized(&v[7 + i], v[2].n / LOAD * rows * v[5].n, ANSWERS[i]))
+            return ended(call, NULL);
+    Walk w = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, n, inputs, v[2].n / LOAD, v[3].n, v[4].n, v[5].n,
+              v[6].x[0], v[6].x[1], v[6].x[2], v[7].x, v[8].x, v[9].x};
+    int failed;
+    Py_BEGIN_ALLOW_THREADS
+    failed = walk(&w);
+    Py_END_ALLOW_THREADS
+    return failed ? PyErr_NoMemory(), ended(call, NULL) : ended(call, Py_NewRef(Py_None));
+}
+
+/* mix(gain, information, left, half, gains, size, rows, out): see Mixture. */
+static PyObject *py_mix(PyObject *self, PyObject *args) {
+    (void)self;
+    static const char *const NAMES[] = {"gain", "information", "left", "half", "gains"};
+    PyObject *from[8];
+    Call *call = begun(args, from, 8);
+    if (!call)
+        return NULL;
+    View *v = call->views;
+    double size = PyFloat_AsDouble(from[5]);
+    Py_ssize_t rows = PyLong_AsSsize_t(from[6]);
+    if (PyErr_Occurred())
+        return ended(call, NULL);
+    for (int i = 0; i < 5; i++)
+        if (finite_view(from[i], &v[i], NAMES[i], 0))
+            return ended(call, NULL);
+    Py_ssize_t loads = v[3].n, deads = rows > 0 && loads ? v[0].n / loads / rows : 0, many = rows > 0 ? v[4].n / rows : 0;
+    if (loads < 1 || loads > MOST_MIXED || rows < 1 || deads < 1 || !(size > 0 && isfinite(size)))
+        return refuse("mix: loads, rows or size are outside their range"), ended(call, NULL);
+    for (int i = 0; i < 3; i++)
+        if (v[0].n / loads / rows != deads || sized(&v[i], loads * rows * deads, NAMES[i]))
+            return ended(call, NULL);
+    if (sized(&v[4], rows * many, "gains") || view(from[7], &v[5], "out", 1) || sized(&v[5], rows * deads * many, "out"))
+        return ended(call, NULL);
+    Mixture m = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, loads, rows, deads, many, size, v[5].x};
+    Py_BEGIN_ALLOW_THREADS
+    mix(&m);
+    Py_END_ALLOW_THREADS
+    return ended(call, Py_NewRef(Py_None));
+}
+
 static PyMethodDef METHODS[] = {
     {"refine", py_refine, METH_VARARGS, NULL},     {"costs", py_costs, METH_VARARGS, NULL},
     {"project", py_project, METH_VARARGS, NULL},   {"jacobian", py_jacobian, METH_VARARGS, NULL},
     {"gains", py_gains, METH_VARARGS, NULL},       {"colour", py_colour, METH_VARARGS, NULL},
     {"search", py_search, METH_VARARGS, NULL},     {"position", py_position, METH_VARARGS, NULL},
     {"scan", py_scan, METH_VARARGS, NULL},         {"valve_costs", py_valve_costs, METH_VARARGS, NULL},
-    {"screen", py_screen, METH_VARARGS, NULL},
+    {"screen", py_screen, METH_VARARGS, NULL},     {"walk", py_walk, METH_VARARGS, NULL},
+    {"mix", py_mix, METH_VARARGS, NULL},
     {NULL, NULL, 0, NULL},
 };
 

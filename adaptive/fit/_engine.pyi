@@ -90,3 +90,27 @@ def screen(
     out: Numbers,
     /,
 ) -> None: ...
+def walk(
+    pv: Numbers,
+    inputs: Numbers,
+    loads: Numbers,
+    seconds: Numbers,
+    falls: Numbers,
+    deads: Numbers,
+    numbers: Numbers,
+    gain: Numbers,
+    information: Numbers,
+    left: Numbers,
+    /,
+) -> None: ...
+def mix(
+    gain: Numbers,
+    information: Numbers,
+    left: Numbers,
+    half: Numbers,
+    gains: Numbers,
+    size: float,
+    rows: int,
+    out: Numbers,
+    /,
+) -> None: ...

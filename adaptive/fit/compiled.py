@@ -180,3 +180,36 @@ def screened(record: Window, by: tuple[float, float, float, int], numbers: int) 
     t_s, sp, pv, co = (np.ascontiguousarray(x) for x in (record.t_s, record.sp, record.pv, record.co))
     _engine.screen(t_s, sp, pv, co, *by, out)
     return out
+
+
+Walk = tuple[tuple[float, ...], tuple[float, ...]]
+"""Of a load that wanders: the roots of A, and the coefficients of C, the newest first."""
+
+
+def walks(
+    pv: FloatArray, inputs: FloatArray, lag: float, loads: Sequence[Walk], seconds: Sequence[float],
+    falls: Sequence[float], dead_times: Sequence[float], noise: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """gain, information and left of UnderLoads. seconds, falls : poles. noise : variance of what pv cannot show."""
+    pole = 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
+    packed_loads = np.zeros((len(loads), 7))
+    for row, (roots, c) in zip(packed_loads, loads, strict=True):
+        row[0], row[1 : 1 + len(roots)], row[4 : 3 + len(c)] = len(roots), roots, c[1:]
+    shape = (len(loads), len(seconds) * len(inputs), len(dead_times))
+    gain, information, left = (np.empty(shape) for _ in range(3))
+    rise = 1.0 if math.isinf(lag) else 1.0 - pole
+    _engine.walk(
+        np.ascontiguousarray(pv), np.ascontiguousarray(inputs), packed_loads, np.array(seconds), np.array(falls),
+        np.array(dead_times), np.array((pole, rise, noise)), gain, information, left,
+    )  # fmt: skip
+    return gain, information, left
+
+
+def walks_mixed(
+    fits: tuple[FloatArray, FloatArray, FloatArray], half: FloatArray, gains: FloatArray, size: float
+) -> FloatArray:
+    """UnderLoads.mixed. fits : gain, information and left. half : exponents of the loads. gains : (inputs, gains)."""
+    _, rows, deads = fits[0].shape
+    out = np.empty((rows, deads, gains.shape[1]))
+    _engine.mix(*fits, half, np.ascontiguousarray(gains), size, rows, out)
+    return out

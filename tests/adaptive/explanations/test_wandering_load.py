@@ -8,18 +8,22 @@ from drawn_loop import PRIOR, loop_record
 
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, robustness, shapes
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, class_of, tuning_odds
+from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (
+    LOADS,
     LoadModel,
     Prepared,
-    Signals,
+    UnderLoads,
     impulse_response,
     load_model,
     log_likelihood,
     responses,
-    whitened,
+    under_loads,
 )
+from retuner.adaptive.fit import engine
 from retuner.adaptive.loop.margins import gain_margin, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 
 
@@ -69,7 +73,7 @@ def test_least_squares_under_a_load_are_those_of_the_whole_covariance() -> None:
     pv = 2.0 * x + responses(load, lag)[0] + noise
     model = load_model(lag, 0.1, 1)
     record = Prepared(pv - pv[0], u - u[0], 0.0, 1.0)
-    fit = whitened(Signals.of(record, responses(record.co, lag), lag), model, (0.0,))
+    fit = under_loads(record, record.co[None], lag, [(0.1, 1)], (0.0,))
     # in full: A z = w makes z's covariance from w's; its unknown start is a column for each root of A
     r = abs(np.polyval(model.a[::-1], np.exp(-0.1j))) ** 2
     drive = np.array([np.concatenate([np.zeros(i), impulse_response((1.0,), model.a, n - i)]) for i in range(n)]).T
@@ -77,8 +81,8 @@ def test_least_squares_under_a_load_are_those_of_the_whole_covariance() -> None:
     pole = math.exp(-1 / lag)
     columns = np.column_stack([responses(record.co, lag)[0], np.ones(n), pole ** np.arange(n)])
     full = np.linalg.solve(columns.T @ inverse @ columns, columns.T @ inverse @ record.pv)[0]
-    assert fit.gain[0, 0] == pytest.approx(full, rel=0.02)
-    assert fit.gain[0, 0] == pytest.approx(2.0, abs=0.5)
+    assert fit.gain[0, 0, 0] == pytest.approx(full, rel=0.02)
+    assert fit.gain[0, 0, 0] == pytest.approx(2.0, abs=0.5)
 
 
 @pytest.mark.parametrize(
@@ -125,4 +129,62 @@ def test_every_process_has_one_class_and_an_unstable_one_is_too_tight() -> None:
 
 
 def test_a_load_without_noise_is_differenced_only() -> None:
-    assert load_model(math.inf, math.inf, 1) == LoadModel((1.0, -2.0, 1.0), (1.0, 0.0, 0.0))
+    assert load_model(math.inf, math.inf, 1) == LoadModel((1.0, 1.0), (1.0, 0.0, 0.0))
+
+
+def both_engines(record: Prepared, inputs: FloatArray, lag: float, dead_times: tuple[float, ...]) -> list[UnderLoads]:
+    found = []
+    for name in ("c", "numpy"):
+        with engine.using(name):
+            found.append(under_loads(record, inputs, lag, LOADS, dead_times))
+    return found
+
+
+def drawn_record(seed: int) -> Prepared:
+    """Any length; a load that wanders, noise, co in steps and with noise, coarse or not."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(60, 1025))
+    co = np.cumsum(rng.standard_normal(n) * (rng.random(n) < rng.choice([0.02, 0.3]))) + 0.05 * rng.standard_normal(n)
+    pv = responses(co, float(rng.choice([2.0, 20.0, 200.0])))[0] + 0.1 * np.cumsum(rng.standard_normal(n))
+    pv += rng.choice([0.01, 0.3]) * rng.standard_normal(n)
+    if rng.random() < 0.3:
+        co, pv = np.round(co, 1), np.round(pv, 1)
+    return Prepared(pv - pv[0], co - co[0], float(rng.choice([1e-3, 0.1])), 1.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    ("lag", "close"), [(0.5, 1e-9), (3.0, 1e-9), (22.0, 1e-9), (250.0, 1e-7), (math.inf, 1e-8)], ids=str
+)
+def test_the_compiled_least_squares_are_those_of_numpy(seed: int, lag: float, close: float) -> None:
+    """close : what numpy's transforms leave of a digit where the starts of long second lags look alike."""
+    pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
+    record = drawn_record(seed)
+    inputs = np.array([record.co, np.roll(record.co, 3) - record.co[-3]]) if seed % 2 else record.co[None]
+    c, numpy = both_engines(record, inputs, lag, DEAD_TIMES)
+    for name in ("gain", "information", "left"):
+        one, other = getattr(c, name), getattr(numpy, name)
+        largest = np.max(np.abs(other), axis=(1, 2), keepdims=True)
+        assert np.max(np.abs(one - other) / largest) < close, name
+    assert np.array_equal(c.freedom, numpy.freedom)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_compiled_likelihood_is_that_of_numpy(seed: int) -> None:
+    pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
+    record, found = drawn_record(seed + 10), []
+    for name in ("c", "numpy"):
+        with engine.using(name):
+            found.append((log_likelihood(record, 1, 0.7), log_odds_of_valve(record, 1)))
+    assert found[0][0] == pytest.approx(found[1][0], abs=1e-8)
+    assert found[0][1] == pytest.approx(found[1][1], abs=1e-8)
+
+
+def test_a_record_whose_process_does_nothing_is_answered_by_both_engines() -> None:
+    """co that never moves says nothing of a gain: no information, and the same likelihood for every gain."""
+    record = Prepared(np.sin(np.arange(100.0)), np.zeros(100), 0.01, 1.0)
+    for name in ("c", "numpy"):
+        with engine.using(name):
+            found = log_likelihood(record, 1, 1.0)
+        assert np.all(np.isfinite(found))
+        assert np.ptp(found, axis=2) == pytest.approx(0.0, abs=1e-12)
