@@ -5,7 +5,8 @@
     derivative  s or min (rpm too: the two go together on such controllers)
 
 A name joins them: "kc-s", "gain-min", "pb-rpm", and "-ideal" or "-series" after it where the form is known.
-"parallel" is kp, ki and kd. Conversion is vendor_units.py's, which knows the same numbers as a device keeps them.
+"parallel" is kp, ki and kd. A vendor's controller has a name of its own, "deltav-standard" (dials.py). Conversion is
+vendor_units.py's, which knows the same numbers as a device keeps them.
 
 Action as the trade says it (ISA-51.1): a reverse-acting controller lowers its output when pv rises, as heating needs
 it, and has a positive kc here; a direct-acting one raises it, as cooling needs it, and has a negative kc. On most
@@ -17,9 +18,10 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
+from retuner.schedule.dials import CONTROLLERS, GAINS, NO_DERIVATIVE, PARALLEL, TIMES, Dial, told_of_spans
 from retuner.schedule.forms import Form
 from retuner.schedule.gains import PidGains
-from retuner.schedule.vendor_units import SECONDS_PER_MINUTE, Quantity, VendorGain, VendorUnits
+from retuner.schedule.vendor_units import Quantity, VendorGain, VendorUnits
 
 
 class Acting(StrEnum):
@@ -39,50 +41,10 @@ class Acting(StrEnum):
         return cls.REVERSE if gains.direction > 0 else cls.DIRECT
 
 
-class Dial(NamedTuple):
-    """One number of a controller.
-
-    key : of the configuration. quantity : what it is, see vendor_units.py. label, unit : as it is written, label first.
-    scale : ours for one of the controller's. of_span : in percent of the spans of pv and output.
-    """
-
-    key: str
-    quantity: Quantity
-    label: str
-    unit: str = ""
-    scale: float = 1.0
-    of_span: bool = False
-
-    def written(self, number: float, digits: int = 3) -> str:
-        """The number with its label and unit."""
-        return f"{self.label} {number:.{digits}g}{self.unit}".strip()
-
-
-GAINS = {
-    "kc": Dial("kc", Quantity.KP, "Kc"),
-    "gain": Dial("gain", Quantity.KP, "gain", " %/%", of_span=True),
-    "pb": Dial("pb_pct", Quantity.XP, "PB", " %", of_span=True),
-}
-"""What the proportional action is dialled as, by the first part of a name."""
-TIMES = {
-    "s": (Dial("tau_i_s", Quantity.TN, "tau_I", " s"), Dial("tau_d_s", Quantity.TV, "tau_D", " s")),
-    "min": (
-        Dial("tau_i_min", Quantity.TN, "tau_I", " min", SECONDS_PER_MINUTE),
-        Dial("tau_d_min", Quantity.TV, "tau_D", " min", SECONDS_PER_MINUTE),
-    ),
-    "rpm": (
-        Dial("repeats_per_min", Quantity.REPEATS, "reset", " repeats/min"),
-        Dial("tau_d_min", Quantity.TV, "tau_D", " min", SECONDS_PER_MINUTE),
-    ),
-}
-"""What integral and derivative action are dialled as, by the second part of a name."""
-PARALLEL = (Dial("kp", Quantity.KP, "kp"), Dial("ki", Quantity.KI, "ki", "/s"), Dial("kd", Quantity.KD, "kd", " s"))
-KEYS = {dial.key: dial for dial in (*GAINS.values(), *(dial for pair in TIMES.values() for dial in pair))}
-"""The dials by their keys in the configuration."""
 DEFAULT = "kc-s"
 NAMES = (*(f"{gain}-{times}" for gain in GAINS for times in TIMES), "parallel")
-"""Every name without its form."""
-SIGNED = {Quantity.KP, Quantity.XP, Quantity.KI, Quantity.KD}
+"""Every name of units without its form."""
+SIGNED = {Quantity.KP, Quantity.XP, Quantity.KI, Quantity.KI_TIME, Quantity.KD}
 """Numbers that change their sign with the controller's action."""
 
 
@@ -102,7 +64,8 @@ class ControllerUnits:
     Parameters
     ----------
     dials : of gain, integral and derivative action. form : of the numbers. pv_span, co_span : what percent of span is
-        told of, pv and co units. action : None where the sign of the gain tells it.
+        told of, pv and co units. action : None where the sign of the gain tells it. controller : the vendor's, as in
+        dials.py; empty for units that are nobody's.
 
     Raises
     ------
@@ -115,6 +78,7 @@ class ControllerUnits:
     pv_span: float = 100.0
     co_span: float = 100.0
     action: Acting | None = None
+    controller: str = ""
 
     def __post_init__(self) -> None:
         for name, span in (("pv_span", self.pv_span), ("co_span", self.co_span)):
@@ -129,8 +93,9 @@ class ControllerUnits:
 
         Parameters
         ----------
-        name : see the head of this file. pv_span, co_span : as the class; pv_span may be left out where the name needs
-            none. action : "direct" or "reverse", None where the sign of the gain tells it.
+        name : see the head of this file; of controllers also in capitals or with "_". pv_span, co_span : as the class;
+            pv_span may be left out where the name needs none. action : "direct" or "reverse", None where the sign
+            of the gain tells it.
 
         Returns
         -------
@@ -149,31 +114,35 @@ class ControllerUnits:
         >>> units.text(PidGains(kp=1.0, ki=0.05))
         'PB 50 % reset 3 repeats/min'
         """
-        parts = name.split("-")
-        form = Form(parts.pop()) if parts[-1] in {"series", "ideal"} else Form.SERIES
-        if parts == ["parallel"]:
-            dials, form = PARALLEL, Form.PARALLEL
-        elif len(parts) == 2 and parts[0] in GAINS and parts[1] in TIMES:
-            dials = (GAINS[parts[0]], *TIMES[parts[1]])
+        vendor = name.lower().replace("_", "-")
+        if vendor in CONTROLLERS:
+            dials, form = CONTROLLERS[vendor]
         else:
-            raise ValueError(f"{name!r} is unknown; use {', '.join(NAMES)}, with -ideal behind it for that form")
-        if pv_span is None and dials[0].of_span:
+            vendor = ""
+            dials, form = _of_units(name)
+        if pv_span is None and told_of_spans(name):
             raise ValueError(f"{name} is told of spans: give pv_span")
         if action is not None and action not in tuple(Acting):
             raise ValueError(f"action = {action!r} is unknown; use {' or '.join(Acting)}")
-        return cls(
-            dials, form, 100.0 if pv_span is None else pv_span, co_span, None if action is None else Acting(action)
-        )
+        acting = None if action is None else Acting(action)
+        return cls(dials, form, 100.0 if pv_span is None else pv_span, co_span, acting, vendor)
+
+    @property
+    def apart(self) -> bool:
+        """Whether integral and derivative action have gains of their own: then there may be no proportional one."""
+        return self.dials[1].quantity in {Quantity.KI, Quantity.KI_TIME}
 
     @property
     def heads(self) -> str:
         """What `short` shows, for the head of a table: "PB in %, reset in repeats/min"."""
-        shown = self.dials if self.dials == PARALLEL else self.dials[:2]
+        shown = [dial for dial in self.dials if dial.label] if self.apart else self.dials[:2]
         return ", ".join(f"{dial.label} in{dial.unit}" if dial.unit else dial.label for dial in shown)
 
     @property
     def name(self) -> str:
-        """The name that makes these units, without their form."""
+        """The name that makes these units, without their form where they are no vendor's."""
+        if self.controller:
+            return self.controller
         if self.dials == PARALLEL:
             return "parallel"
         gain = next(key for key, dial in GAINS.items() if dial == self.dials[0])
@@ -201,7 +170,9 @@ class ControllerUnits:
                 raise ValueError(f"{dial.key} = {value} is not a finite number")
         if self.action is not None and gain < 0:
             raise ValueError(f"{self.dials[0].key} = {gain:g}: the action says the direction; give a positive number")
-        if integral is not None and integral <= 0 and self.dials[1].quantity is Quantity.TN:
+        if derivative and self.dials[2] == NO_DERIVATIVE:
+            raise ValueError(f"{self.controller} has no derivative action: leave {derivative:g} out")
+        if integral is not None and integral <= 0 and self.dials[1].quantity in {Quantity.TN, Quantity.KI_TIME}:
             raise ValueError(f"{self.dials[1].key} = {integral:g} must be positive; none at all is no integral action")
         named = {str(dial.quantity): value for dial, value in zip(self.dials, values, strict=True)}
         return self._vendor(self.form).of(named)
@@ -214,6 +185,8 @@ class ControllerUnits:
         ValueError
             There is no proportional action, which only "parallel" can say; or a number is beyond what numbers hold.
         """
+        if gains.kd and self.dials[2] == NO_DERIVATIVE:
+            raise ValueError(f"{self.controller} has no derivative action, and these gains have some; ask for kind pi")
         try:
             form, found = self.form, self._vendor(self.form).numbers(gains)
         except ValueError:
@@ -226,12 +199,16 @@ class ControllerUnits:
 
         acting : with the word for their action; one that the controller's switch contradicts is always told.
         """
-        if gains.kp == 0 and self.dials != PARALLEL:
+        if gains.kp == 0 and not self.apart:
             return f"Ki {gains.ki:.3g}/s (integral only)" if gains.ki else f"Kd {gains.kd:.3g} s (derivative only)"
         wanted = Acting.of(gains)
+        if gains.kd and self.dials[2] == NO_DERIVATIVE:
+            return (
+                f"{self.text(replace(gains, kd=0.0), digits, acting=acting)} and kd {gains.kd:.3g} s, which it has not"
+            )
         shown = (self if self.action is None else replace(self, action=wanted)).numbers(gains)
         text = " ".join(self.parts(shown, digits))
-        if shown.derivative and self.dials != PARALLEL:
+        if shown.derivative and not self.apart and (shown.form != self.form or not self.controller):
             text += f" ({shown.form})"
         if self.action not in {None, wanted}:
             return f"{text}, {wanted} acting (the controller is set to {self.action})"
@@ -246,16 +223,16 @@ class ControllerUnits:
 
     def short(self, gains: PidGains) -> str:
         """The numbers alone, for a narrow table."""
-        if gains.kp == 0 and self.dials != PARALLEL:
+        if (gains.kp == 0 and not self.apart) or (gains.kd and self.dials[2] == NO_DERIVATIVE):
             return self.text(gains)
         shown = self.numbers(gains)
         values = [shown.gain, *([] if shown.integral is None else [shown.integral])]
         text = ", ".join(f"{value:.3g}" for value in [*values, *([shown.derivative] if shown.derivative else [])])
-        return f"{text} ({shown.form})" if shown.derivative and self.dials != PARALLEL else text
+        return f"{text} ({shown.form})" if shown.derivative and not self.apart else text
 
     def of_region(self, dials: tuple[Dial, Dial, Dial], form: Form) -> "ControllerUnits":
         """The same controller with other numbers on it."""
-        return replace(self, dials=dials, form=form)
+        return replace(self, dials=dials, form=form, controller="")
 
     def _vendor(self, form: Form) -> VendorUnits:
         """The conversion."""
@@ -263,7 +240,27 @@ class ControllerUnits:
         gains = []
         for dial in self.dials:
             scale = dial.scale * (sign if dial.quantity in SIGNED else 1)
-            if dial.of_span and dial.quantity is Quantity.KP:
-                scale *= self.co_span / self.pv_span
-            gains.append(VendorGain(dial.quantity, scale, off=0.0 if dial.quantity is Quantity.TN else None))
+            if dial.of_span and dial.quantity is not Quantity.XP:
+                ratio = self.co_span / self.pv_span
+                scale *= 1.0 / ratio if dial.quantity is Quantity.KI_TIME else ratio
+            time = dial.quantity in {Quantity.TN, Quantity.KI_TIME}
+            gains.append(VendorGain(dial.quantity, scale, off=0.0 if time else None))
         return VendorUnits(tuple(gains), self.pv_span, self.co_span, series=form is Form.SERIES)
+
+
+def _of_units(name: str) -> tuple[tuple[Dial, Dial, Dial], Form]:
+    """Dials and form of a name that is no vendor's.
+
+    Raises
+    ------
+    ValueError
+        There is no such name.
+    """
+    parts = name.split("-")
+    form = Form(parts.pop()) if parts[-1] in {"series", "ideal"} else Form.SERIES
+    if parts == ["parallel"]:
+        return PARALLEL, Form.PARALLEL
+    if len(parts) == 2 and parts[0] in GAINS and parts[1] in TIMES:
+        return (GAINS[parts[0]], *TIMES[parts[1]]), form
+    named = f"{', '.join(NAMES)}, with -ideal behind it for that form, or a controller: {', '.join(CONTROLLERS)}"
+    raise ValueError(f"{name!r} is unknown; use {named}")

@@ -2,6 +2,7 @@
 
     kp, ki, kd    parallel gains, in the controller's own units of output and process value
     xp            proportional band, percent of the pv span for the whole output range:  kc = 100 co_span/(xp pv_span)
+    1/ki          seconds in which the integral term of parallel gains makes an error of 1 an output of 1
     tn, tv        integral and derivative time;  repeats: repeats per minute, 60/tau_I
     own number = ours / scale, then rounded to what the controller can hold
 
@@ -34,6 +35,7 @@ class Quantity(StrEnum):
     KP = "kp"
     XP = "xp"
     KI = "ki"
+    KI_TIME = "1/ki"
     TN = "tn"
     REPEATS = "repeats"
     KD = "kd"
@@ -43,6 +45,7 @@ class Quantity(StrEnum):
 PROPORTIONAL = (Quantity.KP, Quantity.XP)
 INTEGRAL = (Quantity.KI, Quantity.TN, Quantity.REPEATS)
 DERIVATIVE = (Quantity.KD, Quantity.TV)
+"""Numbers of devices; KI_TIME is of people's screens alone."""
 ACTIONS = {"proportional": PROPORTIONAL, "integral": INTEGRAL, "derivative": DERIVATIVE}
 
 
@@ -154,7 +157,7 @@ class VendorUnits:
                 raise ValueError(f"{' and '.join(found)} are both {action} action; give one of them")
             if not found and action == "proportional":
                 raise ValueError("there is no proportional gain; give kp or xp")
-        if self.series and {Quantity.KI, Quantity.KD} & {gain.quantity for gain in self.gains}:
+        if self.series and {Quantity.KI, Quantity.KI_TIME, Quantity.KD} & {gain.quantity for gain in self.gains}:
             raise ValueError("ki and kd are of the parallel form; with form = series give tn or repeats, and tv")
 
     @property
@@ -211,6 +214,8 @@ class VendorUnits:
                     tau_i = None if value == 0 else SECONDS_PER_MINUTE / value
                 case Quantity.TV:
                     tau_d = 0.0 if off else value
+                case Quantity.KI_TIME:
+                    parallel[Quantity.KI] = 0.0 if off else 1.0 / value
                 case Quantity.KI | Quantity.KD:
                     parallel[gain.quantity] = value
         form = SeriesGains if self.series else IdealGains
@@ -246,7 +251,10 @@ class VendorUnits:
     def _require_actions(self, gains: PidGains) -> None:
         """Refuse an action that the controller has no number for."""
         has = {gain.quantity for gain in self.gains}
-        for value, name, quantities in ((gains.ki, "integral", INTEGRAL), (gains.kd, "derivative", DERIVATIVE)):
+        for value, name, quantities in (
+            (gains.ki, "integral", (*INTEGRAL, Quantity.KI_TIME)),
+            (gains.kd, "derivative", DERIVATIVE),
+        ):
             if value and not has.intersection(quantities):
                 raise ValueError(f"the controller has no number for {name} action, and this set has some")
 
@@ -276,6 +284,8 @@ def _wanted(
             return gains.kp if shown is None else shown.kc
         case Quantity.KI:
             return gains.ki
+        case Quantity.KI_TIME:
+            return 1.0 / gains.ki if gains.ki else None
         case Quantity.KD:
             return gains.kd
     assert shown is not None

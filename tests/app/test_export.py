@@ -216,6 +216,20 @@ def test_the_csv_has_a_line_a_region_that_reads_back() -> None:
         assert tuple(map(float, line.split(",")[4:7])) == (gains.kp, gains.ki, gains.kd)
 
 
+def test_gains_are_shown_as_a_controller_has_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gains = tmp_path / "gains.toml"
+    gains.write_text(to_toml(GainTable("x", Regions.along(("all",), ONE), (PidGains(2.0, 0.1, 12.0),))))
+    named = ["--controller", "rockwell-pide", "--pv-span", "200"]
+    assert main(["export", str(gains), *named]) == 0
+    assert capsys.readouterr().out == "all: PGain 4 IGain 12/min DGain 0.4 min\n"
+    assert main(["export", str(gains), "--format", "csv", "--out", "-", *named]) == 0
+    head, line = capsys.readouterr().out.splitlines()
+    assert head.endswith("kp,ki,kd,PGain,IGain [/min],DGain [min]")
+    assert [float(cell) for cell in line.split(",")[-3:]] == pytest.approx([4.0, 12.0, 0.4])
+    assert main(["export", str(gains), "--format", "csv", "--controller", "deltav-series", "--pv-span", "1"]) == 2
+    assert "no series form, which the controller needs" in capsys.readouterr().err
+
+
 CONFIG = """# my loop
 schema = 1
 [loop]
@@ -316,6 +330,7 @@ WRONG = [
     (["--format", "pdf"], "--format pdf: there is c, st, dbc, csv"),
     (["--into", "nowhere.toml"], "nowhere.toml: no such file"),
     (["--format", "c", "--out", "no/such/folder/x.h"], "cannot be written"),
+    (["--format", "c", "--controller", "px4"], "--format c carries kp, ki and kd"),
 ]
 
 

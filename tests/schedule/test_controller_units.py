@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.schedule.controller_units import NAMES, Acting, ControllerUnits
+from retuner.schedule.dials import CONTROLLERS
 from retuner.schedule.forms import Form, SeriesGains
 from retuner.schedule.gains import PidGains
 
@@ -130,3 +131,77 @@ def test_what_are_no_units_is_refused(arguments: tuple[object, ...], said: str) 
 def test_what_makes_no_controller_is_refused(numbers: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r"nothing|positive|negative|tau"):
         ControllerUnits.named("kc-min").gains(*numbers)
+
+
+SET = PidGains(2.0, 0.1, 10.0)  # ideal: Kc 2, tau_I 20 s, tau_D 5 s
+LED = SeriesGains(2.0, 40.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [  # pv over 200 units, output over 100 %: a gain of 2 %/unit is 4 of the scaled signals, a band of 25 %
+        ("deltav-standard", (4.0, 20.0, 5.0)),
+        ("honeywell-a", (4.0, 20.0 / 60, 5.0 / 60)),
+        ("siemens-cont-c", (2.0, 20.0, 5.0)),
+        ("siemens-pid-compact", (2.0, 20.0, 5.0)),
+        ("yokogawa", (25.0, 20.0, 5.0)),
+        ("rockwell-pide", (4.0, 0.2 * 60, 20.0 / 60)),
+        ("rockwell-pide-dependent", (4.0, 20.0 / 60, 5.0 / 60)),
+        ("abb-800xa", (4.0, 20.0, 5.0)),
+        ("abb-fc19", (2.0, 3.0, 5.0 / 60)),
+        ("ovation", (4.0, 5.0, 20.0)),
+        ("ardupilot", (2.0, 0.1, 10.0)),
+        ("px4", (2.0, 0.1, 10.0)),
+    ],
+)
+def test_what_stands_on_a_vendors_controller(name: str, numbers: tuple[float, float, float]) -> None:
+    shown = ControllerUnits.named(name, pv_span=200.0).numbers(SET)
+    assert shown[:3] == pytest.approx(numbers)
+    assert shown.form == CONTROLLERS[name].form
+
+
+@pytest.mark.parametrize(
+    ("form", "gain", "reset", "rate"), [("series", 4.0, 40.0, 5.0), ("standard", 4.5, 45.0, 40 / 9)]
+)
+def test_deltav_has_two_forms(form: str, gain: float, reset: float, rate: float) -> None:
+    """Kc (1 + Td/Ti), Ti + Td, Ti Td/(Ti + Td): the ideal form of a series controller."""
+    shown = ControllerUnits.named(f"DeltaV_{form}", pv_span=200.0).numbers(LED.to_parallel())
+    assert shown[:3] == pytest.approx((gain, reset, rate))
+
+
+@given(
+    name=st.sampled_from([name for name in CONTROLLERS if name != "odrive"]),
+    sets=st.tuples(ORDINARY, ORDINARY, st.floats(0.0, 0.9)),
+    spans=st.tuples(SPANS, SPANS),
+    sign=st.sampled_from([-1, 1]),
+    acting=st.booleans(),
+)
+def test_there_and_back_on_every_vendors_controller(
+    name: str, sets: tuple[float, float, float], spans: tuple[float, float], sign: int, acting: bool
+) -> None:
+    kc, tau_i, share = sets
+    gains = SeriesGains(sign * kc, tau_i, share * tau_i).to_parallel()
+    units = ControllerUnits.named(name, *spans, action=Acting.of(gains) if acting else None)
+    back = units.gains(*units.numbers(gains)[:3])
+    for one, two in zip((gains.kp, gains.ki, gains.kd), (back.kp, back.ki, back.kd), strict=True):
+        assert one == pytest.approx(two, rel=1e-9)
+    assert units.name == name
+    still = units.numbers(PidGains(gains.kp, 0.0))
+    assert still.integral is None
+    alone = units.gains(still.gain)
+    assert (alone.kp, alone.ki) == (pytest.approx(gains.kp), 0.0)
+
+
+def test_a_controller_without_derivative_action_refuses_one() -> None:
+    odrive = ControllerUnits.named("odrive")
+    assert odrive.text(PidGains(0.2, 0.4)) == "vel_gain 0.2 vel_integrator_gain 0.4/s"
+    assert odrive.text(PidGains(0.2, 0.4, 0.1)).endswith("and kd 0.1 s, which it has not")
+    with pytest.raises(ValueError, match="no derivative action"):
+        odrive.numbers(PidGains(0.2, 0.4, 0.1))
+    with pytest.raises(ValueError, match="no derivative action"):
+        odrive.gains(0.2, 0.4, 0.1)
+
+
+def test_a_name_that_is_none_shows_the_list() -> None:
+    with pytest.raises(ValueError, match="deltav-standard, deltav-series, honeywell-a"):
+        ControllerUnits.named("siemens")

@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
+from retuner.commands.options import ActionOption, Controller, PvSpan, controller_units
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.gain_export.c_header import c_header
 from retuner.gain_export.numbers import identifier, numbers_of
 from retuner.gain_export.structured_text import structured_text
 from retuner.gain_export.tables import csv_table, dbc_table
+from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
 
@@ -37,18 +39,26 @@ def export(
         Path | None, typer.Option(help="File to write; - for the screen. Default: beside the table.")
     ] = None,
     into: Annotated[Path | None, typer.Option(help="Configuration that gets the gains; its comments stay.")] = None,
+    controller: Controller = None,
+    action: ActionOption = None,
+    pv_span: PvSpan = None,
 ) -> int:
-    """Write a gain table for firmware, a PLC or a CAN tool, or back into its configuration."""
-    if not form and into is None:
-        raise UserError(f"--format: give one of {', '.join(FORMATS)}, or --into and a configuration")
+    """Write a gain table for firmware, a PLC or a CAN tool, or back into its configuration; --controller shows it."""
+    units = controller_units(controller, pv_span, action)
+    if not form and into is None and units is None:
+        raise UserError(f"--format: give one of {', '.join(FORMATS)}, or --into and a configuration, or --controller")
     if form and form not in FORMATS:
         raise UserError(f"--format {form}: there is {', '.join(FORMATS)}")
+    if form and form != "csv" and units is not None:
+        raise UserError(f"--controller: --format {form} carries kp, ki and kd; only csv has a controller's own numbers")
     if form and into is not None and out is not None and out.resolve() == into.resolve():
         raise UserError("--out and --into name one file; give two")
     file = _table_of(path) if path.is_dir() else path
     table = _read(file)
     if form:
-        _write(table, file, form, out)
+        _write(table, file, form, out, units)
+    elif units is not None:
+        sys.stdout.write("".join(f"{name}: {units.text(table.gains_of(name))}\n" for name in table.regions.names))
     if into is not None:
         from retuner.gain_export.into_config import into_config
 
@@ -79,11 +89,11 @@ def _read(path: Path) -> GainTable:
         return from_toml(raw.decode("utf-8"))
 
 
-def _write(table: GainTable, source: Path, form: str, out: Path | None) -> None:
-    """The table in a format."""
+def _write(table: GainTable, source: Path, form: str, out: Path | None, units: ControllerUnits | None) -> None:
+    """The table in a format. units : of the controller whose numbers csv has."""
     suffix, writer = FORMATS[form]
     with user_input(str(source)):
-        text = writer(table, source.name)
+        text = writer(table, source.name) if units is None else csv_table(table, units)
     if out == Path("-"):
         sys.stdout.write(text)
         return

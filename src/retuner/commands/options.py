@@ -27,8 +27,9 @@ Note = Annotated[str, typer.Option(help="Why, for the ledger.")]
 Controller = Annotated[
     str | None,
     typer.Option(
-        metavar="UNITS",
-        help="Units of gains, given and shown: kc-s, gain-min, pb-rpm and so on; -ideal behind for that form.",
+        metavar="NAME",
+        help="Whose gains are given and shown: deltav-standard, yokogawa, px4 ... (a wrong name shows the list), or "
+        "units: kc-s, gain-min, pb-rpm.",
     ),
 ]
 ActionOption = Annotated[
@@ -137,15 +138,16 @@ def controller_units(
         There are no such units, they need a span that is not given, or co is not in percent of its own.
     """
     from retuner.schedule.controller_units import ControllerUnits
+    from retuner.schedule.dials import told_of_spans
 
-    if name is not None and pv_span is None and name.split("-")[0] in {"gain", "pb"}:
+    if name is not None and pv_span is None and told_of_spans(name):
         raise UserError(f"--controller {name} is told of the span of pv: give --pv-span")
     recorded = next((told for limits, told in NOT_PERCENT.items() if limits == co_limits), None)
-    if name is not None and recorded and name.split("-")[0] in {"gain", "pb"}:
+    if name is not None and recorded and told_of_spans(name):
         raise UserError(f"--controller {name} counts co in percent: give --scale co={recorded}:0..100, and limits so")
     if name is None:
         if action is not None:
-            raise UserError("--action needs --controller: say how the gains are given, as in --controller pb-rpm")
+            raise UserError("--action needs --controller: say whose gains are given, as in --controller pb-rpm")
         return None
     with user_input(CONTROLLER):
         return ControllerUnits.named(name, pv_span, action=action)

@@ -10,7 +10,8 @@ from pydantic import Field
 from retuner.config.setting import Many, Problem, Section, setting
 from retuner.config.toml_lines import Path
 from retuner.schedule.axis import CAN, Axis
-from retuner.schedule.controller_units import KEYS, Acting, ControllerUnits, Dial
+from retuner.schedule.controller_units import Acting, ControllerUnits
+from retuner.schedule.dials import KEYS, Dial
 from retuner.schedule.forms import Form
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

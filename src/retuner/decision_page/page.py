@@ -24,7 +24,8 @@ from retuner.decision_page.robustness_drawing import new_name, old_name, robustn
 from retuner.decision_page.row_values import finite, gains_of, number, numbers, part, parts, words
 from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import DONE, footing, headline, margin_rows, ms_limit, parameters, structure
-from retuner.schedule.controller_units import PARALLEL, ControllerUnits
+from retuner.schedule.controller_units import ControllerUnits
+from retuner.schedule.dials import PARALLEL
 from retuner.schedule.gains import PidGains
 
 COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
@@ -200,7 +201,9 @@ def _proposal(view: DecisionView) -> str:
 def _settings_rows(sets: Sequence[PidGains], units: ControllerUnits) -> Iterator[tuple[str, ...]]:
     """Settings as they stand on the controller, and in parallel form as they are sent; what nobody has is left out."""
     for i, dial in enumerate(units.dials):
-        form = f" ({units.form})" if i == 0 and units.dials != PARALLEL else ""
+        if not dial.label:
+            continue
+        form = f" ({units.form})" if i == 0 and not units.apart else ""
         cells = [_cell(_dialled(gains, units)[i], dial.unit) for gains in sets]
         yield f"{dial.label}{form}", *cells
     if units.dials != PARALLEL:

@@ -3,32 +3,55 @@
 from array import array
 
 from retuner.gain_export.numbers import comment, identifier
+from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.forms import in_form
+from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GAIN_NAMES, GainTable
 
 FIRST_ID = 0x100
 MOST_REGIONS = 256
 
 
-def csv_table(table: GainTable) -> str:
-    """A line a region: its place on each axis, the parallel gains, and the ideal form where there is one."""
+def csv_table(table: GainTable, units: ControllerUnits | None = None) -> str:
+    """A line a region: its place on each axis, the parallel gains, and the ideal form where there is one.
+
+    units : those of a controller, whose own numbers stand in place of the ideal form.
+
+    Raises
+    ------
+    ValueError
+        That controller cannot hold a set.
+    """
     axes = range(len(table.regions.axes))
     heads = [part for i in axes for part in (f"low{i + 1}", f"high{i + 1}", f"unit{i + 1}")]
-    lines = [",".join(["region", *heads, *GAIN_NAMES, "kc_ideal", "tau_i_s", "tau_d_s"])]
+    lines = [",".join(["region", *heads, *GAIN_NAMES, *_own_heads(units)])]
     for r, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
         place: list[str] = []
         for i in axes:
             low, high = table.regions.span(r, i)
             place += [repr(low), repr(high), _cell(table.regions.axes[i].unit)]
         parallel = [repr(getattr(gains, gain)) for gain in GAIN_NAMES]
-        lines.append(",".join([_cell(name), *place, *parallel, *_ideal(table, r)]))
+        lines.append(",".join([_cell(name), *place, *parallel, *_own(table.gains[r], units)]))
     return "\n".join(lines) + "\n"
 
 
-def _ideal(table: GainTable, region: int) -> list[str]:
-    """The ideal form; empty cells for what does not exist."""
+def _own_heads(units: ControllerUnits | None) -> list[str]:
+    """Heads of a controller's own numbers: word and unit."""
+    if units is None:
+        return ["kc_ideal", "tau_i_s", "tau_d_s"]
+    return [f"{dial.label} [{dial.unit.strip()}]" if dial.unit else dial.label for dial in units.dials if dial.label]
+
+
+def _own(gains: PidGains, units: ControllerUnits | None) -> list[str]:
+    """A controller's own numbers, or the ideal form's; empty cells for what does not exist."""
+    if units is not None:
+        shown = units.numbers(gains)
+        if shown.form != units.form:
+            raise ValueError(f"these gains have no {units.form} form, which the controller needs")
+        pairs = zip(units.dials, shown[:3], strict=True)
+        return ["" if value is None else repr(value) for dial, value in pairs if dial.label]
     try:
-        form = in_form(table.gains[region], "ideal")
+        form = in_form(gains, "ideal")
     except ValueError:
         return ["", "", ""]
     return ["" if value is None else repr(value) for value in (form["kc"], form["tau_i"], form["tau_d"])]

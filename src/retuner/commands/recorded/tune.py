@@ -196,7 +196,7 @@ def dialled_in(result: TuneResult, units: ControllerUnits) -> dict[str, object]:
     """The settings in the units of a controller, by the keys of the configuration, and the form that they are of."""
     with user_input("--controller"):
         shown = units.numbers(result.gains)
-    numbers = {dial.key: value for dial, value in zip(units.dials, shown[:3], strict=True)}
+    numbers = {dial.key: value for dial, value in zip(units.dials, shown[:3], strict=True) if dial.label}
     return {"controller": units.name, "form": str(shown.form), **numbers}
 
 
