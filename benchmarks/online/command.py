@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from online import batch, changes, harm, injected, loads, own_fault, tours
+from online import batch, changes, harm, injected, loads, own_fault, real_loads, tours
 from online.runner import Row, collect, rows_of
 
 ALL = "all"
@@ -46,6 +46,11 @@ def _loads(options: argparse.Namespace, kind: str) -> list[loads.Task]:
     return loads.tasks(options.seed, kind, options.loops, **wanted)
 
 
+def _real(options: argparse.Namespace, kind: str) -> list[real_loads.Task]:
+    wanted = {key: getattr(options, key) for key in ("fold", "section", "alone", "verbose")}
+    return real_loads.tasks(options.seed, options.loops, options.data, kind, **wanted)
+
+
 def _tours(options: argparse.Namespace, kind: str) -> list[tours.Task]:
     wanted = {key: getattr(options, key) for key in ("places", "lookup", "opened", "verbose")}
     return tours.tasks(options.seed, kind, options.loops, options.start, **wanted)
@@ -73,6 +78,7 @@ PARTS = {
         lambda options, kind: own_fault.tasks(options.seed, kind, options.loops, verbose=options.verbose),
         20,
     ),
+    "real": Part(real_loads, "wrong and good gains under the loads of real loops", _real, 8),
 }
 
 
@@ -139,6 +145,10 @@ def _parser() -> argparse.ArgumentParser:
     of["harm"].add_argument("--hours", type=int, default=100, help="quiet hours")
     of["injected"].add_argument("--wander", choices=loads.WANDERING, default="", help="a load that goes on all along")
     of["loads"].add_argument("--nudge", type=float, default=0.0, help="percent of pv's range of a setpoint bump")
+    of["real"].add_argument("--data", required=True, metavar="FOLDER", help="records, as benchmarks/world has them")
+    of["real"].add_argument("--fold", type=int, choices=(0, 1), help="loads of every second tag only")
+    of["real"].add_argument("--alone", action="store_true", help="no setpoint step")
+    of["real"].add_argument("--section", type=int, default=1000, help="samples between two setpoint steps")
     of["tours"].add_argument("--start", choices=("middle", "quarter", "own"), default="quarter")
     of["tours"].add_argument("--places", type=int, default=tours.PLACES, help="of each tour")
     of["tours"].add_argument("--lookup", choices=("hard", "interpolated"), default="hard")
