@@ -8,7 +8,7 @@ from retuner.adaptive.process.model import LinearProcess
 
 
 class Plant(Protocol):
-    """A simulated process with its actuator and sensor. It starts at rest and knows its own true model."""
+    """A simulated process with its actuator and sensor. It starts at rest."""
 
     @property
     def pv(self) -> float:
@@ -45,6 +45,10 @@ class Plant(Protocol):
         """
         ...
 
+
+class KnownPlant(Plant, Protocol):
+    """A plant that knows its own true model."""
+
     def linearise(self, pv: float, load: float = 0.0) -> LinearProcess:
         """The true model for small moves about rest at this pv: k in pv units per percent, sensor included.
 
@@ -58,8 +62,8 @@ class MeasuresMore(Protocol):
     """A plant with a second measurement, which the device publishes beside pv."""
 
     @property
-    def aux(self) -> float:
-        """The reading of the last step, in its own unit, noise included."""
+    def aux(self) -> float | None:
+        """The reading of the last step, in its own unit, noise included; None while there is none."""
         ...
 
 

@@ -16,8 +16,8 @@ from retuner.adaptive.guard import GuardSettings
 from retuner.commands.init import starter
 from retuner.config import Config, load_config
 from retuner.config.adaptation import AdaptationConfig
-from retuner.config.bench import OvenPlantConfig
 from retuner.config.loading import LARGEST_FILE, ConfigFlaw, UnusableError, load_session, parse_config
+from retuner.config.plants import OvenPlantConfig
 from retuner.config.setting import Section
 from retuner.drivers.plants.oven_plant import OvenSettings
 from retuner.errors import ConfigError
@@ -144,7 +144,7 @@ def test_the_starter_is_accepted_and_its_comments_show_the_true_defaults() -> No
         ("k = 0.5", "k = 0", "device.plant.k", "would not move this plant"),
         ("k = 0.5", "k = 0.5\nleads_s = [1, 2, 3]", "device.plant.leads_s", "has 3 leads for 2 lags"),
         ("k = 0.5", "k = 0.5\nintegrators = 1.0", "device.plant.integrators", "must be a whole number"),
-        ("k = 0.5", "k = 0.5\npower_w = 3", "device.plant.power_w", "is not a known key; known here: kind, k, lags_s"),
+        ("k = 0.5", "k = 0.5\npower_w = 3", "device.plant.power_w", "is not a known key; known here: loads, kind, k"),
         ("lags_s = [10, 2]", "lags_s = [10, -2]", "device.plant.lags_s[2]", "= -2 must be at least 0"),
         ('kind = "linear"', 'kind = "oben"', "device.plant", "must have kind = one of 'oven', 'linear'"),
         ("at_s = 50.0", "at_s = 100.0", "scenario.steps[2].at_s", "after the end of the run"),
@@ -290,7 +290,9 @@ def test_defaults_of_the_guard_are_the_guards_own() -> None:
 
 def test_the_oven_section_knows_every_setting_of_the_plant() -> None:
     assert OvenPlantConfig(kind="oven").settings() == OvenSettings()
-    assert set(OvenPlantConfig.model_fields) - {"kind", "start_c"} == {field.name for field in fields(OvenSettings)}
+    assert set(OvenPlantConfig.model_fields) - {"kind", "start_c", "loads"} == {
+        field.name for field in fields(OvenSettings)
+    }
 
 
 def test_the_examples_are_accepted() -> None:

@@ -8,8 +8,8 @@ from effort import sized
 
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import load_config
+from retuner.config.bench_plants import known_plant
 from retuner.report.scores import region_scores, twin_steps
-from retuner.session.assembly import make_plant
 from retuner.session.running import Run, nothing
 
 MS_ANYWHERE = 1.85
@@ -28,7 +28,9 @@ def test_every_region_ends_robust_and_better_than_fixed_gains(seed: int) -> None
     fixed = Run(config, nothing, mode=Mode.OFF).simulated().loops[0]
     run, still = retuned.trend.columns(), fixed.trend.columns()
     table = config.gain_table()
-    scores = region_scores(table, retuned.table, retuned.commits, run, still, make_plant(config).linearise, 2.0)
+    plant = known_plant(config)
+    assert plant is not None
+    scores = region_scores(table, retuned.table, retuned.commits, run, still, plant.linearise, 2.0)
     assert len(scores) == 3
     for score in scores:
         assert score.changes >= 1

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import made_fmu
 import pytest
 
 from retuner.cli import main
@@ -25,6 +26,7 @@ def test_one_sample_at_a_time_cures_the_loop() -> None:
 
 def test_every_example_configuration_is_sound(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(EXAMPLES.parent)  # as the pages call them
+    made_fmu.heater(EXAMPLES.parent / "runs")  # as examples/heater.toml has it
     configurations = sorted(EXAMPLES.rglob("*.toml"))
     assert configurations
     assert [main(["check", str(path)]) for path in configurations] == [0] * len(configurations)

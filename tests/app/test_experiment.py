@@ -20,6 +20,7 @@ from retuner.cli import main
 from retuner.commands.work.experiment import ExperimentSignal, plan_for
 from retuner.commands.work.experiment_options import RelayOptions
 from retuner.config import load_config
+from retuner.config.bench_plants import known_plant
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
 from retuner.drivers.controller.device_process import DeviceOnBus, run_device
@@ -32,7 +33,7 @@ from retuner.experiment.runner import Bench, ExperimentRunner
 from retuner.experiment.settings_writer import SettingsWriter
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.gains import PidGains
-from retuner.session.assembly import link_settings, make_plant, virtual_device_settings
+from retuner.session.assembly import link_settings, virtual_device_settings
 from retuner.session.bench import live, simulated
 from retuner.session.running import nothing
 
@@ -337,7 +338,9 @@ def test_a_live_bus_is_experimented_with_and_restored(loop: Path, monkeypatch: p
     config = config.model_copy(update={"bus": config.bus.model_copy(update={"channel": "experiment-live"})})
     speed, stop, shared = 20.0, threading.Event(), SharedTime(2)
     shared.govern(monkeypatch)
-    machine = VirtualDevice(virtual_device_settings(config), make_plant(config))
+    plant = known_plant(config)
+    assert plant is not None
+    machine = VirtualDevice(virtual_device_settings(config), plant)
 
     def be_device() -> None:
         clock = MonotonicClock(speed)

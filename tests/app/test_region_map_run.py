@@ -12,6 +12,7 @@ import pytest
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.trial.phase import TrialEvent
+from retuner.config.bench_plants import known_plant
 from retuner.config.loading import parse_config
 from retuner.config.model import Config
 from retuner.drivers.bus.bus import CanLink
@@ -26,7 +27,6 @@ from retuner.schedule.pid import step
 from retuner.session.assembly import (
     device_settings,
     link_settings,
-    make_plant,
     make_retuner,
     schedule_inputs,
     virtual_device_settings,
@@ -84,7 +84,9 @@ class Bench:
 def bench(config: Config, channel: str, mode: Mode = Mode.OFF, log: Path | None = None) -> Iterator[Bench]:
     clock = SimulatedClock()
     settings = replace(link_settings(config), channel=channel)
-    device = VirtualDevice(virtual_device_settings(config), make_plant(config))
+    plant = known_plant(config)
+    assert plant is not None
+    device = VirtualDevice(virtual_device_settings(config), plant)
     rows: list[tuple[str, Mapping[str, object]]] = []
     with CanLink(settings, clock) as far, CanLink(settings, clock, log) as near:
         host = CanDevice(near, device_settings(config))

@@ -10,6 +10,7 @@ import can
 import pytest
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.config.bench_plants import known_plant
 from retuner.config.described import foreign_settings, make_access
 from retuner.config.loading import parse_config
 from retuner.drivers.bus.link_settings import LinkSettings
@@ -102,7 +103,9 @@ class Stage:
     def __init__(self, text: str = CIA404) -> None:
         config = parse_config(text)
         assert config.foreign_device is not None
-        self.node: Any = make_far_side(config)
+        plant = known_plant(config)
+        assert plant is not None
+        self.node: Any = make_far_side(config, plant)
         assert isinstance(self.node, VirtualCanOpenNode)
         self.wire = Wire(self.node)
         access = make_access(config, config.foreign_device)

@@ -10,6 +10,8 @@ from retuner.commands.options import ConfigFile, Json
 from retuner.errors import ConfigError
 
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
+    from collections.abc import Sequence
+
     from retuner.config.loading import ConfigFlaw
     from retuner.config.model import Config
     from retuner.schedule.axis import Axis
@@ -26,6 +28,7 @@ def check(path: ConfigFile, as_json: Json = False) -> int:
     from retuner.config.loading import (
         UnusableError,
         parse_session,
+        plants_here,
         read_text,
         usable_here,
     )
@@ -33,6 +36,7 @@ def check(path: ConfigFile, as_json: Json = False) -> int:
     try:
         text = read_text(path)
         session = usable_here(parse_session(text), text)
+        plants = plants_here(session, text)
     except UnusableError as unusable:
         if not as_json:
             raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None
@@ -44,7 +48,11 @@ def check(path: ConfigFile, as_json: Json = False) -> int:
         told = {"problems": [], "warnings": [one.text for one in warned]}
         _print_json({"ok": not wrong, "file": str(path), **told, **session.summary()})
     else:
-        lines = [line for config in session.loops for line in described(config, several=session.several)]
+        lines = [
+            line
+            for config, model in zip(session.loops, plants, strict=True)
+            for line in described(config, model, several=session.several)
+        ]
         lines += [output_line(session.loops[0]), *(f"warning     {one.text}" for one in warned)]
         sys.stdout.write(f"{path}: {'WRONG' if wrong else 'ok'}\n" + "".join(f"  {line}\n" for line in lines))
     return 1 if wrong else 0
@@ -55,8 +63,10 @@ def output_line(config: "Config") -> str:
     return f"output      {config.output.directory}, trend as {config.output.trend}"
 
 
-def described(config: "Config", *, several: bool) -> list[str]:
-    """What the configuration of a loop says, in lines for a person; several : it is one of several."""
+def described(config: "Config", model: "Sequence[str]", *, several: bool) -> list[str]:
+    """What the configuration of a loop says, in lines for a person; model : what its plant's model says of itself.
+    several : it is one of several.
+    """
     loop, bus = config.loop, config.bus
     lines = [
         f"loop        {loop.name}: pv {loop.pv_min:g} to {loop.pv_max:g} {loop.pv_unit}, "
@@ -71,6 +81,7 @@ def described(config: "Config", *, several: bool) -> list[str]:
         plant = config.device.plant
         behind = f"plant {plant.kind}, seed {config.device.seed}" if plant is not None else "a real one"
         lines.append(f"device      {config.device.kind}, {behind}")
+        lines += [f"            {line}" for line in model]
     if config.scenario is not None:
         lines.append(f"scenario    {config.scenario.duration_s:g} s, {len(config.scenario.steps)} steps")
     return [*lines, ""] if several else lines

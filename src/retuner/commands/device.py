@@ -8,7 +8,7 @@ import typer
 
 from retuner.commands.init import starter
 from retuner.commands.options import Channel, Interface, Loop, all_on_bus
-from retuner.errors import UserError
+from retuner.errors import UserError, one_line
 
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
     from retuner.config.session_config import SessionConfig
@@ -56,6 +56,12 @@ def _read(path: Path | None, profile: str) -> "SessionConfig":
     return load_session(path)[0] if path is not None else parse_session(starter(profile))
 
 
+def _say(text: str) -> None:
+    """A line on a plant that does something wrong."""
+    sys.stderr.write(f"{one_line(text)}\n")
+    sys.stderr.flush()
+
+
 def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
     """The controllers on their buses, until their time is over or somebody stops them."""
     from retuner.drivers.clock import MonotonicClock
@@ -64,7 +70,7 @@ def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
     from retuner.stopping import stoppable
 
     clock = MonotonicClock(speed)
-    with far_ends(session, speed, clock, fresh_epoch) as devices:
+    with far_ends(session, speed, clock, fresh_epoch, _say) as devices:
         for config in session.loops:
             bus = config.bus
             sys.stderr.write(

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from retuner.config.bench import PlantConfig
+from retuner.config.plants import PlantConfig
 from retuner.config.setting import CrossCheckError, Many, Problem, Section, setting
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf, Protection, SignalOf, States
 from retuner.drivers.profiles.ready import profile_names, profile_settings

@@ -3,7 +3,7 @@
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
@@ -226,6 +226,26 @@ def usable_here(session: SessionConfig, text: str) -> SessionConfig:
         With everything that is not.
     """
     return _with(session, text, signal_problems, device_problems, bus_problems)
+
+
+def plants_here(session: SessionConfig, text: str) -> list[Sequence[str]]:
+    """What the models behind the virtual devices say of themselves, a loop each, once they have been begun.
+
+    Raises
+    ------
+    UnusableError
+        One cannot be begun.
+    """
+    from retuner.config.bench_plants import Plants, UnusablePlantError  # noqa: PLC0415  the plants, which `run` has
+
+    with_plant = [i for i, one in enumerate(session.loops) if one.device is not None and one.device.plant is not None]
+    try:
+        with Plants([session.loops[i] for i in with_plant], lambda _: None) as plants:
+            told = dict(zip(with_plant, plants.described, strict=True))
+    except UnusablePlantError as error:
+        loop = with_plant[error.loop] if session.several else None
+        raise UnusableError([_placed(error.problem, toml_lines(text), loop)]) from None
+    return [told.get(i, ()) for i in range(len(session.loops))]
 
 
 def _with(session: SessionConfig, text: str, *looks: Callable[[Config], Iterable[Problem]]) -> SessionConfig:

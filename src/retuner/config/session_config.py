@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from retuner.config.bench import OutputConfig
 from retuner.config.model import Config
+from retuner.config.plants import ModelSection
 from retuner.config.setting import Problem
 from retuner.config.toml_lines import Path
 from retuner.errors import UserError
@@ -90,6 +91,10 @@ def _between(earlier: Config, later: Config) -> Iterator[Problem]:
     if (bus.interface == "virtual") != (other.interface == "virtual"):
         message = f'= "{bus.interface}" and "{other.interface}" above: simulated loops have a session of their own'
         yield Problem(("bus", "interface"), message)
+    (shared, model), (same, as_there) = _shared_plant(later), _shared_plant(earlier)
+    if shared and shared == same and model != as_there:
+        message = f'= "{shared}" is another model for "{earlier.loop.name}"; write it once, above all [[loop]]'
+        yield Problem(("device", "plant", "shared"), message)
     if (bus.interface, bus.channel) != (other.interface, other.channel):
         return
     if later.node == earlier.node:
@@ -98,6 +103,12 @@ def _between(earlier: Config, later: Config) -> Iterator[Problem]:
     if bus.hop_limit != other.hop_limit:
         message = f'= {bus.hop_limit}, and {other.hop_limit} for "{earlier.loop.name}" on the same bus; make them equal'
         yield Problem(("bus", "hop_limit"), message)
+
+
+def _shared_plant(config: Config) -> tuple[str, dict[str, object]]:
+    """Name and settings of the plant that a loop shares with others; no name for none."""
+    plant = config.device.plant if config.device else None
+    return (plant.shared, plant.of_the_model) if isinstance(plant, ModelSection) else ("", {})
 
 
 def folder_name(loop: str) -> str:

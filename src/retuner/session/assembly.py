@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Locks, change_factor
-from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
@@ -16,7 +15,6 @@ from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config import Config
 from retuner.config.adaptation import AdaptationConfig
-from retuner.config.bench import BoilerPlantConfig, OvenPlantConfig
 from retuner.config.described import (
     advice_only,
     dbc_file,
@@ -38,15 +36,12 @@ from retuner.drivers.dbc.virtual_device import VirtualDbcDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.host.key_file import read_key
-from retuner.drivers.plants.boiler_plant import BoilerPlant
-from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.drivers.plants.oven_plant import OvenPlant
 from retuner.drivers.plants.plant import Plant
+from retuner.drivers.plants.shared_plant import PlantPort
 from retuner.drivers.profiles.bench_loop import BenchLoop
 from retuner.drivers.profiles.foreign_device import ForeignDevice
 from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
-from retuner.errors import UserError
 from retuner.ledger import Recorder
 from retuner.schedule.table import GainTable, Lookup
 
@@ -135,41 +130,6 @@ def without_model_settings(config: Config) -> WithoutModelSettings:
 def make_retuner(config: Config, mode: Mode | None = None) -> Retuner:
     """A retuner that knows nothing yet, on the table as commissioned."""
     return Retuner(held_table(config), retuner_settings(config, mode))
-
-
-def make_plant(config: Config) -> Plant:
-    """The simulated plant behind the virtual device.
-
-    Raises
-    ------
-    UserError
-        The configuration has no [device] section.
-    """
-    if config.device is None:
-        raise UserError(
-            "the configuration has no [device] section: there is no virtual device to run; add one, or give "
-            "--interface and --channel of the controller's bus"
-        )
-    plant, seed = config.device.plant, config.device.seed
-    if plant is None:
-        raise UserError(
-            "[device] has no plant, so it is a real one; give --interface and --channel of its bus, or a "
-            "[device.plant] for a virtual one"
-        )
-    if isinstance(plant, OvenPlantConfig):
-        return OvenPlant(plant.settings(), plant.start_c, seed)
-    if isinstance(plant, BoilerPlantConfig):
-        return BoilerPlant(plant.settings(), plant.start_c, seed)
-    process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
-    return LinearPlant(
-        process,
-        start_pv=plant.start_pv,
-        start_co=plant.start_co_pct,
-        noise=plant.noise,
-        seed=seed,
-        co_min=config.loop.co_min_pct,
-        co_max=config.loop.co_max_pct,
-    )
 
 
 def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
@@ -285,20 +245,23 @@ def make_device(
     )
 
 
-def make_far_side(config: Config, epoch: int = 1) -> BusDevice:
-    """The virtual device that the configuration describes.
+def make_far_side(config: Config, plant: Plant, epoch: int = 1) -> BusDevice:
+    """The virtual device that the configuration describes, on its plant.
 
     Raises
     ------
-    UserError
-        The configuration has no plant for it.
     ProfileError
         A foreign device's description cannot be used.
     """
     foreign = config.foreign_device
     if foreign is None:
-        return VirtualDevice(virtual_device_settings(config), make_plant(config), epoch=epoch)
-    loop = BenchLoop(virtual_device_settings(config), make_plant(config))
+        device = VirtualDevice(virtual_device_settings(config), plant, epoch=epoch)
+        if isinstance(plant, PlantPort):
+            plant.held_by = device
+        return device
+    loop = BenchLoop(virtual_device_settings(config), plant)
+    if isinstance(plant, PlantPort):
+        plant.held_by = loop
     mapping = mapping_of(config, foreign)
     if isinstance(foreign, DbcDeviceConfig):
         return VirtualDbcDevice(dbc_file(config, foreign), mapping, loop, config.node)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import can
 
 from retuner.config import Config
+from retuner.config.bench_plants import Plants
 from retuner.config.session_config import SessionConfig
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.bus.link_faults import FaultNews
@@ -103,11 +104,14 @@ class BenchLink(CanLink):
 
 
 class VirtualBench(NamedTuple):
-    """Virtual devices and the host's ends of their buses. turn : lets time go on to the next sample of any device."""
+    """Virtual devices and the host's ends of their buses. turn : lets time go on to the next sample of any device.
+    plants : behind the devices.
+    """
 
     buses: HostBuses
     clock: SimulatedClock
     turn: Callable[[], None]
+    plants: Plants
 
 
 class _Turns:
@@ -129,11 +133,15 @@ class _Turns:
 
 @contextmanager
 def virtual_bench(
-    config: SessionConfig, log: Path | None = None, first: Callable[[VirtualBench], None] | None = None
+    config: SessionConfig,
+    say: Callable[[str], None],
+    log: Path | None = None,
+    first: Callable[[VirtualBench], None] | None = None,
 ) -> Iterator[VirtualBench]:
     """The configured virtual devices on buses of their own in this process, in simulated time.
 
-    log : file for the traffic of the first bus; the others' names follow from it (log_of_bus).
+    say : takes a line on a plant that does something wrong. log : file for the traffic of the first bus; the others'
+    names follow from it (log_of_bus).
     first : is given a bench whose links are its own and log nothing, before the host's links open.
 
     Raises
@@ -145,21 +153,22 @@ def virtual_bench(
     settings = [replace(_settings(config, loops), channel=f"retuner-{next(_channels)}") for loops in config.buses]
     with ExitStack() as stack:
         devices: dict[int, DeviceOnBus] = {}
+        plants = stack.enter_context(Plants(config.loops, say))
         for bus, loops in zip(settings, config.buses, strict=True):
             far = _share(stack.enter_context(CanLink(bus, clock)), config, loops)
             for i, port in zip(loops, far.ports, strict=True):
-                devices[i] = DeviceOnBus(make_far_side(config.loops[i]), port)
+                devices[i] = DeviceOnBus(make_far_side(config.loops[i], plants.plants[i]), port)
         periods_s = [one.loop.sample_time_s for one in config.loops]
         turn = _Turns(clock, [devices[i] for i in range(len(periods_s))], periods_s).turn
         if first is not None:
             with opened(settings, clock, before(log)) as links:
                 buses = _hosts(links, config)
                 _answer_at_once(config, buses, devices)
-                first(VirtualBench(buses, clock, turn))
+                first(VirtualBench(buses, clock, turn, plants))
         with opened(settings, clock, log) as links:
             buses = _hosts(links, config)
             _answer_at_once(config, buses, devices)
-            yield VirtualBench(buses, clock, turn)
+            yield VirtualBench(buses, clock, turn, plants)
 
 
 def _answer_at_once(config: SessionConfig, buses: HostBuses, devices: Mapping[int, DeviceOnBus]) -> None:
@@ -172,9 +181,10 @@ def _answer_at_once(config: SessionConfig, buses: HostBuses, devices: Mapping[in
 
 @contextmanager
 def far_ends(
-    config: SessionConfig, speed: float, clock: Clock, epoch: Callable[[], int]
+    config: SessionConfig, speed: float, clock: Clock, epoch: Callable[[], int], say: Callable[[str], None]
 ) -> Iterator[list[DeviceOnBus]]:
     """The configured virtual devices on real buses, for a process of their own. epoch : a number for each boot.
+    say : as virtual_bench.
 
     Raises
     ------
@@ -183,10 +193,11 @@ def far_ends(
     """
     with ExitStack() as stack:
         devices: dict[int, DeviceOnBus] = {}
+        plants = stack.enter_context(Plants(config.loops, say, speed)).plants
         for loops in config.buses:
             link = stack.enter_context(CanLink(_settings(config, loops, speed), clock))
             for i, port in zip(loops, _share(link, config, loops).ports, strict=True):
-                devices[i] = DeviceOnBus(make_far_side(config.loops[i], epoch()), port)
+                devices[i] = DeviceOnBus(make_far_side(config.loops[i], plants[i], epoch()), port)
         yield [devices[i] for i in range(len(config.loops))]
 
 
@@ -288,15 +299,15 @@ def live_buses(
 
 
 @contextmanager
-def simulated(config: Config, log: Path | None = None) -> Iterator[Bench]:
-    """The configured virtual device, a sample a turn.
+def simulated(config: Config, say: Callable[[str], None], log: Path | None = None) -> Iterator[Bench]:
+    """The configured virtual device, a sample a turn. say : as virtual_bench.
 
     Raises
     ------
     UserError, DeviceError
         The configuration has no [device], or the bus log cannot be opened.
     """
-    with virtual_bench(SessionConfig((config,)), log) as bench:
+    with virtual_bench(SessionConfig((config,)), say, log) as bench:
 
         def turn() -> float:
             with unstoppable():

@@ -243,6 +243,7 @@ class Run:
         self.keep, self.mode, self.observer = keep, mode, observer or NobodyLooks()
         self._log = log
         self.session: Session | None = None
+        self.stopped_plants: Sequence[str] = ()
         earlier = _before(before, self.config)
         self._loops = [_Loop(one, self, folder, earlier) for one in self.config.loops]
 
@@ -272,13 +273,14 @@ class Run:
                     session.poll(bench.clock.now_s())
 
             to_the_end(session, once)
+            self.stopped_plants = bench.plants.stopped
             return session
 
     @contextmanager
     def bench(self) -> Iterator[tuple[Session, VirtualBench]]:
         """The session on a virtual bench, for whoever makes the turns himself."""
         first = self._pretune_simulated if self._pretunes else None
-        with virtual_bench(self.config, self._log, first) as bench:
+        with virtual_bench(self.config, self.observer.said, self._log, first) as bench:
             deciders = [DecideHere(one.adaptation.decision_delay_samples) for one in self.config.loops]
             yield self._begin(bench.buses, deciders), bench
 

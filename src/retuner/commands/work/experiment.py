@@ -23,6 +23,7 @@ from retuner.commands.work.experiment_options import (
     UltimateOptions,
 )
 from retuner.config import Config, load_config
+from retuner.config.bench_plants import plant_of
 from retuner.drivers.device import DeviceError
 from retuner.drivers.recorded.recording import require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
@@ -35,7 +36,6 @@ from retuner.experiment.target import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAUL
 from retuner.files import write_whole
 from retuner.ledger import Ledger
 from retuner.report.console import RunScreen, screen_console
-from retuner.session.assembly import make_plant
 from retuner.session.bench import live, simulated
 from retuner.session.outputs import BUS_LOG, LEDGER, fresh_folder, give_back
 from retuner.session.running import real_time_speed
@@ -149,7 +149,7 @@ def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Questi
     config = on_bus(load_config(path, options.loop), options.interface, options.channel)
     in_process = config.bus.interface == "virtual"
     if in_process:
-        make_plant(config)
+        plant_of(config)
     speed = real_time_speed(options.speed, simulated=in_process)
     plan = plan_for(config, kind, options, shape)
     folder = options.out or Path(f"{config.output.directory}-experiment")
@@ -159,7 +159,9 @@ def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Questi
     try:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
             log = folder / BUS_LOG
-            place: AbstractContextManager[Bench] = simulated(config, log) if in_process else live(config, speed, log)
+            place: AbstractContextManager[Bench] = (
+                simulated(config, screen.say, log) if in_process else live(config, speed, log)
+            )
             with place as bench:
                 return OnDemandExperiment(
                     config, plan, question, folder, ledger, screen, bench, yes=options.yes, as_json=options.as_json

@@ -9,10 +9,11 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
+from retuner.config.bench_plants import known_plant
 from retuner.config.model import Config
 from retuner.schedule.controller_units import Acting
 from retuner.schedule.gains import PidGains
-from retuner.session.assembly import guard_settings, make_plant
+from retuner.session.assembly import guard_settings
 
 
 class Warned(NamedTuple):
@@ -31,7 +32,9 @@ def _wrong_signs(config: Config) -> Iterator[Warned]:
     """Regions whose gains drive the plant away."""
     if config.device is None or config.device.plant is None:
         return
-    plant, regions = make_plant(config), config.regions()
+    plant, regions = known_plant(config), config.regions()
+    if plant is None:
+        return
     for i, gains in enumerate(config.gains()):
         first = regions.axes[0]
         at = regions.centre(i) if first.variable in {"sp", "pv"} else (config.loop.pv_min + config.loop.pv_max) / 2

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from retuner.config.bench_plants import known_plant
 from retuner.config.model import Config
 from retuner.decision_page.decision_view import view_of, what_came_of
 from retuner.decision_page.page import page
@@ -22,7 +23,6 @@ from retuner.report.report import ReportData, render
 from retuner.report.scores import Columns, RegionScore, region_scores
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
-from retuner.session.assembly import make_plant
 from retuner.session.outputs import GAINS, REPORT, SUMMARY
 from retuner.session.recorded_session import RecordedSession, read_loops
 from retuner.session.scenario import loads_at
@@ -144,13 +144,14 @@ def scores_of(
     config: Config, after: GainTable, commits: list[tuple[float, int]], columns: Columns, fixed: Columns | None = None
 ) -> list[RegionScore]:
     """Each region before and after, from the columns of a trend; fixed : those of the run with fixed gains."""
+    known = known_plant(config) if config.device and config.device.plant else None
     return region_scores(
         config.gain_table(),
         after,
         commits,
         columns,
         fixed,
-        make_plant(config).linearise if config.device and config.device.plant else None,
+        known.linearise if known is not None else None,
         config.loop.sample_time_s,
         config.loop.tau_f_s,
         loads_at(config.scenario, columns["t"]),

@@ -18,6 +18,7 @@ from retuner.commands.options import all_on_bus
 from retuner.commands.work.foreseen import foreseen
 from retuner.commands.work.report import scores_of
 from retuner.commands.work.run_options import RunOptions
+from retuner.config.bench_plants import plant_of
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
@@ -39,7 +40,6 @@ from retuner.report.scores import RegionScore
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import to_toml
 from retuner.serve.beside import require_page, served_beside
-from retuner.session.assembly import make_plant
 from retuner.session.loop_session import LoopSession
 from retuner.session.outputs import (
     BUS_LOG,
@@ -125,7 +125,7 @@ def _look_at_benches(path: Path, session: SessionConfig) -> None:
         whose = f"loop {config.loop.name}: " * session.several
         if config.scenario is None:
             raise UserError(f"{path}: {whose}a simulated run needs a [scenario] with its length and steps; add one")
-        make_plant(config)
+        plant_of(config)
 
 
 class NothingHappenedError(Exception):
@@ -203,7 +203,7 @@ def _carried_out(job: _Job, job_run: Run, ledger: Ledger, watching: Watching, sc
         _close(job, ledger, session, proposed, interrupted=interrupted)
         interrupted |= compare and fixed is None
         _leave(job, ledger, session, fixed, proposed, screen, interrupted=interrupted)
-    if wrong := [*_wrong(job, session)]:
+    if wrong := [*_wrong(job, session), *job_run.stopped_plants]:
         raise UserError(*wrong)
     return 130 if interrupted else 0
 

@@ -1,0 +1,151 @@
+"""A linear model of several inputs and outputs with dead times, exact for held inputs at any times.
+
+    x' = A x + B u,  y_i(t) = C_i x + sum over j of D_ij u_j,   u_j as it was theta_ij ago on its way to output i
+
+Inputs that reach an output with the same dead time share one copy of the states; each copy is driven by its inputs as
+they were theta ago, and goes from change to change of them by the matrix exponential (Astrom & Wittenmark,
+Computer-Controlled Systems, section 2.3). So dead times need be no multiples of the sampling, which may change.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.drivers.plants.model import PlantFaultError
+
+Rows = Sequence[Sequence[float]]
+STEPS_KEPT = 64
+"""Matrices kept for intervals that come again: a loop's own two, and those between loops of other sample times."""
+DIGITS = 9
+"""Digits of an interval that count for that."""
+
+
+class StateSpaceModel:
+    """The model at rest at u = 0, y = 0: what it works about is the port's.
+
+    a, b, c, d : matrices as rows; d empty for none. theta_s : dead times, a row an output and a column an input.
+
+    Raises
+    ------
+    PlantFaultError
+        The matrices do not go together, or a number is none; key names the setting.
+    """
+
+    def __init__(self, a: Rows, b: Rows, c: Rows, d: Rows, theta_s: Rows) -> None:
+        n = len(a)
+        self._a = _matrix("a", a, n, n)
+        self._b = _matrix("b", b, n, len(b[0]) if n else len(d[0]) if d else 0)
+        inputs = self._b.shape[1]
+        self._c = _matrix("c", c, len(c), n)
+        outputs = len(c)
+        self._d = _matrix("d", d, outputs, inputs) if d else np.zeros((outputs, inputs))
+        theta = _matrix("theta_s", theta_s, outputs, inputs)
+        if (theta < 0).any():
+            raise PlantFaultError("has a negative dead time; give 0 or more seconds", "theta_s")
+        self._copies: dict[tuple[float, tuple[bool, ...]], _Copy] = {}
+        self._parts: list[list[tuple[_Copy, FloatArray, FloatArray]]] = []  # by output: copy, its row of C and of D
+        for i, row in enumerate(theta.tolist()):
+            self._parts.append([self._part(i, [one == theta_s for one in row], theta_s) for theta_s in sorted({*row})])
+        self._longest_s = float(theta.max(initial=0.0))
+        self._times, self._held = [0.0], [np.zeros(inputs)]  # since when, which inputs; before: none
+        self._t_s = 0.0
+        self.readings: Sequence[float] = [0.0] * outputs
+
+    def _part(self, output: int, reaching: list[bool], theta_s: float) -> "tuple[_Copy, FloatArray, FloatArray]":
+        """What reaches an output with one dead time; reaching : which inputs do."""
+        mask = np.array(reaching, dtype=np.float64)
+        copy = self._copies.setdefault((theta_s, (*reaching,)), _Copy(self._a, self._b * mask, theta_s))
+        return copy, self._c[output], self._d[output] * mask
+
+    def step(self, inputs: Sequence[float], dt_s: float) -> Sequence[float]:
+        """See model.PlantModel."""
+        self._times.append(self._t_s)
+        self._held.append(np.asarray(inputs, dtype=np.float64))
+        until = self._t_s + dt_s
+        for copy in self._copies.values():
+            copy.advance(self._times, self._held, self._t_s, until)
+        self._t_s = until
+        while len(self._times) > 2 and self._times[1] < until - self._longest_s - dt_s:
+            del self._times[0], self._held[0]
+        self.readings = [sum(float(c @ copy.x + d @ copy.last) for copy, c, d in parts) for parts in self._parts]
+        return self.readings
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class _Copy:
+    """The states as driven by some inputs with one dead time."""
+
+    def __init__(self, a: FloatArray, b: FloatArray, theta_s: float) -> None:
+        self._a, self._b, self._theta_s = a, b, theta_s
+        self.x = np.zeros(len(a))
+        self.last = np.zeros(b.shape[1])  # the inputs that act at the end of the last step
+        self._known: dict[float, tuple[FloatArray, FloatArray]] = {}
+
+    def advance(self, times: Sequence[float], held: Sequence[FloatArray], start_s: float, end_s: float) -> None:
+        """From one time to another. times, held : since when which inputs, the first before all that matters."""
+        at, end = start_s - self._theta_s, end_s - self._theta_s
+        rounding = 10.0**-DIGITS * (end_s - start_s)
+        i = max((k for k, since in enumerate(times) if since <= at + rounding), default=0)
+        while end - at > rounding:
+            until = min(times[i + 1], end) if i + 1 < len(times) else end
+            if until - at > rounding:
+                phi, gamma = self._over(until - at)
+                self.last = held[i]
+                self.x = phi @ self.x + gamma @ self.last
+                at = until
+            i += 1
+
+    def _over(self, h: float) -> tuple[FloatArray, FloatArray]:
+        """exp(A h) and its integral times B (Van Loan's augmented exponential)."""
+        key = float(f"{h:.{DIGITS - 1}e}")
+        if key not in self._known:
+            from scipy.linalg import expm  # noqa: PLC0415  slow to load
+
+            if len(self._known) >= STEPS_KEPT:
+                self._known.clear()
+            n, m = self._b.shape
+            augmented = np.zeros((n + m, n + m))
+            augmented[:n, :n], augmented[:n, n:] = self._a, self._b
+            whole = np.asarray(expm(augmented * key), dtype=np.float64)
+            self._known[key] = whole[:n, :n], whole[:n, n:]
+        return self._known[key]
+
+
+def _matrix(name: str, rows: Rows, height: int, width: int) -> FloatArray:
+    """The rows as a matrix."""
+    if len(rows) != height or any(len(row) != width for row in rows):
+        found = f"{len(rows)} x {'/'.join(map(str, sorted({len(row) for row in rows}))) or 0}"
+        raise PlantFaultError(f"is {found}; it must be {height} x {width}", name)
+    if not all(math.isfinite(value) for row in rows for value in row):
+        raise PlantFaultError("has a number that is not finite", name)
+    return np.array(rows, dtype=np.float64).reshape(height, width)
+
+
+def matrices_of(system: object) -> tuple[Rows, Rows, Rows, Rows]:
+    """A, B, C, D of a continuous system of python-control or scipy.signal.
+
+    Raises
+    ------
+    PlantFaultError
+        It is neither, or sampled.
+    """
+    dt = getattr(system, "dt", None)
+    if dt not in {None, 0}:
+        raise PlantFaultError(f"is sampled (dt = {dt}); give a continuous system", "model")
+    if not hasattr(system, "A") and hasattr(system, "to_ss"):  # scipy.signal's transfer functions
+        system = system.to_ss()
+    if not hasattr(system, "A") and type(system).__module__.startswith("control."):
+        import control  # noqa: PLC0415  the user has it: the system is its
+
+        system = control.ss(system)
+    if not all(hasattr(system, name) for name in "ABCD"):
+        raise PlantFaultError(
+            f"is a {type(system).__name__}; give a system of python-control or scipy.signal (ss, tf, StateSpace, lti)",
+            "model",
+        )
+    a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, name), dtype=np.float64)).tolist() for name in "ABCD")
+    return a, b, c, d

@@ -1,0 +1,299 @@
+"""The plants behind the virtual devices of a session, from its configuration; loops that name one `shared` have one."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from retuner.adaptive.process.model import LinearProcess
+from retuner.config.messages import key_name
+from retuner.config.model import Config
+from retuner.config.plants import (
+    BoilerPlantConfig,
+    FmuPlantConfig,
+    LinearPlantConfig,
+    LoadConfig,
+    OvenPlantConfig,
+    PlantConfig,
+    PythonPlantConfig,
+    StateSpacePlantConfig,
+)
+from retuner.config.setting import Problem
+from retuner.drivers.historian.loop_record import read_loop_record
+from retuner.drivers.historian.record_form import RecordForm
+from retuner.drivers.plants.boiler_plant import BoilerPlant
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.plants.model import ModelSpec, PlantFaultError, PlantModel, missing_name
+from retuner.drivers.plants.oven_plant import OvenPlant
+from retuner.drivers.plants.plant import KnownPlant, Plant
+from retuner.drivers.plants.plant_process import ModelInProcess
+from retuner.drivers.plants.python_model import find_object
+from retuner.drivers.plants.recorded_load import LoadedPlant, RecordedLoad, RecordedLoads
+from retuner.drivers.plants.shared_plant import PlantPort, PortSettings, SharedPlant
+from retuner.drivers.plants.state_space import StateSpaceModel, matrices_of
+from retuner.drivers.recorded.recording import RecordingError
+from retuner.errors import UserError
+
+WAIT_SAMPLES, WAIT_FLOOR_S = 2.0, 0.1
+"""In real time a model's step is waited for so many samples, at least so long, before the controller goes on alone."""
+
+ModelConfig = PythonPlantConfig | FmuPlantConfig | StateSpacePlantConfig
+SCALES = ("input_scale", "input_offset", "output_scale", "output_offset")
+
+
+class UnusablePlantError(UserError):
+    """A plant that cannot be begun. loop : index of the loop whose it is. problem : with the key in its section."""
+
+    def __init__(self, loop: int, name: str, fault: PlantFaultError) -> None:
+        key = tuple(int(part) if part.isdecimal() else part for part in fault.key)
+        self.loop, self.problem = loop, Problem(("device", "plant", *key), str(fault))
+        super().__init__(f"loop {name}: {key_name(self.problem.path)} {fault}")
+
+
+def plant_of(config: Config) -> PlantConfig:
+    """What a loop's configuration says of its plant.
+
+    Raises
+    ------
+    UserError
+        It has no [device] section, or no plant.
+    """
+    if config.device is None:
+        raise UserError(
+            "the configuration has no [device] section: there is no virtual device to run; add one, or give "
+            "--interface and --channel of the controller's bus"
+        )
+    if config.device.plant is None:
+        raise UserError(
+            "[device] has no plant, so it is a real one; give --interface and --channel of its bus, or a "
+            "[device.plant] for a virtual one"
+        )
+    return config.device.plant
+
+
+def known_plant(config: Config) -> KnownPlant | None:
+    """The simulated plant of a loop, where its true model is known: it is one of ours.
+
+    Raises
+    ------
+    UserError
+        As plant_of; or a recorded load cannot be read.
+    """
+    plant = plant_of(config)
+    if isinstance(plant, ModelConfig):
+        return None
+    made = _ours(config, plant)
+    try:
+        loads = _loads(plant.loads)
+    except PlantFaultError as fault:
+        raise UnusablePlantError(0, config.loop.name, fault) from None
+    return made if loads is None else LoadedPlant(made, loads)
+
+
+def _ours(config: Config, plant: OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig) -> KnownPlant:
+    """One of our own plants."""
+    assert config.device is not None
+    seed = config.device.seed
+    if isinstance(plant, OvenPlantConfig):
+        return OvenPlant(plant.settings(), plant.start_c, seed)
+    if isinstance(plant, BoilerPlantConfig):
+        return BoilerPlant(plant.settings(), plant.start_c, seed)
+    process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
+    return LinearPlant(
+        process,
+        start_pv=plant.start_pv,
+        start_co=plant.start_co_pct,
+        noise=plant.noise,
+        seed=seed,
+        co_min=config.loop.co_min_pct,
+        co_max=config.loop.co_max_pct,
+    )
+
+
+class Plants:
+    """The plants of some loops; ends the processes of models when it is left.
+
+    configs : of the loops. say : takes a line on a plant that does something wrong. speed : how much faster than real
+    time the devices run; None for simulated time.
+
+    Raises
+    ------
+    UserError
+        A loop has no plant, or one cannot be begun: UnusablePlantError.
+    """
+
+    def __init__(self, configs: Sequence[Config], say: Callable[[str], None], speed: float | None = None) -> None:
+        self._say, self._speed = say, speed
+        self._shared: dict[str, _Model] = {}
+        self.plants: list[Plant] = []
+        self.described: list[Sequence[str]] = []
+        try:
+            for i, config in enumerate(configs):
+                try:
+                    self._add(i, config, configs)
+                except PlantFaultError as fault:
+                    raise UnusablePlantError(i, config.loop.name, fault) from None
+        except BaseException:
+            self.close()
+            raise
+
+    def _add(self, place: int, config: Config, configs: Sequence[Config]) -> None:
+        """Another loop's plant."""
+        plant = plant_of(config)
+        if not isinstance(plant, ModelConfig):
+            known = known_plant(config)
+            assert known is not None
+            self.plants.append(known)
+            self.described.append(())
+            return
+        name = plant.shared or f"\0{place}"
+        if name not in self._shared:
+            users = [one for one in configs if plant.shared and _shares(one, plant.shared)] or [config]
+            self._shared[name] = _Model(users, self._say, self._wait_s(config))
+        self.plants.append(self._shared[name].port(config, plant))
+        self.described.append(self._shared[name].described)
+
+    def _wait_s(self, config: Config) -> float | None:
+        """How long a device waits for its model's step, s of the machine's time."""
+        if self._speed is None:
+            return None
+        return max(WAIT_SAMPLES * config.loop.sample_time_s / self._speed, WAIT_FLOOR_S)
+
+    def __enter__(self) -> "Plants":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def stopped(self) -> list[str]:
+        """What is to be said of models that have stopped."""
+        return [one.plant.stopped for one in self._shared.values() if one.plant.stopped]
+
+    def close(self) -> None:
+        """End the processes."""
+        for one in self._shared.values():
+            one.close()
+
+
+def _shares(config: Config, name: str) -> bool:
+    """Whether a loop acts on the shared plant of this name."""
+    plant = config.device.plant if config.device else None
+    return isinstance(plant, ModelConfig) and plant.shared == name
+
+
+class _Model:
+    """A model, and the loops on it. users : configurations of these."""
+
+    def __init__(self, users: Sequence[Config], say: Callable[[str], None], wait_s: float | None) -> None:
+        plants = [plant for plant in map(plant_of, users) if isinstance(plant, ModelConfig)]
+        first = plants[0]
+        self.source = first.file if isinstance(first, FmuPlantConfig) else first.model or "state_space"
+        self._inputs, self._outputs, start = _names(plants)
+        self.described: Sequence[str] = ()
+        if isinstance(first, StateSpacePlantConfig):
+            model: PlantModel = _state_space(first)
+            start = [0.0] * (len(self._inputs) or 1)
+        else:
+            spec = ModelSpec(
+                first.kind,
+                self.source,
+                tuple(self._inputs),
+                tuple(self._outputs),
+                tuple(start),
+                first.parameters,
+                first.settle_s,
+                first.step_s if isinstance(first, FmuPlantConfig) else 0.0,
+                first.interface if isinstance(first, FmuPlantConfig) else "",
+            )
+            in_process = ModelInProcess(spec, first.patience_s, wait_s)
+            model, self.described = in_process, in_process.described
+        self.plant = SharedPlant(model, start, say)
+
+    def port(self, config: Config, plant: ModelConfig) -> PlantPort:
+        """A loop's place."""
+        assert config.device is not None
+        places: dict[str, int | None] = {
+            key: names.index(name) if (name := getattr(plant, key)) else None
+            for key, names in (("input", self._inputs), ("output", self._outputs), ("aux", self._outputs),
+                               ("load_input", self._inputs))
+        }  # fmt: skip
+        scales = (
+            {"input_offset": -plant.start_co_pct, "output_offset": plant.start_pv}
+            if isinstance(plant, StateSpacePlantConfig)
+            else {key: getattr(plant, key) for key in SCALES}
+        )
+        settings = PortSettings(
+            self.source,
+            places["input"] or 0,
+            places["output"] or 0,
+            places["aux"],
+            places["load_input"],
+            start_co=plant.start_co_pct,
+            noise=plant.noise,
+            seed=config.device.seed,
+            **scales,
+        )
+        return self.plant.port(settings, _loads(plant.loads))
+
+    def close(self) -> None:
+        """End it."""
+        self.plant.close()
+
+
+def _names(plants: Sequence[ModelConfig]) -> tuple[list[str], list[str], list[float]]:
+    """Inputs and outputs by name that the loops of a model use, and the inputs' values at the start."""
+    first = plants[0]
+    if isinstance(first, StateSpacePlantConfig):
+        return [*first.inputs], [*first.outputs], []
+    start: dict[str, float] = {}
+    outputs: dict[str, None] = {}
+    for plant in plants:
+        assert not isinstance(plant, StateSpacePlantConfig)
+        value = plant.input_scale * plant.start_co_pct + plant.input_offset
+        if not plant.input:
+            return [], [], [value]
+        start[plant.input] = value
+        outputs |= dict.fromkeys(filter(None, (plant.output, plant.aux)))
+    loads = {plant.load_input: 0.0 for plant in plants if plant.load_input}
+    start = {**loads, **start}
+    return [*start], [*outputs], [*start.values()]
+
+
+def _state_space(plant: StateSpacePlantConfig) -> StateSpaceModel:
+    """The matrices as a model."""
+    a, b, c, d = matrices_of(find_object(plant.model)) if plant.model else (plant.a, plant.b, plant.c, plant.d)
+    outputs, inputs = len(c), len(b[0]) if b else len(d[0]) if d else 0
+    for key, names, count in (("inputs", plant.inputs, inputs), ("outputs", plant.outputs, outputs)):
+        if len(names) != count and (names or count != 1):
+            raise PlantFaultError(f"has {len(names)} names; the system has {count} {key}: name them all", key)
+    for key, name, known in (
+        ("input", plant.input, plant.inputs),
+        ("output", plant.output, plant.outputs),
+        ("aux", plant.aux, plant.outputs),
+        ("load_input", plant.load_input, plant.inputs),
+    ):
+        if name and name not in known:
+            raise PlantFaultError(missing_name(key.rpartition("_")[2], name, known), key)
+    theta = plant.theta_s
+    rows = theta if isinstance(theta, tuple) else [[theta] * inputs] * outputs
+    return StateSpaceModel(a, b, c, d, rows)
+
+
+def _loads(loads: Sequence[LoadConfig]) -> RecordedLoads | None:
+    """Recorded loads, read."""
+    return RecordedLoads([_load(i, one) for i, one in enumerate(loads)]) if loads else None
+
+
+def _load(place: int, load: LoadConfig) -> RecordedLoad:
+    """One of them: its column stands for all signals of a record, so that it is read as one is."""
+    columns = {**dict.fromkeys(("pv", "sp", "co"), load.column), **({"t": load.time} if load.time else {})}
+    try:
+        read = read_loop_record([Path(load.file)], RecordForm(columns=columns)).recording
+        t_s = np.asarray(read.t_s) - read.t_s[0]
+        return RecordedLoad(t_s, np.asarray(read.pv), load.scale, load.at == "output", load.repeat)
+    except (RecordingError, ValueError) as error:
+        raise PlantFaultError(f": {error}", "loads", str(place)) from None

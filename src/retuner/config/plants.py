@@ -1,0 +1,334 @@
+"""[device.plant]: what stands behind a virtual device, a plant of ours or a model of the user's."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from retuner.config.setting import Many, Problem, Section, setting
+from retuner.drivers.plants.boiler_plant import BoilerSettings
+from retuner.drivers.plants.model import Parameter
+from retuner.drivers.plants.oven_plant import OvenSettings
+
+OVEN, BOILER = OvenSettings(), BoilerSettings()  # the defaults of oven and boiler are the plants' own
+LARGE = 1e9
+"""What a number of a model may be: no physical one is larger in any usual unit."""
+
+
+class LoadConfig(Section):
+    """[[device.plant.loads]]: a recorded load on top of the plant: how a column moved from its first value on."""
+
+    file: str = setting("File with the record, as diagnose reads it", unit="-", text=(1, 1024), source="the user")
+    column: str = setting("Column of the load", unit="-", text=(1, 128), source="the user")
+    time: str = setting(
+        "Column of the time; empty: found as diagnose finds it", unit="-", text=(0, 128), default="", source="none"
+    )
+    at: Literal["input", "output"] = setting(
+        "Where it acts: at the plant's input in % of co, or at its output in pv units",
+        unit="-",
+        default="input",
+        source="where loads act in most plants",
+    )
+    scale: float = setting("Load for one of the column's", unit="-", low=-LARGE, high=LARGE, default=1.0, source="none")
+    repeat: bool = setting(
+        "Whether it begins again after its last row; else it stays there", unit="-", default=False, source="none"
+    )
+
+
+class _PlantSection(Section):
+    """What every plant has."""
+
+    loads: Many[LoadConfig] = setting("Recorded loads", unit="-", default=(), source="none")
+
+
+class OvenPlantConfig(_PlantSection):
+    """[device.plant] with kind = "oven": a laboratory oven, 20 to 220 degC."""
+
+    kind: Literal["oven"] = setting("Which plant", unit="-", source="the user")
+    start_c: float = setting("Temperature at the start", unit="degC", low=-50, high=500, default=20.0, source="a room")
+    power_w: float = setting("Heater power at 100 %", unit="W", above=0, high=1e6, default=OVEN.power_w, source="plant")
+    phase_share: float = setting(
+        "Share of the power under phase-angle control",
+        unit="1",
+        low=0,
+        high=0.9,
+        default=OVEN.phase_share,
+        source="plant",
+    )
+    jacket_c: float = setting(
+        "Temperature of the cooled jacket", unit="degC", low=-273.15, high=500, default=OVEN.jacket_c, source="plant"
+    )
+    convection_w_k: float = setting(
+        "Heat lost by convection", unit="W/K", above=0, high=1e4, default=OVEN.convection_w_k, source="plant"
+    )
+    radiating_area_m2: float = setting(
+        "Emissivity times radiating area", unit="m2", low=0, high=100, default=OVEN.radiating_area_m2, source="plant"
+    )
+    heat_capacity_j_k: float = setting(
+        "Heat capacity at 20 degC", unit="J/K", above=0, high=1e8, default=OVEN.heat_capacity_j_k, source="plant"
+    )
+    capacity_growth_1_k: float = setting(
+        "Growth of the heat capacity", unit="1/K", low=0, high=1, default=OVEN.capacity_growth_1_k, source="plant"
+    )
+    theta_cold_s: float = setting(
+        "Transport delay at 20 degC", unit="s", above=0, high=1e5, default=OVEN.theta_cold_s, source="plant"
+    )
+    theta_hot_s: float = setting(
+        "Transport delay at 220 degC", unit="s", above=0, high=1e5, default=OVEN.theta_hot_s, source="plant"
+    )
+    tau_sensor_s: float = setting("Sensor lag", unit="s", above=0, high=1e5, default=OVEN.tau_sensor_s, source="plant")
+    noise_c: float = setting(
+        "Standard deviation of the measurement noise",
+        unit="degC",
+        low=0,
+        high=100,
+        default=OVEN.noise_c,
+        source="plant",
+    )
+
+    def settings(self) -> OvenSettings:
+        """The oven's physics as the plant takes it."""
+        return OvenSettings(**self.model_dump(exclude={"kind", "start_c", "loads"}))
+
+
+class LinearPlantConfig(_PlantSection):
+    """[device.plant] with kind = "linear": G(s) = k prod(1 + lead s) / (s^n prod(1 + lag s)) e^(-theta s), exact."""
+
+    kind: Literal["linear"] = setting("Which plant", unit="-", source="the user")
+    k: float = setting("Gain; per second for an integrating plant", unit="pv/%", low=-1e9, high=1e9, source="the user")
+    lags_s: Many[Annotated[float, Field(ge=0, le=1e9)]] = setting("Lags", unit="s", default=(), source="the user")
+    leads_s: Many[Annotated[float, Field(ge=-1e9, le=1e9)]] = setting(
+        "Leads; a negative one is an inverse response", unit="s", default=(), source="the user"
+    )
+    theta_s: float = setting("Dead time", unit="s", low=0, high=1e7, default=0.0, source="the user")
+    integrators: int = setting("Number of integrators", unit="-", low=0, high=2, default=0, source="the user")
+    start_pv: float = setting("pv at the start, at rest", unit="pv", low=-1e9, high=1e9, default=0.0, source="the user")
+    start_co_pct: float = setting(
+        "Output that holds start_pv", unit="%", low=-200, high=200, default=50.0, source="user"
+    )
+    noise: float = setting(
+        "Standard deviation of the measurement noise", unit="pv", low=0, default=0.0, source="the user"
+    )
+
+    def problems(self) -> Iterator[Problem]:
+        """A process that moves and that can be built."""
+        if self.k == 0:
+            yield Problem(("k",), "= 0: the output would not move this plant; give its gain")
+        if len(self.leads_s) > len(self.lags_s) + self.integrators:
+            yield Problem(
+                ("leads_s",),
+                f"has {len(self.leads_s)} leads for {len(self.lags_s) + self.integrators} lags "
+                "and integrators; a plant needs at least as many of these",
+            )
+
+
+class BoilerPlantConfig(_PlantSection):
+    """[device.plant] with kind = "boiler": a continuous-flow boiler: gain by temperature, lag and delay by flow."""
+
+    kind: Literal["boiler"] = setting("Which plant; a load is the change of its flow", unit="-", source="the user")
+    start_c: float = setting("Temperature at the start", unit="degC", low=0, high=500, default=30.0, source="the user")
+    inlet_c: float = setting(
+        "Temperature of the water that comes in", unit="degC", low=-50, high=500, default=BOILER.inlet_c, source="plant"
+    )
+    power_max_c: float = setting(
+        "How much full power heats the nominal flow",
+        unit="K",
+        above=0,
+        high=1e4,
+        default=BOILER.power_max_c,
+        source="plant",
+    )
+    rangeability: float = setting(
+        "Rangeability of the fuel valve (equal percentage)",
+        unit="1",
+        low=1.001,
+        high=1000,
+        default=BOILER.rangeability,
+        source="plant",
+    )
+    tank_s: float = setting(
+        "Lag of the tank at nominal flow", unit="s", above=0, high=1e5, default=BOILER.tank_s, source="plant"
+    )
+    pipe_s: float = setting(
+        "Delay of the pipe at nominal flow", unit="s", above=0, high=1e5, default=BOILER.pipe_s, source="plant"
+    )
+    tau_sensor_s: float = setting(
+        "Sensor lag", unit="s", above=0, high=1e5, default=BOILER.tau_sensor_s, source="plant"
+    )
+    noise_c: float = setting(
+        "Standard deviation of the measurement noise",
+        unit="degC",
+        low=0,
+        high=100,
+        default=BOILER.noise_c,
+        source="plant",
+    )
+    flow_noise_pct: float = setting(
+        "Standard deviation of the measured flow's noise, which the device publishes as PLANT.aux",
+        unit="%",
+        low=0,
+        high=100,
+        default=BOILER.flow_noise_pct,
+        source="plant",
+    )
+
+    def settings(self) -> BoilerSettings:
+        """The boiler's physics as the plant takes it."""
+        return BoilerSettings(**self.model_dump(exclude={"kind", "start_c", "loads"}))
+
+
+OF_A_PLACE = {
+    "input", "output", "aux", "load_input", "start_co_pct", "noise", "loads", "input_scale", "input_offset",
+    "output_scale", "output_offset", "start_pv",
+}  # fmt: skip
+Rows = Many[Many[Annotated[float, Field(ge=-LARGE, le=LARGE)]]]
+
+
+class ModelSection(_PlantSection):
+    """What every model of several inputs and outputs has: how a loop hangs on it."""
+
+    shared: str = setting(
+        "Name of a plant on which several loops act: those that give the same one share one model; empty: its own",
+        unit="-",
+        text=(0, 64),
+        default="",
+        source="the user",
+    )
+    input: str = setting(
+        "Input that the controller's output moves; empty where the model has one", unit="-", text=(0, 128), default="",
+        source="the model",
+    )  # fmt: skip
+    output: str = setting(
+        "Output that is the loop's pv; empty where the model has one", unit="-", text=(0, 128), default="",
+        source="the model",
+    )  # fmt: skip
+    aux: str = setting(
+        "Another output, which the device publishes as PLANT.aux; empty: none", unit="-", text=(0, 128), default="",
+        source="the user",
+    )  # fmt: skip
+    load_input: str = setting(
+        "Input that the scenario's loads move; empty: they are added to co", unit="-", text=(0, 128), default="",
+        source="the user",
+    )  # fmt: skip
+    start_co_pct: float = setting(
+        "Output at the start, under which the model is at rest", unit="%", low=-200, high=200, default=50.0,
+        source="the user",
+    )  # fmt: skip
+    noise: float = setting(
+        "Standard deviation of the measurement noise", unit="pv", low=0, high=LARGE, default=0.0, source="the user"
+    )
+
+    @property
+    def of_the_model(self) -> dict[str, object]:
+        """Settings that are the model's, and equal for all of its loops; the others are those of a loop's place."""
+        return self.model_dump(exclude=OF_A_PLACE)
+
+    def problems(self) -> Iterator[Problem]:
+        """Names that need each other."""
+        if bool(self.input) != bool(self.output):
+            here, other = ("output", "input") if self.input else ("input", "output")
+            yield Problem((here,), f"is missing; name it as well as {other}")
+        for key in ("aux", "load_input", "shared"):
+            if getattr(self, key) and not self.input:
+                yield Problem((key,), "needs input and output by name, too; add them")
+
+
+class _ForeignModelSection(ModelSection):
+    """What every model has that runs in a process of its own."""
+
+    parameters: dict[str, Parameter] = setting(
+        "Parameters and start values by name", unit="-", default={}, source="the model's own"
+    )
+    input_scale: float = setting(
+        "Of the model's input for 1 % of co", unit="-", low=-LARGE, high=LARGE, default=1.0, source="the model is in %"
+    )
+    input_offset: float = setting(
+        "The model's input at co = 0", unit="-", low=-LARGE, high=LARGE, default=0.0, source="the model is in %"
+    )
+    output_scale: float = setting(
+        "pv for one of the model's output", unit="-", low=-LARGE, high=LARGE, default=1.0, source="the same unit"
+    )
+    output_offset: float = setting(
+        "pv where the model's output is 0", unit="pv", low=-LARGE, high=LARGE, default=0.0, source="the same unit"
+    )
+    settle_s: float = setting(
+        "How long the model is run on start_co_pct before the bench begins, for one that does not begin at rest",
+        unit="s",
+        low=0,
+        high=LARGE,
+        default=0.0,
+        source="it begins at rest",
+    )
+    patience_s: float = setting(
+        "Time of the machine that a step, or the model's beginning, may take; then it counts as hanging",
+        unit="s",
+        above=0,
+        high=3600,
+        default=20.0,
+        source="a model with large imports takes seconds to begin",
+    )
+
+
+class PythonPlantConfig(_ForeignModelSection):
+    """[device.plant] with kind = "python": an object with a method step(co, dt) that returns pv."""
+
+    kind: Literal["python"] = setting("Which plant", unit="-", source="the user")
+    model: str = setting(
+        'The class: "module:Class" or "folder/file.py:Class"', unit="-", text=(3, 1024), source="the user"
+    )
+
+
+class FmuPlantConfig(_ForeignModelSection):
+    """[device.plant] with kind = "fmu": a functional mock-up unit of FMI 2 or 3; needs the extra fmu."""
+
+    kind: Literal["fmu"] = setting("Which plant", unit="-", source="the user")
+    file: str = setting("The FMU", unit="-", text=(1, 1024), source="the user")
+    interface: Literal["", "co_simulation", "model_exchange"] = setting(
+        "Which interface of an FMU that has both; empty: co-simulation, where it has it",
+        unit="-",
+        default="",
+        source="the FMU brings its solver",
+    )
+    step_s: float = setting(
+        "Longest communication step; 0: the loop's sample time", unit="s", low=0, high=LARGE, default=0.0, source="none"
+    )
+
+
+class StateSpacePlantConfig(ModelSection):
+    """[device.plant] with kind = "state_space": matrices about the start, with dead times; exact."""
+
+    kind: Literal["state_space"] = setting("Which plant", unit="-", source="the user")
+    model: str = setting(
+        'A system of python-control or scipy.signal in place of matrices: "module:name" or "folder/file.py:name"',
+        unit="-",
+        text=(0, 1024),
+        default="",
+        source="the user",
+    )
+    a: Rows = setting("Matrix A, by rows", unit="1/s", default=(), source="the user")
+    b: Rows = setting("Matrix B, inputs in %", unit="-", default=(), source="the user")
+    c: Rows = setting("Matrix C, outputs in pv units", unit="-", default=(), source="the user")
+    d: Rows = setting("Matrix D; empty: none", unit="-", default=(), source="the user")
+    theta_s: float | Rows = setting(
+        "Dead time: one, or a row for each output with one for each input", unit="s", default=0.0, source="none"
+    )
+    inputs: Many[str] = setting("Names of the inputs, in the order of B's columns", unit="-", default=(), source="user")
+    outputs: Many[str] = setting("Names of the outputs, in the order of C's rows", unit="-", default=(), source="user")
+    start_pv: float = setting("pv at the start, at rest", unit="pv", low=-LARGE, high=LARGE, default=0.0, source="user")
+
+    def problems(self) -> Iterator[Problem]:
+        """One description of the system."""
+        yield from super().problems()
+        if bool(self.model) == bool(self.c):
+            yield Problem(("model",), "or the matrices a, b, c: give one of them")
+
+
+PlantConfig = Annotated[
+    OvenPlantConfig
+    | LinearPlantConfig
+    | BoilerPlantConfig
+    | PythonPlantConfig
+    | FmuPlantConfig
+    | StateSpacePlantConfig,
+    Field(discriminator="kind"),
+]
