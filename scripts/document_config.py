@@ -19,35 +19,52 @@ HEAD = """# Configuration
 
 One TOML file describes one loop, or [several](several-loops.md) as `[[loop]]` tables with the same keys. `retuner
 init FILE` writes a commented one, `retuner check FILE` names file, line, key and limit of everything that is wrong.
-Numbers must be finite; a key that is not listed here is refused. Unit "pv" is the loop's own engineering unit. This
-page is written by scripts/document_config.py.
+Numbers must be finite; a key that is not listed here is refused. Unit "pv" is the loop's own engineering unit. The
+source says where a default comes from; without one it is yours to choose. scripts/document_config.py writes this page.
 """
+YOURS = {"the user", "user", "the plant", "plant", "this release"}
+ALIKE = 3
+"""From so many rows on that stand in another section too, they are named and not told again."""
 
 
 def page() -> str:
-    """The page as Markdown."""
-    return HEAD + "".join(section(Config, "top of the file"))
+    """The page as Markdown: each kind of section once, with all places where it stands."""
+    places: dict[type[Section], list[str]] = {}
+    gather(Config, "top of the file", places)
+    told: dict[str, str] = {}
+    return HEAD + "".join(section(model, titles, told) for model, titles in places.items())
 
 
-def section(model: type[Section], title: str) -> Iterator[str]:
-    """A table of the plain settings of a section, then the sections inside it."""
-    inner: list[tuple[type[Section], str]] = []
-    rows = []
+def gather(model: type[Section], title: str, places: dict[type[Section], list[str]]) -> None:
+    """Note where a section and those inside it stand."""
+    known = model in places
+    places.setdefault(model, []).append(title)
+    if known:
+        return
     for name, field in model.model_fields.items():
-        key = field.alias or name
-        sections = list(sections_in(field.annotation))
-        if sections:
-            inner += [(found, heading(title, key, found, field)) for found in sections]
-        else:
-            rows.append(row(key, field))
+        for found in sections_in(field.annotation):
+            gather(found, heading(title, field.alias or name, found, field), places)
+
+
+def section(model: type[Section], titles: list[str], told: dict[str, str]) -> str:
+    """The plain settings of a section as a table, without those that another section has told."""
+    plain = [(field.alias or name, field) for name, field in model.model_fields.items()]
+    rows = [row(key, field) for key, field in plain if not list(sections_in(field.annotation))]
+    before = [line for line in rows if line in told]
+    alike = ""
+    if len(before) >= ALIKE and len({told[line] for line in before}) == 1:
+        rows = [line for line in rows if line not in told]
+        keys = ", ".join(line.split(" | ")[0].removeprefix("| ") for line in before)
+        alike = f" As in {told[before[0]]}: {keys}."
+    for line in rows:
+        told.setdefault(line, titles[0])
     first = str(model.__doc__).rpartition("]: ")[2].partition(": ")
     sentence = (first[2] or first[0]) if "kind =" in first[0] else "".join(first)
     sentence = sentence[:1].upper() + sentence[1:]
-    yield f"\n## {title}\n\n{sentence}\n"
-    if rows:
-        yield "\n| key | meaning | unit | range | default | source |\n|---|---|---|---|---|---|\n" + "".join(rows)
-    for found, deeper in inner:
-        yield from section(found, deeper)
+    others = list(dict.fromkeys(title.partition(", in `")[0] for title in titles[1:]))
+    also = f" Also {', '.join(others)}." if others and others[0] not in titles[0] else ""
+    table = "\n| key | meaning | range | default | source |\n|---|---|---|---|---|\n" + "".join(rows) if rows else ""
+    return f"\n## {titles[0]}\n\n{sentence}{also}{alike}\n{table}"
 
 
 def heading(title: str, key: str, found: type[Section], field: FieldInfo) -> str:
@@ -67,7 +84,9 @@ def row(key: str, field: FieldInfo) -> str:
     """One line of the table."""
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     default = "required" if field.default is PydanticUndefined else shown(field.default)
-    cells = [f"`{key}`", str(field.description), str(extra["unit"]), limits(field), default, str(extra["source"])]
+    unit, source = str(extra["unit"]), str(extra["source"])
+    ranged = " ".join(filter(None, [limits(field), "" if unit in {"-", "1"} else unit]))
+    cells = [f"`{key}`", str(field.description), ranged, default, "" if source in YOURS else source]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
 
 

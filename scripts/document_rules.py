@@ -57,23 +57,15 @@ Derivative action pays when tau2 > theta; the settings carry a note.
 
 ## The numbers
 
-- **Margins** are exact: crossovers are found on the closed-form size and phase with the dead time in it. Stability
-  follows there by the argument principle, and peaks are refined to rounding. Agreement with python-control on more
-  than 500 random loops is a test. `benchmarks/margins.py` has the time: Ms of a PI loop in half of what a plain numpy
-  grid of 500 points takes, which errs by up to 1e-4.
-- **IAE and TV** are those of unit steps of the setpoint and of the load at the process input, on the exact response.
-  The derivative has no filter and acts on the error, as in the literature, so TV of a PID loop's setpoint step is
-  infinite.
+- **Margins** are exact, with the dead time in them.
+- **IAE and TV** are those of unit steps of the setpoint and of the load at the process input. The derivative has no
+  filter and acts on the error, so TV of a PID loop's setpoint step is infinite.
 - **J** = 0.5 (IAE_setpoint/IAE_setpoint* + IAE_load/IAE_load*), the references being the PI controllers that are best
-  for each at Ms = 1.59 (Grimholt & Skogestad 2012). It is left out where no controller has that Ms.
+  for each at Ms = 1.59 (Grimholt & Skogestad 2012).
 - **`--rule optimal --plot`** draws the best J against Ms, and SIMC with tau_c varied on it.
 
-## Rules without a model
-
-In Python, `adaptive/rules/slow_oscillation.py`: a level loop that swings slowly needs Kc tau_I larger by
-f = 0.1 (P0/tau_I0)^2 (plant record: P0 51 min, tau_I0 1 min, f = 260). Only for P0 > 3 tau_I and a weakly damped,
-sine-like swing. `adaptive/rules/visual.py`: what an oscillation on the trend says without algebra;
-`retuner diagnose` and the page of a decision say it beside their evidence.
+In Python, `adaptive/rules/slow_oscillation.py` is for a level loop that oscillates slowly (P0 > 3 tau_I): it needs Kc tau_I
+larger by f = 0.1 (P0/tau_I0)^2.
 
 ## Formulas and sources
 """

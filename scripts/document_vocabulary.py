@@ -1,4 +1,4 @@
-"""Write docs/vocabulary.md: the words that the program uses, what they mean, and what they replace.
+"""Write the vocabulary of docs/concepts.md: the words that the program uses and what they mean.
 
 python scripts/document_vocabulary.py
 """
@@ -8,21 +8,15 @@ from pathlib import Path
 
 from retuner.decision_page.vocabulary import TERMS, Term
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "vocabulary.md"
-HEAD = """# Vocabulary
-
-One word for one thing, in screens, reports, pages and docs. Keys of JSON documents and of ledger rows are contracts,
-and some are older words: `damping` is the half-cycle decay ratio, `promise` the predicted performance.
-This page is written by scripts/document_vocabulary.py.
-
-| term | meaning | source |
-|---|---|---|
-"""
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "concepts.md"
+BEGIN = "<!-- written by scripts/document_vocabulary.py -->\n"
+COLUMNS = "| term | meaning | source |\n|---|---|---|\n"
 
 
 def page() -> str:
-    """The page as Markdown."""
-    return HEAD + "".join(map(_row, TERMS))
+    """The page as Markdown, with the terms at its end."""
+    before, mark, _ = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    return before + mark + COLUMNS + "".join(map(_row, TERMS))
 
 
 def _row(term: Term) -> str:

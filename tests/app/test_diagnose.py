@@ -357,4 +357,4 @@ def test_words_for_numbers_known_and_unknown():
 def test_the_page_of_the_indexes_is_what_the_glossary_says():
     root = Path(__file__).parents[2]
     page = runpy.run_path(str(root / "scripts" / "document_indexes.py"))["page"]()
-    assert (root / "docs" / "indexes.md").read_text() == page, "run: python scripts/document_indexes.py"
+    assert (root / "docs" / "diagnose.md").read_text() == page, "run: python scripts/document_indexes.py"

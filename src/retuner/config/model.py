@@ -59,7 +59,7 @@ class LoopConfig(Section):
     )
 
     controller: str | None = setting(
-        'How gains are shown: "kc-s", "gain-min", "pb-rpm" and so on (docs/units.md); absent: as the first region has '
+        'How gains are shown: "kc-s", "gain-min", "pb-rpm" and so on (docs/concepts.md); absent: as the first region has '
         "them",
         unit="-",
         text=(1, 32),
