@@ -64,8 +64,8 @@ Derivative action pays when tau2 > theta; the settings carry a note.
   for each at Ms = 1.59 (Grimholt & Skogestad 2012).
 - **`--rule optimal --plot`** draws the best J against Ms, and SIMC with tau_c varied on it.
 
-In Python, `adaptive/rules/slow_oscillation.py` is for a level loop that oscillates slowly (P0 > 3 tau_I): it needs Kc tau_I
-larger by f = 0.1 (P0/tau_I0)^2.
+In Python, `adaptive/rules/slow_oscillation.py` is for a level loop that oscillates slowly (P0 > 3 tau_I): it needs Kc
+tau_I larger by f = 0.1 (P0/tau_I0)^2.
 
 ## Formulas and sources
 """
