@@ -59,8 +59,8 @@ class LoopConfig(Section):
     )
 
     controller: str | None = setting(
-        'How gains are shown: "yokogawa", "kc-s", "pb-rpm" and so on (docs/coming-from.md); absent: as the first region '
-        "has them",
+        'How gains are shown: "yokogawa", "kc-s", "pb-rpm" and so on (docs/coming-from.md); absent: as the first '
+        "region has them",
         unit="-",
         text=(1, 32),
         default=None,
