@@ -24,7 +24,8 @@ from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.reshaped import annotated_table, is_annotated
 from retuner.drivers.historian.row_order import Trend, joined
 from retuner.drivers.historian.scaling import scaled
-from retuner.drivers.historian.table_signals import TableSignals, signals_of
+from retuner.drivers.historian.table_signals import BESIDE, TableSignals, signals_of
+from retuner.drivers.historian.tags import named
 from retuner.drivers.recorded.recording import LARGEST, Recording, RecordingError
 
 FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
@@ -82,7 +83,7 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
     tables = [table for source in sources for table in _tables(source, form)]
     if not tables:
         raise RecordingError(EMPTY)
-    read = [signals_of(table, form, in_automatic=in_automatic) for table in tables]
+    read = [signals_of(table, own, in_automatic=in_automatic) for table, own in _forms(tables, form)]
     loop = _chosen(_together(read), form, tables[0])
     return _record(loop, read, form)
 
@@ -98,7 +99,8 @@ def read_records(
         As read_loop_record; or the records are of several loops.
     """
     tables = [_tables(source, form) for source in sources]
-    read = [[signals_of(table, form, in_automatic=in_automatic) for table in each] for each in tables]
+    own = iter(_forms([*chain(*tables)], form))
+    read = [[signals_of(*next(own), in_automatic=in_automatic) for _ in each] for each in tables]
     if not all(any({"pv", "co"} <= roles.keys() for roles in _pieces(each).values()) for each in read):
         tables, read = [list(chain(*tables))], [list(chain(*read))]
     if not all(tables):
@@ -237,6 +239,41 @@ def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[
     if path.suffix.lower() in TRAFFIC:
         return traffic_tables(path, form)
     return [_text_table(path, form)]
+
+
+def _forms(tables: Sequence[RawTable], form: RecordForm) -> list[tuple[RawTable, RecordForm]]:
+    """Each table with what of the named columns is its own: a column of another file, or a file of one signal.
+
+    A name that no table has stays everybody's, and is complained of.
+    """
+    if len(tables) < 2 or not form.columns:
+        return [(table, form) for table in tables]
+    found = []
+    for table in tables:
+        files = {Path(table.source).name, Path(table.source).stem}
+        columns = {}
+        for role, name in form.columns.items():
+            elsewhere = any(_holds(other, name) for other in tables if other is not table)
+            if name in table.names or not (elsewhere or name in files):
+                columns[role] = name
+            elif name in files:
+                columns[role] = _only_signal(table, form)
+        found.append((table, replace(form, columns=columns)))
+    return found
+
+
+def _holds(table: RawTable, name: str) -> bool:
+    """Whether a table has a column, or is the file, of this name."""
+    return name in table.names or name in {Path(table.source).name, Path(table.source).stem}
+
+
+def _only_signal(table: RawTable, form: RecordForm) -> str:
+    """The column of a file of one signal."""
+    named_ones = set(form.columns.values())
+    free = [name for name in table.names if name not in named_ones and named(name).role not in BESIDE]
+    if len(free) != 1:
+        raise RecordingError(f"{table.source}: holds {_listed(table.names)}; name its column as in --columns pv=NAME")
+    return free[0]
 
 
 def traffic_tables(path: Path, form: RecordForm) -> list[RawTable]:

@@ -89,6 +89,7 @@ def text_table(path: Path, text: str, assumed: tuple[Assumption, ...], form: Rec
     delimiter = DELIMITERS.get(form.delimiter) or _delimiter([line for _, line in _sample(lines)])
     rows = [(number, _fields(path, number, line, delimiter)) for number, line in lines]
     rows = [(number, fields) for number, fields in rows if any(field.strip() for field in fields)]
+    rows = _without_empty_columns(rows) if form.header != 0 else rows
     header, body, cut = _shape(path, rows, form)
     assumed += cut
     names, told = _names(header, len(body[0][1]))
@@ -183,6 +184,15 @@ def _fields(path: Path, number: int, line: str, delimiter: str) -> list[str]:
 
 
 Rows = list[tuple[int, list[str]]]
+
+
+def _without_empty_columns(rows: Rows) -> Rows:
+    """The rows without columns in which nothing stands anywhere, as between two delimiters where one would do."""
+    width = max(len(fields) for _, fields in rows)
+    used = {i for _, fields in rows for i, field in enumerate(fields) if field.strip()}
+    if len(used) == width:
+        return rows
+    return [(number, [field for i, field in enumerate(fields) if i in used]) for number, fields in rows]
 
 
 def _is_row(fields: Sequence[str]) -> bool:

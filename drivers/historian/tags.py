@@ -12,10 +12,10 @@ from types import MappingProxyType
 
 WORDS = MappingProxyType(
     {
-        "t": "t time times timestamp timestamps datetime stamp zeit zeitstempel sampletime uhrzeit",
+        "t": "t time times timestamp timestamps datetime stamp zeit zeitstempel sampletime uhrzeit tagnames",
         "date": "date datum",
         "pv": "pv processvalue processvariable measurement measured meas istwert ist actual pvalue",
-        "sp": "sp sv setpoint setpt setp spt wsp sollwert soll target reference setvalue",
+        "sp": "sp sv setpoint internalsetpoint setpt setp spt wsp sollwert soll target reference setvalue",
         "co": "co op out output controlleroutput outputvalue stellwert stellgrad stellgröße stellgroesse valveposition "
         "opout cvout",
         "mode": "mode auto aut modus controlmode opmode",
@@ -24,7 +24,7 @@ WORDS = MappingProxyType(
         "value": "value wert val",
     }
 )
-"""Names of each role, written together in small letters."""
+"""Names of each role, written together in small letters. K-Spice calls its time "Tag-names"."""
 ROLE_OF = MappingProxyType({word: role for role, words in WORDS.items() for word in words.split()})
 APART = re.compile(r"[\s._/\\|:\-()\[\]]+")
 SEPARATORS = " ._/\\|:-()[]"

@@ -30,9 +30,18 @@ DATES = (
     "%y-%m-%d", "%y/%m/%d", "%y.%m.%d",
 )  # fmt: skip
 """Forms of a date, in the codes of strptime."""
+ZONES = MappingProxyType(
+    {
+        "Z": 0.0, "UTC": 0.0, "GMT": 0.0, "EST": -5.0, "EDT": -4.0, "CST": -6.0, "CDT": -5.0, "MST": -7.0, "MDT": -6.0,
+        "PST": -8.0, "PDT": -7.0, "AKST": -9.0, "AKDT": -8.0, "HST": -10.0, "WET": 0.0, "WEST": 1.0, "CET": 1.0,
+        "CEST": 2.0, "EET": 2.0, "EEST": 3.0, "BST": 1.0, "JST": 9.0, "AEST": 10.0, "AEDT": 11.0,
+    }
+)  # fmt: skip
+"""Zones by the letters that building automation writes behind a stamp, hours from UTC; of several meanings that of the
+systems that write them (CST of North America)."""
 TIME_OF_DAY = re.compile(
     r"(?P<h>[0-9]{1,2}):(?P<m>[0-9]{2})(?::(?P<s>[0-9]{2})(?:[.,](?P<f>[0-9]{1,9}))?)?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
-    r"\s*(?P<zone>Z|UTC|GMT|[+-][0-9]{2}:?[0-9]{2})?"
+    rf"\s*(?P<zone>{'|'.join(sorted(ZONES, key=len, reverse=True))}|[+-][0-9]{{2}}:?[0-9]{{2}})?"
 )
 DIGITS = re.compile(r"(?:19|20)[0-9]{12}(?:\.[0-9]+)?")
 """Date and time written together as 20241015215500."""
@@ -144,7 +153,18 @@ def _of_usual_forms(texts: list[str], form: RecordForm, source: str, begins: Seq
     for other, elsewhere in others:
         if not np.allclose(elsewhere - elsewhere[0], times - times[0], atol=1e-3, equal_nan=True):
             raise RecordingError(f"{source}: {texts[0][:40]!a} may be {first} or {other}; say --time-format {whole}")
+    lettered = sorted({zone for text in texts if (zone := _letters(text))})
+    if lettered:  # strptime knows no such zone, so there is no format to fix it with
+        hours = ", ".join(f"{zone} as UTC{ZONES[zone]:+g} h" for zone in lettered)
+        return Stamps(times, (Assumption(f"time as {first} and the time of day, {hours}"),))
     return Stamps(times, (Assumption(f"time as {first} and the time of day", f"time_format = {whole}"),))
+
+
+def _letters(text: str) -> str:
+    """The letters of a zone behind a stamp, but for UTC's own."""
+    found = TIME_OF_DAY.search(text)
+    zone = found["zone"] if found else None
+    return zone if zone in ZONES and zone not in {"Z", "UTC", "GMT"} else ""
 
 
 def _nearest_years(fitting: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -239,9 +259,9 @@ def _at(day: datetime, clock: re.Match[str]) -> datetime:
 
 
 def _zone(text: str) -> timezone:
-    """A zone as a stamp writes it: Z, +01:00."""
+    """A zone as a stamp writes it: Z, CST, +01:00."""
     if text[0] not in "+-":
-        return UTC
+        return timezone(timedelta(hours=ZONES[text]))
     offset = timedelta(hours=int(text[1:3]), minutes=int(text[-2:]))
     return timezone(-offset if text[0] == "-" else offset)
 

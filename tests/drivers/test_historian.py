@@ -86,6 +86,11 @@ FORMS = {
     ),
     "told by the month": (text("Time,SP,PV,OP", stamps("%d/%m/%Y %H:%M:%S", LATE), SP, PV, CO), "time as %d/%m/%Y"),
     "month by its name": (text(US, stamps("%d-%b-%y %H:%M:%S.000"), SP, PV, CO), "time as %d-%b-%y"),
+    "Niagara": (text(US, stamps("%d-%b-%y %I:%M:%S %p CDT"), SP, PV, CO), "CDT as UTC-5 h"),
+    "K-Spice": (
+        text("Tag-names\t\tF1:Measurement\t\tF1:InternalSetpoint\t\tF1:ControllerOutput", T, PV, SP, CO, sep="\t\t"),
+        'sp is "F1:InternalSetpoint"',
+    ),
     "ISO with zone": (text(US, stamps("%Y-%m-%dT%H:%M:%SZ"), SP, PV, CO), "time as %Y-%m-%d"),
     "epoch": (text("time,sp,pv,co", EPOCH, SP, PV, CO), "from 1970 in s"),
     "epoch in ms": (text("time,sp,pv,co", [int(1000 * t) for t in EPOCH], SP, PV, CO), "from 1970 in ms"),
@@ -193,6 +198,35 @@ def test_signals_in_files_of_their_own_are_joined(written: Callable[..., Path]) 
 
     is_the_loop(read)
     assert read.tag == "FIC7"
+
+
+@pytest.mark.parametrize("columns", ["duct pressure,fan speed,wanted", "static.csv,fan,static_sp"])
+def test_names_that_differ_from_file_to_file_are_columns_or_files(written: Callable[..., Path], columns: str) -> None:
+    when = stamps("%d-%b-%y %I:%M:%S %p CST")
+    files = [
+        written(text(header, when, values), f"{name}.csv")
+        for name, header, values in (
+            ("fan", "Timestamp,fan speed", CO), ("static", "Date,duct pressure", PV), ("static_sp", "Time,wanted", SP),
+        )
+    ]  # fmt: skip
+    is_the_loop(
+        read_loop_record(files, RecordForm(columns=dict(zip(("pv", "co", "sp"), columns.split(","), strict=True))))
+    )
+    with pytest.raises(RecordingError, match='no column "elsewhere"'):
+        read_loop_record(files, RecordForm(columns={"pv": "static", "co": "elsewhere"}))
+    both = written(text("Timestamp,PV,OP", when, PV, CO), "both.csv")
+    with pytest.raises(RecordingError, match="holds Timestamp, PV, OP; name its column"):
+        read_loop_record([*files, both], RecordForm(columns={"pv": "both", "co": "fan"}))
+
+
+def test_trends_of_a_building_as_niagara_writes_them_are_read() -> None:
+    """Real files, of which each calls its columns as it likes; the clock goes on through the change of the zone."""
+    fan, wanted = DATA / "raw" / "ahu_niagara_fan.txt", DATA / "raw" / "ahu_niagara_static_sp.txt"
+    read = read_loop_record([fan, wanted], RecordForm(columns={"pv": "Value (%)", "co": "duct_static_setpoint"}))
+    assert len(read.recording.t_s) == 399
+    assert set(np.diff(read.recording.t_s)) == {300.0}
+    assert "CDT as UTC-5 h, CST as UTC-6 h" in in_a_line(read.assumed)
+    assert read.begin_s == datetime(2022, 5, 7, 17, 10, tzinfo=UTC).timestamp()
 
 
 def test_an_output_stored_by_exception_is_held(written: Callable[..., Path]) -> None:
