@@ -118,7 +118,7 @@ def call_jacobian(random: Random) -> list[Any]:
 def call_gains(random: Random) -> list[Any]:
     """Proper arguments of gains."""
     given, many = record(random), random.randint(0, 5)
-    return [*given, numbers(random, sizes(given)[1]), numbers(random, many), zeros(many)]
+    return [*given, numbers(random, sizes(given)[1]), numbers(random, many), random.randint(0, 1), zeros(many)]
 
 
 def call_colour(random: Random) -> list[Any]:

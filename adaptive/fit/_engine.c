@@ -306,17 +306,19 @@ static PyObject *py_jacobian(PyObject *self, PyObject *args) {
     return ended(call, Py_NewRef(Py_None));
 }
 
-/* gains(t, pv, co, numbers, p, instants, out): what a further load step at each instant would bring. */
+/* gains(t, pv, co, numbers, p, instants, corner, out): what a further load step (corner 0), or a change of the load's
+ * slope (1), at each instant would bring. */
 static PyObject *py_gains(PyObject *self, PyObject *args) {
     (void)self;
-    PyObject *from[7];
-    Call *call = begun(args, from, 7);
+    PyObject *from[8];
+    Call *call = begun(args, from, 8);
     if (!call)
         return NULL;
     View *v = call->views;
     Work *w = &call->work;
-    if (read_record(w, v, from) || finite_view(from[4], &v[4], "p", 0) || sized(&v[4], w->p.size, "p") ||
-        finite_view(from[5], &v[5], "instants", 0) || view(from[6], &v[6], "out", 1) ||
+    long corner = PyLong_AsLong(from[6]);
+    if (PyErr_Occurred() || read_record(w, v, from) || finite_view(from[4], &v[4], "p", 0) ||
+        sized(&v[4], w->p.size, "p") || finite_view(from[5], &v[5], "instants", 0) || view(from[7], &v[6], "out", 1) ||
         sized(&v[6], v[5].n, "out"))
         return ended(call, NULL);
     Py_ssize_t rows = w->p.rows;
@@ -327,7 +329,7 @@ static PyObject *py_gains(PyObject *self, PyObject *args) {
     solve(w, v[4].x);
     put_basis_vectors(w->rotated, rows, w->p.columns, w->beta, memory);
     put_residuals(w, memory + w->p.columns * rows);
-    load_gains(w, memory, memory + w->p.columns * rows, v[5].x, v[5].n, v[6].x);
+    load_gains(w, memory, memory + w->p.columns * rows, v[5].x, v[5].n, corner != 0, v[6].x);
     free(memory);
     Py_END_ALLOW_THREADS
     return ended(call, Py_NewRef(Py_None));

@@ -83,10 +83,10 @@ def jacobian(misfit: Misfit, p: FloatArray) -> FloatArray:
     return out.T
 
 
-def load_gains(misfit: Misfit, p: FloatArray, instants: FloatArray) -> FloatArray:
-    """What one more load step at each instant would bring."""
+def load_gains(misfit: Misfit, p: FloatArray, instants: FloatArray, *, corner: bool = False) -> FloatArray:
+    """What one more load step, or change of the load's slope, at each instant would bring."""
     out = np.empty(len(instants))
-    _engine.gains(*packed(misfit), np.ascontiguousarray(p), instants, out)
+    _engine.gains(*packed(misfit), np.ascontiguousarray(p), instants, corner, out)
     return out
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import LOAD_COST
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.search import instants
@@ -69,7 +70,8 @@ def _with_corner(at: Candidate) -> Candidate | None:
     if len(misfit.record.pv) < SAMPLES_EACH * (misfit.unknowns + LOAD_COST):
         return None
     record, places = misfit.record, instants(misfit.record.span_s, SCAN)
-    gains = linear_gains(at, _ramps(at, places))
+    engine = compiled()
+    gains = engine.load_gains(misfit, p, places, corner=True) if engine else linear_gains(at, _ramps(at, places))
     best = int(np.argmax(gains))
     if gains[best] < PROMISING * LOAD_COST * math.log(len(record.pv)):
         return None

@@ -357,19 +357,20 @@ static void put_jacobian(Work *w, const double *p, double *out) {
     }
 }
 
-/* By how much a further load step at each instant would lower n ln sigma^2, everything nonlinear held.
+/* By how much a further load step, or a corner, at each instant would lower n ln sigma^2, everything nonlinear held.
  * q : (columns, rows), r : (rows + 1), of the solution at p. */
-static void load_gains(Work *w, const double *q, const double *r, const double *at, Py_ssize_t many, double *out) {
+static void load_gains(Work *w, const double *q, const double *r, const double *at, Py_ssize_t many, int corner,
+                       double *out) {
     static const double UNIQUE = 1e-9;
     const Problem *p = &w->p;
     Py_ssize_t n = p->n;
     double *lane = w->change, *whitened = w->scratch, all = dot(r, r, n);
-    Form step = step_form(&w->modes);
+    Form form = corner ? ramp_form(&w->modes) : step_form(&w->modes);
     for (Py_ssize_t k = 0; k < many; k++) {
         Basis basis = {at[k], first_at(p, at[k]), lane, w->target, lane};
         memset(w->moved, 0, (size_t)n * sizeof *w->moved);
         run_step(p, &w->modes, w->steps, basis.a, basis.b, at[k], basis.first);
-        add_form(w, &basis, step, w->moved);
+        add_form(w, &basis, form, w->moved);
         lagged(w, w->moved);
         double most = fmax(fabs(w->moved[largest(w->moved, n)]), DBL_MIN);
         multiply(w->moved, 1 / most, n);

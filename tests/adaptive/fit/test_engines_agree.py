@@ -17,6 +17,7 @@ from retuner.adaptive.fit.search import Grid, _searched
 from retuner.adaptive.fit.slopes import told_apart
 from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import judged
+from retuner.adaptive.identification.corners import _ramps
 from retuner.adaptive.identification.loads import linear_gains
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -168,6 +169,17 @@ def test_a_further_load_step_brings_the_same() -> None:
         expected = linear_gains(at, steps / np.max(np.abs(steps), axis=0))
         found = compiled.load_gains(misfit, at.fit.p, instants)
         np.testing.assert_allclose(found, expected, atol=1e-7 * np.max(expected) + 1e-9)
+
+
+def test_a_further_corner_of_a_load_brings_the_same() -> None:
+    rng = np.random.default_rng(7)
+    for type_ in SIZE:
+        misfit, p = drawn(rng, type_)
+        at = judged(refine(misfit, p, evaluations=3))
+        instants = np.linspace(0, misfit.record.span_s, 32)[1:-1]
+        found = compiled.load_gains(misfit, at.fit.p, instants, corner=True)
+        expected = linear_gains(at, _ramps(at, instants))
+        np.testing.assert_allclose(found, expected, atol=1e-6 * np.max(expected) + 1e-9)
 
 
 def test_sticking_valves_move_and_explain_alike() -> None:
