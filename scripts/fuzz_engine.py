@@ -207,6 +207,25 @@ def call_mix(random: Random) -> list[Any]:
             zeros(rows * deads * many)]  # fmt: skip
 
 
+def stepped(random: Random) -> list[Any]:
+    """pv, a response, what is there beside the steps, and a share."""
+    n, rest = random.randint(2, 50), random.randint(0, 3)
+    return [numbers(random, n), numbers(random, n), numbers(random, n * rest), 10 ** random.uniform(-9, 0)]
+
+
+def call_steps(random: Random) -> list[Any]:
+    """Proper arguments of steps."""
+    most = random.randint(0, 20)
+    return [*stepped(random), zeros(most), zeros(most + 1)]
+
+
+def call_move_steps(random: Random) -> list[Any]:
+    """Proper arguments of move_steps."""
+    given = stepped(random)
+    rows = array("d", (random.randrange(len(given[0]) - 1) for _ in range(random.randint(0, 6))))
+    return [*given, rows, random.randint(0, 15), random.randint(0, 3)]
+
+
 CALLS: dict[str, Callable[[Random], list[Any]]] = {
     name.removeprefix("call_"): make for name, make in list(globals().items()) if name.startswith("call_")
 }

@@ -160,11 +160,18 @@ def _late(x: FloatArray, lag: int) -> FloatArray:
 
 
 def by_increments(
-    window: Window, structure: Structure, usable: BoolArray, at: dict[str, float] | None = None, *, trim: bool = True
+    window: Window,
+    structure: Structure,
+    usable: BoolArray,
+    at: dict[str, float] | None = None,
+    *,
+    trim: bool = True,
+    sure: bool = True,
 ) -> Regression:
     """Least squares on increments; with trim, moves that no law made are left out.
 
-    usable : increments that the law made, shape (n - 1,). at : see columns.
+    usable : increments that the law made, shape (n - 1,). at : see columns. sure : with standard deviations, which cost
+    more than the fit; else they are infinite.
     """
     names, x = columns(window, structure, at)
     y = np.diff(window.co)
@@ -180,24 +187,37 @@ def by_increments(
         kept = fresh
         values = _solve(x[kept], y[kept])
         remainder = y - x @ values
-    return _told(structure, names, values, (x[kept], y[kept]), (remainder, kept), levels=False)
+    return _told(structure, names, values, (x[kept], y[kept]), (remainder, kept), levels=False, sure=sure)
 
 
-def by_levels(window: Window, structure: Structure, kept: BoolArray, at: dict[str, float] | None = None) -> Regression:
-    """Least squares on the summed equation, each stretch of kept increments with its own constant; at : see columns."""
+def by_levels(
+    window: Window, structure: Structure, kept: BoolArray, at: dict[str, float] | None = None, *, sure: bool = True
+) -> Regression:
+    """Least squares on the summed equation, each stretch of kept increments with its own constant.
+
+    at : see columns. sure : see by_increments.
+    """
     names, x = columns(window, structure, at)
     y = np.diff(window.co)
     longest = max(round(STRETCH * len(y)), SHORTEST_STRETCH)
-    parts: list[tuple[FloatArray, FloatArray]] = []
-    for run in np.split(np.flatnonzero(kept), np.flatnonzero(np.diff(np.flatnonzero(kept)) != 1) + 1):
-        for part in np.array_split(run, -(-len(run) // longest)) if len(run) > x.shape[1] + 1 else []:
-            levels = np.cumsum(x[part], axis=0), np.cumsum(y[part])
-            parts.append((levels[0] - levels[0].mean(axis=0), levels[1] - levels[1].mean()))
+    equation, parts = np.column_stack([x, y]), list[FloatArray]()
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]))).tolist()
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - first <= x.shape[1] + 1:
+            continue
+        each, longer = divmod(end - first, -(-(end - first) // longest))
+        begin = first
+        while begin < end:  # the first ones are longer by a sample where the stretch does not divide
+            until = begin + each + (longer > 0)
+            levels = np.cumsum(equation[begin:until], axis=0)
+            parts.append(levels - levels.mean(axis=0))
+            begin, longer = until, longer - 1
     if not parts:
-        return by_increments(window, structure, kept, at, trim=False)
-    xs, ys = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+        return by_increments(window, structure, kept, at, trim=False, sure=sure)
+    summed = np.concatenate(parts)
+    xs, ys = summed[:, :-1], summed[:, -1]
     values = _solve(xs, ys)
-    return _told(structure, names, values, (xs, ys), (y - x @ values, kept), levels=True)
+    return _told(structure, names, values, (xs, ys), (y - x @ values, kept), levels=True, sure=sure)
 
 
 def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -215,21 +235,28 @@ def _told(
     per_sample: tuple[FloatArray, BoolArray],
     *,
     levels: bool,
+    sure: bool,
 ) -> Regression:
-    """Values with their standard deviations and the share explained."""
+    """Values with the share explained, and with their standard deviations where these are wanted."""
     x, y = equation
     r = y - x @ values
-    scale = np.linalg.norm(x, axis=0)
-    there = scale > 0
-    xs = x[:, there] / scale[there]
-    inverse = np.linalg.pinv(xs.T @ xs)
-    scores = [g.sum(axis=0) for g in np.array_split(xs * r[:, None], min(BLOCKS, len(r)))]
-    spread = np.stack(scores).T @ np.stack(scores) * len(scores) / max(len(scores) - xs.shape[1], 1)
-    std = np.full(len(names), np.inf)
-    std[there] = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)) / scale[there]
+    std = _stds(x, r) if sure else np.full(len(names), np.inf)
     power = float(np.mean(y * y))
     rms = float(np.sqrt(np.mean(r * r)))
     rho = float(r[1:] @ r[:-1]) / float(r @ r) if rms > 0 else 0.0
     gains, spread_of = (dict(zip(names, numbers.tolist(), strict=True)) for numbers in (values, std))
     explained = 1 - rms * rms / power if power > 0 else 0.0
     return Regression(structure, gains, spread_of, per_sample[0], per_sample[1], rms, rho, explained, levels)
+
+
+def _stds(x: FloatArray, r: FloatArray) -> FloatArray:
+    """Standard deviations of the values, from what is left in BLOCKS stretches: a remainder has a colour."""
+    scale = np.linalg.norm(x, axis=0)
+    there = scale > 0
+    xs = x[:, there] / scale[there]
+    inverse = np.linalg.pinv(xs.T @ xs)
+    scores = [g.sum(axis=0) for g in np.array_split(xs * r[:, None], min(BLOCKS, len(r)))]
+    spread = np.stack(scores).T @ np.stack(scores) * len(scores) / max(len(scores) - xs.shape[1], 1)
+    std = np.full(x.shape[1], np.inf)
+    std[there] = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)) / scale[there]
+    return std

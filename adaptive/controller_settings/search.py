@@ -63,8 +63,8 @@ def usable_increments(window: Window, co_min: float | None, co_max: float | None
 
 def best_structure(window: Window, usable: BoolArray, largest_lag: int) -> Regression:
     """The best structure: lag and equation first, then filter and derivative, then what of P and I is needed."""
-    lags = [by_increments(window, Structure(lag=lag), usable) for lag in range(largest_lag + 1)]
-    chosen = min(lags, key=lambda f: _size(f, usable))
+    lags = [by_increments(window, Structure(lag=lag), usable, sure=False) for lag in range(largest_lag + 1)]
+    chosen = by_increments(window, min(lags, key=lambda f: _size(f, usable)).structure, usable)
     levels = by_levels(window, chosen.structure, usable)
     if chosen.rho < DIFFERENCED or _doubt(levels) < LEVELS_BETTER * _doubt(chosen):
         chosen = levels
@@ -91,10 +91,18 @@ def _leaner(found: Regression, window: Window) -> Regression:
 
 
 def fit_on(
-    window: Window, structure: Structure, kept: BoolArray, at: dict[str, float] | None = None, *, levels: bool
+    window: Window,
+    structure: Structure,
+    kept: BoolArray,
+    at: dict[str, float] | None = None,
+    *,
+    levels: bool,
+    sure: bool = True,
 ) -> Regression:
-    """One fit on given samples."""
-    return by_levels(window, structure, kept, at) if levels else by_increments(window, structure, kept, at, trim=False)
+    """One fit on given samples; sure : with standard deviations."""
+    if levels:
+        return by_levels(window, structure, kept, at, sure=sure)
+    return by_increments(window, structure, kept, at, trim=False, sure=sure)
 
 
 def _criterion(found: Regression, plain: Regression, window: Window) -> float:
@@ -118,7 +126,7 @@ def _better(rich: Regression, simple: Regression, window: Window) -> bool:
     both = rich.kept & simple.kept
     if int(np.sum(both)) < COMPARED * int(np.sum(simple.kept)):
         return False
-    a, b = (fit_on(window, f.structure, both, levels=simple.levels) for f in (rich, simple))
+    a, b = (fit_on(window, f.structure, both, levels=simple.levels, sure=False) for f in (rich, simple))
     floor = _floor(window, levels=simple.levels)
     less = a.rms**2 - floor**2 < REMAINDER**2 * (b.rms**2 - floor**2)
     return less and _criterion(a, b, window) < _criterion(b, b, window) - WORTH
@@ -138,7 +146,7 @@ def _filter_found(window: Window, usable: BoolArray, start: Structure, *, levels
 
     def fit(tau_s: float) -> Regression:
         structure = start.filtering(tau_s)
-        return by_levels(window, structure, usable) if levels else by_increments(window, structure, usable)
+        return (by_levels if levels else by_increments)(window, structure, usable, sure=False)
 
     grid = FILTERS if start.derivative else FILTERS[1:]
     best = min((fit(tau * dt) for tau in grid), key=lambda f: _size(f, usable))

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.fit.dynamics import Dynamics
+from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import LOAD_COST, USEFUL, WHITE, Misfit
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.structure import SLOPE, THETA
@@ -240,21 +241,32 @@ def as_steps(misfit: Misfit) -> FreeSteps | None:
 
 
 def _greedy(pv: FloatArray, lag: float, second: float) -> tuple[float, list[int]]:
-    """Rows of the steps that pay, and the criterion. lag : in rows. second : share of it that is a second lag."""
+    """The criterion, and rows of the steps that pay. lag : in rows. second : share of it that is a second lag."""
     n = len(pv)
-    dynamics, rows = Dynamics(second * lag, 1 / lag), np.arange(n)
-    middle = np.asarray(rows + 0.5, dtype=np.float64)
+    dynamics, middle = Dynamics(second * lag, 1 / lag), np.arange(0.5, n, dtype=np.float64)
     rise = dynamics.step(middle)
+    rest, _ = np.linalg.qr(np.stack([np.ones(n), rise, dynamics.impulse(middle)][: 3 if second else 2], axis=1))
+    engine, most = compiled(), min(MOST_SLIPS, n // ROWS_PER_STEP)
+    chosen = engine.steps_chosen if engine is not None else _steps_chosen
+    found, left = chosen(pv, rise, rest, UNIQUE, most)
+    prices = [n * math.log(max(rss, 1e-300) / n) + LOAD_COST * i * math.log(n) for i, rss in enumerate(left)]
+    least = min(prices)
+    return least, found[: prices.index(least)]
+
+
+def _steps_chosen(
+    pv: FloatArray, rise: FloatArray, basis: FloatArray, unique: float, most: int
+) -> tuple[list[int], list[float]]:
+    """Rows of up to so many steps, each where it takes away most, and sums of squares before and after each."""
+    rows = np.arange(len(pv))
     since = rows[:, None] - rows[None, 1:]
     steps = np.where(since >= 0, rise[np.maximum(since, 0)], 0.0)
-    basis, _ = np.linalg.qr(np.stack([np.ones(n), rise, dynamics.impulse(middle)][: 3 if second else 2], axis=1))
     left = pv - basis @ (basis.T @ pv)
     whole = np.einsum("ij,ij->j", steps, steps)
     along, free = left @ steps, whole - np.sum((basis.T @ steps) ** 2, axis=0)
-    found: list[int] = []
-    best, kept = n * math.log(float(left @ left) / n), 0
-    while len(found) < min(MOST_SLIPS, n // ROWS_PER_STEP):
-        usable = free > UNIQUE * whole
+    found, remain = list[int](), [float(left @ left)]
+    while len(found) < most:
+        usable = free > unique * whole
         j = int(np.argmax(np.where(usable, along**2 / np.where(usable, free, 1.0), 0.0)))
         new = steps[:, j] - basis @ (basis.T @ steps[:, j])
         if not usable[j] or not float(new @ new) > 0:
@@ -263,10 +275,8 @@ def _greedy(pv: FloatArray, lag: float, second: float) -> tuple[float, list[int]
         basis, taken, told = np.column_stack([basis, new]), float(new @ left), new @ steps
         left, along, free = left - taken * new, along - taken * told, free - told**2
         found.append(j)
-        now = n * math.log(max(float(left @ left), 1e-300) / n) + LOAD_COST * len(found) * math.log(n)
-        if now < best:
-            best, kept = now, len(found)
-    return best, found[:kept]
+        remain.append(float(left @ left))
+    return found, remain
 
 
 def _from_steps(misfit: Misfit, co: Co, steps: FreeSteps) -> Iterator[Start]:

@@ -26,8 +26,9 @@ from retuner.adaptive.controller_settings.read_off import LawSettings, settings_
 from retuner.adaptive.controller_settings.summed_law import summed_law
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.indexes.autocovariance import running_mean
-from retuner.adaptive.indexes.plateaus import Plateau, Steps, as_steps, plateaus, price, runs
+from retuner.adaptive.indexes.recording_quality import runs
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.valve.plateaus import Plateau, Steps, as_steps, plateaus, price
 from retuner.schedule.gains import PidGains
 
 MOST_ROWS = 800

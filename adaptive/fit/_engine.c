@@ -26,6 +26,7 @@
 #include "engine_c/refine.h"
 #include "engine_c/screen.h"
 #include "engine_c/search.h"
+#include "engine_c/steps.h"
 #include "engine_c/valves.h"
 #include "engine_c/walk.h"
 
@@ -591,6 +592,69 @@ static PyObject *py_mix(PyObject *self, PyObject *args) {
     return ended(call, Py_NewRef(Py_None));
 }
 
+/* pv, response and rest, from the first three arguments, and the share from the fourth. */
+static int read_stepped(Stepped *s, View *v, PyObject *const *from) {
+    static const char *const NAMES[] = {"pv", "response", "rest"};
+    s->unique = PyFloat_AsDouble(from[3]);
+    if (PyErr_Occurred())
+        return -1;
+    for (int i = 0; i < 3; i++)
+        if (finite_view(from[i], &v[i], NAMES[i], 0))
+            return -1;
+    s->pv = v[0].x, s->response = v[1].x, s->rest = v[2].x, s->n = v[0].n;
+    s->rest_count = s->n ? v[2].n / s->n : 0;
+    if (s->n < 2 || s->rest_count > 16 || !(s->unique >= 0))
+        return refuse("steps: two samples, at most 16 columns beside the steps, and a share from 0 are needed");
+    return sized(&v[1], s->n, "response") || sized(&v[2], s->rest_count * s->n, "rest") ? -1 : 0;
+}
+
+enum { MOST_STEPS = 256 };
+
+/* steps(pv, response, rest, unique, rows, left) -> how many: up to as many as rows has room for; left has one more. */
+static PyObject *py_steps(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *from[6];
+    Call *call = begun(args, from, 6);
+    if (!call)
+        return NULL;
+    View *v = call->views;
+    Stepped s;
+    if (read_stepped(&s, v, from) || view(from[4], &v[3], "rows", 1) || view(from[5], &v[4], "left", 1) ||
+        sized(&v[4], v[3].n + 1, "left"))
+        return ended(call, NULL);
+    if (v[3].n > MOST_STEPS)
+        return refuse("steps: too many"), ended(call, NULL);
+    Py_ssize_t count;
+    Py_BEGIN_ALLOW_THREADS
+    count = choose_steps(&s, v[3].n, v[3].x, v[4].x);
+    Py_END_ALLOW_THREADS
+    return count < 0 ? PyErr_NoMemory(), ended(call, NULL) : ended(call, PyLong_FromSsize_t(count));
+}
+
+/* move_steps(pv, response, rest, unique, rows, reach, passes) -> what is left; rows are moved in place. */
+static PyObject *py_move_steps(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *from[7];
+    Call *call = begun(args, from, 7);
+    if (!call)
+        return NULL;
+    View *v = call->views;
+    Stepped s;
+    Py_ssize_t reach = PyLong_AsSsize_t(from[5]), passes = PyLong_AsSsize_t(from[6]);
+    if (PyErr_Occurred() || read_stepped(&s, v, from) || view(from[4], &v[3], "rows", 1))
+        return ended(call, NULL);
+    if (v[3].n > MOST_STEPS || reach < 0 || reach > 10000000 || passes < 0 || passes > 100)
+        return refuse("move_steps: steps, reach or passes are outside their range"), ended(call, NULL);
+    for (Py_ssize_t i = 0; i < v[3].n; i++)
+        if (!(v[3].x[i] >= 0 && v[3].x[i] <= (double)(s.n - 2) && v[3].x[i] == floor(v[3].x[i])))
+            return refuse("rows: columns of the record are needed"), ended(call, NULL);
+    double left;
+    Py_BEGIN_ALLOW_THREADS
+    left = move_steps(&s, v[3].x, v[3].n, reach, (int)passes);
+    Py_END_ALLOW_THREADS
+    return left < 0 ? PyErr_NoMemory(), ended(call, NULL) : ended(call, PyFloat_FromDouble(left));
+}
+
 static PyMethodDef METHODS[] = {
     {"refine", py_refine, METH_VARARGS, NULL},     {"costs", py_costs, METH_VARARGS, NULL},
     {"project", py_project, METH_VARARGS, NULL},   {"jacobian", py_jacobian, METH_VARARGS, NULL},
@@ -598,7 +662,8 @@ static PyMethodDef METHODS[] = {
     {"search", py_search, METH_VARARGS, NULL},     {"position", py_position, METH_VARARGS, NULL},
     {"scan", py_scan, METH_VARARGS, NULL},         {"valve_costs", py_valve_costs, METH_VARARGS, NULL},
     {"screen", py_screen, METH_VARARGS, NULL},     {"walk", py_walk, METH_VARARGS, NULL},
-    {"mix", py_mix, METH_VARARGS, NULL},
+    {"mix", py_mix, METH_VARARGS, NULL},           {"steps", py_steps, METH_VARARGS, NULL},
+    {"move_steps", py_move_steps, METH_VARARGS, NULL},
     {NULL, NULL, 0, NULL},
 };
 

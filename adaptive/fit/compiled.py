@@ -213,3 +213,31 @@ def walks_mixed(
     out = np.empty((rows, deads, gains.shape[1]))
     _engine.mix(*fits, half, np.ascontiguousarray(gains), size, rows, out)
     return out
+
+
+def steps_chosen(
+    pv: FloatArray, response: FloatArray, rest: FloatArray, unique: float, most: int
+) -> tuple[list[int], FloatArray]:
+    """Steps of pv through one response, each where it takes away most: their columns, and sums of squares before and
+    after each. rest : orthonormal columns of what is there without any, shape (n, number).
+    """
+    rows, left = np.empty(most), np.empty(most + 1)
+    pv, response, columns = (np.ascontiguousarray(x) for x in (pv, response, rest.T))
+    count = _engine.steps(pv, response, columns, unique, rows, left)
+    return rows[:count].astype(int).tolist(), left[: count + 1]
+
+
+def steps_moved(
+    pv: FloatArray,
+    response: FloatArray,
+    rest: FloatArray,
+    unique: float,
+    chosen: Sequence[int],
+    reach: int,
+    passes: int,
+) -> tuple[list[int], float]:
+    """Every step at its best column within reach, so many times; and the sum of squares that is left."""
+    rows = np.array(chosen, dtype=np.float64)
+    pv, response, columns = (np.ascontiguousarray(x) for x in (pv, response, rest.T))
+    left = _engine.move_steps(pv, response, columns, unique, rows, reach, passes)
+    return rows.astype(int).tolist(), left

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from retuner.adaptive.indexes.plateaus import runs
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -197,3 +196,9 @@ def _holds(still: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 def _among(hold: tuple[int, int], others: list[tuple[int, int]]) -> bool:
     """Whether a stretch is one of these."""
     return any(abs(hold[0] - first) <= END and abs(hold[1] - end) <= END for first, end in others)
+
+
+def runs(condition: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Stretches in which a condition holds: first row, and row after the last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], condition.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -20,8 +20,8 @@ from retuner.adaptive.diagnosis.standing_valve import (
     standing,
     standing_verdict,
 )
-from retuner.adaptive.indexes.plateaus import _Responses, as_steps, plateaus, rough_sigma
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.plateaus import _Responses, as_steps, plateaus, rough_sigma
 from retuner.schedule.gains import PidGains
 
 GAINS = PidGains(0.2, 0.2 / 5.0)

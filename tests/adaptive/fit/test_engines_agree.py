@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from effort import sized
 
+from retuner.adaptive.diagnosis.slipping_valve import _greedy
 from retuner.adaptive.fit import engine
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
 from retuner.adaptive.fit.record import Record
@@ -21,6 +22,7 @@ from retuner.adaptive.identification.corners import _ramps
 from retuner.adaptive.identification.loads import linear_gains
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.valve.plateaus import as_steps
 from retuner.adaptive.valve.sticking_valve import Nodes, _grid, _moved, _through, _travel, valve_costs
 from retuner.adaptive.valve.stuck_valve import StuckValve
 
@@ -212,3 +214,21 @@ def test_a_valve_that_stands_still_says_nothing() -> None:
     left, gain = compiled.valves_scanned(record, [valve.numbers()], Nodes.of(record, record.span_s / 8))
     assert np.all(np.isinf(left))
     assert not np.any(gain)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_of_a_signal_are_found_alike(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(150, 500))
+    places = np.sort(rng.choice(np.arange(5, n - 5), 7, replace=False))
+    pv = sum(rng.standard_normal() * -np.expm1(-np.maximum(np.arange(n) - at, 0) / 6.0) for at in places)
+    pv = np.asarray(pv + 0.05 * rng.standard_normal(n), dtype=np.float64)
+    found = []
+    for name in ("c", "numpy"):
+        with engine.using(name):
+            found.append((as_steps(pv), [_greedy(pv, lag, second) for lag in (0.5, 9.0) for second in (0.0, 0.2)]))
+    (c, c_greedy), (other, other_greedy) = found
+    assert (c.jumps, c.lag) == (other.jumps, other.lag)
+    assert c.criterion == pytest.approx(other.criterion, rel=CLOSE)
+    assert [rows for _, rows in c_greedy] == [rows for _, rows in other_greedy]
+    assert [left for left, _ in c_greedy] == pytest.approx([left for left, _ in other_greedy], rel=CLOSE)

@@ -18,6 +18,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
 
 LAGS = (0.0, 3.0, 8.0, 20.0, 45.0, 100.0)
@@ -81,15 +82,17 @@ def as_steps(pv: FloatArray) -> Steps:
     """The best description of pv, shape (n,), by steps through one lag."""
     sigma = rough_sigma(pv)
     found = {lag: _with_lag(pv, lag, sigma) for lag in LAGS}
-    best = min(found, key=lambda lag: found[lag].criterion)
+    best = min(found, key=lambda lag: found[lag][0])
     for _ in range(HALVINGS):
         tried = sorted(found)
         at = tried.index(best)
         for other in (*tried[max(at - 1, 0) : at], *tried[at + 1 : at + 2]):
             middle = (best * other) ** 0.5 if best * other else (best + other) / 2
             found[middle] = _with_lag(pv, middle, sigma)
-        best = min(found, key=lambda lag: found[lag].criterion)
-    return found[best]
+        best = min(found, key=lambda lag: found[lag][0])
+    criterion, chosen = found[best]
+    jumps = tuple(sorted(j + 1 for j in chosen))
+    return Steps(jumps, best, _fitted(pv, _Responses(len(pv), best), _rest(len(pv), best), chosen), sigma, criterion)
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,7 @@ class _Responses:
     @cached_property
     def _padded(self) -> FloatArray:
         """The response to a jump at row n, shape (2 n,)."""
-        return np.concatenate([np.zeros(self.n), self._response(np.arange(self.n))])
+        return np.concatenate([np.zeros(self.n), self.to_jump])
 
     def against(self, x: FloatArray) -> FloatArray:
         """Products of a signal with all of them, shape (n - 1,)."""
@@ -125,6 +128,11 @@ class _Responses:
     def squares(self) -> FloatArray:
         """Sums of their squares, shape (n - 1,)."""
         return np.asarray(np.cumsum(self._response(np.arange(self.n - 1)) ** 2)[::-1])
+
+    @property
+    def to_jump(self) -> FloatArray:
+        """From a jump on, shape (n,)."""
+        return self._response(np.arange(self.n))
 
     def _response(self, since: npt.NDArray[np.intp]) -> FloatArray:
         """The response so many rows after a jump."""
@@ -140,19 +148,35 @@ def _faded(x: FloatArray, share: float) -> FloatArray:
     return y
 
 
-def _with_lag(pv: FloatArray, lag: float, sigma: float) -> Steps:
-    """The best description with one lag."""
-    n = len(pv)
-    responses = _Responses(n, lag)
+def _rest(n: int, lag: float) -> FloatArray:
+    """Orthonormal columns of what is there without any jump: level and start, shape (n, 1 or 2)."""
     start = [np.ones(n), np.exp(-np.arange(n) / lag)] if lag else [np.ones(n)]
-    rest, _ = np.linalg.qr(np.stack(start, axis=1))
-    chosen = _chosen(pv, responses, rest, sigma)
-    for _ in range(MOVED_PASSES):
-        chosen = _moved(pv, responses, rest, chosen)
+    return np.asarray(np.linalg.qr(np.stack(start, axis=1))[0], dtype=np.float64)
+
+
+def _fitted(pv: FloatArray, responses: "_Responses", rest: FloatArray, chosen: list[int]) -> FloatArray:
+    """What jumps in these columns explain."""
     columns = np.concatenate([rest, responses.columns(chosen)], axis=1)
-    fitted = columns @ np.linalg.lstsq(columns, pv, rcond=None)[0]
-    found = price(float(np.sum((pv - fitted) ** 2)), n, sigma, len(chosen))
-    return Steps(tuple(sorted(j + 1 for j in chosen)), lag, np.asarray(fitted), sigma, found)
+    return np.asarray(columns @ np.linalg.lstsq(columns, pv, rcond=None)[0], dtype=np.float64)
+
+
+def _with_lag(pv: FloatArray, lag: float, sigma: float) -> tuple[float, list[int]]:
+    """Criterion and columns of the best description with one lag."""
+    n, responses = len(pv), _Responses(len(pv), lag)
+    rest = _rest(n, lag)
+    if (engine := compiled()) is not None:
+        response = responses.to_jump
+        rows, left = engine.steps_chosen(pv, response, rest, NEW, MOST_JUMPS)
+        prices = [price(float(rss), n, sigma, jumps) for jumps, rss in enumerate(left)]
+        chosen, rss = engine.steps_moved(
+            pv, response, rest, NEW, rows[: prices.index(min(prices))], MOVED_ROWS, MOVED_PASSES
+        )
+    else:
+        chosen = _chosen(pv, responses, rest, sigma)
+        for _ in range(MOVED_PASSES):
+            chosen = _moved(pv, responses, rest, chosen)
+        rss = float(np.sum((pv - _fitted(pv, responses, rest, chosen)) ** 2))
+    return price(rss, n, sigma, len(chosen)), chosen
 
 
 def _chosen(pv: FloatArray, responses: _Responses, rest: FloatArray, sigma: float) -> list[int]:
@@ -223,9 +247,3 @@ def plateaus(pv: FloatArray, steps: Steps) -> list[Plateau]:
         else:
             found.append(Plateau(settled, end, level))
     return found
-
-
-def runs(condition: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Stretches in which a condition holds: first row, and row after the last."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], condition.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
