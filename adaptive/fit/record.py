@@ -35,7 +35,7 @@ class Record:
     gaps_s : instants at which a gap in time ends. motion_at_start : how much pv moves at once when the record begins,
         as a share of its range: 0 from rest. The co of the time before the record will have moved as much, and no more.
     barred_s : setpoint changes at which no load step is to stand (coincident_loads.py), from zero.
-    rests : co over pv from rest to rest (rests.py).
+    rests : co over pv from rest to rest (rests.py). logged_s : median interval before the record was condensed.
     """
 
     pv: FloatArray
@@ -51,11 +51,12 @@ class Record:
     motion_at_start: float
     barred_s: tuple[float, ...] = ()
     rests: tuple[RestRatio, ...] = ()
+    logged_s: float = 0.0
 
     @classmethod
     def of(cls, window: Window, most_samples: int | None = None) -> "Record":
         """Prepare a window, condensed to most_samples."""
-        hidden, rests = hidden_sigma(window.pv), rest_ratios(window)
+        hidden, rests, logged_s = hidden_sigma(window.pv), rest_ratios(window), window.sample_time_s
         window = window if most_samples is None else window.condensed(most_samples)
         t = window.t_s - window.t_s[0]  # seconds since 1970 leave too few digits for derivatives by the dead time
         pv_range = float(np.ptp(window.pv))
@@ -75,6 +76,7 @@ class Record:
             _gaps(t, dt),
             _motion(window.pv, noise),
             rests=rests,
+            logged_s=logged_s,
         )
 
     @property

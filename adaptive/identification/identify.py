@@ -102,6 +102,10 @@ TWO_WAYS = (
 """Why a coloured remainder is not believed."""
 FEWEST_SAMPLES_IN_THETA = 1.0
 """An effective dead time of fewer sampling intervals is a guess."""
+MOST_ROWS = 12000
+"""Rows to which a record is condensed at the least where its dead time would be shorter than a row otherwise."""
+MOST_FASTER = 0.02
+"""Share of a sampling interval that nobody is asked to sample faster than."""
 WANTED_SAMPLES_IN_THETA = 4
 """Sampling intervals in the effective dead time with which a record is easy to identify from."""
 WIDEST_STD = 3.0
@@ -170,7 +174,16 @@ def fitted(window: Window, signs: tuple[int, ...], settings: FitSettings) -> lis
     for name, values in (("co", window.co), ("pv", window.pv)):
         if np.ptp(values) == 0:
             raise ValueError(f"{name} stays at {values[0]:g} in the whole record: nothing to identify from")
-    return candidates(window, signs, settings.choice, settings.most_samples)
+    found = candidates(window, signs, settings.choice, settings.most_samples)
+    most = _samples_that_show(window, found[0], settings.most_samples)
+    return found if most is None else candidates(window, signs, settings.choice, most)
+
+
+def _samples_that_show(window: Window, best: Candidate, most_samples: int) -> int | None:
+    """With how many samples a row is no longer than the dead time; None where the record was not condensed too far."""
+    n, dead_s = len(window.t_s), without_second_lag(model_at(best.fit.misfit.type, best.fit.x, 1)).theta_s
+    rows = max(int(dead_s / window.sample_time_s), 1, -(-n // MOST_ROWS))
+    return -(-n // rows) if rows < -(-n // most_samples) and dead_s < best.fit.misfit.record.sample_time_s else None
 
 
 class Fits:
@@ -198,8 +211,12 @@ class Fits:
         """With no load step at a setpoint change, best first."""
         if not self._coincident(self._anywhere[0]):
             return self._anywhere
-        settings = self._settings
-        return candidates(self._window, self._signs, settings.choice, settings.most_samples, self._changes_s)
+        return candidates(self._window, self._signs, self._settings.choice, self._samples, self._changes_s)
+
+    @property
+    def _samples(self) -> int:
+        """Of each fit: as many as that of the first, so that they may be compared."""
+        return max(self._settings.most_samples, len(self._anywhere[0].fit.misfit.record.pv))
 
     @cached_property
     def _anywhere(self) -> list[Candidate]:
@@ -235,7 +252,7 @@ class Fits:
     def _apart_from_white(self, best: Candidate) -> float:
         """How far the model lies that takes what is left for white noise beside more load steps; see apart."""
         choice = replace(self._settings.choice, most_order=0, most_loads=WHITE_LOADS)
-        other = candidates(self._window, (best.fit.misfit.sign,), choice, self._settings.most_samples)[0]
+        other = candidates(self._window, (best.fit.misfit.sign,), choice, self._samples)[0]
         own, white = (model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in (best, other))
         return apart(own, white, self._window.sample_time_s)
 
@@ -390,6 +407,12 @@ def _judge(
         return False, f"the model explains {explained:.0%} of pv's variance; {settings.explained_limit:.0%} are needed"
     reach_s = math.inf if _settled(before, log, record.sample_time_s, settings) else record.span_s
     open_ = left_open(log, around, record.sample_time_s, reach_s, settings)
+    dead_s = without_second_lag(log.model()).theta_s
+    if record.logged_s <= dead_s < record.sample_time_s:  # not for want of logging
+        open_ = (
+            f"the effective dead time (about {dead_s:.3g} s) is shorter than a row of {record.sample_time_s:.3g} s, to "
+            f"which this record, logged every {record.logged_s:.3g} s, is condensed: identify a shorter part of it"
+        )
     return not open_, open_ or f"{NAMES[log.type]} explains {explained:.1%} of pv's variance"
 
 
@@ -403,9 +426,12 @@ def left_open(
     plain = without_second_lag(log.model())
     short = plain.theta_s
     if short < FEWEST_SAMPLES_IN_THETA * sample_time_s:
+        wanted_s = short / WANTED_SAMPLES_IN_THETA
+        seen = wanted_s > MOST_FASTER * sample_time_s
+        way = f"sample every {wanted_s:.2g} s or faster" if seen else "a setpoint step would bound it"
         return (
-            f"the effective dead time comes out as {short:.3g} s, less than the sampling interval of "
-            f"{sample_time_s:.3g} s: sample at least {WANTED_SAMPLES_IN_THETA} times in it"
+            f"the effective dead time (about {short:.3g} s) is shorter than the sampling interval of "
+            f"{sample_time_s:.3g} s: {way}"
         )
     if short > settings.theta_share * span_s:
         return (

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from retuner import PidGains, identify, simulate
+from retuner.adaptive.identification import identify as identify_module
+from retuner.adaptive.identification.identify import FitSettings, identify_window
 from retuner.adaptive.identification.in_parts import MOST_PARTS, identify_parts, parts_of
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
@@ -44,3 +46,27 @@ def test_parts_that_contradict_each_other_know_nothing_together() -> None:
     pv = np.where(np.arange(len(record.t_s)) < half, record.pv, 50.0 + 4.0 * (record.pv - 50.0))
     changed = Window(record.t_s, record.sp, pv, record.co)
     assert identify_parts(changed, 1) is None
+
+
+def test_a_record_is_not_condensed_until_its_dead_time_is_shorter_than_a_row() -> None:
+    """10,000 rows every 2 s: 1,500 of them lie 14 s apart, and the dead time of 4 s was called too short."""
+    model = ProcessModel("fopdt", k=1.2, tau1_s=60.0, theta_s=4.0)
+    setpoint = [(2000.0 * i, 50.0 + 6.0 * (i % 2)) for i in range(10)]
+    record = simulate(model, GAINS, setpoint=setpoint, until_s=20_000.0, dt_s=2.0, noise=0.05).window
+    assert len(record.t_s) == 10_000
+    found = identify_window(record)
+    assert found.identifiable
+    assert found.log.model().theta_s == pytest.approx(4.0, abs=1.0)
+    short = identify_window(record, settings=FitSettings(most_samples=1500))
+    assert short.log.model() == found.log.model()
+
+
+def test_a_record_of_too_many_rows_is_told_its_own_interval_and_not_that_of_the_fit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = ProcessModel("fopdt", k=1.2, tau1_s=60.0, theta_s=4.0)
+    record = simulate(model, GAINS, setpoint=[(0.0, 50.0), (100.0, 56.0)], until_s=6_000.0, dt_s=2.0, noise=0.05).window
+    monkeypatch.setattr(identify_module, "MOST_ROWS", 300)
+    found = identify_window(record, settings=FitSettings(most_samples=300))
+    assert not found.identifiable
+    assert "shorter than a row of 20 s, to which this record, logged every 2 s, is condensed" in found.reason
