@@ -33,6 +33,7 @@ from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.identification.candidate import Candidate
+from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.condition import Condition
 from retuner.adaptive.indexes.limits import switches_between
 from retuner.adaptive.indexes.recording_quality import held_together
@@ -248,6 +249,8 @@ def _diagnosed(
     if parts:
         each = [_diagnosed(part, gains, limits, settings, direction) for part in parts]
         return over_time(parts, each)
+    if short := too_few(window):
+        return Found(Diagnosis(Cause.UNKNOWN, 0.9, dict(seen.evidence), short))
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
     return _compared(window, gains, found, seen, settings)

@@ -19,6 +19,7 @@ from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.signals.growth import half_waves
 from retuner.adaptive.signals.response import Response
@@ -139,6 +140,8 @@ def hidden_cause(
     """
     length_s = response.t_end_s - response.t_start_s
     window = Window.of(stretch(samples, response.t_start_s - swing.lookback * length_s, swing.same_gains))
+    if too_few(window):
+        return None, False
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
     seen = screen(window, gains, in_auto=settings.in_auto)
     verdict = against_rivals(found[0], seen, settings).verdict
@@ -157,6 +160,8 @@ def through_a_change(samples: Sequence[LoopSample], gains: PidGains, settings: D
         return None
     changed_s = next(s.t_s for s in samples if s.revision == samples[-1].revision)
     window = Window.of(list(samples))
+    if too_few(window):
+        return None
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
     verdict = against_rivals(
         found[0], screen(window, gains, in_auto=settings.in_auto), settings, len(setpoint_changes(window))

@@ -14,7 +14,7 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.identify import FitSettings
-from retuner.adaptive.identification.structure_choice import candidates
+from retuner.adaptive.identification.structure_choice import candidates, too_few
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 
@@ -37,7 +37,7 @@ MOST_LOADS = 1
 def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Diagnosis | None:
     """The verdict, where the record shows it. direction : of the controller, the sign of its gain."""
     window = _while_co_moved(window)
-    if not _runs_away(window, direction):
+    if not _runs_away(window, direction) or too_few(window):
         return None
     few = replace(settings, choice=replace(settings.choice, seeded_loads=MOST_LOADS, most_loads=MOST_LOADS))
     if _lead(window, direction, few) is None:  # the other sign may use no more load steps; its own only gains by them

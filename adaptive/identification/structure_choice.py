@@ -71,6 +71,19 @@ class ChoiceSettings:
     inverse: bool = True
 
 
+def too_few(window: Window) -> str:
+    """Why a record holds too few samples for any process, in words; empty where it has enough.
+
+    Each gap in time is a start of its own, and a start has unknowns as a process has.
+    """
+    record = Record.of(window)
+    largest = Misfit(record, THIRD, 1, 0, record.noise_std, 1.0, ramp=True)
+    if largest.has_room:
+        return ""
+    gaps = f", cut by {len(record.gaps_s)} gaps," if record.gaps_s else ""
+    return f"{len(record.pv)} samples{gaps} are fewer than a process and its starts have unknowns: take more of them"
+
+
 def candidates(
     window: Window,
     signs: tuple[int, ...],
@@ -82,7 +95,14 @@ def candidates(
 
     window : the record. signs : of the gain to try. most_samples : of the final fits. barred_s : setpoint changes, s
     from the first sample, at which no load step is to stand.
+
+    Raises
+    ------
+    ValueError
+        The record has too few samples (see too_few).
     """
+    if short := too_few(window):
+        raise ValueError(short)
     record = replace(Record.of(window, settings.most_samples), barred_s=barred_s)
     fits = [fit for sign in signs for fit in _structures(record, sign, settings)]
     rivals = sorted((judged(fit) for fit in fits), key=lambda c: c.criterion)
@@ -169,7 +189,7 @@ def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit
     slopes = starts(misfit(INTEGRATING, 0), settings.seeded_loads, 1)
     found: list[Fit] = []
     for loads in range(settings.seeded_loads + 1):
-        if not seeds[loads] or not slopes[loads]:
+        if not seeds[loads] or not slopes[loads] or not misfit(SECOND, loads).has_room:
             break
         integrating = refine(misfit(INTEGRATING, loads), slopes[loads][0])
         points = [*seeds[loads][: settings.starts - (loads > 0)], long_lag(integrating, FIRST)]

@@ -13,6 +13,7 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import from_rest_to_rest
 from retuner.adaptive.guard import prove
+from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import as_wide_as_known, borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -131,6 +132,9 @@ def swing(found: Findings) -> None:
 
 def identification(found: Findings) -> None:
     """The record is taken into what is known of the region, or of its neighbours where nothing is."""
+    if found.steps is None and (short := too_few(found.record.window)):
+        found.stop(NOT_KNOWN, short)
+        return
     learned = by_sequences(found) if found.steps is not None else _by_itself(found)
     if learned is None:
         found.stop(NOT_KNOWN, "no loop explains what the setpoint makes of pv")

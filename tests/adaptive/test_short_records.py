@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+import retuner
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
 from retuner.adaptive.diagnosis.rival_fits import linear, room_for_a_tone
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import ROWS_PER_STEP, _greedy
+from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
@@ -54,7 +56,7 @@ def test_steps_leave_samples_that_could_speak_against_them(n: int) -> None:
     assert len(rows) <= n // ROWS_PER_STEP
 
 
-@pytest.mark.parametrize("n", [6, 7, 10, 14])
+@pytest.mark.parametrize("n", [14, 15, 18, 24])
 def test_a_record_that_no_tone_fits_into_has_no_rivals(n: int) -> None:
     """A response of many small setpoint moves, as a watching retuner asks of it, not as `diagnose` does."""
     t, settings, rng = np.arange(float(n)), DiagnosisSettings(), np.random.default_rng(n)
@@ -64,3 +66,25 @@ def test_a_record_that_no_tone_fits_into_has_no_rivals(n: int) -> None:
     best = linear(window, (1,), settings.fit.choice, settings.fit.most_samples)[0]
     found = against_rivals(best, screen(window, PidGains(1.0, 0.2), in_auto=True), settings)
     assert (found.verdict is None) or room_for_a_tone(best)
+
+
+def many_gaps(n: int) -> tuple[np.ndarray, ...]:
+    """A random record of n samples with a gap after every third one: each is a start with unknowns of its own."""
+    rng = np.random.default_rng(n)
+    t = np.cumsum(np.where(np.arange(n) % 3 == 0, 9.0, 1.0))
+    return t, np.where(np.arange(n) > n // 3, 1.0, 0.0), np.cumsum(rng.normal(size=n)), np.cumsum(rng.normal(size=n))
+
+
+@pytest.mark.parametrize("n", [3, 5, 8, 12, 16, 20])
+def test_a_record_with_fewer_samples_than_unknowns_says_so(n: int) -> None:
+    """It had said "more unknowns than samples", or "search: most or the grid is outside its range"."""
+    with pytest.raises(ValueError, match="are fewer than a process and its starts have unknowns"):
+        retuner.identify(*many_gaps(n))
+    assert retuner.diagnose(*many_gaps(n)).cause is Cause.UNKNOWN
+
+
+def test_the_fewest_samples_that_are_enough_are_fitted() -> None:
+    for n in range(20, 34):
+        if not too_few(Window(*many_gaps(n))):
+            assert retuner.identify(*many_gaps(n)).estimate.log.type
+            retuner.diagnose(*many_gaps(n))
