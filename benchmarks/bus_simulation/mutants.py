@@ -146,7 +146,44 @@ MUTANTS = tuple(
             "    else if (seq != d->running.seq)\n        reason = STALE;\n    else if (on_trial",
             "    else if (on_trial",
         ),
+        (
+            "a commit runs under another number than its stage",
+            "    if (!d->has_staged || seq != d->staged_seq) {\n        ack_set(d, COMMIT",
+            "    if (!d->has_staged) {\n        ack_set(d, COMMIT",
+        ),
+        ("a refused commit is judged anew", "    if (is_same(&d->commit_refused, data)) {", "    if (false) {"),
+        (
+            "a second commit takes the place of the one that waits",
+            "    if (d->commit_pending.there) {\n        if (!is_same(&d->commit_pending, data))",
+            "    if (d->commit_pending.there) {\n        if (false)",
+        ),
+        (
+            "an abort asks for the lease",
+            "    if (!(d->has_staged && seq == d->staged_seq) && !newer16(seq, d->latest)) {\n        ack_set(d, ABORT",
+            "    if (d->owner == NOBODY || (!(d->has_staged && seq == d->staged_seq) && !newer16(seq, d->latest))) {\n"
+            "        ack_set(d, ABORT",
+        ),
+        (
+            "a lease's stamp of the last 64 samples is refused",
+            "&& stamp != lease_stamp(d->epoch, before))",
+            "&& before != 1)",
+        ),
+        (
+            "a lease's stamp of long ago counts",
+            "d->sample < STAMP_SAMPLES ? 0 : d->sample - STAMP_SAMPLES;",
+            "d->sample < 2 * STAMP_SAMPLES ? 0 : d->sample - 2 * STAMP_SAMPLES;",
+        ),
         # what is told
+        (
+            "one CRC of a sample in 40 is wrong",
+            "put16(sp + 6, crc16(said, sizeof said));",
+            "put16(sp + 6, crc16(said, sizeof said) ^ (d->sample % 40 == 39));",
+        ),
+        (
+            "one checksum of a frame in 40 is wrong",
+            "        data[length - 1] = frame_crc(frame.id, data, length - 1);",
+            "        data[length - 1] = (uint8_t)(frame_crc(frame.id, data, length - 1) ^ (d->sample % 40 == 39));",
+        ),
         ("the epoch is missing in answers", "| (uint32_t)(d->epoch & 0x1FFF) << 11;", ";"),
         ("refused frames are not counted", "        d->refused++;", "        return;"),
         ("a range is not checked", "    if (good && is_in_range(command, data))", "    if (good)"),

@@ -18,6 +18,7 @@ CHAPTERS: tuple[tuple[str, Check], ...] = (
     ("Storing and restarting", set_checks.storing),
     ("Authentication of commits", set_checks.codes),
     ("Setpoint, mode, load", frame_checks.commands),
+    ("Who may command: the lease", frame_checks.stamps),
     ("Storing and restarting", set_checks.restarting),
 )
 

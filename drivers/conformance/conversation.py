@@ -9,8 +9,8 @@ from typing import NamedTuple, Protocol, TypeVar
 import can
 
 from retuner.drivers.protocol.authentication import code_frames, commit_code
-from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, set_crc
-from retuner.drivers.protocol.codec import Codec, Refused
+from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, page_crc, sample_crc, set_crc
+from retuner.drivers.protocol.codec import Codec, Refusal, Refused
 from retuner.drivers.protocol.frames import (
     OWNER_TAG,
     TOKENS,
@@ -33,6 +33,7 @@ from retuner.drivers.protocol.frames import (
     Stage,
     Status,
     TelemetryPv,
+    TelemetrySp,
 )
 from retuner.schedule.gains import PidGains
 
@@ -99,6 +100,8 @@ class Conversation:
     Parameters
     ----------
     far : where the device is. node : its number. key : the secret for commits; None for none.
+
+    spoilt : what was wrong in itself with frames that came, at whatever time.
     """
 
     def __init__(self, far: Counterpart, node: int, key: bytes | None = None) -> None:
@@ -109,12 +112,19 @@ class Conversation:
         self._counter = secrets.randbelow(COUNTERS)
         self._token = secrets.randbelow(TOKENS)
         self._pv: deque[TelemetryPv] = deque(maxlen=16)
+        self.spoilt: list[str] = []
 
     # what is said
 
     def decoded(self, messages: Sequence[can.Message]) -> list[Frame]:
-        """The device's frames among these; its heartbeats keep what is known up to date."""
-        frames = [frame for frame in map(self.codec.decode, messages) if not isinstance(frame, Refused)]
+        """The device's frames among these; its heartbeats keep what is known up to date, and every CRC is looked at."""
+        frames: list[Frame] = []
+        for message in messages:
+            frame = self.codec.decode(message)
+            if not isinstance(frame, Refused):
+                frames.append(frame)
+            elif frame.refusal is not Refusal.FOREIGN and not message.is_extended_id:
+                self.spoilt.append(f"a frame of command 0x{message.arbitration_id & 31:02X}: {frame.refusal}")
         for frame in frames:
             if isinstance(frame, Heartbeat):
                 self.known.epoch, self.known.sample = frame.epoch, frame.sample
@@ -123,6 +133,9 @@ class Conversation:
                 self.known.latest, self.known.refused, self.known.owner = frame.latest, frame.refused, frame.owner
             elif isinstance(frame, TelemetryPv):
                 self._pv.append(frame)
+            elif isinstance(frame, TelemetrySp) and self._pv and self._pv[-1].counter == frame.counter:
+                right = frame.crc == sample_crc(self.node, self._pv[-1], frame)
+                self.spoilt += [] if right else [f"the CRC-16 of sample {frame.counter}"]
         return frames
 
     def last_before(self, counter: int) -> TelemetryPv | None:
@@ -183,11 +196,25 @@ class Conversation:
 
     def page(self, page: Page, token: int | None = None) -> PageSeen:
         """A page; NoAnswerError without its end."""
-        frames = self.say(Read(page, self.token() if token is None else token))
+        asked = self.token() if token is None else token
+        frames = self.say(Read(page, asked))
         ends = [frame for frame in frames if isinstance(frame, PageEnd)]
         if not ends:
             raise NoAnswerError(f"no PAGE after READ of page {page.name.lower()}")
-        return PageSeen({frame.item: frame for frame in frames if isinstance(frame, PageItem)}, ends[-1])
+        seen = PageSeen({frame.item: frame for frame in frames if isinstance(frame, PageItem)}, ends[-1])
+        self._look_at(page, seen, asked)
+        return seen
+
+    def _look_at(self, page: Page, seen: PageSeen, token: int) -> None:
+        """Whether the CRC of a complete set that runs or is staged is that of its gains."""
+        if page not in {Page.RUNNING, Page.STAGED} or not seen.end.complete or len(seen.items) < len(Item):
+            return
+        try:
+            gains = PidGains(*seen.values)
+        except ValueError:  # shown as it is: no PID runs it
+            return
+        if seen.end.crc != page_crc(set_crc(self.node, self.known.epoch, seen.end.seq, gains), token):
+            self.spoilt.append(f"the CRC of the {page.name.lower()} page")
 
     def token(self) -> int:
         """A new one."""

@@ -7,11 +7,13 @@ import can
 
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import Clock
-from retuner.drivers.protocol.codec import COMMAND_BITS
+from retuner.drivers.protocol.codec import COMMAND_BITS, Codec, Refused
+from retuner.drivers.protocol.frames import CHALLENGE_TAG, Challenge, Page, Read
 
-TELEMETRY_SP, HEARTBEAT = 0x13, 0x10
-QUIET_S = 0.03  # no frame for so long: whatever was to be answered has been
-ANSWER_S = 0.3  # longest wait for the first frame after a question
+READ, TELEMETRY_SP = 0x02, 0x13
+LOOK_S = 0.03  # longest sleep
+LEAST_S = 0.3  # longest wait for an answer, at least: an operating system lets a process wait that long
+SAMPLES = 1.5  # and in samples: a device answers within one
 
 
 class Answering(Protocol):
@@ -59,6 +61,9 @@ class InThread:
 class OnBus:
     """A node on a bus.
 
+    It answers within one controller sample, in the order in which it was asked. So behind every question goes one that
+    is always answered, by CHALLENGE: when that has come, nothing more is to be waited for.
+
     Parameters
     ----------
     link : open bus of its own. clock : the machine's, in real seconds. node : the device's.
@@ -70,23 +75,34 @@ class OnBus:
         self, link: CanLink, clock: Clock, node: int, sample_s: float, restart: Callable[[], bool] = lambda: False
     ) -> None:
         self._link, self._clock, self._node, self._sample_s = link, clock, node, sample_s
-        self._ask = restart
+        self._codec, self._ask = Codec(node), restart
+        self._tokens: set[int] = set()
         self._waiting: list[can.Message] = []
 
     def send(self, message: can.Message) -> None:
         """Put it on the bus."""
+        if message.arbitration_id & 31 == READ and len(message.data) > 1:
+            self._tokens.add(message.data[1] % CHALLENGE_TAG)
         self._link.send(message)
 
     def heard(self) -> list[can.Message]:
-        """What comes until the node is quiet."""
-        self._listen(self._clock.now_s() + ANSWER_S, lambda _: False)
+        """What comes until all that was sent is answered."""
+        token = next(token for token in range(CHALLENGE_TAG) if token not in self._tokens)
+        self._tokens.clear()
+        self._link.send(self._codec.encode(Read(Page.CHALLENGE, token)))
+        self._listen(self._clock.now_s() + max(SAMPLES * self._sample_s, LEAST_S), lambda m: self._is_last(m, token))
         messages, self._waiting = self._waiting, []
-        return messages
+        return [message for message in messages if not self._is_last(message, token)]
+
+    def _is_last(self, message: can.Message, token: int) -> bool:
+        """Whether it is the answer to the question behind all others."""
+        frame = self._codec.decode(message)
+        return not isinstance(frame, Refused) and isinstance(frame, Challenge) and frame.token == token
 
     def sample(self) -> list[can.Message]:
         """What comes until a whole sample has come."""
         patience_s = self._clock.now_s() + 4 * self._sample_s + 1.0
-        self._listen(patience_s, lambda m: m.arbitration_id & 31 == TELEMETRY_SP, quiet_s=patience_s)
+        self._listen(patience_s, lambda m: m.arbitration_id & 31 == TELEMETRY_SP)
         messages, self._waiting = self._waiting, []
         return messages
 
@@ -97,16 +113,12 @@ class OnBus:
         self._waiting = []
         return done
 
-    def _listen(self, until_s: float, last: Callable[[can.Message], bool], quiet_s: float = QUIET_S) -> None:
-        """Take the node's frames until one is the last, the node is quiet, or the time is over."""
-        clock, heard_s = self._clock, self._clock.now_s()
-        answered = ended = False
-        while not ended and clock.now_s() < until_s and not (answered and clock.now_s() - heard_s > quiet_s):
-            self._link.wait_until(min(until_s, clock.now_s() + QUIET_S))
+    def _listen(self, until_s: float, last: Callable[[can.Message], bool]) -> None:
+        """Take the node's frames until one is the last, or the time is over."""
+        ended = False
+        while not ended and self._clock.now_s() < until_s:
+            self._link.wait_until(min(until_s, self._clock.now_s() + LOOK_S))
             for message in self._link.receive_all():
-                if message.arbitration_id >> COMMAND_BITS != self._node or message.is_extended_id:
-                    continue
-                self._waiting.append(message)
-                ended = ended or last(message)
-                if message.arbitration_id & 31 not in {TELEMETRY_SP, TELEMETRY_SP - 1, HEARTBEAT, HEARTBEAT + 1}:
-                    answered, heard_s = True, clock.now_s()
+                if message.arbitration_id >> COMMAND_BITS == self._node and not message.is_extended_id:
+                    self._waiting.append(message)
+                    ended = ended or last(message)

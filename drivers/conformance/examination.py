@@ -109,6 +109,8 @@ def _put_back(found: Examination) -> None:
             talk.write(found.first)
             found.confirmed()
         found.expect("the set of the beginning, written back: what runs", talk.known.gains, found.first)
+        found.chapter = "Frames"
+        found.expect("wrong checksums and CRCs in the whole examination", list(dict.fromkeys(talk.spoilt)), [])
         talk.ack(Kind.LEASE, talk.lease(samples=0))
     except NoAnswerError as error:
         found.findings.append(Finding(found.chapter, str(error)))

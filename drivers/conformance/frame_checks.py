@@ -7,9 +7,9 @@ from itertools import pairwise
 import can
 
 from retuner.adaptive.signals.sample import LoopMode
-from retuner.drivers.conformance.conversation import Conversation
+from retuner.drivers.conformance.conversation import LEASE_SAMPLES, Conversation
 from retuner.drivers.conformance.examination import Examination
-from retuner.drivers.protocol.checksum import frame_crc, lease_stamp, page_crc, sample_crc, set_crc
+from retuner.drivers.protocol.checksum import STAMP_SAMPLES, frame_crc, lease_stamp, page_crc, sample_crc, set_crc
 from retuner.drivers.protocol.codec import COMMAND_BITS, schema
 from retuner.drivers.protocol.frames import (
     EPOCH_TAG,
@@ -17,6 +17,7 @@ from retuner.drivers.protocol.frames import (
     PAGE_TAG,
     PROTOCOL_VERSION,
     RUNNING_TAG,
+    Abort,
     Ack,
     Confirm,
     Flags,
@@ -43,18 +44,16 @@ READ, STAGE = 2, 4
 HEARTBEATS_MAX = 100  # samples between two heartbeats at most
 SHORT_LEASE = 4  # samples
 OTHER = 77  # another host
+NEAR = 4  # samples to the next stamp, within which it may have come by the time that a request is there
 
 
 def connecting(found: Examination) -> None:
     """Who it is, and what it says about its sets."""
     talk = found.talk
     frames = talk.say(Read(Page.IDENTITY, 1))
-    told = [type(f) for f in frames if isinstance(f, Identity | Heartbeat | Status)]
-    found.expect(
-        "READ of the identity is answered by",
-        told[:3] and [t.__name__ for t in told[:3]],
-        ["Identity", "Heartbeat", "Status"],
-    )
+    told = [type(f).__name__ for f in frames if isinstance(f, Identity | Heartbeat | Status)]
+    begins = told.index("Identity") if "Identity" in told else len(told)  # a sample may have come before the answer
+    found.expect("READ of the identity is answered by", told[begins : begins + 3], ["Identity", "Heartbeat", "Status"])
     identity = talk.one(Identity, Page.IDENTITY)
     found.expect("protocol version", identity.protocol, PROTOCOL_VERSION)
     found.expect("layout hash", hex(identity.schema), hex(schema()))
@@ -182,6 +181,8 @@ def leases(found: Examination) -> None:
     found.holds("HEARTBEAT says that the lease is taken when it is not", not talk.known.flags & Flags.OWNED)
     for name, kind, frame in _commands(found, seq, talk.owner):
         found.expect(f"{name} without a lease", talk.reason(kind, frame), Reason.NOT_OWNER)
+    found.expect("ABORT of a new number without a lease", talk.reason(Kind.ABORT, Abort(seq)), Reason.OK)
+    found.expect("ABORT of an old number without a lease", talk.reason(Kind.ABORT, Abort(seq)), Reason.STALE)
     answer = talk.ack(Kind.LEASE, talk.lease())
     if not found.holds("LEASE is not answered", answer is not None) or answer is None:
         return
@@ -228,6 +229,20 @@ def _stale_leases(found: Examination) -> None:
     ):
         request = Lease(talk.owner, stamp, 100, talk.counter())
         found.expect(f"LEASE with the stamp of {name}", talk.reason(Kind.LEASE, request), Reason.STALE)
+
+
+def stamps(found: Examination) -> None:
+    """A request counts that was stamped within the last 64 samples, and no older one."""
+    talk = found.talk
+    talk.samples(max(2 * STAMP_SAMPLES - talk.known.sample, 0))
+    if talk.known.sample % STAMP_SAMPLES > STAMP_SAMPLES - NEAR:
+        talk.samples(2 * NEAR)
+    talk.look()
+    for back, wanted in ((1, Reason.OK), (2, Reason.STALE)):
+        stamp = lease_stamp(talk.known.epoch, talk.known.sample - back * STAMP_SAMPLES)
+        request = Lease(talk.owner, stamp, LEASE_SAMPLES, talk.counter())
+        name = f"LEASE with the stamp of {back * STAMP_SAMPLES} samples before"
+        found.expect(name, talk.reason(Kind.LEASE, request), wanted)
 
 
 def _lease_ends(found: Examination) -> None:

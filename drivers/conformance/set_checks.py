@@ -209,9 +209,10 @@ def _refusal(
     """A commit that must not run."""
     talk = found.talk
     seq = talk.fresh_seq()
-    stage = talk.stage(seq, gains)
-    answer = talk.reason(Kind.COMMIT, *stage, *talk.codes(seq, gains), commit(seq))
+    stage, sent = talk.stage(seq, gains), commit(seq)
+    answer = talk.reason(Kind.COMMIT, *stage, *talk.codes(seq, gains), sent)
     _judge(found, name, stage[0], answer, reasons)
+    found.expect(f"COMMIT with {name} again", talk.reason(Kind.COMMIT, sent), answer)
 
 
 def _raw_refusal(found: Examination, name: str, values: tuple[float, ...], reasons: tuple[Reason, ...]) -> None:
@@ -240,6 +241,11 @@ def _numbers(found: Examination) -> None:
     seq = talk.fresh_seq()
     far = (seq + 5) % 65536
     found.expect("COMMIT of what is not staged", talk.reason(Kind.COMMIT, talk.commit(far, good)), Reason.NOT_STAGED)
+    staged = talk.reason(Kind.COMMIT, *talk.stage(seq, good), *talk.codes(far, good), talk.commit(far, good))
+    found.expect("COMMIT under another number than that of the stage", staged, Reason.NOT_STAGED)
+    talk.samples(1)
+    found.runs("after it", talk.known.gains)
+    seq = (seq + 1) % 65536
     missing = talk.ack(Kind.COMMIT, *talk.stage(seq, good)[::2], talk.commit(seq, good))
     got = None if missing is None else (Reason(missing.reason), missing.item)
     found.expect("COMMIT of a page without ki", got, (Reason.INCOMPLETE, int(Item.KI)))
@@ -283,12 +289,15 @@ def busy(found: Examination) -> None:
     codes = talk.codes(seq, good)
     talk.samples(1)
     late = (seq + 1) % 65536
-    frames = talk.say(*talk.stage(seq, good), *codes, talk.commit(seq, good), talk.stage(late, good)[0])
+    waits = talk.commit(seq, good)
+    other = replace(waits, crc=waits.crc ^ 1)
+    frames = talk.say(*talk.stage(seq, good), *codes, waits, talk.stage(late, good)[0], other)
     stage, commit = first_ack(frames, Kind.STAGE), first_ack(frames, Kind.COMMIT)
-    if commit is not None:
+    if commit is not None and commit.reason == Reason.OK:
         found.left_out.append("STAGE while a commit waits: the samples are too short to try it")
     else:
         found.expect("STAGE while a commit waits", None if stage is None else Reason(stage.reason), Reason.BUSY)
+        found.expect("COMMIT while another waits", None if commit is None else Reason(commit.reason), Reason.BUSY)
     talk.samples(2)
     talk.look()
     found.confirmed()

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -11,9 +12,10 @@ from bus_simulation.mutants import MUTANTS, Mutant
 from effort import sized
 
 from retuner.cli import main
+from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.conformance.chapters import CHAPTERS, chapters
 from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
-from retuner.drivers.conformance.counterparts import InThread
+from retuner.drivers.conformance.counterparts import InThread, OnBus
 from retuner.drivers.conformance.examination import Examination, examine
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.protocol.gain_limits import GainBox
@@ -47,6 +49,69 @@ def test_nothing_is_wrong_with_what_keeps_the_protocol(make, key: bytes | None, 
 def test_every_mutant_is_found(mutant: Mutant) -> None:
     found = examined(changes=((mutant.old, mutant.new),))
     assert found.findings != []
+
+
+MISSED = (
+    "a commit runs under another number than its stage",
+    "a refused commit is judged anew",
+    "a second commit takes the place of the one that waits",
+    "staged over a commit that waits",
+    "an abort asks for the lease",
+    "a lease's stamp of the last 64 samples is refused",
+    "a lease's stamp of long ago counts",
+    "one CRC of a sample in 40 is wrong",
+    "one checksum of a frame in 40 is wrong",
+)
+
+
+@pytest.mark.parametrize("name", MISSED)
+@pytest.mark.parametrize("key", [None, KEY])
+def test_what_an_examination_had_missed_is_found(name: str, key: bytes | None) -> None:
+    mutant = next(one for one in MUTANTS if one.name == name)
+    assert examined(key=key, changes=((mutant.old, mutant.new),)).findings != []
+
+
+class Wire:
+    """A bus on which one device is, in simulated time: it answers late, but within its sample, and in order."""
+
+    def __init__(self, late_s: float, sample_s: float) -> None:
+        box = GainBox(kp_max=100.0, ki_max=10.0, kd_max=50.0, ratio_max=10.0)
+        settings = VirtualDeviceSettings(
+            PidGains(1.0, 0.0625, 0.25), box=box, trial_samples=0, heartbeat_samples=2, sample_time_s=sample_s
+        )
+        self.device, self.clock = VirtualDevice(settings, LagPlant()), SimulatedClock()
+        self._late_s, self._sample_s, self._next_s = late_s, sample_s, sample_s
+        self._coming: list[tuple[float, can.Message]] = []
+
+    def send(self, message: can.Message) -> bool:
+        self._pass()
+        at_s = self.clock.now_s() + self._late_s
+        self._coming += [(at_s, answer) for answer in self.device.receive(message)]
+        return True
+
+    def wait_until(self, t_s: float) -> None:
+        self.clock.wait_until(t_s)
+        self._pass()
+
+    def receive_all(self) -> list[can.Message]:
+        due = [message for at_s, message in self._coming if at_s <= self.clock.now_s()]
+        self._coming = [one for one in self._coming if one[0] > self.clock.now_s()]
+        return due
+
+    def _pass(self) -> None:
+        while self._next_s <= self.clock.now_s():
+            self._coming += [(self._next_s, message) for message in self.device.step()]
+            self._next_s += self._sample_s
+
+
+@pytest.mark.parametrize(("late_s", "sample_s"), [(0.0, 1.0), (0.9, 1.0), (0.045, 0.05)])
+def test_answers_within_one_sample_are_not_condemned(late_s: float, sample_s: float) -> None:
+    """Nor is a life sign of a sample that comes between a question and its answer."""
+    wire = Wire(late_s, sample_s)
+    link: Any = wire
+    found = examine(Conversation(OnBus(link, wire.clock, 1, sample_s), 1), chapters())
+    assert found.findings == []
+    assert found.tried > 150
 
 
 class SameEpoch(VirtualDevice):
