@@ -160,7 +160,7 @@ class FirmwareDevice:
         numbers = [s.node, s.sample_time_s, s.gains.kp, s.gains.ki, s.gains.kd]
         numbers += [s.box.kp_max, s.box.ki_max, s.box.kd_max, s.box.ratio_max, s.box.direction, s.sp_min, s.sp_max]
         numbers += [s.co_min, s.co_max, s.co_rate_per_s or 0.0, s.co_fault, s.b, s.tau_f_s]
-        numbers += [s.heartbeat_samples, s.lease_longest_samples, s.trial_samples]
+        numbers += [s.heartbeat_samples, s.lease_longest, s.trial_samples]
         made = (ctypes.c_double * len(numbers))(*numbers)
         begins = (ctypes.c_uint(epoch), ctypes.c_double(self.pv), ctypes.c_double(self._steady()))
         self._bench = ctypes.c_void_p(self._library.bench_new(made, key, len(key), self._nonce, self._keep, *begins))

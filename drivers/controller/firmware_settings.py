@@ -8,6 +8,7 @@ from retuner.schedule.pid import PidLaw, law
 
 CO_WIRE = (-100.0, 200.0)  # percent, range of co in retuner.dbc
 SAMPLES_MAX = 65535  # 16 bits
+LEASE_SAMPLES, LEASE_S = 600, 6.0  # twenty times, twice what a host asks for when nobody says otherwise
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +27,8 @@ class VirtualDeviceSettings:
     co_fault : output while a fault is told, percent; limited to the range, reached at once.
     b : setpoint weight. tau_f_s : filter time of the derivative, s.
     heartbeat_samples : samples between life signs.
-    lease_longest_samples : longest lease that it grants.
+    lease_longest_samples : longest lease that it grants: a lost request that a repeater sends later locks the loop so
+        long; None for 600 samples, or 6 s where that is more.
     trial_samples : samples within which a host must confirm a new set, or the confirmed one runs again; 0 for ever.
     key : secret that commits must be authenticated with; None for none.
 
@@ -49,7 +51,7 @@ class VirtualDeviceSettings:
     b: float = 1.0
     tau_f_s: float = 0.0
     heartbeat_samples: int = 5
-    lease_longest_samples: int = 6000
+    lease_longest_samples: int | None = None
     trial_samples: int = 0
     key: bytes | None = field(default=None, repr=False)
 
@@ -64,10 +66,20 @@ class VirtualDeviceSettings:
             raise ValueError(f"device: sp_min = {self.sp_min} must be below sp_max = {self.sp_max}")
         if not 1 <= self.heartbeat_samples <= 100:
             raise ValueError(f"device: heartbeat_samples = {self.heartbeat_samples}; give 1 to 100")
-        for name, low in (("lease_longest_samples", 1), ("trial_samples", 0)):
-            if not low <= getattr(self, name) <= SAMPLES_MAX:
-                raise ValueError(f"device: {name} = {getattr(self, name)}; give {low} to {SAMPLES_MAX}")
+        for name, value, low in (
+            ("lease_longest_samples", self.lease_longest, 1),
+            ("trial_samples", self.trial_samples, 0),
+        ):
+            if not low <= value <= SAMPLES_MAX:
+                raise ValueError(f"device: {name} = {value}; give {low} to {SAMPLES_MAX}")
         self.law_of(self.gains)
+
+    @property
+    def lease_longest(self) -> int:
+        """Longest lease that it grants, samples."""
+        if self.lease_longest_samples is not None:
+            return self.lease_longest_samples
+        return int(min(max(LEASE_SAMPLES, LEASE_S / self.sample_time_s), SAMPLES_MAX))
 
     def law_of(self, gains: PidGains) -> PidLaw:
         """The PID law with these gains."""

@@ -91,7 +91,7 @@ class VirtualDevice:
         self.settings, self.plant = settings, plant
         self._codec = Codec(settings.node)
         self.pages = GainPages(settings.node, settings.box, settings.gains, settings.trial_samples, keep)
-        self.lease = LeaseDesk(settings.lease_longest_samples)
+        self.lease = LeaseDesk(settings.lease_longest)
         self.code = CodeDesk(settings.key, nonce)
         self.epoch = epoch
         self.load = 0.0

@@ -252,7 +252,7 @@ static rt_settings defaults(void)
         .co_max = 100.0f,
         .b = 1.0f,
         .heartbeat_samples = 5,
-        .lease_longest_samples = 6000,
+        .lease_longest_samples = 600,
         .trial_samples = 60,
     };
     return settings;
@@ -301,6 +301,8 @@ int main(int count, char **given)
         fprintf(stderr, "retuner-firmware: give -i INTERFACE or -p; -n 1 to 63; -t, -x positive; -g to 63; -w 0 or more\n");
         return 2;
     }
+    if (settings.sample_time_s * 600.0f < 6.0f) /* a host asks for 3 s */
+        settings.lease_longest_samples = (uint16_t)(settings.sample_time_s > 1e-4f ? 6.0f / settings.sample_time_s : 6e4f);
     signal(SIGTERM, on_signal);
     signal(SIGINT, on_signal);
     if (!is_pipe)

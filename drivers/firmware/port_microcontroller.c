@@ -52,7 +52,7 @@ static const rt_settings SETTINGS = {
     .co_fault = 0.0f,
     .b = 1.0f,
     .heartbeat_samples = 50,
-    .lease_longest_samples = 6000,
+    .lease_longest_samples = 600,
     .trial_samples = 500,
     .key = NULL,
 };

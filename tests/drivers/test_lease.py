@@ -31,6 +31,7 @@ from retuner.drivers.protocol.frames import (
     Reason,
     Setpoint,
     Stage,
+    Status,
     Store,
 )
 
@@ -114,6 +115,42 @@ def test_no_lease_is_longer_than_the_firmware_grants() -> None:
     for _ in range(5):
         step(dev)
     assert dev.lease.owner == 0
+
+
+@pytest.mark.parametrize(("sample_s", "longest"), [(2.0, 600), (0.05, 600), (0.01, 600), (0.001, 6000), (1e-4, 60000)])
+def test_a_lost_request_that_is_sent_again_locks_the_loop_for_the_longest_lease_only(
+    sample_s: float, longest: int
+) -> None:
+    """A repeater may send a request of 6,000 samples that never came through when its host is gone."""
+    dev = device(sample_time_s=sample_s)
+    lost = Lease(OTHER, lease_stamp(dev.epoch, dev.sample), 60000, 200)
+    say(dev, Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 0, 2))
+    assert dev.lease.owner == 0
+    assert acks(say(dev, lost)) == [Reason.OK]
+    assert dev.settings.lease_longest == longest
+    for _ in range(600 if longest == 600 else 0):
+        assert dev.lease.owner == OTHER
+        step(dev)
+    assert dev.lease.owner == (0 if longest == 600 else OTHER)
+
+
+def test_a_request_is_checked_by_its_stamp_then_its_owner_then_its_counter() -> None:
+    dev = device()
+    right, wrong = lease_stamp(dev.epoch, dev.sample), lease_stamp(dev.epoch, dev.sample + 640)
+    take_lease(dev, counter=5)
+    assert acks(say(dev, Lease(OTHER, wrong, 5, 9))) == [Reason.STALE]
+    assert acks(say(dev, Lease(OTHER, right, 5, 9))) == [Reason.NOT_OWNER]
+    assert acks(say(dev, Lease(OTHER, right, 0, 9))) == [Reason.NOT_OWNER]
+    assert acks(say(dev, Lease(OWNER, right, 5, 4))) == [Reason.STALE]
+    assert acks(say(dev, Lease(OWNER, right, 0, 4))) == [Reason.STALE]
+    assert dev.lease.owner == OWNER
+
+
+def test_a_lease_of_n_samples_is_over_in_the_status_of_the_nth_sample() -> None:
+    dev = device(heartbeat_samples=1)
+    take_lease(dev, samples=3, counter=2)
+    told = [next(f.owner for f in step(dev) if isinstance(f, Status)) for _ in range(4)]
+    assert told == [OWNER, OWNER, 0, 0]
 
 
 def test_an_accepted_commit_stays_accepted_when_the_lease_ends() -> None:

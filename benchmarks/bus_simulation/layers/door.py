@@ -56,7 +56,7 @@ class Door:
         self._seen = look(device)
         self.sets = Sets(settings, self._seen, self.codes)
         self._answers = Answers(settings, self.sets)
-        self._leases, self._commands = Leases(settings.lease_longest_samples), Commands(settings)
+        self._leases, self._commands = Leases(settings.lease_longest), Commands(settings)
         self._law = Law(device)
         self._drawn = self.codes.drawn
 
