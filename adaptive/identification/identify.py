@@ -410,8 +410,8 @@ def _judge(
     dead_s = without_second_lag(log.model()).theta_s
     if record.logged_s <= dead_s < record.sample_time_s:  # not for want of logging
         open_ = (
-            f"the effective dead time (about {dead_s:.3g} s) is shorter than a row of {record.sample_time_s:.3g} s, to "
-            f"which this record, logged every {record.logged_s:.3g} s, is condensed: identify a shorter part of it"
+            f"dead time about {dead_s:.3g} s, too short for this record condensed to rows of "
+            f"{record.sample_time_s:.3g} s (logged every {record.logged_s:.3g} s): identify a shorter part"
         )
     return not open_, open_ or f"{NAMES[log.type]} explains {explained:.1%} of pv's variance"
 

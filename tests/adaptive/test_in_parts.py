@@ -69,4 +69,4 @@ def test_a_record_of_too_many_rows_is_told_its_own_interval_and_not_that_of_the_
     monkeypatch.setattr(identify_module, "MOST_ROWS", 300)
     found = identify_window(record, settings=FitSettings(most_samples=300))
     assert not found.identifiable
-    assert "shorter than a row of 20 s, to which this record, logged every 2 s, is condensed" in found.reason
+    assert "condensed to rows of 20 s (logged every 2 s): identify a shorter part" in found.reason
