@@ -7,6 +7,7 @@ once within the sample, theta' after its start (Astrom & Wittenmark, Computer-Co
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,17 @@ from retuner.adaptive.signals.sample import FloatArray
 
 ROUNDING = 1e-9
 """Share of a sample by which a dead time may miss a whole number of samples and still count as whole."""
+
+
+class HeldMatrices(NamedTuple):
+    """The matrices of the head of this file: phi (n, n), g1, g0, c (n,), d, and d of the delay in samples."""
+
+    phi: FloatArray
+    g1: FloatArray
+    g0: FloatArray
+    c: FloatArray
+    d: float
+    delay: int
 
 
 class HeldInput:
@@ -44,6 +56,11 @@ class HeldInput:
         self._x = np.zeros(len(space.b))
         self._inputs = [0.0] * samples
         self._at = 0
+
+    @property
+    def matrices(self) -> HeldMatrices:
+        """What it steps with."""
+        return HeldMatrices(self._phi, self._g1, self._g0, self._space.c, self._space.d, len(self._inputs))
 
     def step(self, co: float) -> float:
         """Hold co for one interval; pv at its end."""

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,9 @@ from retuner.drivers.historian.loop_record import LoopRecord, loop_in_pieces, re
 from retuner.drivers.historian.parquet_tables import MOST_ROWS
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError
+from retuner.report.what_if import of_diagnosis
 
-SCHEMA = 4
+SCHEMA = 5
 """Version of a row's keys."""
 OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
 """Causes by which a loop oscillates of itself."""
@@ -117,12 +119,21 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
         return failed(tag, told_fault(error))
 
 
+class Part(NamedTuple):
+    """A diagnosed stretch: its verdict, what is shown of it, the whole diagnosis, and its samples."""
+
+    verdict: StretchVerdict
+    shown: Row
+    found: RecordDiagnosis
+    window: Window
+
+
 @dataclass(slots=True)
 class _Seen:
     """What is kept of a loop's records, whatever their length."""
 
     screens: list[LoopScreen] = field(default_factory=list)
-    parts: list[tuple[StretchVerdict, Row, RecordDiagnosis]] = field(default_factory=list)
+    parts: list[Part] = field(default_factory=list)
     spread: list[Window] = field(default_factory=list)
     trends: list[tuple[float, Trend]] = field(default_factory=list)
     assumed: dict[str, None] = field(default_factory=dict)
@@ -144,7 +155,8 @@ class _Seen:
             begin_s, end_s = float(stretch.t_s[0]) + later_s, float(stretch.t_s[-1]) + later_s
             seen = StretchVerdict(begin_s, end_s, told.cause, told.confidence, told.reason)
             file = Path(record.recording.source).name
-            self.parts.append((seen, {"file": file, **_stretch(stretch, seen, found)}, found))
+            shown = {"file": file, **_stretch(stretch, seen, found)}
+            self.parts.append(Part(seen, shown, found, _own_copy(stretch)))
         if settings.stretches and known:
             self.spread += [_own_copy(part) for part in spread_over(window)]
         if screen.span_s >= max((one.span_s for one in self.screens), default=0.0):
@@ -161,9 +173,9 @@ def _about_its_mean(record: LoopRecord) -> Window:
     return Window(known.t_s, np.full(len(known.pv), float(np.mean(known.pv))), known.pv, known.co)
 
 
-def _own_period_s(parts: Sequence[tuple[StretchVerdict, Row, RecordDiagnosis]]) -> float | None:
+def _own_period_s(parts: Sequence[Part]) -> float | None:
     """About the period with which a loop that is named too strong oscillates: four times its dead time."""
-    for _, _, found in parts:
+    for found in (part.found for part in parts):
         if found.diagnosis.cause in OWN_SWING and found.estimate is not None:
             model = found.estimate.log.model()
             return 4 * (model.theta_s + model.tau2_s / 2)
@@ -183,21 +195,23 @@ def _tracks(window: Window, begin_s: float, screen: LoopScreen, own_s: float | N
 def _judged(tag: str, seen: _Seen, *, common_clock: bool) -> Row:
     """The row of a loop whose records were seen."""
     screen = joined_screen([one for one in seen.screens if one.setpoint] or seen.screens)
-    verdict = loop_verdict(screen, [part[0] for part in seen.parts])
-    cure = _cure(verdict, [part[2] for part in seen.parts])
+    verdict = loop_verdict(screen, [part.verdict for part in seen.parts])
+    cure = _cure(verdict, [part.found for part in seen.parts])
     then = _foreseen(cure, seen.spread) if cure is not None else None
     if verdict.cause in TUNING_CAUSES:
         verdict = with_foreseen(verdict, then, proposed=cure is not None and cure.settings is not None)
-    harmonics = (part[2].diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
+    harmonics = (part.found.diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
     return {
         **_told(tag, seen, screen, verdict),
         "asks": asks(screen),
         "harmonic": max(harmonics, default=0.0),
-        "sticks": sum(p[0].confidence for p in seen.parts if p[0].cause == Cause.STICTION) / max(len(seen.parts), 1),
+        "sticks": sum(p.verdict.confidence for p in seen.parts if p.verdict.cause == Cause.STICTION)
+        / max(len(seen.parts), 1),
         "settings": _settings(cure),
         "process": _process(cure, then),
+        "what_if": _what_if(cure, seen.parts),
         "tracks": seen.tracks if common_clock else {},
-        "stretches": [part[1] for part in seen.parts],
+        "stretches": [part.shown for part in seen.parts],
         "trend": _one_trend(seen.trends),
     }
 
@@ -279,6 +293,13 @@ def _settings(cure: RecordDiagnosis | None) -> Row | None:
         return None
     told = cure.settings.to_dict()
     return {name: told[name] for name in ("gains", "form", "margins")} | {"first_step": cure.aim is not None}
+
+
+def _what_if(cure: RecordDiagnosis | None, parts: Sequence[Part]) -> Row | None:
+    """What the loop's page tries settings on: the stretch of the cure, else the surest that told the process."""
+    own = [part for part in parts if part.found is cure]
+    able = own or sorted(parts, key=lambda part: -part.verdict.confidence)
+    return next((told for part in able if (told := of_diagnosis(part.window, part.found)) is not None), None)
 
 
 def _process(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:

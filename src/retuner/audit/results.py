@@ -23,9 +23,10 @@ from retuner.audit.catalogue import Catalogue
 from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault, smaller
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
+from retuner.report.what_if import page_script, page_style
 
 TRACKS = "tracks"
-NOT_LISTED = frozenset({"trend", "stretches", TRACKS})
+NOT_LISTED = frozenset({"trend", "stretches", "what_if", TRACKS})
 """What is large of a row: its pictures, and what only the comparison of loops needs."""
 SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Cause.UNKNOWN, Cause.STICTION)})
 """Causes that a swing in step with a root's takes the place of."""
@@ -285,7 +286,9 @@ def write_results(
     write_whole(folder / "audit.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
     page = {**document, "rows": [_for_the_page(row, folder) for row in listed], "since": bool(before)}
     write_whole(folder / "audit-data.js", "const AUDIT = " + _script(page) + ";\n")
-    write_whole(folder / "index.html", files("retuner.templates").joinpath("audit.html").read_text(encoding="utf-8"))
+    template = files("retuner.templates").joinpath("audit.html").read_text(encoding="utf-8")
+    whole = template.replace("/*STYLE*/", page_style()).replace("/*WHAT-IF*/", page_script())
+    write_whole(folder / "index.html", whole)
     _write_parquet(folder / "audit.parquet", listed)
     return listed
 

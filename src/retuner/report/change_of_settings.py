@@ -102,15 +102,19 @@ def change_of(window: Window, result: RecordDiagnosis) -> Change | None:
     """The change that a diagnosis recommends, tried on its record; None where it recommends none."""
     if result.recommended is None:
         return None
-    if result.likely:
-        best, processes = result.likely[0], tuple(dict.fromkeys(model.linear() for model in result.likely))
-    elif result.estimate is not None:
-        best, processes = result.estimate.log.model(), _around(result.estimate)
-    else:
+    processes, best = processes_of(result), result.model or (result.estimate.log.model() if result.estimate else None)
+    if best is None or not processes:
         return None
     seen = best.seen_by_controller(window.sample_time_s).linear()
     found = before_after(window, processes, result.recommended, result.co_limits)
     return Change(found, spread(processes, MOST_MODELS), seen, result.active, result.recommended)
+
+
+def processes_of(result: RecordDiagnosis) -> tuple[LinearProcess, ...]:
+    """The processes that a diagnosis leaves possible, the best first; none where it knows none."""
+    if result.likely:
+        return tuple(dict.fromkeys(model.linear() for model in result.likely))
+    return _around(result.estimate) if result.estimate is not None else ()
 
 
 def _around(estimate: ModelEstimate) -> tuple[LinearProcess, ...]:

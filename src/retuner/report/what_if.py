@@ -1,0 +1,221 @@
+"""What other settings would do, for a page that works it out by itself (templates/what_if.js, no server needed).
+
+The page gets matrices, not models: every process as it steps from sample to sample, and G(jw) on a grid, so that it
+replays the record, draws responses and finds Ms for any settings that a slider gives. Its numbers are those of
+adaptive/loop/replayed.py and margins.py, which a test holds.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+
+from retuner.adaptive.loop.held_input import HeldInput
+from retuner.adaptive.loop.replayed import even, spread
+from retuner.adaptive.process.model import LinearProcess, ProcessModel
+from retuner.adaptive.rules.registry import rule_named, settings
+from retuner.adaptive.rules.rule import ControllerKind, Wishes
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.diagnosing import RecordDiagnosis
+from retuner.report.change_of_settings import processes_of, settling_s
+from retuner.schedule.controller_units import DEFAULT, ControllerUnits
+from retuner.schedule.dials import CONTROLLERS
+from retuner.schedule.gains import PidGains
+
+MOST_SAMPLES, MOST_MODELS, FREQUENCIES, SPEEDS = 800, 4, 240, 25
+"""Sizes of what a page carries: some thirty kilobytes a loop."""
+STEPS = 400
+"""Samples of a step response, at the controller's interval where that is longer."""
+NOISE_BANDS, CO_FLOOR = 8.0, 10.0
+"""Least heights of the two strips, as in every picture of a loop."""
+MS_LIMIT = 1.8
+"""Ms above it is shown as too much where the page knows no limit of its own."""
+FASTEST, SLOWEST = 0.3, 20.0
+"""tau_c of the slider over the dead time as the controller sees it, at the least and at the most."""
+PAGE_UNITS = ("kc-s", "kc-min", "gain-min", "pb-s", "pb-min", "pb-rpm")
+"""Units that are offered beside the vendors' controllers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is asked about a loop.
+
+    window : the record; None for step responses alone. models : of the process, the best first. dt_s : interval of the
+    controller, s. active, recommended : settings; one of them at least.
+    """
+
+    window: Window | None
+    models: Sequence[LinearProcess]
+    rule_model: ProcessModel | None
+    dt_s: float
+    active: PidGains | None
+    recommended: PidGains | None
+    co_limits: tuple[float | None, float | None] = (None, None)
+    ms_limit: float = MS_LIMIT
+
+
+def of_diagnosis(window: Window, result: RecordDiagnosis) -> dict[str, object] | None:
+    """What the page of a diagnosed record needs; None where no process or no settings are known."""
+    if result.model is None or (result.active is None and result.recommended is None):
+        return None
+    models = processes_of(result)
+    return what_if(
+        Asked(
+            window,
+            models,
+            result.model,
+            window.sample_time_s,
+            result.active,
+            result.recommended,
+            result.co_limits,
+        )
+    )
+
+
+def what_if(asked: Asked) -> dict[str, object]:
+    """The document of the page.
+
+    Keys
+    ----
+    dt, sp, pv, co : the part of the record that is replayed, empty without one. limits : of co. range : of pv and sp.
+    floor : least heights of pv's and co's strips. models : each {record, step: matrices at the two intervals, curve:
+    G(jw) as the controller sees it}. step : {dt, n}. curve : that of the best model. integrators. active, recommended :
+    [kp, ki, kd] or None. speeds : [tau_c, kp, ki, kd] of rule simc, the fastest first. slowest : a time of the process.
+    """
+    best, shown = asked.models[0], asked.recommended or asked.active
+    assert shown is not None
+    models = spread(asked.models, MOST_MODELS)
+    until_s = 2.0 * settling_s(best.seen_by_controller(asked.dt_s), shown)
+    step_s = max(asked.dt_s, until_s / STEPS)
+    record = _telling(even(asked.window)) if asked.window is not None else None
+    each: list[dict[str, object]] = []
+    for model in models:
+        one: dict[str, object] = {"step": _matrices(model, step_s), "curve": _curve(model, asked.dt_s, models)}
+        each.append(one | ({"record": _matrices(model, record.sample_time_s)} if record is not None else {}))
+    return {
+        **_recorded(record, asked.co_limits),
+        "models": each,
+        "step": {"dt": step_s, "n": max(math.ceil(until_s / step_s), 20)},
+        "curve": each[0]["curve"],
+        "integrators": best.integrators,
+        "active": _parallel(asked.active),
+        "recommended": _parallel(asked.recommended),
+        "speeds": _speeds(asked.rule_model, asked.dt_s, pid=bool(shown.kd)),
+        "slowest": max((*best.lags_s, best.theta_s, asked.dt_s)),
+        "ms_limit": asked.ms_limit,
+    }
+
+
+def _parallel(gains: PidGains | None) -> list[float] | None:
+    """A set as the page has it."""
+    return None if gains is None else [_short(value) for value in (gains.kp, gains.ki, gains.kd)]
+
+
+def _short(value: float) -> float:
+    """A number of a page: nine digits."""
+    return float(f"{value:.9g}")
+
+
+def _listed(values: FloatArray, digits: int = 9) -> list[float]:
+    return [float(f"{value:.{digits}g}") for value in values.tolist()]
+
+
+def _matrices(process: LinearProcess, dt_s: float) -> dict[str, object]:
+    """How a process steps (held_input.py)."""
+    held = HeldInput(process, dt_s).matrices
+    lists = {
+        name: [_listed(row) for row in held.phi] if name == "phi" else _listed(getattr(held, name))
+        for name in ("phi", "g1", "g0", "c")
+    }
+    return {**lists, "d": _short(held.d), "delay": held.delay}
+
+
+def _curve(process: LinearProcess, dt_s: float, models: Sequence[LinearProcess]) -> dict[str, list[float]]:
+    """G(jw) as a sampled controller sees it, from far below its slowest time to far beyond its dead time."""
+    seen = process.seen_by_controller(dt_s)
+    times = [
+        t
+        for one in models
+        for t in (*one.lags_s, one.theta_s, dt_s, *(math.sqrt(c2) for _, c2 in one.quadratics))
+        if t > 0
+    ]
+    w = np.geomspace(1e-3 / max(times), 30.0 / max(seen.theta_s, min(times)), FREQUENCIES)
+    g = seen.response(w)
+    return {"w": _listed(w, 7), "re": _listed(g.real, 7), "im": _listed(g.imag, 7)}
+
+
+def _telling(record: Window) -> Window:
+    """The part of a record with the greatest error, as long as a page carries."""
+    n = len(record.t_s)
+    if n <= MOST_SAMPLES:
+        return record
+    error = np.concatenate([[0.0], np.cumsum(np.abs(record.sp - record.pv))])
+    first = int(np.argmax(error[MOST_SAMPLES:] - error[:-MOST_SAMPLES]))
+    part = slice(first, first + MOST_SAMPLES)
+    return Window(record.t_s[part], record.sp[part], record.pv[part], record.co[part], record.noise_std)
+
+
+def _recorded(record: Window | None, limits: tuple[float | None, float | None]) -> dict[str, object]:
+    """The record's part of the document."""
+    if record is None:
+        return {"dt": 1.0, "sp": [], "pv": [], "co": [], "limits": [-1e9, 1e9], "range": 1.0, "floor": [0.0, 0.0]}
+    room = 1e6 * max(float(np.ptp(record.co)), 1.0)
+    low = float(np.min(record.co)) - room if limits[0] is None else limits[0]
+    high = float(np.max(record.co)) + room if limits[1] is None else limits[1]
+    return {
+        "dt": record.sample_time_s,
+        **{name: _listed(getattr(record, name), 6) for name in ("sp", "pv", "co")},
+        "limits": [low, high],
+        "range": max(float(np.ptp(record.pv)), float(np.ptp(record.sp)), 1e-9),
+        "floor": [NOISE_BANDS * noise_sigma(record.pv), CO_FLOOR],
+    }
+
+
+def _speeds(model: ProcessModel | None, dt_s: float, *, pid: bool) -> list[list[float]]:
+    """Settings of rule simc over its tau_c, the fastest first; none where it has no answer."""
+    if model is None:
+        return []
+    seen = model.seen_by_controller(dt_s)
+    late = max(seen.theta_s, 1e-3 * seen.tau1_s, dt_s / 2)
+    rule = rule_named("simc")
+    kind = ControllerKind.PID if pid and ControllerKind.PID in rule.formulas else rule.usual_kind
+    found = []
+    for tau_c in np.geomspace(FASTEST * late, SLOWEST * late, SPEEDS).tolist():
+        try:
+            gains = settings(rule, kind, seen, wishes=Wishes(tau_c_s=tau_c)).gains
+        except ValueError:
+            return []
+        found.append([float(f"{tau_c:.3g}"), *(_short(value) for value in (gains.kp, gains.ki, gains.kd))])
+    return found
+
+
+def page_script() -> str:
+    """The engine with all controllers, for a page."""
+    text = files("retuner.templates").joinpath("what_if.js").read_text(encoding="utf-8")
+    return text.replace("/*CONTROLLERS*/{}", json.dumps(_controllers()))
+
+
+@cache
+def page_style() -> str:
+    """The palette of all pages, and the look of the panel."""
+    return "".join(
+        files("retuner.templates").joinpath(name).read_text(encoding="utf-8") for name in ("palette.css", "what_if.css")
+    )
+
+
+def _controllers() -> dict[str, object]:
+    """Units and vendors' controllers by name, as the page knows them."""
+    named = {name: ControllerUnits.named(name, 1.0) for name in (DEFAULT, *(n for n in PAGE_UNITS if n != DEFAULT))}
+    forms = {name: (units.dials, units.form) for name, units in named.items()} | {
+        n: tuple(c) for n, c in CONTROLLERS.items()
+    }
+    keys = ("label", "unit", "quantity", "scale", "of_span")
+    return {
+        name: {"form": str(form), "dials": [{key: getattr(dial, key) for key in keys} for dial in dials]}
+        for name, (dials, form) in forms.items()
+    }
