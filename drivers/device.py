@@ -151,10 +151,13 @@ class DeviceStopped:
 
 @dataclass(frozen=True, slots=True)
 class SamplesLost:
-    """count samples before t_s never arrived: a window that spans them is not for identification."""
+    """count samples before t_s never arrived: a window that spans them is not for identification. reason : once half of
+    all are lost, why that may be.
+    """
 
     count: int
     t_s: float
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,7 +137,8 @@ class VendorUnits:
     Parameters
     ----------
     gains : the numbers. pv_span, co_span : spans that a proportional band is told of, in our units.
-    series : kp and the times are those of the series form.
+    series : kp and the times are those of the series form. by_hand : the set that runs, of a controller whose gains
+    cannot be reached and are set by hand; then there are no numbers, and any set is taken as it is.
 
     Raises
     ------
@@ -149,8 +150,11 @@ class VendorUnits:
     pv_span: float = 100.0
     co_span: float = 100.0
     series: bool = False
+    by_hand: PidGains | None = None
 
     def __post_init__(self) -> None:
+        if self.by_hand is not None and not self.gains:
+            return
         for action, quantities in ACTIONS.items():
             found = [gain.quantity for gain in self.gains if gain.quantity in quantities]
             if len(found) > 1:
@@ -178,6 +182,8 @@ class VendorUnits:
         ValueError
             It cannot hold this set: out of range, too small for its steps, an action or a form that it has not.
         """
+        if self.by_hand is not None:
+            return {}
         self._require_actions(gains)
         shown = self._shown(gains)
         found = {}
@@ -197,6 +203,8 @@ class VendorUnits:
         ValueError
             They are no controller: not finite, a gain of 0, a time below 0.
         """
+        if self.by_hand is not None:
+            return self.by_hand
         kc, tau_i, tau_d = 0.0, None, 0.0
         parallel: dict[str, float] = {}
         for gain in self.gains:
@@ -224,7 +232,7 @@ class VendorUnits:
 
     def rounded(self, gains: PidGains) -> PidGains:
         """The set that the controller runs when it is given this one; errors as numbers."""
-        return self.of(self.numbers(gains))
+        return gains if self.by_hand is not None else self.of(self.numbers(gains))
 
     def ways(self, old: Mapping[str, float], new: Mapping[str, float]) -> Iterator[Way]:
         """Every order in which the messages that change something can be written, where each step is a controller."""

@@ -11,7 +11,7 @@ from canopen.emcy import EmcyError
 from canopen.objectdictionary import ObjectDictionaryError, datatypes
 
 from retuner.drivers.canopen.eds_file import TPDO, EdsFile, Key, PdoEntry, Variable, holds, text_of
-from retuner.drivers.canopen.sdo_queue import SdoQueue
+from retuner.drivers.canopen.sdo_queue import SdoQueue, pace_s
 from retuner.drivers.profiles.access import (
     Acknowledged,
     Alive,
@@ -73,7 +73,7 @@ class CanOpenAccess:
         An object is not there, or cannot be what it is said to be.
     """
 
-    acknowledges = reads_back = True
+    acknowledges = True
 
     def __init__(self, file: EdsFile, mapping: DeviceMapping, settings: NodeSettings | None = None) -> None:
         self._file, self._settings = file, settings or NodeSettings()
@@ -86,6 +86,7 @@ class CanOpenAccess:
         self.damaged = 0
         self._listen(mapping)
         self.units = self._take_gains(mapping)
+        self.reads_back = bool(mapping.gains)
         require_distinct(self._uses(mapping), file.source)
         self._pdos = dict(self._by_pdo())
         carried = {name for entries in self._pdos.values() for name, _ in entries}
@@ -125,7 +126,7 @@ class CanOpenAccess:
         """The gains, each an SDO of its own."""
         gains = [self._gain(gain, i) for i, gain in enumerate(mapping.gains)]
         try:
-            return VendorUnits(tuple(gains), mapping.pv_span, mapping.co_span, mapping.series)
+            return VendorUnits(tuple(gains), mapping.pv_span, mapping.co_span, mapping.series, mapping.by_hand)
         except ValueError as error:
             raise ProfileError(str(error), ("gains",)) from None
 
@@ -234,6 +235,25 @@ class CanOpenAccess:
         described = EmcyError(code, register, data[3:], 0.0).get_desc()
         words = f", {described.lower()}" if described else ""
         return (Alive(), Stopped(f"emergency {code:#06x}{words}", "emergency"))
+
+    @property
+    def takes_setpoint(self) -> bool:
+        """Whether a setpoint can be written."""
+        return "setpoint" in self._written
+
+    def polled(self, sample_time_s: float) -> str:
+        """How fast what no PDO carries can be read, in a sentence; "" where all comes by PDO."""
+        names = sorted(self.on_request)
+        if not names:
+            return ""
+        wire_s, whole_s = pace_s(self._read[name].variable for name in names)
+        told = (
+            f"{', '.join(names)}: read by SDO for each sample; {1e3 * wire_s:.2g} ms on a free bus of 500 kbit/s, "
+            f"about {1e3 * whole_s:.2g} ms where a node answers in 5 ms"
+        )
+        if sample_time_s >= whole_s:
+            return told
+        return f"{told}; sample_time_s = {sample_time_s:g} s is shorter: map them into a PDO, or sample more slowly"
 
     def ask(self, names: Iterable[str]) -> None:
         """Have numbers read."""

@@ -22,7 +22,9 @@ Key = tuple[str | int, ...]
 Variable = canopen.objectdictionary.ODVariable
 Dictionary = canopen.objectdictionary.ObjectDictionary
 LARGEST = 16 << 20  # bytes
-EXPEDITED = 4  # bytes of a number in one SDO frame
+WIDEST = 8  # bytes of a number
+EXACT_BITS = 53
+"""Whole numbers of more bits are no longer told apart as floats."""
 TPDO, RPDO = (0x1800, 0x1A00), (0x1400, 0x1600)
 PDOS = 512
 DISABLED = 1 << 31  # bit of a PDO's COB-ID
@@ -102,13 +104,13 @@ class EdsFile:
         Raises
         ------
         ProfileError
-            There is none, it is no number that fits into one frame, or it cannot be read or written as it must be.
+            There is none, it is no number, or it cannot be read or written as it must be.
         """
         found = self._found(name, (*key, "object"))
         where = f"{self.source}: object {text_of(found)} ({found.name})"
         numeric = found.data_type in datatypes.NUMBER_TYPES
-        if not numeric or len(found) > 8 * EXPEDITED:
-            raise ProfileError(f"{where} is no number of at most {EXPEDITED} bytes", (*key, "object"))
+        if not numeric or len(found) > 8 * WIDEST:
+            raise ProfileError(f"{where} is no number of at most {WIDEST} bytes", (*key, "object"))
         if written and not found.writable:
             raise ProfileError(f"{where} cannot be written ({found.access_type})", (*key, "object"))
         if read and not found.readable:
@@ -197,15 +199,16 @@ def text_of(variable: Variable) -> str:
 def holds(variable: Variable) -> Holds:
     """The numbers that an object can hold, by its type and its limits."""
     kind = variable.data_type
+    single = kind == datatypes.REAL32
     if kind in datatypes.FLOAT_TYPES:
         low, high = -SINGLE_MAX, SINGLE_MAX
         step = 0.0
     else:
-        bits = len(variable)
+        bits = min(len(variable), EXACT_BITS)
         signed = kind in datatypes.SIGNED_TYPES
         low, high = (-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1) if signed else (0.0, 2.0**bits - 1)
         step = 1.0
     least, most = variable.min, variable.max
     if isinstance(least, int | float) and isinstance(most, int | float) and least < most:
         low, high = max(low, float(least)), min(high, float(most))
-    return Holds(low, high, step, 0.0, single=kind in datatypes.FLOAT_TYPES)
+    return Holds(low, high, step, 0.0, single=single)

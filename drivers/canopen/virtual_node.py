@@ -10,6 +10,7 @@ from typing import Any
 import can
 import canopen
 from canopen.network import PeriodicMessageTask
+from canopen.objectdictionary import datatypes
 
 from retuner.drivers.canopen.access import CanOpenAccess
 from retuner.drivers.canopen.eds_file import EdsFile, Variable, holds
@@ -96,7 +97,7 @@ class VirtualCanOpenNode:
         variable, place = self._variable(at)
         there = holds(variable)
         value = there.nearest(min(max((ours - place.offset) / place.scale, there.low), there.high))
-        raw = variable.encode_raw(value if there.single else round(value))
+        raw = variable.encode_raw(value if variable.data_type in datatypes.FLOAT_TYPES else round(value))
         self.node.set_data(variable.index, variable.subindex, raw)
 
     def _publish(self) -> None:

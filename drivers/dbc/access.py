@@ -15,7 +15,7 @@ from retuner.drivers.dbc.dbc_file import DbcFile, Key, SignalPlace, defaults
 from retuner.drivers.dbc.frame_guard import FrameGuard, guard_of
 from retuner.drivers.profiles.access import Alive, Heard, ProfileError, Runs, Stopped, Told
 from retuner.drivers.profiles.distinct import Use, require_distinct
-from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, SignalOf, States
+from retuner.drivers.profiles.mapping import Ask, DeviceMapping, GainAt, SignalOf, States
 from retuner.drivers.telemetry.signal_source import DECODING_ERRORS
 from retuner.schedule.vendor_units import VendorGain, VendorUnits
 
@@ -30,6 +30,57 @@ class _State:
     place: SignalPlace
     states: States
     stop: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AskFrame:
+    """A data frame that asks. place : any signal of its message. values : of all of them."""
+
+    place: SignalPlace
+    values: tuple[tuple[str, float], ...]
+
+    def message(self, guard: FrameGuard | None) -> can.Message:
+        """The frame."""
+        values = dict(self.values)
+        if guard is not None:
+            guard.count(values)
+        layout = self.place.layout
+        data = layout.encode(values, scaling=True, padding=False, strict=False)
+        return can.Message(
+            arbitration_id=self.place.frame_id,
+            is_extended_id=layout.is_extended_frame,
+            is_fd=layout.is_fd,
+            data=guard.sealed(data) if guard is not None else data,
+        )
+
+    def is_asked_by(self, message: can.Message) -> bool:
+        """Whether a frame says the same in the signals that were given values."""
+        layout = self.place.layout
+        if (message.arbitration_id, message.is_extended_id) != (self.place.frame_id, layout.is_extended_frame):
+            return False
+        return bytes(message.data) == bytes(self.message(None).data)
+
+
+def ask_frame(file: DbcFile, ask: Ask, key: Key) -> AskFrame:
+    """The frame that asks, as the file describes it.
+
+    Raises
+    ------
+    ProfileError
+        The message, a signal of it, or a value is not there.
+    """
+    layout = file.layout(ask.message, (*key, "ask", "message"))
+    places = [file.signal(ask.message, name, (*key, "ask")) for name in ask.values]
+    given = {f"{layout.name}.{name}": value for name, value in ask.values.items()}
+    values = {**defaults(layout, None, given), **ask.values}
+    place = places[0] if places else SignalPlace(layout, layout.signals[0], file.frame_id(layout, key))
+    made = AskFrame(place, tuple(values.items()))
+    try:
+        made.message(None)
+    except DECODING_ERRORS as error:
+        told = " ".join(str(error).split())[:160]
+        raise ProfileError(f"{file.source}: message {layout.name}: {told}", (*key, "ask")) from None
+    return made
 
 
 class DbcAccess:
@@ -52,13 +103,14 @@ class DbcAccess:
         self._heard: dict[tuple[int, bool], list[tuple[str, SignalPlace]]] = {}
         self._states: dict[tuple[int, bool], list[_State]] = {}
         self._requests: dict[str, SignalPlace] = {}
+        self._asks: dict[str, AskFrame] = {}
         self._written: dict[str, SignalPlace] = {}
         self._queue: list[can.Message] = []
         self._last: dict[Slot, dict[str, float]] = {}
         self.damaged = 0  # frames refused for their checksum, counter or content
         self.telemetry = frozenset(self._listen())
         self.units = self._take_gains()
-        self.reads_back = all(gain.read is not None for gain in mapping.gains)
+        self.reads_back = bool(mapping.gains) and all(gain.read is not None for gain in mapping.gains)
         self.on_request = frozenset(self._requests) & self.telemetry
         if mapping.setpoint is not None:
             self._written["setpoint"] = place = self._place(mapping.setpoint, ("setpoint",))
@@ -90,6 +142,8 @@ class DbcAccess:
         self._heard.setdefault((place.frame_id, place.layout.is_extended_frame), []).append((name, place))
         if at.on_request:
             self._requests[name] = place
+        if at.on_request and at.ask is not None:
+            self._asks[name] = ask_frame(self._file, at.ask, key)
 
     def _listen(self) -> list[str]:
         """Telemetry and states; the names of what is heard."""
@@ -125,8 +179,9 @@ class DbcAccess:
             self._written[str(gain.quantity)] = place
             if gain.read is not None:
                 self._hear(str(gain.quantity), gain.read, key)
+        mapping = self._mapping
         try:
-            return VendorUnits(tuple(gains), self._mapping.pv_span, self._mapping.co_span, self._mapping.series)
+            return VendorUnits(tuple(gains), mapping.pv_span, mapping.co_span, mapping.series, mapping.by_hand)
         except ValueError as error:
             raise ProfileError(str(error), ("gains",)) from None
 
@@ -196,12 +251,20 @@ class DbcAccess:
             if value is not None:
                 yield Heard(name, place.scale * value + place.offset)
 
+    @property
+    def takes_setpoint(self) -> bool:
+        """Whether a setpoint can be written."""
+        return "setpoint" in self._written
+
     def ask(self, names: Iterable[str]) -> None:
         """Have numbers sent that come on request only."""
-        asked = set()
+        asked: set[object] = set()
         for name in names:
-            place = self._requests.get(name)
-            if place is not None and place.frame_id not in asked:
+            place, ask = self._requests.get(name), self._asks.get(name)
+            if ask is not None and (ask.place.frame_id, ask.values) not in asked:
+                asked.add((ask.place.frame_id, ask.values))
+                self._queue.append(ask.message(self._guards.get(ask.place.frame_id)))
+            elif ask is None and place is not None and place.frame_id not in asked:
                 asked.add(place.frame_id)
                 self._queue.append(
                     can.Message(

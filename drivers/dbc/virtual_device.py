@@ -8,7 +8,7 @@ from functools import partial
 
 import can
 
-from retuner.drivers.dbc.access import DbcAccess
+from retuner.drivers.dbc.access import AskFrame, DbcAccess, ask_frame
 from retuner.drivers.dbc.dbc_file import DbcFile, SignalPlace, defaults
 from retuner.drivers.dbc.frame_guard import FrameGuard, guard_of
 from retuner.drivers.profiles.bench_loop import BenchLoop, load_of
@@ -39,6 +39,7 @@ class VirtualDbcDevice:
         self._sent: dict[Slot, dict[str, Callable[[], float]]] = {}
         self._places: dict[Slot, SignalPlace] = {}
         self._on_request: set[Slot] = set()
+        self._asked_by: list[tuple[AskFrame, Slot]] = []
         self._guards: dict[int, FrameGuard] = {}
         self._describe()
 
@@ -70,6 +71,7 @@ class VirtualDbcDevice:
         self._places[slot] = place
         self._sent.setdefault(slot, {})[at.signal] = lambda: (value() - place.offset) / place.scale
         self._on_request |= {slot} if at.on_request else set()
+        self._asked_by += [(ask_frame(self._file, at.ask, ()), slot)] if at.on_request and at.ask is not None else []
 
     def step(self, dt_s: float | None = None) -> list[can.Message]:
         """One controller sample; what the device sends by itself."""
@@ -85,6 +87,9 @@ class VirtualDbcDevice:
         if message.is_remote_frame:
             slots = [s for s in self._on_request if s[0] == message.arbitration_id]
             return [self._frame(slot) for slot in slots if self._is_of(slot, message)]
+        asked = list(dict.fromkeys(slot for ask, slot in self._asked_by if ask.is_asked_by(message)))
+        if asked:
+            return [self._frame(slot) for slot in asked]
         self._obey(message)
         return []
 

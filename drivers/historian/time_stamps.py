@@ -163,7 +163,7 @@ def _of_usual_forms(texts: list[str], form: RecordForm, source: str, begins: Seq
 def _letters(text: str) -> str:
     """The letters of a zone behind a stamp, but for UTC's own."""
     found = TIME_OF_DAY.search(text)
-    zone = found["zone"] if found else None
+    zone = str(found["zone"] or "") if found else ""
     return zone if zone in ZONES and zone not in {"Z", "UTC", "GMT"} else ""
 
 

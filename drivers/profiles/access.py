@@ -97,6 +97,11 @@ class Access(Protocol):
         ...
 
     @property
+    def takes_setpoint(self) -> bool:
+        """Whether a setpoint can be written."""
+        ...
+
+    @property
     def acknowledges(self) -> bool:
         """Whether each write is answered."""
         ...

@@ -206,7 +206,7 @@ class ForeignDevice:
             return
         self._fresh.clear()
         t_s, lost = placed
-        self._events += [SamplesLost(lost, t_s)] if lost else []
+        self._events += [SamplesLost(lost, t_s, self._grid.half_lost())] if lost else []
         changes = self._tap.news()
         sample = self._tap.fill(self._as_sample(t_s, pv.value, co.value, self.running.seq))
         self.link.note(note_of(sample, self.settings.note_id))
@@ -437,7 +437,10 @@ class ForeignDevice:
         return self._seq
 
     def send_setpoint(self, sp: float, now_s: float) -> None:
-        """Set the target in pv units: see device.Device."""
+        """Set the target in pv units: see device.Device. What it stands at anyhow needs no place to be written to."""
+        if sp == self.settings.sp_start and not self._access.takes_setpoint:
+            self._events.append(CommandDone("setpoint"))
+            return
         self._put({"setpoint": sp}, now_s)
         self._setpoint, self._feed_s = sp, now_s + self.settings.feed_s
         if self._access.acknowledges:

@@ -4,13 +4,22 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from retuner.schedule.gains import PidGains
 from retuner.schedule.vendor_units import Quantity
 
 
 @dataclass(frozen=True, slots=True)
+class Ask:
+    """A data frame that asks for something: a message, and values of its signals by name."""
+
+    message: str
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class SignalOf:
-    """A number in a DBC. scale, offset : ours = scale x the signal's + offset. on_request : comes only when asked for
-    with a remote frame.
+    """A number in a DBC. scale, offset : ours = scale x the signal's + offset. on_request : comes only when asked for:
+    with the frame `ask`, else with a remote frame.
     """
 
     message: str
@@ -18,6 +27,7 @@ class SignalOf:
     scale: float = 1.0
     offset: float = 0.0
     on_request: bool = False
+    ask: Ask | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,14 +93,15 @@ class DeviceMapping:
     """All of it.
 
     pv, co : needed. sp : where the device reports its setpoint. mode : where it tells whether it controls.
-    setpoint : where it takes one. gains : one a quantity. series : form of kp and the times. gain_scale : of all gains
-    with kp, ki or kd. stops : what ends a trial. protected : messages with counter or checksum. fixed : values of
-    other signals in the messages that are written, by "message.signal".
+    setpoint : where it takes one. gains : one a quantity; by_hand : the set that runs, where there are none. series :
+    form of kp and the times. stops : what ends a trial. protected : messages with counter or checksum. fixed : values
+    of other signals in the messages that are written, by "message.signal".
     """
 
     pv: SignalOf | ObjectOf
     co: SignalOf | ObjectOf
-    gains: tuple[GainAt, ...]
+    gains: tuple[GainAt, ...] = ()
+    by_hand: PidGains | None = None
     sp: SignalOf | ObjectOf | None = None
     mode: States | None = None
     setpoint: SignalOf | ObjectOf | None = None

@@ -12,6 +12,10 @@ FOLLOW = 0.05
 EARLY = 0.5
 """Samples by which an arrival may be early and still be the next one."""
 ROUNDING = 1e-9
+LOOKED_AT = 16
+"""Samples that were due over which it is looked whether half of them are lost."""
+PAUSE = 8
+"""More samples lost at once than this are a silence, and say nothing of the pace."""
 
 
 class SampleGrid:
@@ -26,6 +30,8 @@ class SampleGrid:
         self._sample_time_s, self._asked = sample_time_s, asked
         self._origin_s: float | None = None
         self._last = 0 if after_s is None else math.floor(after_s / sample_time_s)
+        self._due = self._taken = 0
+        self._told = self._seen = False
 
     def due(self, now_s: float) -> bool:
         """Whether the next sample is to be taken, or asked for."""
@@ -46,4 +52,27 @@ class SampleGrid:
             self._origin_s += FOLLOW * (places - number) * self._sample_time_s
         lost = number - self._last - 1
         self._last = number
+        self._count(lost)
         return number * self._sample_time_s, lost
+
+    def _count(self, lost: int) -> None:
+        """Count what was due and what came since the sample with which the count began."""
+        if self._due >= LOOKED_AT or lost > PAUSE:
+            self._due = self._taken = 0
+        if lost <= PAUSE and self._seen:
+            self._due += 1 + lost
+            self._taken += 1
+        self._seen = True
+
+    def half_lost(self) -> str:
+        """Why half of all samples are lost, told once; "" while it is fewer, or not known yet."""
+        if self._due < LOOKED_AT:
+            return ""
+        half = 2 * self._taken <= self._due
+        told, self._told = self._told, half
+        every_s = self._sample_time_s * self._due / self._taken
+        how = "their numbers are asked for one by one: map them into a PDO, or " if self._asked else ""
+        if told or not half:
+            return ""
+        here = f"sample_time_s is {self._sample_time_s:g} s"
+        return f"half of all samples are lost: one comes every {every_s:.3g} s, {here}; {how}set it to that"

@@ -10,7 +10,7 @@ from retuner.commands.options import ConfigFile, Json
 from retuner.errors import ConfigError
 
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from retuner.config.loading import ConfigFlaw
     from retuner.config.model import Config
@@ -81,10 +81,24 @@ def described(config: "Config", model: "Sequence[str]", *, several: bool) -> lis
         plant = config.device.plant
         behind = f"plant {plant.kind}, seed {config.device.seed}" if plant is not None else "a real one"
         lines.append(f"device      {config.device.kind}, {behind}")
-        lines += [f"            {line}" for line in model]
+        lines += [f"            {line}" for line in (*model, *_device_notes(config))]
     if config.scenario is not None:
         lines.append(f"scenario    {config.scenario.duration_s:g} s, {len(config.scenario.steps)} steps")
     return [*lines, ""] if several else lines
+
+
+def _device_notes(config: "Config") -> "Iterator[str]":
+    """What a controller that is not ours cannot do, and how often it can be asked."""
+    from retuner.config.described import closed, make_access
+
+    foreign = config.foreign_device
+    if foreign is None:
+        return
+    access = make_access(config, foreign)
+    if reason := closed(foreign, access):
+        yield f"watched only: {reason}"
+    if told := getattr(access, "polled", lambda _: "")(config.loop.sample_time_s):
+        yield told
 
 
 def _axis_text(axis: "Axis") -> str:

@@ -29,6 +29,11 @@ CLOSED = (
     f'accept that by name: [device] accept = ["{NO_READ_BACK}"]'
 )
 
+OUT_OF_REACH = (
+    "its description has no gains, so nothing is written (advice only); set them by hand, at the device and in the "
+    "region"
+)
+
 
 def make_access(config: Config, foreign: Foreign) -> Access:
     """The numbers of a foreign device, by its description.
@@ -57,6 +62,8 @@ def vendor_units(config: Config) -> VendorUnits | None:
 
 def closed(foreign: Foreign, access: Access) -> str:
     """Why gains are never written to this device; empty when they are."""
+    if foreign.gains is None:
+        return OUT_OF_REACH
     return "" if access.reads_back or NO_READ_BACK in foreign.accept else CLOSED
 
 
@@ -90,7 +97,7 @@ def held_table(config: Config) -> GainTable:
 def mapping_of(config: Config, foreign: Foreign) -> DeviceMapping:
     """What of the device is what."""
     loop = config.loop
-    return foreign.mapping(loop.pv_max - loop.pv_min, loop.co_max_pct - loop.co_min_pct)
+    return foreign.mapping(loop.pv_max - loop.pv_min, loop.co_max_pct - loop.co_min_pct, config.gains()[0])
 
 
 def eds_file(config: Config, foreign: CanOpenDeviceConfig) -> "EdsFile":

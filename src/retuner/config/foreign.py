@@ -7,14 +7,16 @@ from pydantic import Field, model_validator
 
 from retuner.config.plants import PlantConfig
 from retuner.config.setting import CrossCheckError, Many, Problem, Section, setting
-from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf, Protection, SignalOf, States
+from retuner.drivers.profiles.mapping import Ask, DeviceMapping, GainAt, ObjectOf, Protection, SignalOf, States
 from retuner.drivers.profiles.ready import profile_names, profile_settings
+from retuner.schedule.gains import PidGains
 from retuner.schedule.vendor_units import ACTIONS, Quantity
 
 NO_READ_BACK, UNPROVED_ORDER = "no_read_back", "unproved_order"
 UNITS = {"": 1.0, "s": 1.0, "ms": 1e-3, "min": 60.0}
 Whole = Annotated[int, Field(ge=-(2**31), le=2**32 - 1)]
 BIGGEST = 1e12
+BY_HAND = "Its gains; absent: they are set by hand at the device and in the regions, it is watched and advised"
 
 
 def _scale(what: str) -> Any:  # noqa: ANN401  as setting
@@ -23,6 +25,23 @@ def _scale(what: str) -> Any:  # noqa: ANN401  as setting
 
 def _offset() -> Any:  # noqa: ANN401  as setting
     return setting("Ours at the device's 0", unit="-", low=-BIGGEST, high=BIGGEST, default=0.0, source="none")
+
+
+class AskConfig(Section):
+    """A data frame that asks for a message."""
+
+    message: str = setting("Message, by name or identifier (0x...)", unit="-", text=(1, 128), source="the DBC")
+    values: dict[str, float] = setting(
+        "Values of its signals; others are as in the DBC", unit="-", default={}, source="the device's manual"
+    )
+
+    def ask(self) -> Ask:
+        """As the drivers take it."""
+        return Ask(self.message, self.values)
+
+
+def _asked() -> Any:  # noqa: ANN401  as setting
+    return setting("The data frame that asks for it; absent: it comes by itself", unit="-", default=None, source="none")
 
 
 class SignalConfig(Section):
@@ -36,9 +55,12 @@ class SignalConfig(Section):
         "Whether it comes only when asked for, by a remote frame", unit="-", default=False, source="the device's manual"
     )
 
+    ask: AskConfig | None = _asked()
+
     def place(self) -> SignalOf:
         """As the drivers take it."""
-        return SignalOf(self.message, self.signal, self.scale, self.offset, self.on_request)
+        ask = self.ask.ask() if self.ask else None
+        return SignalOf(self.message, self.signal, self.scale, self.offset, self.on_request or ask is not None, ask)
 
 
 class ObjectConfig(Section):
@@ -112,11 +134,15 @@ class SignalGainConfig(_GainSection):
         "Whether that message comes only when asked for, by a remote frame", unit="-", default=True, source="most do"
     )
 
+    read_ask: AskConfig | None = _asked()
+
     def gain(self, quantity: Quantity, general: float) -> GainAt:
         """As the drivers take it."""
         read = None
         if self.read_message:
-            read = SignalOf(self.read_message, self.read_signal or self.signal, on_request=self.read_on_request)
+            ask = self.read_ask.ask() if self.read_ask else None
+            asked = self.read_on_request or ask is not None
+            read = SignalOf(self.read_message, self.read_signal or self.signal, on_request=asked, ask=ask)
         return GainAt(quantity, SignalOf(self.message, self.signal), read, self.factor(quantity, general), self.off)
 
 
@@ -145,6 +171,18 @@ class _GainsSection(Section):
         source="the device's manual",
     )
     scale: float = _scale("Ours for one of the controller's, of kp, ki and kd together")
+    without: Many[Literal["kp", "xp", "ki", "tn", "repeats", "kd", "tv"]] = setting(
+        "Gains of the profile that this device lacks; kd = false says the same",
+        unit="-",
+        default=(),
+        source="none",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _taken_away(cls, given: object) -> object:
+        """A gain that is false is one that the device lacks."""
+        return _with_lacking(given) if isinstance(given, Mapping) else given
 
     def problems(self) -> Iterator[Problem]:
         """One number an action, and a proportional one among them."""
@@ -299,17 +337,17 @@ class DbcDeviceConfig(ForeignConfig):
     sp: SignalConfig | None = setting("Setpoint as the device reports it", unit="-", default=None, source="none")
     setpoint: SignalConfig | None = setting("Where a setpoint is written", unit="-", default=None, source="none")
     mode: SignalStateConfig | None = setting("Where it tells that it controls", unit="-", default=None, source="none")
-    gains: SignalGainsConfig = setting("Its gains", unit="-", source="the DBC")
+    gains: SignalGainsConfig | None = setting(BY_HAND, unit="-", default=None, source="the DBC")
     stop: Many[SignalStateConfig] = setting("Where it tells that it has stopped", unit="-", default=(), source="none")
     protect: Many[ProtectConfig] = setting("Counters and checksums", unit="-", default=(), source="none")
     fixed: dict[str, float] = setting(
         'Values of other signals in written messages, by "message.signal"', unit="-", default={}, source="the DBC's"
     )
 
-    def mapping(self, pv_span: float, co_span: float) -> DeviceMapping:
+    def mapping(self, pv_span: float, co_span: float, by_hand: PidGains) -> DeviceMapping:
         """As the drivers take it."""
         return DeviceMapping(
-            **_common(self, pv_span, co_span),
+            **_common(self, pv_span, co_span, by_hand),
             protected=tuple(one.protection() for one in self.protect),
             fixed=self.fixed,
         )
@@ -325,7 +363,7 @@ class CanOpenDeviceConfig(ForeignConfig):
     sp: ObjectConfig | None = setting("Setpoint as the device reports it", unit="-", default=None, source="none")
     setpoint: ObjectConfig | None = setting("Where a setpoint is written", unit="-", default=None, source="none")
     mode: ObjectStateConfig | None = setting("Where it tells that it controls", unit="-", default=None, source="none")
-    gains: ObjectGainsConfig = setting("Its gains", unit="-", source="the EDS")
+    gains: ObjectGainsConfig | None = setting(BY_HAND, unit="-", default=None, source="the EDS")
     stop: Many[ObjectStateConfig] = setting("Where it tells that it has stopped", unit="-", default=(), source="none")
     start: bool = setting(
         "Whether the node is started (NMT) when it is found pre-operational", unit="-", default=True, source="CiA 301"
@@ -340,21 +378,24 @@ class CanOpenDeviceConfig(ForeignConfig):
     )
     own_node: int = setting("Number of this host", unit="-", low=1, high=127, default=127, source="a common choice")
 
-    def mapping(self, pv_span: float, co_span: float) -> DeviceMapping:
+    def mapping(self, pv_span: float, co_span: float, by_hand: PidGains) -> DeviceMapping:
         """As the drivers take it."""
-        return DeviceMapping(**_common(self, pv_span, co_span))
+        return DeviceMapping(**_common(self, pv_span, co_span, by_hand))
 
 
-def _common(device: DbcDeviceConfig | CanOpenDeviceConfig, pv_span: float, co_span: float) -> dict[str, Any]:
-    """What the mappings of both kinds have."""
+def _common(
+    device: DbcDeviceConfig | CanOpenDeviceConfig, pv_span: float, co_span: float, by_hand: PidGains
+) -> dict[str, Any]:
+    """What the mappings of both kinds have. by_hand : the set that runs where the description has no gains."""
     return {
         "pv": device.pv.place(),
         "co": device.co.place(),
-        "gains": device.gains.gains(),
+        "gains": device.gains.gains() if device.gains else (),
+        "by_hand": by_hand if device.gains is None else None,
         "sp": device.sp.place() if device.sp else None,
         "mode": device.mode.states() if device.mode else None,
         "setpoint": device.setpoint.place() if device.setpoint else None,
-        "series": device.gains.form == "series",
+        "series": device.gains is not None and device.gains.form == "series",
         "pv_span": pv_span,
         "co_span": co_span,
         "stops": tuple(one.states() for one in device.stop),
@@ -365,8 +406,17 @@ def _without_rivals(ready: Mapping[str, Any], gains: object) -> dict[str, Any]:
     """The profile without its gains of an action for which another number is given."""
     own = set(gains) if isinstance(gains, Mapping) else set[str]()
     rivals = {name for quantities in ACTIONS.values() if own & {*quantities} for name in quantities} - own
-    kept = {name: value for name, value in ready["gains"].items() if name not in rivals}
+    lacking = {str(name) for name in _with_lacking(gains).get("without", ())} if isinstance(gains, Mapping) else set()
+    kept = {name: value for name, value in ready["gains"].items() if name not in rivals | lacking}
     return {**ready, "gains": kept}
+
+
+def _with_lacking(gains: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of gains with those that are false named in `without`."""
+    lacking = [name for name, value in gains.items() if value is False]
+    kept = {name: value for name, value in gains.items() if value is not False}
+    named = gains.get("without", ())
+    return {**kept, "without": [*named, *lacking]} if lacking and isinstance(named, list | tuple) else kept
 
 
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

@@ -44,7 +44,7 @@ def _restart(body: Document) -> str:
 
 def _lost(body: Document) -> str:
     count = int(number(body, "count") or 0)
-    return f"{count} sample{'s' * (count != 1)} lost"
+    return _because(f"{count} sample{'s' * (count != 1)} lost", body)
 
 
 def _foreign(body: Document) -> str:

@@ -62,7 +62,8 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
         case DeviceConflict():
             return "conflict", {"node": event.node}
         case SamplesLost():
-            return "lost", {"count": event.count}  # "samples" is the place of every row
+            why = {"reason": event.reason} if event.reason else {}
+            return "lost", {"count": event.count, **why}  # "samples" is the place of every row
         case CommandFailed() | DeviceStopped():
             return "stopped" if isinstance(event, DeviceStopped) else "command", asdict(event)
         case _:
