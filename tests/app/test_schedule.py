@@ -84,7 +84,7 @@ def test_a_schedule_from_one_command_is_taken_by_check_and_export(tmp_path: Path
     }
     table = from_toml((out / "gains.toml").read_text())
     assert table.gains[0].kp == pytest.approx(20 / (2 * 4), rel=0.2)
-    assert "<img" in (out / "report.html").read_text()
+    assert "<svg" in (out / "report.html").read_text()
     config = tmp_path / "loop.toml"
     config.write_text(LOOP + (out / "schedule.toml").read_text() + REST)
     assert main(["check", str(config)]) == 0

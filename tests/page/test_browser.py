@@ -62,7 +62,7 @@ def test_a_person_sees_a_proposal_approves_it_and_takes_it_back(
     one.picture("loop-on-trial")
     number = session.session.loops[0].decisions[-1].number
     other.sees(f"✓{number}")
-    one.press("roll back")
+    one.press("Roll back")
     one.confirms("Ada")
     session.step(100)
     assert session.gains == before
@@ -82,12 +82,16 @@ def test_a_decision_opens_with_its_whole_reasoning_and_the_ledger_is_filtered(
     session.until_decided(1)
     seen = browsers()
     seen.open(f"{server.address}#/loop/demo/1")
-    seen.press("full reasoning")
+    seen.press("Show full reasoning")
     seen.wait(lambda: seen.driver.find_element(By.TAG_NAME, "iframe"), "the page of the decision does not open")
     seen.driver.switch_to.frame(seen.driver.find_element(By.TAG_NAME, "iframe"))
     seen.sees("Robustness and predicted responses")
     seen.driver.switch_to.default_content()
     seen.picture("decision")
+    seen.press("Try settings")
+    seen.sees("What if: ")
+    seen.sees("mean error of the record")
+    seen.picture("tried")
     search = seen.driver.find_element(By.CSS_SELECTOR, "input[type=search]")
     search.send_keys("advise low")
     seen.wait(

@@ -14,8 +14,9 @@ from retuner.adaptive.loop.replayed import even, replayed
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
+from retuner.decision_page.html import palette
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.report.what_if import Asked, page_script, page_style, what_if
+from retuner.report.what_if import Asked, page_script, panel_style, what_if
 from retuner.schedule import pid
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.dials import CONTROLLERS
@@ -56,7 +57,9 @@ def open_page(seen: Seen, folder: Path, what: dict[str, Any], options: str = "{}
     page = folder / "page.html"
     script = f"{page_script()}; const what = {json.dumps(what)}; whatIf(at, what, {options})"
     body = f"<main id=at></main><script>{script}</script>"
-    page.write_text(f"<!doctype html><meta charset=utf-8><style>{page_style()}</style>{body}", encoding="utf-8")
+    page.write_text(
+        f"<!doctype html><meta charset=utf-8><style>{palette()}{panel_style()}</style>{body}", encoding="utf-8"
+    )
     seen.open(f"file://{page}")
 
 

@@ -21,9 +21,10 @@ from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, Action
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit.catalogue import Catalogue
 from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault, smaller
+from retuner.decision_page.html import palette
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
-from retuner.report.what_if import page_script, page_style
+from retuner.report.what_if import page_script, panel_style
 
 TRACKS = "tracks"
 NOT_LISTED = frozenset({"trend", "stretches", "what_if", TRACKS})
@@ -287,7 +288,7 @@ def write_results(
     page = {**document, "rows": [_for_the_page(row, folder) for row in listed], "since": bool(before)}
     write_whole(folder / "audit-data.js", "const AUDIT = " + _script(page) + ";\n")
     template = files("retuner.templates").joinpath("audit.html").read_text(encoding="utf-8")
-    whole = template.replace("/*STYLE*/", page_style()).replace("/*WHAT-IF*/", page_script())
+    whole = template.replace("/*STYLE*/", palette() + panel_style()).replace("/*WHAT-IF*/", page_script())
     write_whole(folder / "index.html", whole)
     _write_parquet(folder / "audit.parquet", listed)
     return listed

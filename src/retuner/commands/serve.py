@@ -17,7 +17,10 @@ app = typer.Typer(add_completion=False)
 @app.command(epilog="Example: retuner serve runs; retuner serve runs/demo --port 8020 --read-only")
 def serve(
     runs: Annotated[Path, typer.Argument(metavar="RUNS", help="Folder of a session, or of several.")],
-    port: Annotated[int, typer.Option(help="Port to listen on; 0: any free port.", min=0, max=65535)] = PORT,
+    port: Annotated[
+        int | None,
+        typer.Option(help=f"Port to listen on; 0: any free port. Default {PORT}, or a free one.", min=0, max=65535),
+    ] = None,
     host: Annotated[
         str, typer.Option(help="Address to listen on; others than localhost are reachable by all.")
     ] = "127.0.0.1",

@@ -28,7 +28,7 @@ from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.dials import PARALLEL
 from retuner.schedule.gains import PidGains
 
-COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
+TONES = {"commit": "good", "advise": "warn", "restore": "bad", "none": "faint"}
 BASES = {
     "model": "from the identified process",
     "borrowed": "from the neighbouring regions' models",
@@ -80,9 +80,9 @@ def article(view: DecisionView) -> str:
 
 def badge(view: DecisionView) -> str:
     """What became of it, in a word or two and a colour."""
-    colour = COLOURS.get(view.action, COLOURS["none"])
+    tone = TONES.get(view.action, TONES["none"])
     what = "The trial settings stay" if stays(view.document) else DONE.get(view.action, view.action)
-    return f'<span class="badge" style="color:{colour}">{escaped(what)}</span>'
+    return f'<span class="badge {tone}">{escaped(what)}</span>'
 
 
 def _place(view: DecisionView) -> str:

@@ -16,6 +16,22 @@ from retuner.adaptive.signals.sample import FloatArray
 
 BEFORE, AFTER, MODEL, SETPOINT, FAINT, LIMIT = "#d55e00", "#0072b2", "#d55e00", "#222222", "#9a9a9a", "#cc79a7"
 """Colours that colour-blind readers tell apart (Okabe & Ito 2008), each with a line style of its own beside it."""
+BANDS = ("#e4eef7", "#f8f0df", "#f5e4ec", "#e2f1ea", "#ecebf5")
+"""Behind the time spent in each region."""
+MARK = "#a3261b"
+"""Of a change of gains."""
+TONES = {
+    "#000000": "ink",
+    "#ffffff": "paper",
+    "#b0b0b0": "line",
+    BEFORE: "before",
+    AFTER: "pv",
+    SETPOINT: "sp",
+    FAINT: "faint",
+    MARK: "bad",
+} | {band: f"band{i}" for i, band in enumerate(BANDS)}
+"""Which colour of the pages' palette (templates/palette.css) each is: drawings follow light and dark."""
+_COLOUR = re.compile("|".join(TONES))
 MOST_POINTS = 900
 """Points of a drawn curve."""
 _PATH = re.compile(r' d="[^"]*"')
@@ -53,6 +69,7 @@ def svg(figure: Figure, alt: str) -> str:
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = _METADATA.sub("", _HEAD.sub("", buffer.getvalue()))
+    text = _COLOUR.sub(lambda found: f"var(--{TONES[found[0]]})", text)
     text = _PATH.sub(lambda found: _DECIMALS.sub(r"\1", found[0]), text)
     label = alt.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     return _SIZE.sub(rf'<svg role="img" aria-label="{label}" \1', text, count=1)

@@ -8,9 +8,10 @@ from matplotlib.figure import Figure
 
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.decision_page.svg import MARK
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.experiment.findings import Findings
-from retuner.report.plots import DPI, FIXED, MARK, PV, SP, time_axis
+from retuner.report.plots import DPI, FIXED, PV, SP, time_axis
 
 EVEN = 0.05
 """Sampling intervals that differ by more than this share of their median are not even enough to simulate over."""

@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.decision_page.svg import MARK
 from retuner.report.change_of_settings import Change, change_words, settling_s
-from retuner.report.plots import DPI, FIXED, MARK, PV, SP, time_axis
+from retuner.report.plots import DPI, FIXED, PV, SP, floors, time_axis
 from retuner.schedule.gains import PidGains
 from retuner.simulation.loop_trend import LoopTrend
 
@@ -21,25 +21,8 @@ if TYPE_CHECKING:
 
 BAND = 0.22
 """Opacity of the band over the models."""
-NOISE_BANDS, CO_FLOOR = 8.0, 10.0
-"""Least height of an axis: noise bands of pv (standard deviations), and co units. A loop at rest looks at rest."""
 OUT_OF_SIGHT = 1e9
 """Where an unstable answer is cut off; the axes end long before."""
-
-
-def at_least(axes: "Axes", floor: float) -> None:
-    """Make the axis of values no shorter than that, about its middle."""
-    low, high = axes.get_ylim()
-    if high - low < floor:
-        axes.set_ylim((low + high - floor) / 2, (low + high + floor) / 2)
-
-
-def floors(pv_axes: "Axes", co_axes: "Axes", pv: FloatArray) -> None:
-    """The floors of pv's and of co's axis."""
-    known = pv[np.isfinite(pv)]
-    if len(known) > 2:
-        at_least(pv_axes, NOISE_BANDS * noise_sigma(known))
-    at_least(co_axes, CO_FLOOR)
 
 
 def as_png(figure: Figure) -> bytes:

@@ -1,4 +1,4 @@
-"""The pictures of a report, as PNG bytes: trend with region bands and retune marks, and before/after per region."""
+"""The pictures of a report: trend with region bands and retune marks, and before and after for each region."""
 
 import io
 from collections.abc import Sequence
@@ -8,12 +8,33 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.decision_page.svg import AFTER, BANDS, BEFORE, MARK, SETPOINT, settings, svg, thinned
 from retuner.report.scores import Columns, Twin
 from retuner.schedule.regions import Regions
 
-BANDS = ("#e8f1fb", "#fdf3e3", "#fbe9e7", "#e9f5ec", "#f1ebf8", "#fdf9d8", "#e3f4f4", "#f3ece4", "#fbe6f1")
-PV, SP, FIXED, MARK = "#1f5fa8", "#333333", "#d08a3c", "#c0392b"
+PV, SP, FIXED = AFTER, SETPOINT, BEFORE
 DPI = 110
+DENSE = 2400
+"""Points of a curve over a whole run."""
+NOISE_BANDS, CO_FLOOR = 8.0, 10.0
+"""Least height of an axis: noise bands of pv (standard deviations), and co units. A loop at rest looks at rest."""
+
+
+def at_least(axes: Axes, floor: float) -> None:
+    """Make the axis of values no shorter than that, about its middle."""
+    low, high = axes.get_ylim()
+    if high - low < floor:
+        axes.set_ylim((low + high - floor) / 2, (low + high + floor) / 2)
+
+
+def floors(pv_axes: Axes, co_axes: Axes, pv: FloatArray) -> None:
+    """The floors of pv's and of co's axis."""
+    known = pv[np.isfinite(pv)]
+    if len(known) > 2:
+        at_least(pv_axes, NOISE_BANDS * noise_sigma(known))
+    at_least(co_axes, CO_FLOOR)
 
 
 class Mark(NamedTuple):
@@ -24,11 +45,18 @@ class Mark(NamedTuple):
     undone: bool
 
 
-def _png(figure: Figure) -> bytes:
-    """Draw to PNG; without the date, so that equal runs give equal bytes."""
+def trend_png(run: Columns, fixed: Columns | None, marks: Sequence[Mark], regions: Regions, unit: str) -> bytes:
+    """`trend_figure` as PNG; without the date, so that equal runs give equal bytes."""
     buffer = io.BytesIO()
+    figure = trend_figure(run, fixed, marks, regions, unit)
     figure.savefig(buffer, format="png", dpi=DPI, bbox_inches="tight", metadata={"Software": None})
     return buffer.getvalue()
+
+
+def trend_svg(run: Columns, fixed: Columns | None, marks: Sequence[Mark], regions: Regions, unit: str) -> str:
+    """`trend_figure` as SVG for a page."""
+    with settings("trend"):
+        return svg(trend_figure(run, fixed, marks, regions, unit), "Trend with the regions")
 
 
 def _bands(axes: Axes, hours: np.ndarray, region: np.ndarray, regions: Regions) -> None:
@@ -61,35 +89,36 @@ def time_axis(t_s: np.ndarray) -> tuple[np.ndarray, str]:
     return t_s - t_s[0], "seconds"
 
 
-def trend_png(run: Columns, fixed: Columns | None, marks: Sequence[Mark], regions: Regions, unit: str) -> bytes:
+def trend_figure(run: Columns, fixed: Columns | None, marks: Sequence[Mark], regions: Regions, unit: str) -> Figure:
     """Process value, setpoint and output over the whole run; red marks for changes of gains (dotted: undone), each with
     the number of its decision.
     """
     top, bottom, *further = _panels("x2" in run and len(regions.axes) > 1)
     x, x_unit = time_axis(run["t"])
     for axes, axis in zip(further, regions.axes[1:], strict=False):
-        axes.plot(x, run["x2"], color=PV, lw=0.5)
+        axes.plot(*thinned(x, run["x2"], DENSE), color=PV, lw=0.5)
         axes.set_ylabel(f"{axis.label} [{axis.unit}]")
     _bands(top, x, run["region"], regions)
     if fixed is not None:
         n = min(len(x), len(fixed["t"]))
-        top.plot(x[:n], fixed["pv"][:n], color=FIXED, lw=0.8, label="pv with fixed gains")
-        bottom.plot(x[:n], fixed["co"][:n], color=FIXED, lw=0.5)
-    top.plot(x, run["pv"], color=PV, lw=0.9, label="pv retuned")
-    top.plot(x, run["sp"], color=SP, lw=0.9, ls="--", label="sp")
-    bottom.plot(x, run["co"], color=PV, lw=0.5)
+        top.plot(*thinned(x[:n], fixed["pv"][:n], DENSE), color=FIXED, lw=0.8, label="pv with fixed gains")
+        bottom.plot(*thinned(x[:n], fixed["co"][:n], DENSE), color=FIXED, lw=0.5)
+    top.plot(*thinned(x, run["pv"], DENSE), color=PV, lw=0.9, label="pv retuned")
+    top.plot(*thinned(x, run["sp"], DENSE), color=SP, lw=0.9, ls="--", label="sp")
+    bottom.plot(*thinned(x, run["co"], DENSE), color=PV, lw=0.7)
     scale = (run["t"][-1] - run["t"][0]) / max(float(x[-1]), 1e-12)
     _marks((top, bottom, *further), marks, float(run["t"][0]), scale)
     top.set_ylabel(f"pv, sp [{unit}]")
     bottom.set_ylabel("co [%]")
     (bottom, *further)[-1].set_xlabel(f"time [{x_unit}]")
-    top.legend(loc="upper left", fontsize=9, framealpha=0.9)
+    top.legend(loc="lower left", bbox_to_anchor=(0.0, 1.06), ncols=5, fontsize=9, frameon=False)
     for axes in (top, bottom, *further):
         axes.margins(x=0)
         axes.grid(alpha=0.3)
+    floors(top, bottom, run["pv"])
     figure = top.get_figure()
     assert isinstance(figure, Figure)
-    return _png(figure)
+    return figure
 
 
 def _marks(panels: Sequence[Axes], marks: Sequence[Mark], start_s: float, scale: float) -> None:
@@ -108,19 +137,28 @@ def _marks(panels: Sequence[Axes], marks: Sequence[Mark], start_s: float, scale:
 
 def _panels(with_second: bool) -> tuple[Axes, ...]:
     """The panels of a trend from the top: pv and sp, co, and the second scheduling variable where there is one."""
-    heights = (2.4, 1.0, 0.7) if with_second else (2.4, 1.0)
+    heights = (2.0, 1.1, 0.7) if with_second else (2.0, 1.1)
     figure = Figure(figsize=(13, 7.4 if with_second else 6.2))
+    figure.subplots_adjust(left=0.055, right=0.99, top=0.89, bottom=0.085, hspace=0.08)
     return tuple(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
 
 
-def twin_png(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: str, *, commissioned: bool) -> bytes:
+def twin_svg(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: str, *, commissioned: bool) -> str:
+    """The same setpoint step with the commissioned gains and with the final ones, as SVG for a page."""
+    with settings(f"twin {name}"):
+        figure = twin_figure(run, fixed, twin, name, unit, commissioned=commissioned)
+        return svg(figure, f"{name}: with the baseline gains and with the final ones")
+
+
+def twin_figure(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: str, *, commissioned: bool) -> Figure:
     """The same setpoint step with the commissioned gains and with the final ones, on one time axis.
 
     fixed : the same run with the commissioned gains, where there is one: then the same step of it is drawn; else the
     first such step of this run, and commissioned says whether it still ran on those gains.
     """
-    figure = Figure(figsize=(6.3, 4.4))
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    figure = Figure(figsize=(6.3, 4.6))
+    figure.subplots_adjust(left=0.11, right=0.985, top=0.93, bottom=0.11, hspace=0.1)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
     length = min(twin.first[1] - twin.first[0], twin.last[1] - twin.last[0])
     first = "first time, with the baseline gains" if commissioned else "first time, already retuned"
     before = (run, twin.first[0], first)
@@ -145,4 +183,5 @@ def twin_png(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: s
     for axes in (top, bottom):
         axes.margins(x=0)
         axes.grid(alpha=0.3)
-    return _png(figure)
+    floors(top, bottom, run["pv"][part])
+    return figure

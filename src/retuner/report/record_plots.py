@@ -10,9 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.decision_page.svg import MARK
 from retuner.report.change_of_settings import Change
-from retuner.report.loop_plots import change_into, floors
-from retuner.report.plots import DPI, MARK, PV, SP, time_axis
+from retuner.report.loop_plots import change_into
+from retuner.report.plots import DPI, PV, SP, floors, time_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

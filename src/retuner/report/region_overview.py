@@ -7,6 +7,7 @@ variables is a grid of cells besides.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES
 from retuner.decision_page.explain import cause_text, model_text, settings_text, stays, takes_back
 from retuner.decision_page.html import escaped, paragraph, text_table
 from retuner.decision_page.row_values import Document, decided_on, number, part, words
@@ -56,12 +57,21 @@ def _region(name: str, own: list[Document]) -> RegionNow:
         len(own),
         len(changed),
         sum(map(takes_back, own)),
-        cause_text(judged) if judged else "",
+        _now(judged, last),
         model_text(known) if known else "",
         bool(changed) and words(changed[-1], "basis") == BORROWED,
         _standing(last),
         words(last, "mode"),
     )
+
+
+def _now(judged: Document, last: Document) -> str:
+    """How the region runs: a cause of tuning that led to no further change is no complaint."""
+    if words(last, "action") != "restore" and "commit" in {words(last, "action"), words(judged, "action")}:
+        return "changed, not judged yet"
+    cause = words(part(judged, "diagnosis"), "cause")
+    changeable = cause in {str(one) for one in TUNING_CAUSES} and words(judged, "action") == "none"
+    return "settled: nothing better is proved" if changeable else cause_text(judged) if judged else ""
 
 
 def _standing(last: Document) -> str:
@@ -85,7 +95,7 @@ def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[s
         (now.name, f"{now.seen}", now.process or "nothing yet", now.cause, _marks(now))
         for now in regions_now(names, decisions)
     ]
-    heads = ("region", "responses", "process model", "last cause", "state")
+    heads = ("region", "responses", "process model", "now", "state")
     return text_table(heads, rows) + "".join(map(paragraph, advice)) + _grid(table)
 
 

@@ -1,8 +1,9 @@
 """report.html: one self-contained page, read from the top: result, pictures, every decision, provenance.
 
-Each decision that changes something, or that a proof decided, has a page of its own further down, reached from its row.
+Each decision that changes something, or that a proof decided, has a page of its own, which its row's link shows.
 """
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,15 +22,16 @@ from retuner.decision_page.explain import (
     settings_text,
     takes_back,
 )
-from retuner.decision_page.html import OPEN_TARGET, escaped, image, paragraph, table
 from retuner.decision_page.html import document as html_document
+from retuner.decision_page.html import escaped, figure, paragraph, table
 from retuner.decision_page.page import article
 from retuner.decision_page.row_values import Document, number, part, words
 from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import MS_LIMIT
-from retuner.report.plots import Mark, trend_png, twin_png
+from retuner.report.plots import Mark, trend_svg, twin_svg
 from retuner.report.region_overview import overview
 from retuner.report.scores import Columns, RegionScore, Twin, twin_steps
+from retuner.report.what_if import of_region, page_script, panel_style
 from retuner.schedule.table import GainTable
 
 SAME_GAINS = 1e-4
@@ -74,27 +76,46 @@ def render(data: ReportData) -> str:
     body = [
         f"<h1>{escaped(data.loop)}: retuning report</h1>",
         paragraph(_lead(data, documents), "lead"),
-        image(
-            trend_png(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit),
-            "Trend with region bands",
-        ),
+        figure(trend_svg(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit)),
         "<h2>Regions</h2>",
         _scores_table(data, documents),
         overview(data.after, documents, data.advice),
         _twins(data),
+        _tried(data, documents),
         "<h2>Decisions</h2>",
-        paragraph(
-            "One row per recognised response; rows that write or propose gains are shaded. A number with a link "
-            "has a page with the full reasoning.",
-            "muted",
-        ),
+        paragraph(_decisions_note(len(views) == MOST_PAGES), "muted"),
         _decisions_table(documents, {view.number for view in views}),
-        _pages(views),
+        "".join(map(_page, views)),
         "<h2>Provenance</h2>",
         table(("what", "value"), ((escaped(k), f"<code>{escaped(v)}</code>") for k, v in data.facts.items())),
-        OPEN_TARGET if views else "",
     ]
-    return html_document(f"{data.loop}: retuning report", "".join(body))
+    return html_document(f"{data.loop}: retuning report", "".join(body), panel_style())
+
+
+def _decisions_note(more: bool) -> str:
+    """What the table shows. more : not every decision that has reasons has a page."""
+    left = f" The newest {MOST_PAGES} have one; `retuner report FOLDER --decision N` makes any other." if more else ""
+    return (
+        "One row per recognised response; rows that write or propose gains are shaded. A number with a link opens the "
+        f"full reasoning below the table.{left}"
+    )
+
+
+def _tried(data: ReportData, documents: Sequence[Document]) -> str:
+    """Panels that try settings on each region's newest process, and on the longest stay in it."""
+    panels = []
+    for i, name in enumerate(data.after.regions.names):
+        sets = (data.before.gains_of(name), data.after.gains_of(name))
+        told = of_region(data.run, i, [one for one in documents if words(one, "region") == name], sets, data.ms_limit)
+        panels += [(name, told)] if told is not None else []
+    if not panels:
+        return ""
+    given = json.dumps(panels, allow_nan=False).replace("<", "\\u003c")
+    units = units_of(data.loop)
+    how = json.dumps({"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]})
+    each = "for (const [name, what] of PANELS) whatIf(document.getElementById('what-if'), what, { name, ...HOW })"
+    script = f"{page_script()}\nconst PANELS = {given}, HOW = {how};\n{each}"
+    return f'<h2>What other settings would do</h2><div id="what-if"></div><script>{script}</script>'
 
 
 def _undone(documents: Sequence[Document]) -> list[float]:
@@ -206,8 +227,8 @@ def _twins(data: ReportData) -> str:
     images = []
     for twin in twin_steps(data.run, data.events):
         name = names[twin.region]
-        drawn = twin_png(data.run, data.fixed, twin, name, data.unit, commissioned=as_commissioned(data, twin))
-        images.append(image(drawn, f"{name}: with the baseline gains and with the final ones"))
+        commissioned = as_commissioned(data, twin)
+        images.append(twin_svg(data.run, data.fixed, twin, name, data.unit, commissioned=commissioned))
     if not images:
         return ""
     told = "" if data.fixed is not None else paragraph("There was no run with fixed gains to compare with.", "muted")
@@ -253,23 +274,7 @@ def _anchor(decision: int) -> str:
     return f"decision-{decision}"
 
 
-def _pages(views: list[DecisionView]) -> str:
-    """The pages, folded; which ones have none is said."""
-    if not views:
-        return ""
-    left = len(views) == MOST_PAGES
-    note = (
-        f"The newest {MOST_PAGES} decisions that propose, write, restore or were refused by the proof."
-        if left
-        else "Every decision that proposes, writes, rolls back or was refused by the proof."
-    )
-    more = f" {note} `retuner report FOLDER --decision N` makes the page of any other."
-    return f"<h2>Decision pages</h2>{paragraph(more.strip(), 'muted')}{''.join(map(_folded, views))}"
-
-
-def _folded(view: DecisionView) -> str:
-    """A page that opens with a click on its line."""
+def _page(view: DecisionView) -> str:
+    """A page that is seen when its row's link is followed, and on paper."""
     line = f"{view.number}. {view.t_s:,.0f} s, {words(view.document, 'region')}: {one_line(view.document)}"
-    return (
-        f'<details class="page" id="{_anchor(view.number)}"><summary>{escaped(line)}</summary>{article(view)}</details>'
-    )
+    return f'<section class="page" id="{_anchor(view.number)}"><h2>{escaped(line)}</h2>{article(view)}</section>'

@@ -9,7 +9,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from importlib.resources import files
 
 import numpy as np
@@ -21,18 +20,21 @@ from retuner.adaptive.rules.registry import rule_named, settings
 from retuner.adaptive.rules.rule import ControllerKind, Wishes
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.decision_page.row_values import Document, decided_on
 from retuner.diagnosing import RecordDiagnosis
 from retuner.report.change_of_settings import processes_of, settling_s
+from retuner.report.plots import CO_FLOOR, NOISE_BANDS
+from retuner.report.scores import Columns
 from retuner.schedule.controller_units import DEFAULT, ControllerUnits
 from retuner.schedule.dials import CONTROLLERS
 from retuner.schedule.gains import PidGains
 
 MOST_SAMPLES, MOST_MODELS, FREQUENCIES, SPEEDS = 800, 4, 240, 25
 """Sizes of what a page carries: some thirty kilobytes a loop."""
+LEAST_SAMPLES = 50
+"""Of a stay in a region, for settings to be tried on it."""
 STEPS = 400
 """Samples of a step response, at the controller's interval where that is longer."""
-NOISE_BANDS, CO_FLOOR = 8.0, 10.0
-"""Least heights of the two strips, as in every picture of a loop."""
 MS_LIMIT = 1.8
 """Ms above it is shown as too much where the page knows no limit of its own."""
 FASTEST, SLOWEST = 0.3, 20.0
@@ -75,6 +77,29 @@ def of_diagnosis(window: Window, result: RecordDiagnosis) -> dict[str, object] |
             result.co_limits,
         )
     )
+
+
+def of_region(
+    run: Columns,
+    region: int,
+    decisions: Sequence[Document],
+    sets: tuple[PidGains | None, PidGains | None],
+    ms_limit: float,
+) -> dict[str, object] | None:
+    """What the page of a region needs; None where nothing is known of its process, or the run hardly was in it.
+
+    run : trend by column. region : its index. decisions : its documents, oldest first. sets : active and recommended.
+    """
+    model = next((found for one in reversed(decisions) if (found := decided_on(one)) is not None), None)
+    here = np.flatnonzero(run["region"] == region)
+    if model is None or not len(here):
+        return None
+    stay = max(np.split(here, np.flatnonzero(np.diff(here) > 1) + 1), key=len)
+    if len(stay) < LEAST_SAMPLES:
+        return None
+    t_s, sp, pv, co = (np.asarray(run[name][stay], dtype=np.float64) for name in ("t", "sp", "pv", "co"))
+    window = Window(t_s, sp, pv, co)
+    return what_if(Asked(window, [model.linear()], model, window.sample_time_s, *sets, ms_limit=ms_limit))
 
 
 def what_if(asked: Asked) -> dict[str, object]:
@@ -200,12 +225,9 @@ def page_script() -> str:
     return text.replace("/*CONTROLLERS*/{}", json.dumps(_controllers()))
 
 
-@cache
-def page_style() -> str:
-    """The palette of all pages, and the look of the panel."""
-    return "".join(
-        files("retuner.templates").joinpath(name).read_text(encoding="utf-8") for name in ("palette.css", "what_if.css")
-    )
+def panel_style() -> str:
+    """The look of the panel."""
+    return files("retuner.templates").joinpath("what_if.css").read_text(encoding="utf-8")
 
 
 def _controllers() -> dict[str, object]:

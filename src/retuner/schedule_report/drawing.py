@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from retuner.adaptive.schedule_design.places import OUT
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.report.plots import BANDS, DPI, FIXED, MARK, PV, SP
+from retuner.decision_page.svg import BANDS, FAINT, MARK, settings, svg, thinned
+from retuner.report.plots import DPI, FIXED, PV, SP
 from retuner.schedule.table import Lookup
 from retuner.scheduling import ScheduleDesign
 
@@ -20,13 +21,26 @@ if TYPE_CHECKING:
 FINE = 201
 SHOWN_MS, SHOWN_J = 3.0, 3.0
 """Largest values that the axes make room for."""
-MOST_POINTS = 4000
-"""Samples of a record that are drawn."""
+MOST_POINTS = 2400
+"""Points of a record that are drawn."""
 CURVES = (("k", "process gain k"), ("tau", "lag [s]"), ("theta", "dead time [s]"))
+
+
+def schedule_svg(found: ScheduleDesign, windows: Sequence[Window]) -> str:
+    """Draw it for a page."""
+    with settings("schedule"):
+        return svg(_figure(found, windows), "records, process, gains, Ms and J over the variable")
 
 
 def schedule_png(found: ScheduleDesign, windows: Sequence[Window]) -> bytes:
     """Draw it as PNG."""
+    buffer = io.BytesIO()
+    _figure(found, windows).savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
+    """All panels."""
     figure = Figure(figsize=(14, 11))
     along = " and ".join(filter(None, (found.variable, found.second)))
     figure.suptitle(f"{along}: {found.reason}", x=0.06, ha="left", fontsize=14, weight="bold")
@@ -47,9 +61,7 @@ def schedule_png(found: ScheduleDesign, windows: Sequence[Window]) -> bytes:
         _dress(axes, found)
     for axes in (figure.axes[3], figure.axes[6]):
         axes.set_xlabel(_axis_label(found))
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
+    return figure
 
 
 def _axis_label(found: ScheduleDesign) -> str:
@@ -66,7 +78,7 @@ def _dress(axes: "Axes", found: ScheduleDesign) -> None:
     middle = found.slices[len(found.slices) // 2]
     for a, b in pairwise([place for place in found.places if place.x2 == middle]):
         if not (a.known and b.known):
-            axes.axvspan(a.x, b.x, color="#eeeeee", lw=0, zorder=0)
+            axes.axvspan(a.x, b.x, color=FAINT, alpha=0.15, lw=0, zorder=0)
     if found.table is None:
         return
     hard = found.table.lookup is Lookup.HARD
@@ -80,10 +92,9 @@ def _records(axes: "Axes", found: ScheduleDesign, windows: Sequence[Window]) -> 
     """pv and setpoint of all records, one after the other, coloured by the part of the table that is in force."""
     begin = 0.0
     for i, window in enumerate(windows):
-        every = max(1, len(window.t_s) // MOST_POINTS)
-        hours = (begin + window.t_s[::every] - window.t_s[0]) / 3600.0
-        axes.plot(hours, window.pv[::every], color=PV, lw=0.8, label=None if i else "pv")
-        axes.plot(hours, window.sp[::every], color=SP, lw=0.8, ls="--", label=None if i else "setpoint")
+        hours = (begin + window.t_s - window.t_s[0]) / 3600.0
+        axes.plot(*thinned(hours, window.pv, MOST_POINTS), color=PV, lw=0.8, label=None if i else "pv")
+        axes.plot(*thinned(hours, window.sp, MOST_POINTS), color=SP, lw=0.8, ls="--", label=None if i else "setpoint")
         begin += float(window.t_s[-1] - window.t_s[0]) * 1.02
     if found.table is not None and found.variable in {"sp", "pv"}:
         edges = [-1e9, *found.layout.edges[1:-1], 1e9]

@@ -4,7 +4,7 @@ import errno
 import ipaddress
 import socket
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from retuner.errors import UserError
@@ -17,12 +17,13 @@ PORT = 8017
 class ServeOptions:
     """Where and how.
 
-    host, port : to listen at; port 0 for any that is free. names : host names beside the address under which browsers
-    may ask. certificate, key : files for TLS. read_only : nobody may act. until_closed : end when stdin is closed.
+    host, port : to listen at; port 0 for any that is free, None for the usual one or any free one. names : host names
+    beside the address under which browsers may ask. certificate, key : files for TLS.
+    read_only : nobody may act. until_closed : end when stdin is closed.
     """
 
     host: str = "127.0.0.1"
-    port: int = 8017
+    port: int | None = None
     names: tuple[str, ...] = ()
     certificate: Path | None = None
     key: Path | None = None
@@ -38,6 +39,11 @@ def listening(options: ServeOptions) -> socket.socket:
     UserError
         The port is taken, or the address is not of this machine.
     """
+    if options.port is None:
+        try:
+            return listening(replace(options, port=PORT))
+        except UserError:  # taken: any other one will do
+            return listening(replace(options, port=0))
     family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
     ours = socket.socket(family, socket.SOCK_STREAM)
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -15,7 +15,9 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from retuner.decision_page.html import palette
 from retuner.errors import UserError
+from retuner.report.what_if import page_script, panel_style
 from retuner.serve import documents
 from retuner.serve.access import LASTS_S, Access
 from retuner.serve.gate import PAGE_POLICY, Gate
@@ -38,6 +40,16 @@ STATIC = {
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
 """Every file that is served, by its address: nothing else is ever opened for a browser."""
+
+
+def _shared() -> dict[str, tuple[str, str]]:
+    """What the page shares with all others: colours, and the panel that tries settings."""
+    css, javascript = "text/css; charset=utf-8", "text/javascript; charset=utf-8"
+    return {
+        "/palette.css": (palette(), css),
+        "/what_if.css": (panel_style(), css),
+        "/what_if.js": (page_script(), javascript),
+    }
 
 
 class NotTakenError(Exception):
@@ -65,7 +77,9 @@ class Page:
     def application(self) -> Gate:
         """The whole, behind its gate."""
         routes = [Route(path, self._file(name, kind)) for path, (name, kind) in STATIC.items()]
+        routes += [Route(path, self._text(*made)) for path, made in _shared().items()]
         routes += [
+            Route("/api/what-if/{session}/{number}", self._told(lambda r: documents.tried(*self._loop(r)))),
             Route("/api/overview", self._told(lambda _: documents.overview(self._hub.runs))),
             Route("/api/loop/{session}/{number}", self._told(lambda r: documents.loop_document(*self._loop(r)))),
             Route("/api/trend/{session}/{number}", self._told(self._trend)),
@@ -93,7 +107,10 @@ class Page:
 
     def _file(self, name: str, kind: str) -> Callable[[Request], Response]:
         """An answer that is one of our files, read once."""
-        content = files("retuner.serve").joinpath("static").joinpath(name).read_bytes()
+        return self._text(files("retuner.serve").joinpath("static").joinpath(name).read_bytes(), kind)
+
+    def _text(self, content: str | bytes, kind: str) -> Callable[[Request], Response]:
+        """An answer that is always the same."""
 
         def answer(_: Request) -> Response:
             return Response(content, headers={"content-type": kind})

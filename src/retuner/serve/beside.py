@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from retuner.errors import UserError
-from retuner.serve.address import PORT, ServeOptions, lines, listening
+from retuner.serve.address import ServeOptions, lines, listening
 
 NEEDED = ("starlette", "uvicorn")
 MISSING = 'the page needs starlette and uvicorn; pip install "retuner[page]"'
@@ -56,13 +56,8 @@ def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = Tr
     if not wanted:
         yield Beside(say)
         return
-    options, token = ServeOptions(port=PORT), secrets.token_urlsafe(24)
-    try:
-        ours = listening(options)
-    except UserError:  # any other port will do
-        options = ServeOptions(port=0)
-        ours = listening(options)
-    with ours:
+    options, token = ServeOptions(), secrets.token_urlsafe(24)
+    with listening(options) as ours:
         for line in lines(options, int(ours.getsockname()[1]), token):
             say(line)
         server = _started(folder, ours.fileno(), token)

@@ -11,9 +11,12 @@ from retuner.decision_page.decision_view import view_of, what_came_of
 from retuner.decision_page.explain import cause_text, change_text, ms_words, response_text, settings_text
 from retuner.decision_page.page import page
 from retuner.decision_page.row_values import number, part, words
+from retuner.decision_page.shown_units import units_of
 from retuner.errors import one_line
 from retuner.live_view.live_file import FIELDS
 from retuner.report.ledger_words import Told, no_formula
+from retuner.report.what_if import MS_LIMIT, of_region
+from retuner.schedule.gains import PidGains
 from retuner.serve.ledger_tail import Decided, Document, LedgerTail
 from retuner.serve.runs import Runs, WatchedLoop, WatchedSession
 from retuner.session.order_queue import SHORT
@@ -25,6 +28,8 @@ SILENT_S, SILENT_SAMPLES = 10.0, 10
 """A loop is silent when so long, and for so many sampling intervals, nothing has come."""
 NEWEST = 200
 """Decisions in a loop's list."""
+TRIED = 30_000
+"""Newest samples in which the stays are looked for that settings are tried on."""
 ROWS = 500
 """Ledger rows in one answer."""
 
@@ -203,6 +208,26 @@ def trend(loop: WatchedLoop, from_s: float, to_s: float, points: int) -> Documen
     table = loop.reader.span(from_s, to_s, max(4, min(points, MOST_POINTS)))
     columns = {name: np.round(table[:, i], 6).tolist() for i, name in enumerate(FIELDS)}
     return {"columns": columns, "whole": list(loop.reader.extent())}
+
+
+def tried(session: WatchedSession, loop: WatchedLoop) -> Document:
+    """What the page tries settings on: a panel for each region whose process is known, with how gains are shown."""
+    reader = loop.reader
+    table = reader.since(max(reader.counts()[0] - TRIED, 0)).table
+    run = {name: table[:, i].copy() for i, name in enumerate(FIELDS)}
+    mine = [one.document for one in session.ledger.decisions if _is_of(one, loop)]
+    open_ = {
+        one.region: one.after
+        for one in session.ledger.shown_of(loop.name).open(float(reader.head.get("approval_s", 0.0)))
+    }
+    panels = []
+    for i, region in enumerate(reader.state().get("regions", ())):
+        name, active = str(region["name"]), PidGains(**region["gains"])
+        own = [one for one in mine if words(one, "region") == name]
+        told = of_region(run, i, own, (active, open_.get(name)), float(reader.head.get("ms_limit", MS_LIMIT)))
+        panels += [{"region": name, "what": told}] if told is not None else []
+    units = units_of(loop.name)
+    return {"panels": panels, "controller": units.name, "span": units.pv_span}
 
 
 def decision_html(session: WatchedSession, loop: WatchedLoop, decided: Decided) -> str:

@@ -110,7 +110,7 @@ const way = (list) => list.reduce((sum, value, i) => sum + (i ? Math.abs(value -
 const brief = (value) => Number(Number(value).toPrecision(3)).toString();
 const WITHIN = 0.05; // of a step: settled
 
-function whatIf(place, what, { propose = null, span = null, controller = "" } = {}) {
+function whatIf(place, what, { name: of = "", propose = null, span = null, controller = "", sets = ["recommended", "active"] } = {}) {
   const make = (kind, parent, text, given = {}) => {
     const made = document.createElement(kind);
     if (text) made.textContent = text;
@@ -119,7 +119,7 @@ function whatIf(place, what, { propose = null, span = null, controller = "" } = 
     return made;
   };
   const box = make("section", place, "", { className: "whatif" }), best = what.models[0], active = what.active;
-  make("h3", box, "What if");
+  make("h3", box, of ? `What if: ${of}` : "What if");
   let gains = [...(what.recommended ?? active)];
   const sliders = make("div", box, "", { className: "sliders" }), inputs = [];
   const slider = (name, read, write, low, high) => {
@@ -145,8 +145,8 @@ function whatIf(place, what, { propose = null, span = null, controller = "" } = 
   const figures = make("div", box, "", { className: "figures" });
   const bar = make("div", box, "", { className: "bar" });
   const to = (text, set) => set && make("button", bar, text, { type: "button", onclick: () => { gains = [...set]; show(); } });
-  to("Use recommended", what.recommended);
-  to("Use active", active);
+  to(`Use ${sets[0]}`, what.recommended);
+  to(`Use ${sets[1]}`, active);
   const chosen = make("select", bar, "", { ariaLabel: "controller" });
   for (const name of Object.keys(CONTROLLERS)) make("option", chosen, name, { value: name });
   if (CONTROLLERS[controller]) chosen.value = controller;
@@ -159,7 +159,7 @@ function whatIf(place, what, { propose = null, span = null, controller = "" } = 
   if (propose) make("button", bar, "Propose", { type: "button", className: "primary", onclick: () => propose([...gains], text.textContent) });
   chosen.onchange = spanInput.oninput = () => show();
   const key = make("div", box, "", { className: "key" });
-  for (const [name, colour] of [["as recorded or active", "before"], ["with these settings", "pv"], ["setpoint", "sp"]])
+  for (const [name, colour] of [[`as recorded, or ${sets[1]}`, "before"], ["with these settings", "pv"], ["setpoint", "sp"]])
     make("i", key, `\u25a0 ${name}`).style.color = `var(--${colour})`;
   const charts = make("div", box, "", { className: "charts" }), panels = {};
   const recorded = what.pv.length > 2;
@@ -215,8 +215,8 @@ function whatIf(place, what, { propose = null, span = null, controller = "" } = 
   }
 
   // Two strips, pv above co, over one axis of time; the new settings keep the picture, an old swing may leave it.
-  function draw(into, dt, width, [upper, lower], floors = [0, 0]) {
-    const height = 230, left = 48, top = 6, parts = [[top, 130, upper, floors[0]], [148, 62, lower, floors[1]]], ns = "http://www.w3.org/2000/svg";
+  function draw(into, dt, usual, [upper, lower], floors = [0, 0]) {
+    const width = Math.max(into.clientWidth || usual, 220), height = 230, left = 48, top = 6, parts = [[top, 130, upper, floors[0]], [148, 62, lower, floors[1]]], ns = "http://www.w3.org/2000/svg";
     const picture = document.createElementNS(ns, "svg");
     const put = (kind, given, words) => { const made = document.createElementNS(ns, kind); for (const [name, value] of Object.entries(given)) made.setAttribute(name, value); if (words) made.textContent = words; picture.append(made); };
     picture.setAttribute("viewBox", `0 0 ${width} ${height}`);

@@ -1,6 +1,7 @@
 """Documents of decisions as a ledger has them, and samples that go with them."""
 
 import copy
+import re
 
 import numpy as np
 
@@ -153,3 +154,8 @@ def samples() -> Samples:
 def view(document: dict[str, object] | None = None, *, drawn: bool = True, unit: str = "degC") -> DecisionView:
     """A decision as its page sees it."""
     return DecisionView(COMMIT if document is None else document, samples() if drawn else None, unit, DT)
+
+
+def plain(text: str) -> str:
+    """A page without what cells know of their heads, for narrow screens."""
+    return re.sub(r' data-head="[^"]*"', "", text)

@@ -1,7 +1,7 @@
 """The overview of the regions: the newest that is known of each, and a grid where there are two variables."""
 
 import pytest
-from decision_documents import BORROWED, COMMIT, REFUSED, RESTORED
+from decision_documents import BORROWED, COMMIT, REFUSED, RESTORED, plain
 
 from retuner.report.region_overview import overview, regions_now
 from retuner.schedule.axis import Axis
@@ -20,6 +20,9 @@ def test_each_region_tells_its_newest_state() -> None:
     assert middle.process.endswith("(4 records)")
     assert middle.cause == "aggressive"
     assert middle.trial == "rolled back"
+    (settled,) = regions_now(("middle",), [COMMIT, {**COMMIT, "action": "none"}])
+    assert settled.cause == "settled: nothing better is proved"
+    assert regions_now(("middle",), [COMMIT])[0].cause == "changed, not judged yet"
 
 
 @pytest.mark.parametrize(
@@ -50,6 +53,6 @@ def test_a_map_of_two_variables_is_a_grid() -> None:
         ("a", "b", "c", "d"), Axis("sp", "degC", 0.0, (50.0,), 100.0), Axis("co", "%", 0.0, (40.0,), 100.0)
     )
     table = GainTable("oven", regions, tuple(PidGains(kp, 0.1) for kp in (1.0, 2.0, 3.0, 4.0)))
-    text = overview(table, [])
+    text = plain(overview(table, []))
     assert '<tr class=""><td>50 to 100 degC</td><td>c: Kc 3 tau_I 30 s</td><td>d: Kc 4 tau_I 40 s</td></tr>' in text
     assert "<th>sp \\ co</th><th>0 to 40 %</th><th>40 to 100 %</th>" in text

@@ -237,14 +237,15 @@ class Loop {
   }
 
   build() {
-    const p = (this.parts = Object.fromEntries(["charts", "values", "face", "needs", "map", "trial", "decisions", "page", "rows", "title", "now"]
+    const p = (this.parts = Object.fromEntries(["charts", "values", "face", "needs", "map", "trial", "decisions", "page", "rows", "title", "now", "tried"]
       .map((name) => [name, el("div", { class: name === "charts" ? "chart" : "" })])));
     const button = (text, title, act) => el("button", { type: "button", title, onclick: act }, text);
-    this.liveButton = button("live", "Follow the newest samples (key: L)", () => this.follow());
+    this.liveButton = button("Follow", "Follow the newest samples (key: L)", () => this.follow());
     const bar = el("div", { class: "bar" }, this.liveButton,
       button("◀", "Back in time (key: left)", () => this.pan(-0.5)), button("▶", "Forward (key: right)", () => this.pan(0.5)),
       button("+", "Zoom in (key: +)", () => this.scale(0.5)), button("−", "Zoom out (key: -)", () => this.scale(2)),
-      button("whole session", "From its beginning (key: W)", () => this.whole()),
+      button("Show whole session", "From its beginning (key: W)", () => this.whole()),
+      button("Try settings", "What would other settings do? Nothing is written", () => this.try()),
       el("span", { class: "muted" }, "Drag to zoom; double click on a mark opens its decision."));
     const legend = el("p", { class: "muted" }, Object.values(MARKS).map((m) => `${m.symbol} ${m.name}`).join("   "), "   E1 E2 E3 peaks as they are found");
     this.search = el("input", { type: "search", placeholder: "filter: words that a row holds", "aria-label": "filter the ledger", oninput: () => { this.filter = this.search.value; this.ledger(); } });
@@ -253,7 +254,7 @@ class Loop {
       el("div", { class: "loop" },
         el("div", { class: "wide" },
           el("section", { class: "panel charts" }, p.values, bar, p.charts, legend),
-          p.page,
+          p.page, p.tried,
           el("section", { class: "panel" }, el("h2", {}, "Decisions"), p.decisions)),
         el("div", { class: "side" }, p.needs,
           el("section", { class: "panel" }, el("h2", {}, "Active"), p.face),
@@ -424,8 +425,9 @@ class Loop {
     const head = el("tr", {}, ["", "predicted", "before"].map((h) => el("th", {}, h)));
     const names = { iae: "IAE per unit step", decay: "half-cycle decay ratio", overshoot: "overshoot", settle_s: "settling time [s]" };
     const upset = { setpoint: "setpoint step", load: "load step" };
+    const figure = (name, value) => (name === "overshoot" && value !== null ? `${Math.round(100 * value)} %` : words(value, 3));
     const predicted = t.promise.map((p) => el("tr", {}, el("td", {}, `${upset[p.upset]}: ${names[p.name]}`),
-      el("td", {}, `${words(p.values[0], 3)} (${words(p.values[1], 3)} to ${words(p.values[2], 3)})`), el("td", {}, words(p.before, 3))));
+      el("td", {}, `${figure(p.name, p.values[0])} (${figure(p.name, p.values[1])} to ${figure(p.name, p.values[2])})`), el("td", {}, figure(p.name, p.before))));
     const seen = t.seen.length ? t.seen.map((o) => el("p", {}, el("b", {}, `${o.number} ${o.finding.replaceAll("_", " ")}: `), o.reason)) : el("p", { class: "muted" }, "No response has been judged yet.");
     this.parts.trial.replaceChildren(el("section", { class: "panel" }, el("h2", {}, `Trial: decision ${t.decision}, ${t.region}`), el("p", {}, t.change),
       t.promise.length ? el("table", {}, head, predicted) : "", el("h2", {}, "Seen so far"), seen,
@@ -438,18 +440,29 @@ class Loop {
     this.parts.decisions.replaceChildren(...(list.length ? list : []).map((d) => el("div", { class: `decision${d.action === "none" ? "" : " changes"}` },
       el("p", {}, el("b", {}, `${MARKS[d.action]?.symbol ?? ""}${d.number}`), ` ${clock(d.t_s, 5000)} ${d.region}: `, el("b", {}, d.cause), d.change ? `, ${d.change}` : ", nothing changed"),
       el("p", { class: "muted" }, [d.response, d.reason, d.judgement].filter(Boolean).join("; ")),
-      el("div", { class: "bar" }, el("button", { type: "button", onclick: () => this.open(d.number) }, "full reasoning"),
+      el("div", { class: "bar" }, el("button", { type: "button", onclick: () => this.open(d.number) }, "Show full reasoning"),
         d.action === "commit" && !this.doc.ended ? el("button", { type: "button", onclick: () => this.act(`Roll back decision ${d.number}?`,
-          `Region ${d.region} goes back to the gains before it.`, { order: "revert", decision: d.number }) }, "roll back") : ""))));
+          `Region ${d.region} goes back to the gains before it.`, { order: "revert", decision: d.number }) }, "Roll back") : ""))));
     if (!list.length) this.parts.decisions.replaceChildren(el("p", { class: "muted" }, "No decision yet."));
   }
 
   open(number) {
-    const close = el("button", { type: "button", onclick: () => this.parts.page.replaceChildren() }, "close");
+    const close = el("button", { type: "button", onclick: () => this.parts.page.replaceChildren() }, "Close");
     const src = `/api/decision/${this.key_}/${number}`;
     this.parts.page.replaceChildren(el("section", { class: "panel" }, el("div", { class: "bar" }, el("h2", {}, `Decision ${number}`), close, el("a", { href: src, target: "_blank", rel: "noopener" }, "in a tab of its own")),
       el("iframe", { src, title: `decision ${number}`, sandbox: true })));
     this.parts.page.scrollIntoView({ block: "nearest" });
+  }
+
+  // Panels that try settings on the newest stay in each region; nothing leaves the page.
+  async try() {
+    const found = await get(`/api/what-if/${this.key_}`).catch((error) => { notice(error.message, true); return null; });
+    if (!found || state.page !== this) return;
+    const place = this.parts.tried;
+    place.replaceChildren(el("div", { class: "bar" }, el("h2", {}, "What other settings would do"), el("button", { type: "button", onclick: () => place.replaceChildren() }, "Close")));
+    for (const { region, what } of found.panels) window.whatIf(place, what, { name: region, controller: found.controller, span: found.span, sets: ["proposed", "active"] });
+    if (!found.panels.length) place.append(el("p", { class: "muted" }, "Of no region is the process known yet."));
+    place.scrollIntoView({ block: "nearest" });
   }
 
   openNear(t) {
@@ -565,8 +578,10 @@ async function holdEverything() {
 
 function setActing(may) {
   state.acting = may;
-  $("login").textContent = may ? "may act: stop acting" : "read only";
+  $("login").textContent = may ? "Stop control" : "Allow control";
   $("login").classList.toggle("primary", may);
+  $("who").textContent = may ? "you may act" : "";
+  $("who").className = may ? "badge good" : "";
 }
 
 // ---- where we are
