@@ -51,7 +51,6 @@ def _axis_lines(axis: Axis, *, simple: bool) -> list[str]:
 
 
 def _region_lines(name: str, gains: PidGains) -> list[str]:
-    """One [[schedule.region]]."""
     ideal = to_ideal(gains)
     kc, tau_i, tau_d = ideal.kc, ideal.tau_i_s, ideal.tau_d_s
     told = '"none"' if tau_i is None else repr(_digits(tau_i, 8))

@@ -235,7 +235,6 @@ class ControllerUnits:
         return replace(self, dials=dials, form=form, controller="")
 
     def _vendor(self, form: Form) -> VendorUnits:
-        """The conversion."""
         sign = 1 if self.action is None else self.action.sign
         gains = []
         for dial in self.dials:

@@ -66,7 +66,6 @@ def _axis_lines(axis: Axis, *, simple: bool) -> Iterator[str]:
 
 
 def _region_lines(regions: Regions, i: int, gains: PidGains) -> Iterator[str]:
-    """One set of gains."""
     yield f"[[region]]  # {regions.text(i)}"
     yield f"name = {_quoted(regions.names[i])}"
     if len(regions.axes) > 1:
@@ -78,7 +77,6 @@ def _region_lines(regions: Regions, i: int, gains: PidGains) -> Iterator[str]:
 
 
 def _for_people(gains: PidGains) -> str:
-    """The ideal form in words."""
     try:
         ideal = to_ideal(gains)
     except ValueError:
@@ -173,12 +171,10 @@ def _by_cell(top: TomlSection, sets: list[TomlSection], axes: list[Axis]) -> lis
 
 
 def _shown(cell: tuple[float, ...]) -> str:
-    """A cell as it is written."""
     return f"[{', '.join(f'{i:g}' for i in cell)}]"
 
 
 def _gains(entry: TomlSection, *, with_cell: bool) -> PidGains:
-    """The gains of one [[region]]."""
     entry.only("name", "form", "kp", "ki", "kd", *(["cell"] if with_cell else []))
     form = entry.text("form")
     if form != Form.PARALLEL:

@@ -184,7 +184,6 @@ def in_form(gains: PidGains, form: str) -> dict[str, float | None]:
 
 
 def _form(name: str) -> Form:
-    """The form of that name."""
     try:
         return Form(name)
     except ValueError:

@@ -223,7 +223,6 @@ def _wish(law: PidLaw, state: StateTuple, sp: float, pv: float, dt_s: float) -> 
 
 
 def _in_range(law: PidLaw, co: float) -> float:
-    """The nearest co of the range."""
     return min(max(co, law.co_min), law.co_max)
 
 
@@ -259,7 +258,6 @@ def _standing(law: PidLaw, co: float) -> int:
 
 
 def _refuse(**numbers: float) -> NoReturn:
-    """Say which number is to blame."""
     for name, value in numbers.items():
         if not math.isfinite(value):
             raise ValueError(f"{name} = {value} is not a finite number; the state is unchanged")

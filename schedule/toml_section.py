@@ -119,7 +119,6 @@ class TomlSection:
         return [TomlSection(item, f"{key} {i}", self._lines) for i, item in enumerate(value)]
 
     def _value(self, key: str) -> object:
-        """What stands under a key."""
         if key not in self._values:
             raise self.error(f"{key} is missing")
         return self._values[key]

@@ -308,7 +308,6 @@ def _wanted(
 
 
 def _kept(gain: VendorGain, wanted: float | None) -> float:
-    """The number that the controller keeps."""
     if wanted is None or (wanted == 0 and gain.off is not None):
         if gain.off is None:
             raise ValueError("the set has no integral action, and no number says so; give `off`")

@@ -88,12 +88,10 @@ def foreseen(records: Sequence[Window], models: Sequence[ProcessModel], gains: P
 
 
 def _summed(parts: Sequence[_Counted]) -> _Counted:
-    """Over several records."""
     return _Counted(sum(part.error for part in parts), sum(part.travel for part in parts))
 
 
 def _counted(error: FloatArray, co: FloatArray, dt_s: float) -> _Counted:
-    """Of one record."""
     return _Counted(float(np.sum(np.abs(error))) * dt_s, float(np.sum(np.abs(np.diff(co)))))
 
 

@@ -127,7 +127,6 @@ def together(a: Swinging, b: Swinging) -> bool:
 
 
 def _group(loops: Sequence[Swinging]) -> CommonSwing:
-    """One group with its root."""
     root, why, interaction = _root(loops)
     ordered = sorted(loops, key=lambda one: (one.tag != root, -one.harmonic))
     told = [_told(ordered[0], one) for one in ordered[1:]]

@@ -181,7 +181,6 @@ def _measure(samples: int, usual_s: float, co_noise: float) -> Measure:
 
 
 def _width(samples: int) -> int:
-    """Samples of a slow mean."""
     return min(AVERAGED, max(samples // 8, 1))
 
 

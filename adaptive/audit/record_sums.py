@@ -147,7 +147,6 @@ def _slow(x: FloatArray, width: int) -> float:
 
 
 def _extreme(there: np.ndarray, error: FloatArray, held_s: FloatArray) -> AtExtreme:
-    """The samples at one extreme."""
     lengths, held_s = runs(there), np.where(there, held_s, 0.0)
     counts = (np.sum(lengths), len(lengths), np.sum(lengths >= STRETCH), np.max(lengths))
     return _side(map(float, (*counts, np.sum(held_s), error @ held_s, np.abs(error) @ held_s)))

@@ -274,13 +274,11 @@ def _of_limit(sure: float, screen: LoopScreen, stretches: Sequence[StretchVerdic
 
 
 def _of_condition(screen: LoopScreen, action: Action, looked_at: int) -> LoopVerdict:
-    """No loop is at work."""
     reason = SENTENCES[screen.condition]
     return LoopVerdict(Cause.UNKNOWN, 0.9, action, reason, 0.0, looked_at, looked_at, 1.0, 0.9 * 0.5 / EFFORT[action])
 
 
 def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
-    """A fault, with what it costs."""
     showing = [s for s in stretches if s.cause == cause]
     sure = joined_confidence(cause, stretches)
     action = FOR_CAUSE[cause]
@@ -304,7 +302,6 @@ def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVer
 
 
 def _of_screen(screen: LoopScreen) -> str:
-    """What the screening alone says."""
     period = f"oscillates with a period of {screen.period_s:.4g} s" if screen.period_s else "nothing stands out"
     if screen.setpoint:
         return f"screened only: {period}"

@@ -80,7 +80,6 @@ def spread_over(record: Window) -> list[Window]:
 
 
 def _part(record: Window, begin: int, end: int) -> Window:
-    """Some of the samples."""
     return Window(record.t_s[begin:end], record.sp[begin:end], record.pv[begin:end], record.co[begin:end])
 
 

@@ -169,7 +169,6 @@ def _busiest(window: Window, most: int) -> Window:
 
 
 def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:
-    """No settings, with what was seen."""
     if found is None:
         return SettingsInForce(None, {}, None, None, 0.0, 0, reason)
     kept = int(np.sum(found.kept))

@@ -154,7 +154,6 @@ def columns(window: Window, structure: Structure, at: dict[str, float] | None = 
 
 
 def _late(x: FloatArray, lag: int) -> FloatArray:
-    """The signal so many samples later."""
     late: FloatArray = np.concatenate([np.full(lag, x[0]), x[: len(x) - lag]])
     return late
 

@@ -53,7 +53,6 @@ def summed_law(window: Window, settings: SummedSettings | None = None) -> PidGai
 
 
 def _fitted(co: FloatArray, columns: FloatArray) -> FloatArray:
-    """Least squares beside a constant."""
     centred = columns - columns.mean(axis=0)
     scale = np.linalg.norm(centred, axis=0)
     scale[scale == 0] = 1.0

@@ -168,7 +168,6 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
 
 
 def _require_hysteresis(hysteresis: float) -> None:
-    """Refuse what is no hysteresis."""
     if not (math.isfinite(hysteresis) and hysteresis >= 0):
         raise ValueError(f"hysteresis = {hysteresis}: give 0 or a positive number of pv units")
 

@@ -137,7 +137,6 @@ def _first_peak(y: FloatArray, clear: float) -> int | None:
 
 
 def _refined(t: FloatArray, y: FloatArray, i: int) -> tuple[float, float]:
-    """Peak between the samples round i."""
     low = max(i - 1, 0)
     return peak(t[low : i + 2], y[low : i + 2])
 

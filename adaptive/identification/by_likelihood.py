@@ -326,7 +326,6 @@ def _roughness(series: Sequence[FloatArray]) -> float:
 
 @lru_cache(maxsize=1)
 def _z1() -> Spectrum:
-    """One sample back, at all frequencies."""
     return np.asarray(np.exp(-1j * np.pi * (np.arange(POINTS) + 0.5) / POINTS), dtype=np.complex128)
 
 

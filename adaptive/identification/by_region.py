@@ -74,7 +74,6 @@ def identify_region(record: RegionRecord, sign: int | None, settings: FitSetting
 
 
 def _excitation(window: Window) -> float:
-    """Travel of pv over its noise."""
     record = Record.of(window)
     return record.pv_range / record.noise_std
 

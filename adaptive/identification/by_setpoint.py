@@ -217,7 +217,6 @@ class Fitting:
         return min(refined, key=lambda found: found.deviance, default=None)
 
     def _refined(self, type_: ProcessType, x: FloatArray, cost: float) -> Found:
-        """Down from a start."""
         damping, here = DAMPING, self.residuals(type_, x)
         slopes = self._slopes(type_, x, here)
         for _ in range(STEPS):

@@ -111,7 +111,6 @@ class LogModel:
 
 
 def _numbers(model: ProcessModel) -> dict[str, float]:
-    """Those parameters that the structure has."""
     found = {"k": model.k, "theta": model.theta_s}
     if model.tau1_s:
         found["tau1"] = model.tau1_s

@@ -156,7 +156,6 @@ def _load_elsewhere(at: Candidate, which: int) -> Proposal | None:
 
 
 def _without_load(at: Candidate, which: int) -> Proposal | None:
-    """One load step less."""
     misfit, d = at.fit.misfit, SIZE[at.fit.misfit.type]
     if which >= misfit.loads or _worth(at, which) > INDISPENSABLE * LOAD_COST * math.log(len(misfit.record.pv)):
         return None

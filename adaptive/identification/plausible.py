@@ -215,7 +215,6 @@ def _with_loads(jacobian: FloatArray, step: FloatArray) -> FloatArray:
 
 
 def _deviance(misfit: Misfit, p: FloatArray, prior: Prior | None) -> float:
-    """Misfit squared with the prior's share."""
     x = p[: SIZE[misfit.type]]
     known = float(np.sum(prior.residuals(x) ** 2)) if prior is not None else unusual(misfit.type, x) ** 2
     return misfit.costs([p])[0] + known

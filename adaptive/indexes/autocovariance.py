@@ -130,7 +130,6 @@ def running_mean(x: FloatArray, width: int) -> FloatArray:
 
 
 def _of_autocovariance(r: FloatArray, n: int) -> Regularity | None:
-    """Period and regularity of one auto-covariance."""
     at = crossings(r, CONFIDENCE / math.sqrt(n))[: MOST_INTERVALS + 1]
     intervals = np.diff(at)
     if len(intervals) < FEWEST_INTERVALS:

@@ -174,7 +174,6 @@ ONE_WAY = 0.1
 
 
 def _dead(x: FloatArray) -> bool:
-    """Whether a signal is constant."""
     return float(np.ptp(x)) <= DEAD * float(np.max(np.abs(x)))
 
 

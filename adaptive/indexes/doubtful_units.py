@@ -32,7 +32,6 @@ def doubtful_units(window: Window) -> tuple[str, ...]:
 
 
 def _times(t: FloatArray) -> str:
-    """Times that are dates."""
     step = float(np.median(np.diff(t)))
     if DIGITS[0] < t[0] and t[-1] < DIGITS[1]:
         return "the times look like dates written as one number (YYYYMMDDhhmmss): give them as text, or in seconds"
@@ -44,7 +43,6 @@ def _times(t: FloatArray) -> str:
 
 
 def _output(co: FloatArray) -> str:
-    """An output in mA."""
     low, high = float(np.min(co)), float(np.max(co))
     if MILLIAMPERES[0] <= low and high <= MILLIAMPERES[1] and high - low >= LEAST_SPAN:
         return "co stays between 4 and 20, which looks like mA: gains are then per mA, 6.25 times those per percent"
@@ -52,7 +50,6 @@ def _output(co: FloatArray) -> str:
 
 
 def _counts(pv: FloatArray) -> str:
-    """A pv in raw counts."""
     top = float(np.max(pv))
     whole = bool(np.all(pv == np.round(pv)))
     if whole and float(np.min(pv)) >= 0 and float(np.ptp(pv)) > FEWEST_COUNTS and top <= MOST_COUNTS:

@@ -76,7 +76,6 @@ def tones(t_s: FloatArray, w_rad_s: float, *signals: FloatArray) -> list[Tone] |
 
 
 def _tone(phasors: npt.NDArray[np.complex128], power: float) -> Tone:
-    """Shares of one signal."""
     a = np.zeros(HARMONICS)
     a[: len(phasors)] = np.abs(phasors)
     first = max(float(a[0]), 1e-300)

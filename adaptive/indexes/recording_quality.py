@@ -189,7 +189,6 @@ def held_together(pv: FloatArray, co: FloatArray) -> Holds | None:
 
 
 def _holds(still: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Long stretches without a change."""
     return [(first, end) for first, end in runs(still) if end - first >= FEWEST_HELD]
 
 

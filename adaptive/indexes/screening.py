@@ -126,7 +126,6 @@ def _recording(window: Window, limits: AtLimits) -> dict[str, float | None]:
 
 
 def _setpoint(window: Window) -> dict[str, float | None]:
-    """Setpoint responses."""
     seen = setpoint_responses(window.sp, window.pv)
     if seen is None:
         return {}

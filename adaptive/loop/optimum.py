@@ -91,7 +91,6 @@ def gain_at_ms(process: LinearProcess, shape: PidGains, ms: float) -> PidGains |
 
 
 def _times(shape: PidGains, factor: float) -> PidGains:
-    """All gains times one factor."""
     return PidGains(shape.kp * factor, shape.ki * factor, shape.kd * factor)
 
 

@@ -284,7 +284,6 @@ class NudgePlanner:
         return next((to for to in sides if around.low <= to <= around.high), None)
 
     def _announced(self, sample: LoopSample, around: LoopAround) -> NudgeNews:
-        """Tell of a bump to come."""
         to = self._aim(sample.sp, around)
         assert to is not None
         self._before, self._from, self._to = sample.sp, sample.sp, to
@@ -329,7 +328,6 @@ class NudgePlanner:
                 return NudgeInput.OTHERS
 
     def _still_to_come(self, sample: LoopSample, around: LoopAround, since: float) -> NudgeInput | None:
-        """Of a bump that was announced."""
         if not around.wanted or sample.mode != LoopMode.AUTO or not self.settings.is_time(around.hour):
             return NudgeInput.PUT_OFF
         if since < self.settings.announce_s:
@@ -370,7 +368,6 @@ class NudgePlanner:
         return NudgeInput.NEXT if len(self._holds) > 1 else NudgeInput.AT_REST
 
     def _taken(self, cause: NudgeInput, t_s: float) -> NudgeNews | None:
-        """The table's answer."""
         new = COURSE.get((self.phase, cause))
         if new is None:
             return None

@@ -69,7 +69,6 @@ def _leads(zeros: npt.NDArray[np.complex128]) -> list[float]:
 
 
 def _shown(root: complex) -> str:
-    """A root in few digits."""
     return f"{root.real:.4g}" + (f"{root.imag:+.4g}j" if root.imag else "")
 
 

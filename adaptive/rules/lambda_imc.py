@@ -49,7 +49,6 @@ def lambda_tuning(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes
 
 
 def _integrating(model: ProcessModel, lam: float) -> Tuning:
-    """PI for an integrating process."""
     reset = 2 * _positive(lam) + model.theta_s
     return tuning("lambda", "ideal", reset / (model.k * (lam + model.theta_s) ** 2), reset, 0.0, lam)
 

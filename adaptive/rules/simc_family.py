@@ -80,7 +80,6 @@ def _chosen(rule: TauCRule, default: Callable[[], Tuning], model: ProcessModel, 
 
 
 def _checked(model: ProcessModel, kind: ControllerKind) -> None:
-    """PI cannot hold two integrators."""
     if model.type == ProcessType.DOUBLE_INTEGRATING and kind == PI:
         raise ValueError("a double integrating process needs derivative action; give --kind pid")
 
@@ -115,7 +114,6 @@ def _plain(name: str, c: float) -> Callable[[ProcessModel, ControllerKind, Wishe
 
 
 def _improved(model: ProcessModel, _kind: ControllerKind, wishes: Wishes) -> Tuning:
-    """simc-improved."""
     factor = TAU_I_FACTOR if wishes.c is None else wishes.c
     found = _chosen(
         lambda tau_c_s: simc_improved(model, tau_c_s, factor), lambda: simc_improved(model, None, factor), model, wishes
@@ -124,7 +122,6 @@ def _improved(model: ProcessModel, _kind: ControllerKind, wishes: Wishes) -> Tun
 
 
 def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning:
-    """simc-smooth."""
     if wishes.u0 is None or wishes.y_max is None:
         raise ValueError("rule simc-smooth needs u0 (largest disturbance, co units) and ymax (allowed deviation)")
     _checked(model, kind)

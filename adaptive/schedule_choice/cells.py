@@ -104,7 +104,6 @@ def cells(places: Sequence[Place], limits: DesignLimits, lookup: str, most: int)
 
 
 def _knotted(grid: Grid, most: int) -> Cells | None:
-    """The fewest knots."""
     axes = sorted(product(KNOTS, KNOTS), key=lambda pair: len(pair[0]) * len(pair[1]))
     for (rows, columns), calmer in product(axes, CALMER):
         if not 1 < len(rows) * len(columns) <= most:
@@ -117,7 +116,6 @@ def _knotted(grid: Grid, most: int) -> Cells | None:
 
 
 def _round(values: Sequence[float], knots: tuple[int, ...]) -> tuple[float, ...]:
-    """Edges whose middles are the knots."""
     if len(knots) == 1:
         return values[0], values[-1]
     half = (values[knots[1]] - values[knots[0]]) / 2
@@ -125,7 +123,6 @@ def _round(values: Sequence[float], knots: tuple[int, ...]) -> tuple[float, ...]
 
 
 def _served(grid: Grid, found: Cells) -> bool:
-    """Whether every place keeps its limits."""
     return all(
         grid.keeps(at, found.gains_at(place.x, math.nan if place.x2 is None else place.x2))
         for at, place in enumerate(grid.places)
@@ -134,7 +131,6 @@ def _served(grid: Grid, found: Cells) -> bool:
 
 
 def _stepped(grid: Grid, most: int) -> Cells | None:
-    """The fewest cells with borders."""
     served: dict[tuple[int, int, int, int], PidGains | None] = {}
     sizes = sorted(product(range(1, COUNT + 1), repeat=2), key=lambda pair: (pair[0] * pair[1], abs(pair[0] - pair[1])))
     for rows, columns in sizes:

@@ -99,7 +99,6 @@ def crossings(
 
 
 def _lookup(gains_at: Callable[[float], PidGains], variable: str) -> Lookup:
-    """The table along sp or pv."""
     if variable == "sp":
         return lambda sp, _: gains_at(sp)
     return lambda _, pv: gains_at(pv)

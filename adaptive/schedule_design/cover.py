@@ -193,7 +193,6 @@ EDGES_TRIED = 39
 
 
 def _edges(centres: Sequence[float], lowest: float) -> list[float]:
-    """Edges from the lowest on."""
     edges = [lowest]
     for c in centres:
         edges.append(2 * c - edges[-1])

@@ -161,7 +161,6 @@ def _chosen(rich: Fit, c: float) -> Curves:
 
 
 def _bent(fit: Fit) -> tuple[Form, FloatArray]:
-    """Everything free to bend."""
     _, form, _, now = fit
     bent = (Shape.BENT,) * len(form.shapes)
     return form.with_shapes(bent, now.z, None, bent)

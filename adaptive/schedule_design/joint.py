@@ -217,7 +217,6 @@ def _at_batch(
     *,
     derivatives: bool,
 ) -> At:
-    """The same for one batch."""
     now = local_at(form, batch, z[:, None])
     arriving = form.arriving(batch, now, z[:, None])
     y = (response(now, arriving, batch.h_s) + form.drift(batch, now, z[:, None]))[..., 0]

@@ -145,7 +145,6 @@ def drifted(batch: Batch, local: Local, ln_k: FloatArray) -> FloatArray:
 
 
 def _between(rows: FloatArray) -> FloatArray:
-    """Means of neighbouring rows."""
     return np.asarray((rows[:-1] + rows[1:]) / 2, dtype=np.float64)
 
 

@@ -140,7 +140,6 @@ ROUNDED = 0.03
 
 
 def _rounded(gain: float) -> float:
-    """To the nearest step."""
     return math.copysign(math.exp(ROUNDED * round(math.log(abs(gain)) / ROUNDED)), gain) if gain else 0.0
 
 

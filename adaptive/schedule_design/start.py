@@ -54,13 +54,11 @@ def starts(
 
 
 def _constant(form: Form, slope: float, theta: float, lag: float) -> Form:
-    """The form of a constant process."""
     centre = (math.log(max(abs(slope), 1e-300)), math.log(theta), math.log(lag))
     return replace(form, centre=centre, sign=1 if slope >= 0 else -1)
 
 
 def _excitation(stretch: Stretch) -> float:
-    """Travel of pv over its noise."""
     return float(np.ptp(stretch.pv)) / max(noise_sigma(stretch.pv), 1e-12 * float(np.ptp(stretch.pv)) + 1e-300)
 
 

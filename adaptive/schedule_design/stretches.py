@@ -111,7 +111,6 @@ def signals_of(window: Window, x: FloatArray, every: int, x2: FloatArray | None 
 
 
 def _smoothed(x: FloatArray) -> FloatArray:
-    """Means over SMOOTHED_ROWS."""
     if len(x) <= SMOOTHED_ROWS:
         return x
     padded = np.pad(x, SMOOTHED_ROWS // 2, mode="edge")

@@ -187,7 +187,6 @@ def _beside(a: StuckValve, b: StuckValve) -> bool:
 
 
 def _near(valve: StuckValve) -> Iterator[StuckValve]:
-    """Valves of the second scan."""
     most = 2.0 if valve.family == Family.KANO else 1.0
     shares = {min(max(valve.jump / valve.stick + more, 0.0), most) for more in NEAR_JUMPS}
     starts = {min(max(valve.start + more, -1.0), 1.0) for more in NEAR_STARTS}
@@ -206,7 +205,6 @@ def explained(record: Record, sign: int, valves: list[StuckValve], nodes: "Nodes
 
 
 def _grid(travel: float) -> Iterator[StuckValve]:
-    """Valves of both models."""
     for stick in (np.geomspace(*STICK_RANGE, STICK_NODES) * travel).tolist():
         for family, shares in JUMP_SHARES.items():
             for share in shares:

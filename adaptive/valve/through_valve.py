@@ -166,7 +166,6 @@ def _search(linear: list[Candidate], sign: int) -> Sticking | None:
 
 
 def _grid(co_range: float) -> Iterator[StuckValve]:
-    """Valves of both models."""
     for share, (family, jumps) in product(BANDS, JUMP_SHARES.items()):
         for jump, start in product(jumps, STARTS):
             yield StuckValve(family, share * co_range, jump * share * co_range, start)

@@ -168,5 +168,4 @@ def _of_co(co: FloatArray, during: npt.NDArray[np.bool_]) -> tuple[float, float 
 
 
 def _smooth(values: FloatArray) -> FloatArray:
-    """Moving mean."""
     return np.asarray(np.convolve(values, np.ones(SMOOTHED) / SMOOTHED, mode="valid"), dtype=np.float64)

@@ -259,7 +259,6 @@ class CanLink:
         return self._bus
 
     def _take_error_frame(self, message: can.Message) -> None:
-        """Count it; bus-off closes the bus."""
         self.counters.error_frames += 1
         fault = fault_of_frame(message)
         if fault is LinkFault.BUS_OFF:
@@ -287,6 +286,5 @@ class CanLink:
             self._log_failed()
 
     def _log_failed(self) -> None:
-        """Count it."""
         self.counters.log_failures += 1
         self.faults.note(LinkFault.LOG)

@@ -48,7 +48,6 @@ def known_interfaces() -> list[str]:
 
 
 def _advice(interface: str, channel: str, error: BaseException) -> str:
-    """What to do about it."""
     if interface not in can.VALID_INTERFACES:
         return f"interfaces of python-can: {', '.join(known_interfaces())}"
     if "msgpack" in str(error):

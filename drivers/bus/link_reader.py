@@ -54,7 +54,6 @@ class LinkReader:
         self._share.read_by_thread = False
 
     def _run(self) -> None:
-        """Read until the end."""
         try:
             while not self._ending.is_set():
                 self._once()

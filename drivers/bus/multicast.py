@@ -20,7 +20,6 @@ class GroupSocket(GeneralPurposeUdpMulticastBus):
     """The group's socket, made narrower after python-can has made it."""
 
     def _create_socket(self, address_family: socket.AddressFamily) -> socket.socket:
-        """As in python-can, then bound anew."""
         wide = super()._create_socket(address_family)
         if sys.platform != "linux":
             return wide
@@ -28,7 +27,6 @@ class GroupSocket(GeneralPurposeUdpMulticastBus):
         return self._narrow(address_family)
 
     def _narrow(self, family: socket.AddressFamily) -> socket.socket:
-        """Bound to the group."""
         sock = socket.socket(family, socket.SOCK_DGRAM)
         try:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -63,7 +63,6 @@ class SocketProbe:
             self._socket = None
 
     def _enlarge(self) -> None:
-        """A longer receive queue."""
         assert self._socket is not None
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, QUEUE_BYTES)

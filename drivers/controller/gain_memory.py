@@ -268,7 +268,6 @@ class GainPages:
         return [*items, PageEnd(page, int(complete), token, seq, crc)]
 
     def _stored(self) -> GainSet:
-        """What a restart would run."""
         whole = [slot for slot in self.slots if slot is not None and slot.whole]
         newest = max(whole, key=lambda slot: slot.generation, default=None)
         return newest.content if newest else self._first
@@ -290,5 +289,4 @@ class GainPages:
         self._staged, self._staged_seq = {}, None
 
     def _ack(self, kind: Kind, seq: int, reason: Reason, item: int = Item.KP) -> Ack:
-        """An answer."""
         return Ack(kind, seq, reason, self.latest, item)

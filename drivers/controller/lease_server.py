@@ -41,7 +41,6 @@ class LeaseDesk:
         return Ack(Kind.LEASE, frame.owner, reason, self.owner)
 
     def _judge(self, frame: Lease, epoch: int, sample: int) -> Reason:
-        """Whether the request counts."""
         if frame.stamp not in {lease_stamp(epoch, sample), lease_stamp(epoch, max(sample - STAMP_SAMPLES, 0))}:
             return Reason.STALE
         if self.owner not in {NOBODY, frame.owner}:

@@ -266,7 +266,6 @@ class VirtualDevice:
                 return Ack(Kind.STORE, frame.seq, Reason.NOT_OWNER, pages.latest)
 
     def _code_of(self, frame: Commit, gains: PidGains) -> Reason:
-        """Whether a commit is authentic."""
         return self.code.judge(self.settings.node, self.epoch, self.lease.owner, frame.seq, frame.base, gains)
 
     def _command(self, frame: Setpoint | Mode | Load) -> Ack:
@@ -307,7 +306,6 @@ class VirtualDevice:
         self.load = frame.load
 
     def _telemetry(self) -> list[DeviceFrame]:
-        """Both halves of this sample."""
         counter = self.sample % (1 << COUNTER_BITS)
         mode = LoopMode.AUTO if self.auto else LoopMode.MANUAL
         low, high = PV_WIRE
@@ -317,7 +315,6 @@ class VirtualDevice:
         return [pv, TelemetrySp(counter, self.sp, mode, limited, running, crc)]
 
     def _life_sign(self) -> list[DeviceFrame]:
-        """Heartbeat and status."""
         pages = self.pages
         flags = (
             Flags.AUTO * self.auto

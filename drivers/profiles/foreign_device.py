@@ -142,7 +142,6 @@ class ForeignDevice:
         return events
 
     def _receive(self, now_s: float) -> None:
-        """Take what has arrived."""
         for message in self.link.receive_all():
             self._tap.take(message)
             for one in self._access.take(message):
@@ -267,7 +266,6 @@ class ForeignDevice:
             self._events.append(RunningChanged(self.running))
 
     def _believe(self, numbers: Numbers) -> None:
-        """These numbers run from now on."""
         try:
             gains = self._access.units.of(numbers)
         except ValueError as error:
@@ -342,7 +340,6 @@ class ForeignDevice:
             self._lose(state, reason)
 
     def _lose(self, state: LinkState, reason: str) -> None:
-        """Nothing is known any more."""
         self._up, self.running = False, None
         self._fresh.clear()
         self._read.clear()
@@ -463,7 +460,6 @@ class ForeignDevice:
         self._events.append(CommandDone("load"))
 
     def _put(self, numbers: Numbers, now_s: float) -> None:
-        """Have numbers written at once."""
         if not all(map(math.isfinite, numbers.values())):
             raise WriteRefusedError(f"{self.settings.where}: {numbers} are no finite numbers")
         try:

@@ -146,7 +146,6 @@ class GainCourse:
         return self.busy
 
     def _sending(self) -> Sending:
-        """What the phase sends."""
         phase = self.machine.phase
         if phase is CoursePhase.WRITING:
             write: Numbers = self._steps[self._at]
@@ -162,7 +161,6 @@ class GainCourse:
         return Sending(write, read=False)
 
     def _time_out(self) -> None:
-        """The phase's time is over."""
         phase = self.machine.phase
         if phase is CoursePhase.WRITING and not self._acknowledges and not self._reads_back:
             self._sent()
@@ -247,7 +245,6 @@ class GainCourse:
         return f"{self.reason or 'no answer'}; the controller does not say what it runs; asking on"
 
     def _move(self, happened: CourseInput) -> None:
-        """Go where the table says."""
         if self.machine.take(happened):
             self._deadline_s = None
             self._tries = self._tries if happened in COUNT_ON else 0

@@ -180,7 +180,6 @@ def _is_full(signal: Signal) -> bool:
 
 
 def _is_plain(signal: Signal) -> bool:
-    """Whether a C struct holds it."""
     unscaled = (signal.scale, signal.offset) == (1, 0)
     return signal.is_float or (unscaled and signal.start % 8 == 0 and signal.length in CODES)
 

@@ -24,7 +24,6 @@ STAMP_SAMPLES = 64  # controller samples that share a stamp
 
 
 def _table() -> bytes:
-    """CRC of every byte."""
     values = []
     for byte in range(256):
         crc = byte

@@ -160,7 +160,6 @@ def _values(names: list[str]) -> Callable[[Frame], Sequence[float]]:
 
 @lru_cache(maxsize=1)
 def _database() -> Database:
-    """The shipped DBC."""
     return read_dbc(files("retuner.drivers").joinpath(DBC).read_text(encoding="ascii"), DBC)
 
 

@@ -106,7 +106,6 @@ class Overhearing:
             self._joiner.ordered = frame.seq
 
     def _telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> AssembledSample | None:
-        """Half a sample."""
         if not self._connected:
             return None
         joined = self._joiner.take(half)

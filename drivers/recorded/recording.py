@@ -195,7 +195,6 @@ def _check_file(path: Path) -> None:
 
 
 def _missing(path: Path, line: str, name: str, header: list[str]) -> RecordingError:
-    """A column is not there."""
     there = ", ".join(header) or "nothing"
     return RecordingError(f'{path}{line}: no column "{name}"; there is {there}; name it as in --columns pv=NAME')
 

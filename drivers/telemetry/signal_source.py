@@ -138,7 +138,6 @@ def _text(dbc: str) -> str:
 
 
 def _there(names: Sequence[str]) -> str:
-    """What could have been meant."""
     shown = ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
     return f"there is {shown}" if names else "there is none"
 

@@ -85,7 +85,6 @@ class _Latest:
         return self._value if fresh else math.nan
 
     def _change(self) -> VariableChanged:
-        """What is told of it."""
         source = self._source
         name = f"{source.layout.name}.{source.signal}"
         if self._known:

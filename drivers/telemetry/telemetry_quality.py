@@ -103,5 +103,4 @@ class ArrivalCheck:
             self._move(TelemetryVerdict.ENOUGH if self._good >= MIN_OK else TelemetryVerdict.FEW)
 
     def _move(self, verdict: TelemetryVerdict) -> None:
-        """Go where the table says."""
         self.state = TRANSITIONS.get((self.state, verdict), self.state)

@@ -290,7 +290,6 @@ def identify_by_region(
 
 
 def _length(window: Window) -> int:
-    """Number of samples."""
     return len(window.t_s)
 
 

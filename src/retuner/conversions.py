@@ -137,7 +137,6 @@ def to_control(thing: Thing, pade_order: int = PADE_ORDER) -> "ControlFunction":
 
 
 def _polynomials(thing: Thing, pade_order: int) -> tuple[list[float], list[float]]:
-    """num and den, highest power first."""
     if isinstance(thing, PidGains):
         num = [thing.kd, thing.kp, *([thing.ki] if thing.ki else [])]
         return np.trim_zeros(num, "f"), [1.0, 0.0] if thing.ki else [1.0]
@@ -180,5 +179,4 @@ def gains_of(system: System) -> PidGains:
 
 
 def _shown(numbers: Iterable[float]) -> str:
-    """Coefficients as people write them."""
     return ", ".join(f"{number:g}" for number in numbers)

@@ -139,7 +139,6 @@ def _engine() -> Finding:
 
 
 def _extras() -> Iterator[Finding]:
-    """What each extra needs."""
     from importlib.metadata import metadata  # noqa: PLC0415  beside its use
 
     for extra in metadata("retuner").get_all("Provides-Extra") or ():
@@ -154,7 +153,6 @@ def _extras() -> Iterator[Finding]:
 
 
 def _checked(name: str, check: Callable[[], str], remedy: str) -> Finding:
-    """A check that must succeed."""
     from retuner.drivers.device import DeviceError  # noqa: PLC0415
 
     try:
@@ -221,7 +219,6 @@ def _socketcan() -> Iterator[Finding]:
 
 
 def _listened(name: str) -> Finding:
-    """One CAN interface of the kernel."""
     from retuner.drivers.bus.bus_opening import SOCKETCAN, open_bus  # noqa: PLC0415
     from retuner.drivers.device import DeviceError  # noqa: PLC0415
 
@@ -236,7 +233,6 @@ def _listened(name: str) -> Finding:
 
 
 def _adapters() -> Finding:
-    """What the drivers of python-can find."""
     import can  # noqa: PLC0415  slow to load
 
     logging.disable(

@@ -187,7 +187,6 @@ def _(result: Decision) -> str:
 
 
 def _cause(result: RecordDiagnosis, *, reason: bool = True) -> str:
-    """The cause, and why."""
     told = result.diagnosis
     cause = f"{str(told.cause).replace('_', ' ').upper()} (confidence {told.confidence:.0%})"
     return f"{cause}: {told.reason}" if reason else cause
@@ -209,7 +208,6 @@ def _picture(
     curves: Sequence[ExplainedCurve],
     loads_s: Sequence[float],
 ) -> RecordPicture:
-    """The record with what was found."""
     closed = bool((window.sp != window.pv).any())
     return RecordPicture(
         window, title, subtitle, lines, curves, loads_s, noise_std=noise_sigma(window.pv), closed_loop=closed
@@ -217,7 +215,6 @@ def _picture(
 
 
 def _shown(result: object, png: bytes) -> str:
-    """Words, and the picture below them."""
     words = f"<pre>{escaped(text(result))}</pre>"
     if not png:
         return words

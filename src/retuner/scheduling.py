@@ -310,7 +310,6 @@ def _read_off(windows: Sequence[Window], co_min: float | None, co_max: float | N
 
 
 def _names(by: str | Sequence[str], values: Mapping[str, object]) -> list[str]:
-    """The variables to weigh."""
     if by == AUTO:
         return [*OWN, *values]
     return [by] if isinstance(by, str) else list(dict.fromkeys(by))

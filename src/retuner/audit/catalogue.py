@@ -185,7 +185,6 @@ def _of_parquet(files: tuple[Path, ...], tags: Sequence[str], held: Sequence[_He
 
 
 def _held(path: Path, form: RecordForm) -> _Held:
-    """What a file holds."""
     if path.suffix.lower() in TRAFFIC:
         return _Held(*_roles(traffic_names(path, form), form))
     if path.suffix.lower() != ".parquet":

@@ -86,7 +86,6 @@ def badge(view: DecisionView) -> str:
 
 
 def _place(view: DecisionView) -> str:
-    """Where and when."""
     mode = words(view.document, "mode")
     parts_ = [f"region {words(view.document, 'region')}", f"{view.t_s:,.0f} s", f"mode {mode}" if mode else ""]
     return ", ".join(one for one in parts_ if one)
@@ -221,7 +220,6 @@ def _dialled(gains: PidGains, units: ControllerUnits) -> tuple[float | None, ...
 
 
 def _cell(value: float | None, unit: str) -> str:
-    """One number."""
     return "-" if value is None else "0" if value == 0 else f"{value:.5g}{unit}"
 
 
@@ -260,7 +258,6 @@ def _put_in(view: DecisionView, model: ProcessModel, kind: ControllerKind) -> st
 
 
 def _same(one: PidGains, other: PidGains) -> bool:
-    """Whether two sets are one."""
     pairs_ = ((one.kp, other.kp), (one.ki, other.ki), (one.kd, other.kd))
     return all(abs(a - b) <= SAME * max(abs(a), abs(b)) for a, b in pairs_)
 
@@ -299,7 +296,6 @@ def _value(value: object, none: str) -> str:
 
 
 def _margins(view: DecisionView) -> str:
-    """Margins before, after, at worst."""
     rows = margin_rows(view)
     if not rows:
         return ""
@@ -309,7 +305,6 @@ def _margins(view: DecisionView) -> str:
 
 
 def _whereabouts(view: DecisionView) -> str:
-    """Where the ledger has it."""
     loads = len(numbers(view.estimate, "loads"))
     return pairs(
         [

@@ -194,7 +194,6 @@ def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
 
 
 def _margin(found: Margins, name: str, unit: str) -> str:
-    """A margin as people read it."""
     if not found.stable:
         return "unstable"
     value: float = getattr(found, name)

@@ -59,7 +59,6 @@ class OrderOfWrites:
         return proved_way(ways, ends, models, s.sample_time_s, s.guard.ms_worst, s.filter_s)
 
     def _why(self, ways: Sequence[Way]) -> str:
-        """Why there is none."""
         region = self._retuner.region
         known = region is not None and region in self._retuner.region_models
         if known:

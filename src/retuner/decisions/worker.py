@@ -77,7 +77,6 @@ class _Worker:
 
 
 def _ended(code: int) -> str:
-    """How a process ended."""
     if code >= 0:
         return f"ended with status {code}"
     try:

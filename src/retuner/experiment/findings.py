@@ -129,7 +129,6 @@ def _try(found: Findings, name: str, work: Callable[[], ProcessModel]) -> None:
 
 
 def _fit(found: Findings, window: Window, question: Question) -> None:
-    """The maximum-likelihood fit."""
     gains = PidGains(question.kc, 0.0) if question.kc and question.kind == Kind.SETPOINT else question.in_force
     try:
         found.fit = identify_record(window, open_loop=question.from_rest, gains=gains)
@@ -144,13 +143,11 @@ def _fit(found: Findings, window: Window, question: Question) -> None:
 
 
 def _read_step(found: Findings, window: Window, question: Question) -> None:  # noqa: ARG001  all readers alike
-    """The graphical methods."""
     for method in step.StepMethod:
         _try(found, method, partial(_step_model, method, window))
 
 
 def _step_model(method: step.StepMethod, window: Window) -> ProcessModel:
-    """A graphical method's model."""
     return step.model_by(method, step.step_response(window, rest=method != step.StepMethod.SLOPE))
 
 
@@ -221,7 +218,6 @@ def _offer_ultimate(found: Findings, ku: float, pu_s: float) -> None:
 
 
 def _choose(found: Findings, question: Question) -> None:
-    """The settings that would be written."""
     try:
         name, found.chosen = _asked_for(found, question)
     except ValueError as refusal:
@@ -293,7 +289,6 @@ LABELS = {
 
 
 def _reading(name: str, value: float) -> str:
-    """One reading with its label."""
     if isinstance(value, bool):
         return f"{LABELS.get(name, name)} {'yes' if value else 'no'}"
     return f"{LABELS.get(name, name)} {value:.4g}"

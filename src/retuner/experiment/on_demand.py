@@ -202,6 +202,5 @@ class OnDemandExperiment:
             outcome.leave()
 
     def _before_text(self) -> str:
-        """The old state in words."""
         before = self._runner.before
         return before.words if before else "the initial state"

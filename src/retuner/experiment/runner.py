@@ -175,7 +175,6 @@ class ExperimentRunner:
             self.abort(AbortCause.RECORDER, str(error))
 
     def _event(self, event: Event) -> None:
-        """Everything that is not a sample."""
         match event:
             case LinkChanged() if event.state is not LinkState.UP:
                 self.abort(AbortCause.SILENT, event.reason)
@@ -207,7 +206,6 @@ class ExperimentRunner:
             self._move(Happening.GIVEN_UP)
 
     def _sample(self, sample: LoopSample) -> None:
-        """One sample of the loop."""
         self._heard_s = self._now_s
         if not finite(sample):
             self.abort(AbortCause.SILENT, "telemetry is not a number")
@@ -304,7 +302,6 @@ class ExperimentRunner:
             self._move(Happening.VERIFIED)
 
     def _target(self) -> Target:
-        """What the controller should be now."""
         return target(self.phase, self.plan, self.before, self.rest, self._relay, parking=self._parking)
 
     def _steer(self) -> None:

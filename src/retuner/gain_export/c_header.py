@@ -42,13 +42,11 @@ def c_header(table: TableNumbers, source: str) -> str:
 
 
 def _axes_text(table: TableNumbers) -> str:
-    """What the table is scheduled by."""
     axes = " and ".join(f"{comment(axis.label)} in {comment(axis.unit)}" for axis in table.axes)
     return f"Scheduled by {axes}, {'interpolated between the centres' if table.interpolated else 'one set a region'}."
 
 
 def _tables(table: TableNumbers) -> Iterable[str]:
-    """The numbers."""
     p = table.name
     for i, axis in enumerate(table.axes):
         for name in ("bounds", "floors", "ceilings", "centres"):
@@ -61,7 +59,6 @@ def _tables(table: TableNumbers) -> Iterable[str]:
 
 
 def _listed(values: Iterable[float]) -> str:
-    """Doubles that read back as themselves."""
     return ", ".join(repr(float(finite(value))) for value in values)
 
 
@@ -116,7 +113,6 @@ static int @_bisect(const double *knots, int n, RETUNER_REAL v) {
 
 
 def _move(table: TableNumbers, i: int, axis: AxisNumbers) -> Iterable[str]:
-    """Filter and place on one axis."""
     p, n = table.name, len(axis.bounds)
     yield f"static void {p}_move_{i}({p}_state_t *s, RETUNER_REAL x, RETUNER_REAL t_s, RETUNER_REAL dt_s) {{"
     yield "    RETUNER_REAL stay;"
@@ -172,7 +168,6 @@ def _choose_body(table: TableNumbers) -> Iterable[str]:
 
 
 def _at_hard(table: TableNumbers) -> Iterable[str]:
-    """One set a region."""
     p = table.name
     yield "/* The gains of a region. */"
     yield f"static {p}_gains_t {p}_at(int region, {_arguments(table)}) {{"

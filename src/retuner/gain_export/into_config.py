@@ -135,7 +135,6 @@ def _shown(gains: PidGains, units: ControllerUnits, same: Same) -> Dialled:
 
 
 def _shortened(exact: Dialled) -> Iterator[Dialled]:
-    """The numbers in ever more digits."""
     for digits in DIGITS:
         gain, derivative = (float(f"{number:.{digits}g}") for number in (exact.gain, exact.derivative))
         yield exact._replace(
@@ -146,7 +145,6 @@ def _shortened(exact: Dialled) -> Iterator[Dialled]:
 
 
 def _makes(units: ControllerUnits, numbers: Dialled, gains: PidGains, same: Same) -> bool:
-    """Whether these numbers are the set."""
     try:
         return same(units.gains(numbers.gain, numbers.integral, numbers.derivative), gains)
     except ValueError:  # a rounded number may leave the form
@@ -165,7 +163,6 @@ def _set(region: MutableMapping[str, Any], key: str, value: object) -> None:
 
 
 def _text(value: object) -> str:
-    """A number as people read it."""
     return f"{value:.4g}" if isinstance(value, int | float) else str(value)
 
 

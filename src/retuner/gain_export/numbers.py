@@ -48,7 +48,6 @@ def numbers_of(table: GainTable) -> TableNumbers:
 
 
 def _axis(regions: Regions, i: int) -> AxisNumbers:
-    """One axis of the regions."""
     axis = regions.axes[i]
     law = axis.law()
     centres = tuple(axis.centre(part) for part in range(len(axis)))

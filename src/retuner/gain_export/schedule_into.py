@@ -165,7 +165,6 @@ def _rest(text: str, loop: int | None) -> dict[str, Any]:
 
 
 def _section(table: GainTable, note: str) -> Table:
-    """The section, with its hash."""
     found: Any = tomlkit.parse(schedule_section(table))["schedule"]
     section = tomlkit.table()
     section.comment(note)

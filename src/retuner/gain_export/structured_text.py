@@ -44,7 +44,6 @@ def _array(name: str, values: Iterable[float]) -> str:
 
 
 def _constants(table: TableNumbers) -> Iterable[str]:
-    """The numbers."""
     for i, axis in enumerate(table.axes):
         for name in ("bounds", "floors", "ceilings", "centres"):
             yield _array(f"{name}{i + 1}", getattr(axis, name))
@@ -73,7 +72,6 @@ def _variables(table: TableNumbers) -> Iterable[str]:
 
 
 def _body(table: TableNumbers) -> Iterable[str]:
-    """The block's statements."""
     yield "IF NOT started THEN"
     yield "    started := TRUE;"
     yield "    last_s := t_s;"
@@ -106,7 +104,6 @@ def _bisect(found: str, knots: str, count: int, value: str, inner: str) -> Itera
 
 
 def _move(n: int, axis: AxisNumbers) -> Iterable[str]:
-    """Filter and place on one axis."""
     if axis.filter_s:
         yield f"    w := dt_s / ({axis.filter_s!r} + dt_s);"
         yield f"    y{n} := (1.0 - w) * y{n} + w * x{n};"
@@ -123,7 +120,6 @@ def _move(n: int, axis: AxisNumbers) -> Iterable[str]:
 
 
 def _hard() -> Iterable[str]:
-    """One set a region."""
     for gain in ("kp", "ki", "kd"):
         yield f"{gain} := LREAL_TO_REAL(table_{gain}[region]);"
 

@@ -39,7 +39,6 @@ def recorded_columns(session: RecordedSession) -> Columns:
 
 
 def _csv(path: Path) -> Columns:
-    """A trend as write_trend wrote it."""
     with path.open(encoding="utf-8") as file:
         head = file.readline().strip()
         names = next((known for known in (COLUMNS, COLUMNS_2) if head == ",".join(known)), None)
@@ -60,7 +59,6 @@ def _csv(path: Path) -> Columns:
 
 
 def _parquet(path: Path) -> Columns:
-    """The same as Parquet."""
     try:
         from pyarrow import ArrowException, parquet  # noqa: PLC0415  an extra, loaded when wanted
     except ImportError:
@@ -73,7 +71,6 @@ def _parquet(path: Path) -> Columns:
 
 
 def _checked(path: Path, columns: Columns) -> Columns:
-    """The columns, all there and finite."""
     if not set(FROM_LOG) <= columns.keys():
         raise UserError(f"{path}: holds no samples of a run")
     for name in FROM_LOG:

@@ -159,7 +159,6 @@ class Replay:
         return result
 
     def _take_frames(self) -> None:
-        """Frames to samples, samples to decisions."""
         for message in read_parts(self._session.bus_log):
             joined = self._heard.take(message)
             if joined is None:
@@ -186,7 +185,6 @@ class Replay:
         return takewhile(lambda row: row.body.get("samples") == samples, islice(self._rows, self._next, None))
 
     def _decided(self, decision: Decision | None) -> None:
-        """A decision was made again."""
         if decision is not None:
             self._waiting.append(decision)
             self._result.decisions.append(decision)

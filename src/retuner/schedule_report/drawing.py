@@ -72,7 +72,6 @@ def _axis_label(found: ScheduleDesign) -> str:
 
 
 def _dress(axes: "Axes", found: ScheduleDesign) -> None:
-    """Grid, ranges, borders or knots."""
     axes.grid(alpha=0.3)
     axes.set_xlim(found.places[0].x, found.places[-1].x)
     middle = found.slices[len(found.slices) // 2]

@@ -95,7 +95,6 @@ TOO_LARGE = 0.5
 
 
 def _moving_words(crossing: Crossing) -> str:
-    """What follows from a crossing."""
     if not crossing.proper:
         return ": WORSE in motion than at rest; ramp such steps."
     if crossing.own_overshoot > TOO_LARGE:

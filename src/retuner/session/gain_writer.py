@@ -451,9 +451,7 @@ class GainWriter:
         return INTERPOLATION_STEP if self.retuner.table.lookup == Lookup.INTERPOLATED else SAME_GAINS
 
     def _span_s(self, samples: int) -> float:
-        """So many samples in seconds."""
         return samples * self.retuner.settings.sample_time_s
 
     def _name(self, region: int) -> str:
-        """Name of a region."""
         return self.retuner.table.regions.names[region]

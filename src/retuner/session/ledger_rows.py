@@ -162,7 +162,6 @@ def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
 
 
 def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | None:
-    """What a person ordered."""
     if body["order"] == "mode":
         return set_mode(
             retuner, retuner.table.index(str(body["region"])) if body["region"] else None, Mode(body["mode"])

@@ -328,7 +328,6 @@ class LoopSession:
             self.writer.ask(decision)
 
     def _event(self, event: Event, now_s: float) -> None:
-        """Everything that is not a sample."""
         match event:
             case WriteDone():
                 self.writer.done(event)

@@ -120,7 +120,6 @@ def _last_tried(found: Shown, region: str) -> str:
 
 
 def _order(found: Shown, body: Mapping[str, Any]) -> None:
-    """One order that was dealt with."""
     found.files.add(str(body.get("file")))
     if body.get("accepted") is True:
         taken = found.rejected if body.get("order") == OrderKind.REJECT else found.approved
@@ -130,7 +129,6 @@ def _order(found: Shown, body: Mapping[str, Any]) -> None:
 
 
 def _decision(found: Shown, body: Mapping[str, Any]) -> None:
-    """One decision."""
     number, region, before = int(body["number"]), str(body["region"]), gains_of(body["gains_before"])
     digest = digest_of(body)
     found.changes[number] = Change(region, before)

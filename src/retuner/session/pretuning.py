@@ -94,7 +94,6 @@ class Pretuning:
         self._ended(conductor)
 
     def _ended(self, conductor: ExperimentRunner) -> None:
-        """What the step has come to."""
         if conductor.lost_ledger is not None:
             raise conductor.lost_ledger
         if conductor.phase is Phase.STRANDED:
@@ -121,7 +120,6 @@ class Pretuning:
         self._record(kind, 0.0, {**body, "at_s": t_s})
 
     def _say(self, text: str) -> None:
-        """Tell the user."""
         if self._tell is not None:
             self._tell(text)
 
