@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from retuner.cli import main
-from retuner.commands.work import run as run_command
+from retuner.commands.work import left_by_run
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.chain import Row
 
@@ -49,7 +49,7 @@ def run_short(folder: Path, *arguments: str) -> Path:
     """The session of a run of it; without its report, which other tests look at and which takes longest of all."""
     (folder / "short.toml").write_text(SHORT)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_command, "render", lambda data: f"{len(data.decisions)} decisions")
+        patch.setattr(left_by_run, "render", lambda data: f"{len(data.decisions)} decisions")
         command = ["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--no-compare", *arguments]
         assert main(command) == 0
     return folder / "run"

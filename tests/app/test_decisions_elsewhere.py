@@ -17,7 +17,7 @@ from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.cli import main
-from retuner.commands.work import run as run_command
+from retuner.commands.work import left_by_run
 from retuner.decisions.decider import LATE, LOST, Answer, DecideHere, Decider
 from retuner.decisions.shared_workers import DecisionWorkers
 from retuner.decisions.worker import DecideInWorker
@@ -41,7 +41,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     slow = SHORT.replace("[device]", f"decision_delay_samples = {DELAY}\n[device]", 1)
     (folder / "short.toml").write_text(slow)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_command, "render", lambda data: f"{len(data.decisions)} decisions")
+        patch.setattr(left_by_run, "render", lambda data: f"{len(data.decisions)} decisions")
         command = ["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--no-compare", "--mode", "auto"]
         assert main(command) == 0
     return folder / "run"

@@ -31,7 +31,7 @@ ORDER = (
         "profiles", "dbc", "canopen",
         "historian",
     )),
-    "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api",
+    "errors", "files", "stopping", "streams", "products", "verbosity", "templates", "conversions", "tuning", "api",
     "diagnosing", "scheduling", "config", "ledger", "decisions", "simulation", "pid_controller", "",
     "decision_page", "report", "schedule_report", "experiment", "audit", "session", "live_view", "replay", "serve",
     "gain_export", "doctor", "commands", "notebook", "cli", "__main__",

@@ -8,9 +8,15 @@ from retuner.config.session_config import SessionConfig
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.loop_seen import LoopObserver
 from retuner.live_view.publishing import Publisher, head_of
+from retuner.report.console import screen_console
 from retuner.report.event_words import event_line
 from retuner.session.loop_session import LoopSession
 from retuner.session.session import NobodyLooks
+
+
+def screen_for(as_json: bool, *, answers_only: bool, detail: bool) -> LiveScreen:
+    """The screen of a run: on standard error where its answer is one JSON document. answers_only, detail : see it."""
+    return LiveScreen(screen_console(stderr=as_json), quiet=as_json, answers_only=answers_only, detail=detail)
 
 
 class OnScreen(NobodyLooks):

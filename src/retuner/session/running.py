@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from retuner.adaptive.nudge.settings import NudgeSettings
 from retuner.adaptive.nudge.watching import Nudger, hour_of_samples
@@ -25,6 +25,7 @@ from retuner.drivers.clock import Clock, MonotonicClock
 from retuner.drivers.host.can_settings import OWNERS
 from retuner.errors import LedgerError, UserError
 from retuner.ledger import Recorder, Row
+from retuner.products import product
 from retuner.session.assembly import device_settings, make_device, make_retuner, prove_order, retuner_settings
 from retuner.session.bench import POLLS_PER_SAMPLE, HostBuses, VirtualBench, before, live_buses, virtual_bench
 from retuner.session.ledger_rows import bump_left
@@ -33,11 +34,13 @@ from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, r
 from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox
 from retuner.session.outputs import LEDGER, loop_folder
-from retuner.session.pretuning import Pretuning
 from retuner.session.recorded_session import believed_rows, rows_by_loop
 from retuner.session.scenario import ScenarioPlayer
 from retuner.session.session import LoopRecorder, NobodyLooks, Observer, Session
 from retuner.stopping import unstoppable
+
+if TYPE_CHECKING:
+    from retuner.session.pretuning import Pretuning
 
 
 def nothing(kind: str, t_s: float, body: object) -> None:
@@ -112,7 +115,9 @@ class _Loop:
         self._folder = loop_folder(folder, name) if folder is not None else None
         self._before, self._known = before.folder, before.known.get(name)
         self.record = LoopRecorder(run.keep, name, run.observer, run.ledger_failed)
-        self.pretuning = Pretuning(config, self.record, self._say) if config.adaptation.pretune else None
+        self.pretuning: Pretuning | None = None
+        if config.adaptation.pretune:
+            self.pretuning = product("pretune").Pretuning(config, self.record, self._say)
         self.session: LoopSession | None = None
 
     def begin(self, port: FramePort, decider: Decider, speed: float = 1.0, *, remember: bool = False) -> LoopSession:

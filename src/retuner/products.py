@@ -1,0 +1,21 @@
+"""Products: what stands on the core in a folder of its own. The core never imports one; it loads it here by its name,
+when a configuration or a person asks for it, so that a run without it needs neither its code nor its libraries.
+
+A new product gets a line here and a folder of its own. Its types may be named under TYPE_CHECKING.
+"""
+
+from importlib import import_module
+from types import ModuleType
+
+HOMES = {
+    "pretune": "session.pretuning",
+    "page": "serve.beside",
+    "live view": "live_view.watching",
+    "what a run leaves": "commands.work.left_by_run",
+}
+"""Module of each, below `retuner.`."""
+
+
+def product(name: str) -> ModuleType:
+    """The module of a product."""
+    return import_module(f"retuner.{HOMES[name]}")
