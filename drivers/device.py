@@ -7,6 +7,7 @@ DeviceError
 +-- WriteRefusedError    the host will not even start this write (not connected, busy, gains that do not fit)
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
@@ -307,3 +308,13 @@ class Contact:
     def in_vain(self, now_s: float) -> bool:
         """Whether the first connection takes too long."""
         return not self.made and now_s - self._first_poll_s > self._connect_s
+
+
+class Bench(NamedTuple):
+    """device : the controller, to be polled after each turn. turn : lets time pass; the time in s. silent_s : age of
+    telemetry at which the controller counts as silent, s.
+    """
+
+    device: Device
+    turn: Callable[[], float]
+    silent_s: float

@@ -8,6 +8,9 @@ from importlib import import_module
 from types import ModuleType
 
 HOMES = {
+    "foreign device": "config.described",
+    "plants": "config.bench_plants",
+    "another schedule": "adaptive.region_model.refinement",
     "pretune": "session.pretuning",
     "page": "serve.beside",
     "live view": "live_view.watching",

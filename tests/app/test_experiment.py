@@ -25,11 +25,12 @@ from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
 from retuner.drivers.controller.device_process import DeviceOnBus, run_device
 from retuner.drivers.controller.virtual_device import VirtualDevice
+from retuner.drivers.device import Bench
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.errors import LedgerError
 from retuner.experiment.findings import Question, evaluate
 from retuner.experiment.on_demand import OnDemandExperiment
-from retuner.experiment.runner import Bench, ExperimentRunner
+from retuner.experiment.runner import ExperimentRunner
 from retuner.experiment.settings_writer import SettingsWriter
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.gains import PidGains
@@ -422,7 +423,7 @@ def test_ctrl_c_during_a_write_is_heard_after_its_end(connected: tuple[Bench, Pi
             raise KeyboardInterrupt
         return bench.turn()
 
-    writer = SettingsWriter(Bench(bench.device, turn), 0.1, kept)
+    writer = SettingsWriter(Bench(bench.device, turn, bench.silent_s), 0.1, kept)
     with pytest.raises(KeyboardInterrupt):
         writer.write(PidGains(5.0, 1.0), base)
     assert kept == ["intent", "committed"]

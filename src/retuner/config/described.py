@@ -4,9 +4,17 @@ from typing import TYPE_CHECKING
 
 from retuner.config.foreign import NO_READ_BACK, CanOpenDeviceConfig, DbcDeviceConfig
 from retuner.config.model import Config
+from retuner.drivers.bus.link_settings import FramePort
+from retuner.drivers.controller.device_process import BusDevice
+from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
 from retuner.drivers.dbc.access import DbcAccess
 from retuner.drivers.dbc.dbc_file import DbcFile, read_dbc_file
+from retuner.drivers.dbc.virtual_device import VirtualDbcDevice
+from retuner.drivers.plants.plant import Plant
+from retuner.drivers.plants.shared_plant import PlantPort
 from retuner.drivers.profiles.access import Access, ProfileError
+from retuner.drivers.profiles.bench_loop import BenchLoop
+from retuner.drivers.profiles.foreign_device import ForeignDevice
 from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.mapping import DeviceMapping
 from retuner.drivers.profiles.ready import described_by
@@ -139,3 +147,31 @@ def foreign_settings(
         after_s=after_s,
         note_id=note_id(config.loop.name),
     )
+
+
+def host_side(
+    config: Config, link: FramePort, inputs: ScheduleInputs, speed: float, after_s: float | None
+) -> ForeignDevice:
+    """The host's side of the configured device on an open link. Errors as make_access.
+
+    inputs : of the schedule. speed : of the far side's clock. after_s : time of an earlier session's newest sample.
+    """
+    foreign = config.foreign_device
+    assert foreign is not None
+    access = make_access(config, foreign)
+    return ForeignDevice(link, access, foreign_settings(config, foreign, access, inputs, speed, after_s))
+
+
+def far_side(config: Config, settings: VirtualDeviceSettings, plant: Plant) -> BusDevice:
+    """The virtual device of this kind, on its plant. Errors as make_access."""
+    foreign = config.foreign_device
+    assert foreign is not None
+    loop = BenchLoop(settings, plant)
+    if isinstance(plant, PlantPort):
+        plant.held_by = loop
+    mapping = mapping_of(config, foreign)
+    if isinstance(foreign, DbcDeviceConfig):
+        return VirtualDbcDevice(dbc_file(config, foreign), mapping, loop, config.node)
+    from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode  # noqa: PLC0415  an extra
+
+    return VirtualCanOpenNode(eds_file(config, foreign), mapping, loop)

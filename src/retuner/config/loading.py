@@ -19,6 +19,7 @@ from retuner.drivers.host.key_file import KeyFileError, read_key
 from retuner.drivers.protocol.codec import DbcError
 from retuner.drivers.telemetry.signal_source import SignalSource, find_signal
 from retuner.errors import ConfigError, one_line
+from retuner.products import product
 from retuner.schedule.axis import CAN
 
 # What would keep a session from its bus and can be seen without opening it: the interface's name, the key file.
@@ -69,12 +70,10 @@ def device_problems(config: Config) -> Iterator[Problem]:
     """What is wrong with the description of a foreign device, and with the mapping onto it."""
     if config.foreign_device is None:
         return
-    from retuner.config.described import held_table  # noqa: PLC0415
-    from retuner.drivers.profiles.access import ProfileError  # noqa: PLC0415  python-can, as above
-
+    described = product("foreign device")
     try:
-        held_table(config)
-    except ProfileError as error:
+        described.held_table(config)
+    except described.ProfileError as error:
         yield Problem(("device", *error.key), f": {error}")
 
 
@@ -236,13 +235,12 @@ def plants_here(session: SessionConfig, text: str) -> list[Sequence[str]]:
     UnusableError
         One cannot be begun.
     """
-    from retuner.config.bench_plants import Plants, UnusablePlantError  # noqa: PLC0415  the plants, which `run` has
-
+    behind = product("plants")
     with_plant = [i for i, one in enumerate(session.loops) if one.device is not None and one.device.plant is not None]
     try:
-        with Plants([session.loops[i] for i in with_plant], lambda _: None) as plants:
+        with behind.Plants([session.loops[i] for i in with_plant], lambda _: None) as plants:
             told = dict(zip(with_plant, plants.described, strict=True))
-    except UnusablePlantError as error:
+    except behind.UnusablePlantError as error:
         loop = with_plant[error.loop] if session.several else None
         raise UnusableError([_placed(error.problem, toml_lines(text), loop)]) from None
     return [told.get(i, ()) for i in range(len(session.loops))]

@@ -8,27 +8,33 @@ under its hash. A run of that configuration says in its first row where its sche
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from retuner.adaptive.region_model.refinement import Refinement, refinement
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.config.model import Config
+from retuner.products import product
 from retuner.schedule.axis import CAN
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.table import GainTable
 
+if TYPE_CHECKING:
+    from retuner.adaptive.region_model.refinement import Refinement
+
 ROW = "schedule"
 """Kind of the row."""
 
 
-def refined(retuner: Retuner) -> Refinement | None:
+def refined(retuner: Retuner) -> "Refinement | None":
     """The schedule that the records ask for, at the time of the newest of them; None where the present one does."""
     held = (*retuner.settings.region_modes, *retuner.settings.region_locks)
     if any(axis.variable == CAN for axis in retuner.table.regions.axes) or any(one is not None for one in held):
         return None  # a region that somebody holds stays as it is; a signal's message stands in the configuration alone
     models, now_s = retuner.region_models, max((one.t_s for one in retuner.region_models.values()), default=0.0)
-    return refinement(retuner.table, models, now_s, retuner.settings.sample_time_s, retuner.settings.tracker)
+    found: Refinement | None = product("another schedule").refinement(
+        retuner.table, models, now_s, retuner.settings.sample_time_s, retuner.settings.tracker
+    )
+    return found
 
 
 def digest_of(table: GainTable) -> str:
@@ -36,7 +42,7 @@ def digest_of(table: GainTable) -> str:
     return hashlib.sha256(schedule_section(table).encode()).hexdigest()
 
 
-def row_body(found: Refinement, samples: int, loop: str = "") -> dict[str, object]:
+def row_body(found: "Refinement", samples: int, loop: str = "") -> dict[str, object]:
     """What the row says.
 
     samples : that the session had seen of the loop. loop : its name where there are several.
@@ -46,7 +52,7 @@ def row_body(found: Refinement, samples: int, loop: str = "") -> dict[str, objec
     return {**named, **proposed, "reason": found.sentence, "proposal": found.to_dict(), "samples": samples}
 
 
-def same_proposal(body: Mapping[str, Any], found: Refinement | None, *, rounded: bool) -> bool:
+def same_proposal(body: Mapping[str, Any], found: "Refinement | None", *, rounded: bool) -> bool:
     """Whether a row is what these records ask for.
 
     rounded : another engine has worked it out, which is equal to rounding only; then the sets are counted.

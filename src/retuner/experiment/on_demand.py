@@ -13,10 +13,11 @@ from retuner.adaptive.experiments.phases import AbortCause, Phase
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.config import Config
+from retuner.drivers.device import Bench
 from retuner.errors import UserError
 from retuner.experiment.findings import Findings, Question, described, evaluate
 from retuner.experiment.result import RECORD, ExperimentResult
-from retuner.experiment.runner import Bench, ExperimentRunner
+from retuner.experiment.runner import ExperimentRunner
 from retuner.experiment.settings_writer import SettingsWriter
 from retuner.experiment.target import p_only
 from retuner.ledger import Ledger
@@ -64,7 +65,7 @@ class OnDemandExperiment:
         self._screen, self._bench = screen, bench
         self._yes, self._as_json = yes, as_json
         runner = ExperimentRunner(
-            bench.device, plan, config.loop.sample_time_s, bench.device.settings.silent_s, self._record, self._on_sample
+            bench.device, plan, config.loop.sample_time_s, bench.silent_s, self._record, self._on_sample
         )
         self._runner = runner
         self._outcome = ExperimentResult(config.loop.name, config.loop.pv_unit, folder, runner)

@@ -6,7 +6,6 @@ on the phase, not on the edge that led to it. Everything is told to the recorder
 """
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
 
 from retuner.adaptive.experiments.phases import AbortCause, Happening, Phase, after
 from retuner.adaptive.experiments.plan import (
@@ -34,8 +33,6 @@ from retuner.drivers.device import (
     SamplesLost,
     WriteFailed,
 )
-from retuner.drivers.host.connection import CanDevice
-from retuner.drivers.profiles.foreign_device import ForeignDevice
 from retuner.errors import LedgerError
 from retuner.experiment.limits import Following, cannot_begin, out_of_band, out_of_time
 from retuner.experiment.target import Helm, OldState, Target, target
@@ -58,13 +55,6 @@ TAKING_OVER = {Phase.PREPARING, Phase.EXCITING}
 def restore_patience_s(sample_time_s: float, silent_s: float) -> float:
     """How long to wait for the controller to show what it was told."""
     return max(RESTORE_SAMPLES * sample_time_s, RESTORE_SILENCES * silent_s)
-
-
-class Bench(NamedTuple):
-    """device : the controller, to be polled after each turn. turn : lets time pass; the time in s."""
-
-    device: CanDevice | ForeignDevice
-    turn: Callable[[], float]
 
 
 class ExperimentRunner:

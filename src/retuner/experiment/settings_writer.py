@@ -4,8 +4,8 @@ Once begun a write goes to its end: a person's Ctrl-C is heard when the controll
 """
 
 from retuner.adaptive.supervision.decision import gains_dict
-from retuner.drivers.device import Event, Reverted, WriteDone, WriteFailed, WriteRefusedError
-from retuner.experiment.runner import Bench, restore_patience_s
+from retuner.drivers.device import Bench, Event, Reverted, WriteDone, WriteFailed, WriteRefusedError
+from retuner.experiment.runner import restore_patience_s
 from retuner.ledger import Recorder
 from retuner.schedule.gains import PidGains
 from retuner.stopping import unstoppable
@@ -24,7 +24,7 @@ class SettingsWriter:
 
     def __init__(self, bench: Bench, sample_time_s: float, record: Recorder) -> None:
         self._bench, self._dt_s, self._record = bench, sample_time_s, record
-        self._patience_s = restore_patience_s(sample_time_s, bench.device.settings.silent_s)
+        self._patience_s = restore_patience_s(sample_time_s, bench.silent_s)
         self._stopped = self._running = False
         self._now_s, self._seq = 0.0, -1
 

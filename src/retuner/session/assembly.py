@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Locks, change_factor
 from retuner.adaptive.supervision.admission import AdmissionSettings
@@ -15,38 +16,34 @@ from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config import Config
 from retuner.config.adaptation import AdaptationConfig
-from retuner.config.described import (
-    advice_only,
-    dbc_file,
-    eds_file,
-    foreign_settings,
-    held_table,
-    make_access,
-    mapping_of,
-    vendor_units,
-)
-from retuner.config.foreign import UNPROVED_ORDER, DbcDeviceConfig
+from retuner.config.foreign import UNPROVED_ORDER
 from retuner.config.loading import signal_source
 from retuner.decisions.order_of_writes import OrderOfWrites
 from retuner.drivers.bus.bus import LinkSettings
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.controller.device_process import BusDevice
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
-from retuner.drivers.dbc.virtual_device import VirtualDbcDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.host.key_file import read_key
 from retuner.drivers.plants.plant import Plant
 from retuner.drivers.plants.shared_plant import PlantPort
-from retuner.drivers.profiles.bench_loop import BenchLoop
-from retuner.drivers.profiles.foreign_device import ForeignDevice
 from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.ledger import Recorder
+from retuner.products import product
 from retuner.schedule.table import GainTable, Lookup
+
+if TYPE_CHECKING:
+    from retuner.drivers.profiles.foreign_device import ForeignDevice
 
 REGION_ROOM = 4.0
 """The device takes steps this much larger than those between the commissioned regions: regions get retuned."""
+
+
+def _of_foreign(config: Config, name: str) -> Any:  # noqa: ANN401  as the function of that name
+    """What the description of a foreign device says; None for a controller of our own."""
+    return None if config.foreign_device is None else getattr(product("foreign device"), name)(config)
 
 
 def guard_settings(config: Config) -> GuardSettings:
@@ -101,13 +98,13 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         ),
         admission=AdmissionSettings(**a.admission.model_dump()),
         without_model=without_model_settings(config),
-        units=vendor_units(config),
+        units=_of_foreign(config, "vendor_units"),
     )
 
 
 def _permitted(config: Config, mode: Mode | None) -> Mode | None:
     """The mode given for the run, or less where nothing may be written to the device."""
-    if not advice_only(config):
+    if not _of_foreign(config, "advice_only"):
         return mode
     return min(mode or Mode(config.adaptation.mode), Mode.ADVISE, key=list(Mode).index)
 
@@ -129,7 +126,7 @@ def without_model_settings(config: Config) -> WithoutModelSettings:
 
 def make_retuner(config: Config, mode: Mode | None = None) -> Retuner:
     """A retuner that knows nothing yet, on the table as commissioned."""
-    return Retuner(held_table(config), retuner_settings(config, mode))
+    return Retuner(_of_foreign(config, "held_table") or config.gain_table(), retuner_settings(config, mode))
 
 
 def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
@@ -224,7 +221,7 @@ def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:
 
 def make_device(
     config: Config, link: FramePort, speed: float = 1.0, *, after_s: float | None = None, owner: int | None = None
-) -> CanDevice | ForeignDevice:
+) -> "CanDevice | ForeignDevice":
     """The host's side of the configured device on an open link.
 
     speed : of the far side's clock. after_s : time of the newest sample of an earlier session. owner : number in the
@@ -239,10 +236,8 @@ def make_device(
     if foreign is None:
         settings = device_settings(config, speed)
         return CanDevice(link, settings if owner is None else replace(settings, owner=owner), after_s)
-    access = make_access(config, foreign)
-    return ForeignDevice(
-        link, access, foreign_settings(config, foreign, access, schedule_inputs(config), speed, after_s)
-    )
+    made: ForeignDevice = product("foreign device").host_side(config, link, schedule_inputs(config), speed, after_s)
+    return made
 
 
 def make_far_side(config: Config, plant: Plant, epoch: int = 1) -> BusDevice:
@@ -259,25 +254,18 @@ def make_far_side(config: Config, plant: Plant, epoch: int = 1) -> BusDevice:
         if isinstance(plant, PlantPort):
             plant.held_by = device
         return device
-    loop = BenchLoop(virtual_device_settings(config), plant)
-    if isinstance(plant, PlantPort):
-        plant.held_by = loop
-    mapping = mapping_of(config, foreign)
-    if isinstance(foreign, DbcDeviceConfig):
-        return VirtualDbcDevice(dbc_file(config, foreign), mapping, loop, config.node)
-    from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode  # noqa: PLC0415  an extra
-
-    return VirtualCanOpenNode(eds_file(config, foreign), mapping, loop)
+    far: BusDevice = product("foreign device").far_side(config, virtual_device_settings(config), plant)
+    return far
 
 
 def prove_order(
-    config: Config, device: CanDevice | ForeignDevice, retuner: Retuner, record: Recorder, now: Callable[[], float]
+    config: Config, device: "CanDevice | ForeignDevice", retuner: Retuner, record: Recorder, now: Callable[[], float]
 ) -> None:
     """Have a device that takes a set in several messages ask the retuner for their order. now : time of the newest
     sample.
     """
     foreign, units = config.foreign_device, retuner.settings.units
-    if foreign is not None and units is not None and isinstance(device, ForeignDevice):
+    if foreign is not None and units is not None and not isinstance(device, CanDevice):
         accepted = UNPROVED_ORDER in foreign.accept
         device.choose_way = OrderOfWrites(retuner, units, record, now, unproved=accepted)
         if not accepted and retuner.table.lookup is Lookup.HARD:

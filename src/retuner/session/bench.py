@@ -14,12 +14,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import can
 
 from retuner.config import Config
-from retuner.config.bench_plants import Plants
 from retuner.config.session_config import SessionConfig
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.bus.link_faults import FaultNews
@@ -28,12 +27,15 @@ from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.bus.shared_link import LinkPort, LinkShare
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
-from retuner.drivers.device import Device
+from retuner.drivers.device import Bench, Device
 from retuner.drivers.host.connection import CanDevice
-from retuner.experiment.runner import Bench
+from retuner.products import product
 from retuner.session.assembly import link_settings, make_device, make_far_side
 from retuner.session.outputs import log_of_bus
 from retuner.stopping import unstoppable
+
+if TYPE_CHECKING:
+    from retuner.config.bench_plants import Plants
 
 POLLS_PER_SAMPLE = 4
 """In real time the host looks at least this often per sample, even when no frame wakes it."""
@@ -111,7 +113,7 @@ class VirtualBench(NamedTuple):
     buses: HostBuses
     clock: SimulatedClock
     turn: Callable[[], None]
-    plants: Plants
+    plants: "Plants"
 
 
 class _Turns:
@@ -153,7 +155,7 @@ def virtual_bench(
     settings = [replace(_settings(config, loops), channel=f"retuner-{next(_channels)}") for loops in config.buses]
     with ExitStack() as stack:
         devices: dict[int, DeviceOnBus] = {}
-        plants = stack.enter_context(Plants(config.loops, say))
+        plants: Plants = stack.enter_context(product("plants").Plants(config.loops, say))
         for bus, loops in zip(settings, config.buses, strict=True):
             far = _share(stack.enter_context(CanLink(bus, clock)), config, loops)
             for i, port in zip(loops, far.ports, strict=True):
@@ -193,7 +195,7 @@ def far_ends(
     """
     with ExitStack() as stack:
         devices: dict[int, DeviceOnBus] = {}
-        plants = stack.enter_context(Plants(config.loops, say, speed)).plants
+        plants = stack.enter_context(product("plants").Plants(config.loops, say, speed)).plants
         for loops in config.buses:
             link = stack.enter_context(CanLink(_settings(config, loops, speed), clock))
             for i, port in zip(loops, _share(link, config, loops).ports, strict=True):
@@ -314,7 +316,8 @@ def simulated(config: Config, say: Callable[[str], None], log: Path | None = Non
                 bench.turn()
             return bench.clock.now_s()
 
-        yield Bench(make_device(config, bench.buses.port(0)), turn)
+        device = make_device(config, bench.buses.port(0))
+        yield Bench(device, turn, device.settings.silent_s)
 
 
 @contextmanager
@@ -335,6 +338,6 @@ def live(config: Config, speed: float, log: Path | None = None) -> Iterator[Benc
             return clock.now_s()
 
         try:
-            yield Bench(device, turn)
+            yield Bench(device, turn, device.settings.silent_s)
         finally:
             device.release(clock.now_s())

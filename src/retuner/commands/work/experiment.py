@@ -24,14 +24,13 @@ from retuner.commands.work.experiment_options import (
 )
 from retuner.config import Config, load_config
 from retuner.config.bench_plants import plant_of
-from retuner.drivers.device import DeviceError
+from retuner.drivers.device import Bench, DeviceError
 from retuner.drivers.recorded.recording import require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.experiment.drawing import experiment_png
 from retuner.experiment.findings import METHODS, OVERSHOOT_RULE, ULTIMATE, Question, described, evaluate, headline
 from retuner.experiment.on_demand import OnDemandExperiment
 from retuner.experiment.result import RECORD
-from retuner.experiment.runner import Bench
 from retuner.experiment.target import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAULT_SHARE, REST_WAIT_SAMPLES
 from retuner.files import write_whole
 from retuner.ledger import Ledger

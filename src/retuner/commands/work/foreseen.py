@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
-from retuner.config.bench_plants import known_plant
 from retuner.config.model import Config
+from retuner.products import product
 from retuner.schedule.controller_units import Acting
 from retuner.schedule.gains import PidGains
 from retuner.session.assembly import guard_settings
@@ -32,7 +32,7 @@ def _wrong_signs(config: Config) -> Iterator[Warned]:
     """Regions whose gains drive the plant away."""
     if config.device is None or config.device.plant is None:
         return
-    plant, regions = known_plant(config), config.regions()
+    plant, regions = product("plants").known_plant(config), config.regions()
     if plant is None:
         return
     for i, gains in enumerate(config.gains()):

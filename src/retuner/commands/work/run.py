@@ -7,13 +7,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from retuner.adaptive.region_model.refinement import Refinement
 from retuner.adaptive.supervision.decision import Mode
 from retuner.commands.options import all_on_bus
 from retuner.commands.work.foreseen import foreseen
 from retuner.commands.work.run_job import RunJob
 from retuner.commands.work.run_options import RunOptions
-from retuner.config.bench_plants import plant_of
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
@@ -42,6 +40,7 @@ from retuner.stopping import stoppable, unstoppable
 from retuner.verbosity import quiet
 
 if TYPE_CHECKING:
+    from retuner.adaptive.region_model.refinement import Refinement
     from retuner.live_view.live_screen import LiveScreen
     from retuner.live_view.watching import Watching
 
@@ -105,7 +104,7 @@ def _look_at_benches(path: Path, session: SessionConfig) -> None:
         whose = f"loop {config.loop.name}: " * session.several
         if config.scenario is None:
             raise UserError(f"{path}: {whose}a simulated run needs a [scenario] with its length and steps; add one")
-        plant_of(config)
+        product("plants").plant_of(config)
 
 
 class NothingHappenedError(Exception):
@@ -174,7 +173,7 @@ def _wrong(job: RunJob, session: Session) -> Iterator[str]:
 
 
 def _close(
-    job: RunJob, ledger: Ledger, session: Session, proposed: Sequence[Refinement | None], *, interrupted: bool
+    job: RunJob, ledger: Ledger, session: Session, proposed: "Sequence[Refinement | None]", *, interrupted: bool
 ) -> None:
     """The rows that end the session; before them another schedule for each loop whose records ask for one, and those
     that end its loops where there are several.
