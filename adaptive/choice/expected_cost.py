@@ -357,32 +357,37 @@ def _once_more(seen: Seen) -> Seen:
 
 def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool, pays: bool) -> str:
     """The choice for people."""
-    iae = f"IAE {numbers.iae:.0%} of the present" if numbers.iae >= 0 else "IAE not comparable"
+    iae = f"IAE {percent(numbers.iae)} of the present" if numbers.iae >= 0 else "IAE not comparable"
     then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
-    sure = f"{_chance(numbers.doubt)} probability that something else is behind the records"
+    sure = f"{_chance(numbers.doubt)} chance that something other than the tuning explains this"
     if numbers.odd is not None:
-        sure += f", {_chance(numbers.odd)} that this one is odd beside those before it"
+        sure += f", {_chance(numbers.odd)} that this record is odd"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
     why = "a second record must agree before a change" if waits else _too_little(numbers)
     if pays:
-        why = f"all weighed {numbers.gain:.0%} better, give or take {numbers.spread:.0%}: another record must agree"
+        why = f"expected benefit {percent(numbers.gain)} +- {percent(numbers.spread)}: another record must agree"
     return f"no change{' yet' if waits else ''}: expected {iae}, {then}; {sure}; {why}"
 
 
 def _too_little(numbers: ChoiceNumbers) -> str:
     """Why a change is not made that brings less than its price, or whose first step brings nothing."""
     if numbers.gain > numbers.price:
-        return f"all of the change would be {numbers.gain:.0%} better, but the part that the limits allow does not pay"
-    worth, needed = f"{numbers.gain:.0%}", f"{numbers.price:.0%}"
+        return f"the whole change would bring {percent(numbers.gain)}, but the part that the limits allow does not pay"
+    worth, needed = percent(numbers.gain), percent(numbers.price)
     if worth == needed:  # rounded down, so that what is too little reads as too little
-        worth, needed = f"{math.floor(1000.0 * numbers.gain) / 1000.0:.1%}", f"{numbers.price:.1%}"
-    return f"all weighed {worth.removeprefix('-')} {'worse' if numbers.gain < 0 else 'better'}, {needed} are needed"
+        worth, needed = percent(math.floor(1000.0 * numbers.gain) / 1000.0, 1), percent(numbers.price, 1)
+    return f"expected benefit {worth}; changes start at {needed}"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share in percent."""
+    return f"{100.0 * share:.{digits}f} %"
 
 
 def _chance(p: float) -> str:
     """A probability, of which nothing is said to be sure."""
-    return f"{p:.0%}" if p >= LEAST_SAID else f"under {LEAST_SAID:.0%}"
+    return percent(p) if p >= LEAST_SAID else f"less than {percent(LEAST_SAID)}"
 
 
 RATHER = 0.5

@@ -246,7 +246,7 @@ def _open(found: Found, why: str) -> Found:
     """The cause without settings, and without a number that rests on what is not known."""
     slow = found.diagnosis.cause is Cause.SLUGGISH
     told = "loads are rejected more slowly than need be" if slow else found.diagnosis.reason
-    reason = f"{told}; what the settings should be it does not show: {why}"
+    reason = f"{told}. No settings: {why}"
     return replace(found, diagnosis=replace(found.diagnosis, reason=reason, settled=False), tuning=None)
 
 

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 
 from retuner.adaptive.guard.request import ChangeRequest
-from retuner.adaptive.guard.ruling import LimitNumbers, Ruling, text
+from retuner.adaptive.guard.ruling import LimitNumbers, Ruling
 from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import change_factor
 from retuner.adaptive.identification.robust_simc import asks_for_integral
@@ -82,13 +82,13 @@ def _beside(first: Goal, cuts: list[Cut], limits: "_Limits", request: ChangeRequ
     (_, kc, kc_cut, _), (_, tau_i, tau_i_cut, tau_i_by), (_, _, tau_d, _) = cuts
     direction, locks, notes = first.wanted.direction, request.locks, first.notes
     shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
-    moved = replace(first, gains=_made(direction, kc_cut, shorter, tau_d), notes=(*notes, "tau_I moved with kc"))
+    moved = replace(first, gains=_made(direction, kc_cut, shorter, tau_d), notes=("tau_I moved with Kc", *notes))
     may_move = kc_cut < kc and not locks.tau_i and first.wanted.ki != 0.0
     by_integral = may_move and _by_integral(request)
     found = [first]
     if tau_i_by is not None and not locks.kc:
         kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
-        second = replace(first, gains=_made(direction, kept, tau_i_cut, tau_d), notes=(*notes, "kc moved with tau_I"))
+        second = replace(first, gains=_made(direction, kept, tau_i_cut, tau_d), notes=("Kc moved with tau_I", *notes))
         found = [second, first] if tau_i_by.ruling is None else [first, second]
     elif may_move and not by_integral:
         found = [first, moved]
@@ -141,7 +141,7 @@ class _Limits:
         floor = min(s.tau_i_samples * self._request.sample_time_s, now or math.inf)
         low = Bound(s.tau_i_min_s, "tau_i_min", Ruling.OUTSIDE_LIMITS)
         if floor > low.value:
-            low = Bound(floor, "the sampling time", None)
+            low = Bound(floor, "limit of the sampling time", None)
         high = Bound(s.tau_i_max_s, "tau_i_max", Ruling.OUTSIDE_LIMITS)
         return self._with_total(low, high, (start, now), down=True, up=not self._over)
 
@@ -153,9 +153,9 @@ class _Limits:
         least = s.tau_d_samples * self._request.sample_time_s
         start, now = (g.kd / g.kp if g.kp else 0.0 for g in (self._request.commissioned, self._request.in_force))
         high = Bound(s.tau_d_max_s, "tau_d_max", Ruling.OUTSIDE_LIMITS)
-        low = Bound(0.0, "nothing", None)
+        low = Bound(0.0, "no limit", None)
         found, by = _cut(tau_d, *self._with_total(low, high, (start, now), down=not self._over, up=True))
-        return (0.0, by or Bound(least, "the sampling time", None)) if found < least else (found, by)
+        return (0.0, by or Bound(least, "limit of the sampling time", None)) if found < least else (found, by)
 
     def _with_total(
         self, low: Bound, high: Bound, values: tuple[float, float], *, down: bool, up: bool
@@ -166,7 +166,7 @@ class _Limits:
         """
         start, now = values
         ratio = self._settings.total_ratio_max
-        name = f"the largest factor from the baseline gains, {ratio:g}"
+        name = f"at most {ratio:g}x baseline. Raise total_ratio_max or accept the new baseline."
         most, least = max(start * ratio, now), min(start / ratio, now or math.inf)
         if start and up and most < high.value:
             high = Bound(max(most, low.value), name, Ruling.OUTSIDE_TOTAL)
@@ -202,9 +202,9 @@ def _notes(cuts: list[Cut], direction: int) -> tuple[str, ...]:
         if by is None:
             continue
         sign, told = (direction if name == "kc" else 1), found.setdefault(by.name, [])
-        limited = "" if told else " limited"
-        told.append(f"{name}{limited} to {text(name, sign * now)} instead of {text(name, sign * was)}")
-    return tuple(f"{', '.join(told)} by {by}" for by, told in found.items())
+        shown = "Kc" if name == "kc" else name
+        told.append(f"{shown} held at {sign * now:.3g} (wanted {sign * was:.3g})")
+    return tuple(f"{', '.join(told)}: {by}" for by, told in found.items())
 
 
 def _limiting(cuts: list[Cut], request: ChangeRequest) -> tuple[bool, Ruling | None, Numbers]:

@@ -202,13 +202,16 @@ def factor_text(log: float) -> str:
 
 
 MOST_DIGITS = 6
+WHOLE = 10.0
+"""Factors from here on are shown without decimals."""
 """Digits after which two factors are told as they are."""
 
 
 def factors_text(log: float, limit: float) -> tuple[str, str]:
     """A logarithm and the limit that it is over, as factors with digits enough to tell them apart."""
-    for digits in range(2, MOST_DIGITS):
-        texts = f"{math.exp(min(log, MOST_LOG)):.{digits}f}", f"{math.exp(limit):.{digits}f}"
+    factor = math.exp(min(log, MOST_LOG))
+    for digits in range(1 if factor >= WHOLE else 2, MOST_DIGITS):
+        texts = f"{factor:.{0 if factor >= WHOLE else digits}f}", f"{math.exp(limit):.{digits}f}"
         if texts[0] != texts[1]:
             break
     return (texts[0] if log < MOST_LOG else factor_text(log)), texts[1]

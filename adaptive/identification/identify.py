@@ -427,29 +427,25 @@ def left_open(
     short = plain.theta_s
     if short < FEWEST_SAMPLES_IN_THETA * sample_time_s:
         wanted_s = short / WANTED_SAMPLES_IN_THETA
-        seen = wanted_s > MOST_FASTER * sample_time_s
-        way = f"sample every {wanted_s:.2g} s or faster" if seen else "a setpoint step would bound it"
+        way = "A setpoint step would bound it."
+        if wanted_s > MOST_FASTER * sample_time_s:
+            digit = 10.0 ** math.floor(math.log10(wanted_s))
+            way = f"Export at {math.floor(wanted_s / digit) * digit:g} s or faster."
         return (
-            f"the effective dead time (about {short:.3g} s) is shorter than the sampling interval of "
-            f"{sample_time_s:.3g} s: {way}"
+            f"the dead time (about {short:.1g} s) is shorter than the {sample_time_s:.3g} s logging interval. {way}"
         )
     if short > settings.theta_share * span_s:
         return (
-            f"the effective dead time comes out as {short:.3g} s, {short / span_s:.0%} of the record: no event "
-            "is followed by enough of it"
+            f"the dead time (about {short:.2g} s) is {100 * short / span_s:.0f} % of the record, and no event is "
+            "recorded long enough. Record longer."
         )
     gain_std = max(log.gain_uncertainty(sample_time_s), gain_spread(around, sample_time_s))
     if gain_std > settings.gain_std_limit:
         known, needed = factors_text(gain_std, settings.gain_std_limit)
-        return (
-            f"the controller gain is uncertain by a factor of {known} (limit {needed}): the record excites the "
-            "process too little"
-        )
+        return f"Kc is uncertain by {known}x (limit {needed}x): the record excites the process too little"
     lag_std = log.lag_uncertainty()
     if plain.theta_s < plain.tau1_s < 8 * plain.theta_s and lag_std > settings.lag_std_limit:
-        return "the lag is uncertain by a factor of {} (limit {})".format(
-            *factors_text(lag_std, settings.lag_std_limit)
-        )
+        return "the lag is uncertain by {}x (limit {}x)".format(*factors_text(lag_std, settings.lag_std_limit))
     return ""
 
 

@@ -164,7 +164,7 @@ def _estimate(crossing: Crossing, shown: Shown, region: int) -> ModelEstimate:
         reason = f"the model leaves {beyond:.1f} times the noise (limit {limit.remainder_limit:g})"
     elif not is_known:
         factor, needed = factors_text(2 * unsure, 2 * limit.gain_std_limit)
-        reason = f"a response that crossed a boundary tells the gains here to a factor of {factor}; {needed} is needed"
+        reason = f"Response crossed a region boundary: Kc uncertain by {factor}x (limit {needed}x). Not used."
     samples = len(crossing.window.t_s)
     alternatives = [_alternative(log, one, samples) for log, one in zip(logs, shown.found, strict=True)]
     return replace(

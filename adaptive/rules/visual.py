@@ -27,7 +27,6 @@ class VisualAdvice(StrEnum):
     LENGTHEN_INTEGRAL_TIME = "lengthen the integral time"
     LOWER_GAIN = "lower the gain"
     REMOVE_INTEGRAL_ACTION = "take out integral action as far as possible"
-    UNDECIDED = "the rule does not say: the integral time is between half the period and the period"
 
 
 class OscillationCause(StrEnum):
@@ -37,8 +36,10 @@ class OscillationCause(StrEnum):
     OUTSIDE = "something outside the loop"
 
 
-def oscillating_loop(period_s: float, tau_i_s: float | None, *, integrating: bool = False) -> VisualAdvice:
-    """First step for a loop that oscillates with this period; tau_i_s None for no integral action.
+def oscillating_loop(period_s: float, tau_i_s: float | None, *, integrating: bool = False) -> VisualAdvice | None:
+    """First step for a loop that oscillates with this period, None where the rule has none.
+
+    tau_i_s : None for no integral action.
 
     Raises
     ------
@@ -54,7 +55,7 @@ def oscillating_loop(period_s: float, tau_i_s: float | None, *, integrating: boo
         return VisualAdvice.REMOVE_INTEGRAL_ACTION
     if tau_i_s < HALF_PERIOD * period_s:
         return VisualAdvice.LENGTHEN_INTEGRAL_TIME
-    return VisualAdvice.LOWER_GAIN if tau_i_s > PERIOD * period_s else VisualAdvice.UNDECIDED
+    return VisualAdvice.LOWER_GAIN if tau_i_s > PERIOD * period_s else None
 
 
 def cause_by_manual(*, stops_in_manual: bool) -> OscillationCause:
@@ -103,7 +104,7 @@ def oscillation_by_eye(period_s: float, gains: PidGains | None, *, integrating: 
         tau_i_s = gains.kp / gains.ki if gains.ki else None
         shown = "no integral action" if tau_i_s is None else f"tau_I {tau_i_s:.3g} s"
         advice = oscillating_loop(period_s, tau_i_s, integrating=integrating)
-        lines.append(f"{shown} under a period of {period_s:.3g} s: {advice}")
+        lines += [f"{shown} with a period of {period_s:.3g} s: {advice}"] if advice else []
     stops, goes_on = (cause_by_manual(stops_in_manual=answer) for answer in (True, False))
     return [*lines, f"in manual the oscillation stops if {stops} is the cause, and continues if it is {goes_on}"]
 

@@ -239,7 +239,8 @@ def staying(decision: Decision, region: str, trial: Trial, also: Sequence[str]) 
     cause, back, ensure = trial.cause, trial.back, trial.phase is TrialPhase.ENSURING
     assert cause is not None  # of a trial that stays for all that
     assert back is not None
-    reason = f"the trial gains stay: {cause}, which is no verdict on them; {back.reason}"
+    what = str(cause).removeprefix("the ") + " during the trial" * ("trial" not in cause)
+    reason = f"{what[:1].upper()}{what[1:]}; trial gains kept; {back.reason}"
     return replace(
         decision,
         region=region,

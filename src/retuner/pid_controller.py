@@ -60,7 +60,7 @@ class _Place:
 class PidController:
     """A PID controller with scheduled gains, and the retuner that watches it.
 
-    It belongs to one thread: whoever calls it from several takes turns by a lock of his own.
+    Not thread-safe: guard calls with your own lock.
 
     Parameters
     ----------

@@ -179,15 +179,15 @@ def test_a_step_is_weighed_by_the_way_that_it_is_of() -> None:
 def test_what_is_too_little_reads_as_too_little() -> None:
     nearly = choose([look(0.0), look(0.0999)], None, Seen(1000, 1000), replace(SETTINGS, price=0.1))
     assert nearly.index == 0
-    assert nearly.reason.endswith("; all weighed 9.9% better, 10.0% are needed")
+    assert nearly.reason.endswith("; expected benefit 9.9 %; changes start at 10.0 %")
     far = choose([look(0.0), look(0.04)], None, Seen(1000, 1000), replace(SETTINGS, price=0.1))
-    assert far.reason.endswith("; all weighed 4% better, 10% are needed")
+    assert far.reason.endswith("; expected benefit 4 %; changes start at 10 %")
 
 
 def test_nothing_is_said_to_be_sure() -> None:
     surely = choose([look(0.0), look(0.5)], None, Seen(9, clear=9), SETTINGS)
     assert 0 < surely.numbers.doubt < 0.005
-    assert "; under 1% probability that something else is behind the records" in surely.reason
+    assert "; less than 1 % chance that something other than the tuning explains this" in surely.reason
 
 
 def test_a_first_step_that_does_not_pay_is_told_as_that() -> None:

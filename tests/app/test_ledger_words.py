@@ -36,7 +36,7 @@ def tell(*rows: tuple[str, Mapping[str, object]]) -> list[Told]:
     [
         ("end", {"interrupted": False, "bus_log": "bus.blf", "bus_log_sha256": "ab"}, "the run is complete"),
         ("end", {"interrupted": True}, "the run was stopped"),
-        ("abort", {"cause": "stopped", "reason": "the session ends"}, "trial interrupted: the session ends"),
+        ("abort", {"cause": "stopped", "reason": "the session ended"}, "trial interrupted: the session ended"),
         ("restored", {"regions": ["all"], "gains": GAINS, "sequence": 3, "crc": 1}, "gains read back and active: all"),
         ("link", {"state": "up", "reason": "controller found"}, "CAN link up: controller found"),
         ("foreign", {"gains": GAINS}, "gains changed by someone else: Kc 2 tau_I 20 s"),

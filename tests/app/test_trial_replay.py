@@ -29,7 +29,7 @@ def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_agai
     monkeypatch.chdir(tmp_path)
     (tmp_path / "short.toml").write_text(SHORT, encoding="utf-8")
     assert main(["run", "short.toml", "--no-compare"]) == 0
-    assert "the session ends" in capsys.readouterr().out
+    assert "Session ended during the trial; trial gains kept" in capsys.readouterr().out
     with LedgerReader(tmp_path / "out" / "ledger.sqlite") as reader:
         rows = [(row.kind, json.loads(row.text)) for row in reader.rows()]
         assert reader.verify().ok

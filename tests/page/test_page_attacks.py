@@ -214,7 +214,7 @@ def test_a_port_that_is_taken_is_one_line(tmp_path: Path, capsys: pytest.Capture
         other.listen()
         port = other.getsockname()[1]
         assert main(["serve", str(tmp_path / "demo"), "--port", str(port)]) == 2
-    assert capsys.readouterr().err == f"--port {port} at 127.0.0.1: is taken by another program; give another one\n"
+    assert capsys.readouterr().err == f"Port {port} is in use; try --port {port + 1}.\n"
 
 
 def test_only_this_machine_is_served_unless_told_and_then_that_is_said() -> None:

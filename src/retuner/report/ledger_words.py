@@ -182,7 +182,7 @@ def _decision(body: Document) -> Words:
     done = "kept" if stays(body) else ACTIONS.get(action, action)
     older = words(body, "in_place_of") if action == "advise" else ""
     reason = words(body, "reason")
-    own = f"{done}: " in reason or reason.startswith((done, *OWN_WORDS))
+    own = stays(body) or f"{done}: " in reason or reason.startswith((done, *OWN_WORDS))
     said = reason if own else f"{done}: {reason}"
     said += f"; in place of {older}" if older else ""
     title = f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}"
@@ -211,7 +211,7 @@ def _proof(body: Document, action: str, reason: str) -> str:
 
 ABOUT_A_TRIAL = ("undo_", "kept_")
 """Beginnings of the codes of decisions on what becomes of a change on trial."""
-OWN_WORDS = ("refused", "the trial gains stay", "rollback refused", "an operator replaced")
+OWN_WORDS = ("refused", "rollback refused", "an operator replaced")
 """Beginnings of reasons that say by themselves what is done."""
 STOOD = {
     "agrees": "this record agrees",

@@ -91,6 +91,7 @@ def motion_sentences(found: ScheduleDesign) -> list[str]:
 
 
 TOO_LARGE = 0.5
+LONG_HOLD_S = 120.0  # from here on in minutes
 """Overshoot with each place's own gains from which a step is too large for any gains."""
 
 
@@ -105,13 +106,13 @@ def _moving_words(crossing: Crossing) -> str:
 def experiment_sentence(found: ScheduleDesign) -> str:
     """Where to make which experiment next."""
     wanted = found.next_experiment
-    beside = "" if wanted.x2 is None else f", {found.second} {wanted.x2:.4g}"
+    beside = "" if wanted.x2 is None else f", {found.second} {wanted.x2:.2g}"
+    hold = f"{wanted.hold_s / 60.0:.0f} min" if wanted.hold_s >= LONG_HOLD_S else f"{wanted.hold_s:.3g} s"
     told = (
-        f"Least is known at {found.variable} {wanted.x:.4g}{beside} (Kc to {wanted.gain_std:.0%}). There, a step of "
-        f"{wanted.co_step:+.3g} in co (manual) or of {wanted.sp_step:+.3g} in the setpoint, "
-        f"held {wanted.hold_s:.3g} s, tells most."
+        f"Kc is least certain near {found.variable} {wanted.x:.2g}{beside} ({100 * wanted.gain_std:.0f} %). Best next "
+        f"test: setpoint {wanted.sp_step:+.2g} (or co {wanted.co_step:+.2g} in manual), hold {hold}."
     )
-    return told + " The limit of co holds it smaller than noise asks for: repeat it." * wanted.held
+    return told + " The limit of co makes the step smaller than the noise requires: repeat it." * wanted.held
 
 
 def push_sentence(found: ScheduleDesign) -> str:

@@ -52,8 +52,9 @@ def listening(options: ServeOptions) -> socket.socket:
     except (OSError, OverflowError) as error:
         ours.close()
         taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-        what = "is taken by another program; give another one" if taken else f"cannot be listened at: {error}"
-        raise UserError(f"--port {options.port} at {options.host}: {what}") from None
+        if taken:
+            raise UserError(f"Port {options.port} is in use; try --port {options.port + 1}.") from None
+        raise UserError(f"--port {options.port} at {options.host}: cannot listen there: {error}") from None
     ours.listen(1024)
     return ours
 

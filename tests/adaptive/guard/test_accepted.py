@@ -45,7 +45,7 @@ def test_a_step_beyond_the_commissioned_set_goes_no_farther() -> None:
     verdict = prove(of_pattern(times(0.15, 0.15), times(0.12, 0.12), GAINS), SETTINGS)
     assert verdict.ruling == Ruling.OUTSIDE_TOTAL
     limit = "refused: the limits leave no room for the change"
-    assert verdict.sentence.startswith(f"{limit}; kc limited to ")
+    assert verdict.sentence.startswith(f"{limit}; Kc held at ")
     assert "requested" not in verdict.sentence
 
 
@@ -53,7 +53,7 @@ def test_a_step_beyond_the_commissioned_set_goes_no_farther() -> None:
 def test_what_was_cut_is_told_as_the_settings_show_it(sign: float) -> None:
     to, at = (PidGains(sign * share * GAINS.kp, sign * share * GAINS.ki) for share in (0.12, 0.15))
     verdict = prove(of_pattern(at, to, PidGains(sign * GAINS.kp, sign * GAINS.ki)), SETTINGS)
-    assert f"kc limited to {0.15 * sign * GAINS.kp:.4g} instead of {0.12 * sign * GAINS.kp:.4g} by " in verdict.sentence
+    assert f"Kc held at {0.15 * sign * GAINS.kp:.3g} (wanted {0.12 * sign * GAINS.kp:.3g}): " in verdict.sentence
 
 
 def test_what_is_only_safer_says_so() -> None:

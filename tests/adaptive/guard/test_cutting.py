@@ -58,51 +58,51 @@ def test_within_the_limits_nothing_is_cut() -> None:
 @pytest.mark.parametrize(
     ("wanted", "limits", "result", "note"),
     [
-        ((9.0, 20.0, 0.0), GuardSettings(kc_max=3.0), (3.0, 20.0, 0.0), "kc limited to 3 instead of 9 by kc_max"),
-        ((0.4, 20.0, 0.0), GuardSettings(kc_min=0.5), (0.5, 20.0, 0.0), "kc limited to 0.5 instead of 0.4 by kc_min"),
+        ((9.0, 20.0, 0.0), GuardSettings(kc_max=3.0), (3.0, 20.0, 0.0), "Kc held at 3 (wanted 9): kc_max"),
+        ((0.4, 20.0, 0.0), GuardSettings(kc_min=0.5), (0.5, 20.0, 0.0), "Kc held at 0.5 (wanted 0.4): kc_min"),
         (
             (9.0, 20.0, 0.0),
             SETTINGS,
             (4.0, 20.0, 0.0),
-            "kc limited to 4 instead of 9 by the largest factor from the baseline gains, 4",
+            "Kc held at 4 (wanted 9): at most 4x baseline. Raise total_ratio_max or accept the new baseline.",
         ),
         (
             (0.1, 20.0, 0.0),
             SETTINGS,
             (0.25, 20.0, 0.0),
-            "kc limited to 0.25 instead of 0.1 by the largest factor from the baseline gains, 4",
+            "Kc held at 0.25 (wanted 0.1): at most 4x baseline. Raise total_ratio_max or accept the new baseline.",
         ),
         (
             (1.0, 100.0, 0.0),
             SETTINGS,
             (1.0, 80.0, 0.0),
-            "tau_I limited to 80 instead of 100 by the largest factor from the baseline gains, 4",
+            "tau_I held at 80 (wanted 100): at most 4x baseline. Raise total_ratio_max or accept the new baseline.",
         ),
         (
             (1.0, 3.0, 0.0),
             SETTINGS,
             (1.0, 5.0, 0.0),
-            "tau_I limited to 5 instead of 3 by the largest factor from the baseline gains, 4",
+            "tau_I held at 5 (wanted 3): at most 4x baseline. Raise total_ratio_max or accept the new baseline.",
         ),
         (
             (1.0, 8.0, 0.0),
             GuardSettings(tau_i_min_s=9.0),
             (1.0, 9.0, 0.0),
-            "tau_I limited to 9 instead of 8 by tau_i_min",
+            "tau_I held at 9 (wanted 8): tau_i_min",
         ),
         (
             (1.0, 40.0, 0.0),
             GuardSettings(tau_i_max_s=30.0),
             (1.0, 30.0, 0.0),
-            "tau_I limited to 30 instead of 40 by tau_i_max",
+            "tau_I held at 30 (wanted 40): tau_i_max",
         ),
         (
             (1.0, 20.0, 6.0),
             GuardSettings(tau_d_max_s=4.0),
             (1.0, 20.0, 4.0),
-            "tau_D limited to 4 instead of 6 by tau_d_max",
+            "tau_D held at 4 (wanted 6): tau_d_max",
         ),
-        ((1.0, 20.0, 0.5), SETTINGS, (1.0, 20.0, 0.0), "tau_D limited to 0 instead of 0.5 by the sampling time"),
+        ((1.0, 20.0, 0.5), SETTINGS, (1.0, 20.0, 0.0), "tau_D held at 0 (wanted 0.5): limit of the sampling time"),
     ],
 )
 def test_only_what_exceeds_is_cut_and_it_is_said(
@@ -119,7 +119,7 @@ def test_a_cut_tau_i_leaves_two_ways_and_the_proof_decides() -> None:
     held, moved = cut(IdealGains(1.0, 100.0).to_parallel())
     assert times_of(held.gains) == pytest.approx((1.0, 80.0, 0.0))
     assert times_of(moved.gains) == pytest.approx((0.8, 80.0, 0.0))
-    assert moved.notes[-1] == "kc moved with tau_I"
+    assert moved.notes[0] == "Kc moved with tau_I"
     (only,) = cut(IdealGains(1.0, 100.0).to_parallel(), locks=Locks(kc=True))
     assert times_of(only.gains) == pytest.approx((1.0, 80.0, 0.0))
 
@@ -194,7 +194,7 @@ def test_a_cut_that_turns_the_integral_action_back_leaves_no_room() -> None:
     assert (goal.no_room, goal.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
     assert (other.no_room, times_of(other.gains)) == (False, pytest.approx((1.2, 16.0, 0.0)))
     assert other.gains.ki == pytest.approx(wanted.ki)
-    assert other.notes[-1] == "tau_I moved with kc"
+    assert other.notes[0] == "tau_I moved with Kc"
     (locked,) = cut(wanted, limits, old, locks=Locks(tau_i=True))
     assert locked.gains.ki == pytest.approx(1.2 / 20)
     assert not cut(wanted, limits, old, over=True)[0].no_room
@@ -246,7 +246,7 @@ def test_a_cut_change_is_written_and_says_so() -> None:
     assert verdict.accepted
     assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(0.9 * GAINS.kp)
-    assert "by kc_max" in verdict.sentence
+    assert ": kc_max" in verdict.sentence
     assert verdict.step < 1.0
 
 
@@ -255,8 +255,8 @@ def test_at_the_limit_nothing_is_left_and_the_limit_is_named() -> None:
     limits = GuardSettings(kc_max=0.6 * GAINS.kp, tau_i_max_s=tau_i_s, tau_i_min_s=tau_i_s)
     at = prove(request(times(0.6, 0.6)), limits)
     assert at.ruling == Ruling.OUTSIDE_LIMITS
-    assert "kc limited to" in at.sentence
-    assert "by kc_max" in at.sentence
+    assert "Kc held at" in at.sentence
+    assert ": kc_max" in at.sentence
     total = prove(request(times(0.6, 0.6), commissioned=times(0.15, 0.15)), replace(SETTINGS, tau_i_min_s=tau_i_s))
     assert total.ruling == Ruling.OUTSIDE_TOTAL
     assert total.numbers.to_dict()["wanted"] == pytest.approx(GAINS.kp)
@@ -269,7 +269,7 @@ def test_where_kc_is_at_its_limit_tau_i_alone_helps() -> None:
     assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(in_force.kp)
     assert verdict.gains.ki > 1.2 * in_force.ki
-    assert "tau_I moved with kc" in verdict.sentence
+    assert "tau_I moved with Kc" in verdict.sentence
 
 
 GAIN = st.floats(0.01, 100)

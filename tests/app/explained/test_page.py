@@ -78,7 +78,7 @@ def test_every_kind_of_decision_has_a_page(kind: str) -> None:
         (COMMIT, ["Written to the controller: Kc from 2.4 to 1.5 (x 0.625), tau_I from 150 to 250 s (x 1.67).",
                   "the loop overshot by 53% of the first peak, half-cycle decay ratio 0.45", "62% of the full change",
                   "Ms 2.88 before, Ms 1.65 after; worst case over the plausible models Ms 2.03",
-                  "By eye: tau_I 150 s under a period of 190 s: the rule does not say"], ["Advised"]),
+                  "By eye: in manual the oscillation stops"], ["Advised"]),
         (ADVISED, ["Proposed, not written: Kc from 2.4 to 1.5"], ["Written"]),
         (REFUSED, ["Refused: not robust even at a quarter of the change.", "Nothing was changed.",
                    "worst case unstable"], ["Written"]),

@@ -166,11 +166,12 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
 
 
 def _cost(row: Row) -> str:
-    """What a loop's error is, and how much of it may go."""
+    """What a loop's error is, and how much of it is avoidable."""
     error, share = mean_error(row), row.get("avoidable")
     if error is None or not isinstance(share, float) or not row.get("basis"):
         return ""
-    return f"; mean error {error:.3g}, of which {share:.0%} may go ({row['basis']})"
+    by = {"Harris": "Harris index"}.get(str(row["basis"]), row["basis"])
+    return f"; mean error {error:.3g}; about {100 * share:.0f} % avoidable ({by})"
 
 
 def _changed(rows: Sequence[Row]) -> str:
