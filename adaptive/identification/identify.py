@@ -431,9 +431,7 @@ def left_open(
         if wanted_s > MOST_FASTER * sample_time_s:
             digit = 10.0 ** math.floor(math.log10(wanted_s))
             way = f"Export at {math.floor(wanted_s / digit) * digit:g} s or faster."
-        return (
-            f"the dead time (about {short:.1g} s) is shorter than the {sample_time_s:.3g} s logging interval. {way}"
-        )
+        return f"the dead time (about {short:.1g} s) is shorter than the {sample_time_s:.3g} s logging interval. {way}"
     if short > settings.theta_share * span_s:
         return (
             f"the dead time (about {short:.2g} s) is {100 * short / span_s:.0f} % of the record, and no event is "
