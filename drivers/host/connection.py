@@ -62,6 +62,10 @@ SLOWER_SAMPLES = STAMP_SAMPLES // 4
 than the device's time by less than STAMP_SAMPLES counts, one that is younger does not."""
 
 
+TWO_DEVICES = "two devices answer under this number, or one is repeated; give each a number of its own"
+"""Why a host does not connect."""
+
+
 class ConnectPhase(Enum):
     """How far the connection is."""
 
@@ -274,10 +278,9 @@ class CanDevice:
         reason = self._contact.lost(now_s, self.link.state)
         if self.phase is ConnectPhase.SEARCHING or not reason:
             if self._contact.in_vain(now_s):
-                raise DeviceSilentError(
-                    f"{self._where}: no answer within {self.settings.connect_s:g} s; "
-                    "is the device running there, under this node number?"
-                )
+                silent = f"no answer within {self.settings.connect_s:g} s; "
+                silent += "is the device running there, under this node number?"
+                raise DeviceSilentError(f"{self._where}: {TWO_DEVICES if self._belief.in_conflict else silent}")
             return
         if self.phase is ConnectPhase.CONNECTED:
             state = LinkState.DOWN if self.link.state is LinkState.DOWN else LinkState.SILENT

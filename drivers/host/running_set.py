@@ -5,9 +5,10 @@ nothing (it may be an old one come late): it raises a doubt, and the next read-b
 And a device that has booted may be another one: its first read-back counts only once it has said again who it is.
 
 A device never goes back to an epoch that it has left, and never says two things at a time. A read-back that goes back,
-heartbeats in a short time that a read-back has disproved or whose counter goes back (device_counter.py), or samples
-that say something else under a number that was there already, come from a second device under the same node number, or
-from a repeater: then nothing is believed until ALONE heartbeats in a row have been of one epoch and of one mind.
+heartbeats in a short time that a read-back has disproved or whose counter goes back (device_counter.py), two epochs
+that take turns before any is known, samples that say something else under a number that was there, or heartbeats that
+all come twice, come from a second device under the same node number, or from a repeater: then nothing is believed until
+ALONE heartbeats in a row have been of one epoch and of one mind.
 """
 
 from enum import Enum
@@ -31,6 +32,7 @@ class Belief(Enum):
 
 ALONE = 5  # heartbeats in a row of one epoch after which a conflict is over
 DISPROVED_MAX = 4  # contradictions before that which make a conflict
+DOUBLED_MAX = 12  # heartbeats in a row that came twice: a bus that doubles frames now and then does not do that
 
 
 class RunningBelief:
@@ -46,6 +48,9 @@ class RunningBelief:
         self._before: RunningSet | None = None
         self._candidate: Heartbeat | None = None
         self._left: set[int] = set()  # epochs that the device has left
+        self._told: set[int] = set()  # epochs that were told before one was known
+        self._newest: Heartbeat | None = None
+        self._is_double, self._doubled = False, 0
         self._last_epoch = self._in_a_row = self._disproved = 0
         self._conflict = self._identified = self._untold = False
         self.running: RunningSet | None = None
@@ -66,6 +71,11 @@ class RunningBelief:
         """The device has said who it is, and is the right one."""
         self._identified = True
 
+    @property
+    def in_conflict(self) -> bool:
+        """Whether two devices answer, as far as is known now."""
+        return self._conflict
+
     def conflict_news(self) -> bool:
         """Whether a conflict has begun that this has not told yet."""
         untold, self._untold = self._untold, False
@@ -84,6 +94,7 @@ class RunningBelief:
 
     def on_heartbeat(self, heartbeat: Heartbeat) -> bool:
         """Take a life sign; whether it belongs to the epoch that is known."""
+        self._count_doubles(heartbeat)
         self._in_a_row = self._in_a_row + 1 if heartbeat.epoch == self._last_epoch else 1
         self._last_epoch = heartbeat.epoch
         if self._in_a_row >= ALONE:
@@ -93,12 +104,27 @@ class RunningBelief:
                 self._left.clear()
         if heartbeat.epoch == self.epoch:
             return True
+        if self.epoch is None and heartbeat.epoch in self._told and self._in_a_row == 1:  # back from another one
+            self.contradicted()
+        self._told.add(heartbeat.epoch)
         if self._candidate is None or self._candidate.epoch != heartbeat.epoch:
             self._identified = False
             self._candidate = heartbeat
         elif heartbeat.sample > self._candidate.sample:  # an older one was sent again
             self._candidate = heartbeat
         return False
+
+    def _count_doubles(self, heartbeat: Heartbeat) -> None:
+        """Two devices that are alike in everything say everything twice."""
+        if heartbeat == self._newest:
+            self._is_double = True
+            self._doubled += 1
+        elif not self._is_double:
+            self._doubled = 0
+        if heartbeat != self._newest:
+            self._newest, self._is_double = heartbeat, False
+        if self._doubled >= DOUBLED_MAX:
+            self.contradicted()
 
     def on_page(self, page: ReadBack) -> Belief:
         """Take a read-back of the running page."""

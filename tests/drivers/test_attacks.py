@@ -194,5 +194,14 @@ def test_two_devices_with_equal_epochs_and_equal_counters_are_noticed(make_bench
 
 def test_a_repeater_of_telemetry_is_no_second_device(bench) -> None:
     receive = bench.near.receive_all
-    bench.near.receive_all = lambda: [m for message in receive() for m in (message, message)]
+    telemetry = {0x12, 0x13}
+    bench.near.receive_all = lambda: [
+        m for message in receive() for m in [message] * (1 + (message.arbitration_id & 31 in telemetry))
+    ]
     assert not any(isinstance(event, DeviceConflict | RunningChanged) for event in bench.run(60))
+
+
+def test_a_repeater_of_everything_may_be_a_second_device_and_is_told(bench) -> None:
+    receive = bench.near.receive_all
+    bench.near.receive_all = lambda: [m for message in receive() for m in (message, message)]
+    assert any(isinstance(event, DeviceConflict) for event in bench.run(100))

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import random
 from dataclasses import replace
 
 import pytest
@@ -478,3 +479,50 @@ def test_no_write_begins_while_the_telemetry_is_wrong(bench) -> None:
     bench.run(20)
     bench.host.begin_write(bench.SECOND, bench.now_s)
     assert any(isinstance(e, WriteDone) for e in bench.run(8))
+
+
+def beside(bench, twin, samples: int) -> None:
+    """Both devices go on, and both answer."""
+    for _ in range(samples):
+        twin.on_bus.sample()
+        bench.run(1)
+        twin.on_bus.answer()
+
+
+@pytest.mark.parametrize("every", [1, 5, 20])
+def test_two_devices_of_different_epochs_from_the_start_are_named(make_bench, every: int) -> None:
+    """It had said: no answer within 40 s."""
+    bench = make_bench(host=CanDeviceSettings(connect_samples=200), heartbeat_samples=every)
+    twin = make_bench(link=bench.far.settings, heartbeat_samples=every)
+    twin.device.epoch = 900
+    twin.device._boot()
+    try:
+        beside(bench, twin, 300)
+    except DeviceSilentError as error:
+        assert "two devices answer under this number" in str(error)  # noqa: PT017
+    assert any(isinstance(event, DeviceConflict) for event in bench.events)
+    assert not bench.host.connected
+
+
+def test_two_devices_alike_in_everything_are_not_written(make_bench) -> None:
+    """Of one epoch and at rest: both had been written."""
+    bench = make_bench(heartbeat_samples=5)
+    twin = make_bench(link=bench.far.settings, heartbeat_samples=5)
+    beside(bench, twin, 80)
+    assert any(isinstance(event, DeviceConflict) for event in bench.events)
+    with pytest.raises(WriteRefusedError, match="not connected"):
+        bench.host.begin_write(bench.SECOND, bench.now_s)
+    beside(bench, twin, 40)
+    assert not bench.host.connected
+    bench.run(60)  # the twin is off
+    assert bench.host.connected
+
+
+def test_a_bus_that_doubles_many_frames_is_no_second_device(make_bench) -> None:
+    bench = make_bench(heartbeat_samples=5)
+    chance = random.Random(1)
+    own = bench.near.receive_all
+    bench.near.receive_all = lambda: [m for m in own() for _ in range(1 + (chance.random() < 0.5))]
+    bench.run(600)
+    assert bench.host.connected
+    assert not any(isinstance(event, DeviceConflict) for event in bench.events)
