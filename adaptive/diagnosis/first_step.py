@@ -51,22 +51,22 @@ def first_step(
     aim : settings that the model asks for. in_force : gains now. events : setpoint and load steps in the record.
     process : the most likely model. sample_time_s : half of it is dead time.
     """
-    if not in_force.kp:
-        return None
     most = min(MOST_AT_ONCE * max(events, 1.0), MOST_OF_A_RECORD)
     wanted = aim.tuning.gains
-    factor, of_integral = wanted.kp / in_force.kp, wanted.ki / in_force.ki if in_force.ki else 0.0
+    factor = wanted.kp / in_force.kp if in_force.kp else 0.0
+    of_integral = wanted.ki / in_force.ki if in_force.ki else 0.0
     if max(factor, of_integral) <= most:
         return None
     model = process.seen_by_controller(sample_time_s)
     plain, tuning = without_second_lag(model), aim.tuning
     if factor > most:
         span = 1 / (plain.slope * most * in_force.kp)
-        if span <= 2 * plain.theta_s:
-            return None
-        tuning = simc(model, span - plain.theta_s)
+        share = most * in_force.kp / wanted.kp
+        calmer = replace(tuning, gains=PidGains(share * wanted.kp, share * wanted.ki, share * wanted.kd))
+        tuning = simc(model, span - plain.theta_s) if span > 2 * plain.theta_s else calmer
     gains = tuning.gains
     if in_force.ki and gains.ki / in_force.ki > most:
-        tuning = replace(tuning, gains=PidGains(gains.kp, most * in_force.ki, gains.kd))
+        share = 1.0 if in_force.kp else most * in_force.ki / gains.ki  # without P in force nothing else bounds it
+        tuning = replace(tuning, gains=PidGains(share * gains.kp, most * in_force.ki, share * gains.kd))
     ms = sensitivity_peak(model.linear(), tuning.gains)
     return FirstStep(RobustTuning(tuning, ms, max(ms, aim.ms_worst)), aim, max(factor, of_integral), most)

@@ -102,6 +102,8 @@ TWO_WAYS = (
 """Why a coloured remainder is not believed."""
 FEWEST_SAMPLES_IN_THETA = 1.0
 """An effective dead time of fewer sampling intervals is a guess."""
+ROWS_IN_DEAD_TIME = 2.0
+"""Rows of a condensed record in the dead time at the least: it comes out a little shorter or longer from fit to fit."""
 MOST_ROWS = 12000
 """Rows to which a record is condensed at the least where its dead time would be shorter than a row otherwise."""
 MOST_FASTER = 0.02
@@ -180,10 +182,11 @@ def fitted(window: Window, signs: tuple[int, ...], settings: FitSettings) -> lis
 
 
 def _samples_that_show(window: Window, best: Candidate, most_samples: int) -> int | None:
-    """With how many samples a row is no longer than the dead time; None where the record was not condensed too far."""
+    """With how many samples a row is at most half the dead time; None where the record was not condensed so far."""
     n, dead_s = len(window.t_s), without_second_lag(model_at(best.fit.misfit.type, best.fit.x, 1)).theta_s
-    rows = max(int(dead_s / window.sample_time_s), 1, -(-n // MOST_ROWS))
-    return -(-n // rows) if rows < -(-n // most_samples) and dead_s < best.fit.misfit.record.sample_time_s else None
+    rows = max(int(dead_s / (ROWS_IN_DEAD_TIME * window.sample_time_s)), 1, -(-n // MOST_ROWS))
+    short = dead_s < ROWS_IN_DEAD_TIME * best.fit.misfit.record.sample_time_s
+    return -(-n // rows) if short and rows < -(-n // most_samples) else None
 
 
 class Fits:

@@ -148,3 +148,21 @@ def test_no_record_carries_gain_or_integral_action_without_end(events: float, mo
     assert gains.ki == pytest.approx(most * weak.ki)
     assert sensitivity_peak(SLOW.linear(), gains) < 1.8
     assert "194.0 times the gain or integral action" in step.sentence
+
+
+def test_beside_pure_integral_action_p_is_capped_with_it_and_no_rule_goes_round_the_cap() -> None:
+    """Without P in force nothing had been capped, nor where the rule's own tau_c would have been under theta."""
+    tuning = simc(SLOW)
+    aim = RobustTuning(tuning, 1.6, 1.6)
+    integral = PidGains(0.0, tuning.gains.ki / 40.0)
+    step = first_step(aim, integral, 1.0, SLOW, 0.1)
+    assert step is not None
+    gains = step.now.tuning.gains
+    assert gains.ki == pytest.approx(3.0 * integral.ki)
+    assert gains.kp == pytest.approx(tuning.gains.kp * 3.0 / 40.0)
+    bold = replace(tuning, gains=PidGains(8.0 * tuning.gains.kp, 8.0 * tuning.gains.ki))
+    now = PidGains(tuning.gains.kp, tuning.gains.ki)
+    step = first_step(RobustTuning(bold, 2.5, 2.5), now, 1.0, SLOW, 0.1)
+    assert step is not None
+    assert step.now.tuning.gains.kp == pytest.approx(3.0 * now.kp)
+    assert step.now.tuning.gains.ki <= 3.0 * now.ki * (1 + 1e-9)
