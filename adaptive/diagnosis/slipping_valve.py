@@ -290,7 +290,6 @@ def _from_steps(misfit: Misfit, co: Co, steps: FreeSteps) -> Iterator[Start]:
 
 
 def _with_shares(misfit: Misfit, co: Co, rows: tuple[int, ...], x: FloatArray) -> Iterator[Start]:
-    """The same slips with every share."""
     y, q = misfit.record.pv, _basis(misfit, x)
     free = y - q @ (q.T @ y)
     for share in SHARES:
@@ -388,14 +387,12 @@ def _moved(at: Slips, which: int, n: int) -> Iterator[Slips]:
 
 
 def _with_one_more(at: Slips, n: int) -> Iterator[Slips]:
-    """One slip more."""
     for row in np.linspace(1, n - 1, TRIED).astype(int).tolist():
         if row not in at.rows:
             yield replace(at, rows=tuple(sorted((*at.rows, row))))
 
 
 def _explained(misfit: Misfit, co: Co, slips: Slips, p: FloatArray) -> Slipping:
-    """The process refined for given slips."""
     position = co.position(slips)
     found = judged(refine(replace(misfit, co=position), p))
     price = (OWN_UNKNOWNS + SLIP_COST * len(slips.rows)) * math.log(len(position))

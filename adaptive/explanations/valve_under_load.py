@@ -55,6 +55,5 @@ def log_odds_of_valve(record: Prepared, direction: int) -> float:
 
 
 def _log_mean(values: FloatArray) -> float:
-    """ln of the mean of exp."""
     top = float(values.max())
     return top + math.log(float(np.mean(np.exp(values - top))))

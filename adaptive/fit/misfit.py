@@ -251,7 +251,6 @@ class Misfit:
         return np.stack([*found, np.ones_like(t)], axis=1), self.priors
 
     def _load(self, p: FloatArray, dynamics: Dynamics, j: int) -> FloatArray:
-        """The response to one load step."""
         d = SIZE[self.type]
         since = self.record.t_s - p[d + j]
         if self.is_corner(j):
@@ -452,7 +451,6 @@ def _columns_by_dynamics(misfit: "Misfit", p: FloatArray, dynamics: Dynamics, by
 
 
 def _load_change(misfit: "Misfit", at: "Projection", dynamics: Dynamics, j: int) -> Change:
-    """A load step by its time."""
     d = SIZE[misfit.type]
     since = misfit.record.t_s - at.p[d + j]
     if misfit.is_corner(j):

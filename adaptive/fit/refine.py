@@ -193,12 +193,10 @@ def _descended(
 
 
 def _cost(at: Projection, d: int, prior: Prior | None) -> float:
-    """Deviance with the prior's share."""
     return at.cost + (0.0 if prior is None else float(np.sum(prior.residuals(at.p[:d]) ** 2)))
 
 
 def _normal(misfit: Misfit, at: Projection, d: int, prior: Prior | None) -> tuple[FloatArray, FloatArray]:
-    """J'J and J'r."""
     jacobian = misfit.jacobian(at)
     normal, gradient = jacobian.T @ jacobian, jacobian.T @ at.r
     if prior is not None:

@@ -121,7 +121,6 @@ def load_times(misfit: Misfit, x: FloatArray, most: int) -> list[float]:
 
 
 def _point(node: Node, sign: int) -> FloatArray:
-    """p of a node."""
     signed = max(node.slope * sign, 1e-3 * abs(node.slope) + 1e-300)  # a wrong sign starts near zero
     lag = [math.log(node.lag_s)] if math.isfinite(node.lag_s) else []
     return np.array([math.log(signed), math.log(node.theta_s), *lag, *node.loads])

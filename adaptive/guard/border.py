@@ -78,7 +78,6 @@ def _beside(
 
 
 def _cell(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> Beside:
-    """What is known of a cell."""
     known = models.get(region, ())
     return Beside(table.gains_of(region), known[0].model if known else None)
 
@@ -133,7 +132,6 @@ def _pairs(border: NeighbourBorder, own: Sequence[Plausible]) -> list[tuple[Proc
 
 
 def _shares(border: NeighbourBorder) -> tuple[float, ...]:
-    """Weights to prove at."""
     if not border.interpolated:
         return tuple(border.reach * share for share in SHARES_HARD)
     return SHARES_MIXED if border.models else SHARES_UNKNOWN

@@ -102,7 +102,6 @@ def limit_checks(
 
 
 def _steps(old: PidGains, new: PidGains, s: GuardSettings, urgent: bool, factor: float | None) -> list[Check]:
-    """One change."""
     found = []
     before, after = logs(old), logs(new)
     for parameter in Parameter:
@@ -120,7 +119,6 @@ def _steps(old: PidGains, new: PidGains, s: GuardSettings, urgent: bool, factor:
 
 
 def _totals(request: ChangeRequest, new: PidGains, s: GuardSettings, over_limit: bool) -> list[Check]:
-    """Against the commissioned set."""
     found = []
     before, now, after = logs(request.commissioned), logs(request.in_force), logs(new)
     floor = min(s.tau_i_samples * request.sample_time_s, math.exp(now.get(Parameter.TAU_I, math.inf)))

@@ -191,7 +191,6 @@ def _cut(value: float, low: Bound, high: Bound) -> tuple[float, Bound | None]:
 
 
 def _made(direction: int, kc: float, tau_i: float, tau_d: float) -> PidGains:
-    """Parallel gains."""
     return PidGains(direction * kc, direction * kc / tau_i, direction * kc * tau_d)
 
 

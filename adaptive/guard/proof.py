@@ -231,7 +231,6 @@ EVIDENCE = frozenset({Ruling.TOO_FEW_RECORDS, Ruling.TOO_OLD, Ruling.CONTRADICTE
 
 
 def _door(case: _Case) -> tuple[Ruling, Numbers] | None:
-    """What no proof could make good."""
     request, wanted = case.request, case.request.proposal
     if wanted.gains.direction != request.in_force.direction:
         return Ruling.WRONG_SIGN, SignNumbers(float(wanted.gains.direction), float(request.in_force.direction))
@@ -436,7 +435,6 @@ def _unproved(case: _Case, goal: Goal) -> Verdict:
 
 
 def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Verdict:
-    """The verdict with its whole proof."""
     request, s, loops, gains = case.request, case.settings, case.loops, candidate.gains
     nominal, worst, before = loops.nominal(gains), loops.worst(gains), loops.nominal(request.in_force)
     before_worst = loops.worst(request.in_force)

@@ -16,7 +16,6 @@ def _factor(what: str, absent: str) -> Setting:
 
 
 def _bound(what: str) -> Setting:
-    """An absolute limit of a time."""
     return Setting(f"{what}; absent: no limit", 0.0, unit="s", source="user", absent=True)
 
 

@@ -69,7 +69,7 @@ def screen(
     *,
     in_auto: bool = False,
 ) -> Screening:
-    """Collect the indexes of a record; some 10 ms for 1000 samples (benchmarks/indexes.py).
+    """Collect the indexes of a record; some 10 ms for 1000 samples.
 
     Parameters
     ----------

@@ -304,7 +304,6 @@ def _tail(value: float, freedom: int) -> float:
 def _merges(
     regions: Regions, region_models: Mapping[int, RegionModel], sample_time_s: float, settings: AdviceSettings
 ) -> Iterator[RegionAdvice]:
-    """The borders that part nothing."""
     known = {
         i: _side(_weighted(region_model.points, sample_time_s, settings.scatter))
         for i, region_model in region_models.items()

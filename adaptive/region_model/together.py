@@ -92,7 +92,6 @@ def _after(before: Window | None, window: Window, dt_s: float) -> Window:
 
 
 def _going_on(values: FloatArray, before: FloatArray) -> FloatArray:
-    """Values from where others ended."""
     step = float(np.median(before[-END_SAMPLES:])) - float(np.median(values[:END_SAMPLES]))
     return np.asarray(values + step, dtype=np.float64)
 

@@ -305,7 +305,6 @@ def _kept_whole(seen: _Seen) -> _Counted:
 
 
 def _in_automatic(seen: _Seen) -> _Counted:
-    """Regulated all the time."""
     manual = float(sum(sample.mode != LoopMode.AUTO for sample in seen.samples))
     return _Counted(AdmissionNumbers(manual=manual), Ground.MANUAL if manual else None)
 

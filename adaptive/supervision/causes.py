@@ -116,7 +116,6 @@ def joining(found: Findings) -> None:
 
 
 def _as_one(found: Findings, sequence: ToAndFro) -> None:
-    """The steps as one record, once."""
     record, settings = found.record, found.settings
     known = record.region_models.get(record.region)
     began_s = record.samples[sequence.opened].t_s

@@ -258,7 +258,6 @@ def _load(shapes: Sequence[Sequence[Shape]]) -> Expected:
 
 
 def _percent(spread: Spread) -> str:
-    """An overshoot with its spread."""
     return f"{spread.best:.0%} ({spread.low:.0%} to {spread.high:.0%})"
 
 

@@ -373,7 +373,6 @@ class TrialSupervisor:
         return E.TIMED_OUT if t_s - trial.since_s > self.settings.settles * own_s else None
 
     def _watch(self, at: int, sample: LoopSample, band: float) -> TrialEvent | None:
-        """The sample under the tried set."""
         trial = self.of(at)
         if trial.phase not in {P.TRIAL, P.AWAY} or trial.promise is None:
             return None
@@ -410,7 +409,6 @@ class TrialSupervisor:
         return True
 
     def _cool_down_s(self, trial: Trial) -> float:
-        """Length of the cool-down that begins."""
         base = self.settings.cool_down_s
         if base is None:
             tau_i_s = self._tau_i_s(trial.back.gains if trial.back else trial.old)
@@ -427,7 +425,6 @@ class TrialSupervisor:
         return gains.kp / gains.ki if gains is not None and gains.ki else 0.0
 
     def _notice(self) -> None:
-        """Whether there is anything to watch."""
         self.busy = bool(self.undecided or self.restoring)
 
 

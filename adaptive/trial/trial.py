@@ -123,17 +123,14 @@ class Trial:
 
 
 def _gains_out(gains: PidGains | None) -> list[float] | None:
-    """kp, ki, kd."""
     return [gains.kp, gains.ki, gains.kd] if gains else None
 
 
 def _gains_in(values: list[float] | None) -> PidGains | None:
-    """And back."""
     return PidGains(*values) if values else None
 
 
 def _back_out(back: WayBack | None) -> dict[str, object] | None:
-    """By name."""
     if back is None:
         return None
     numbers = back.numbers.to_dict() if back.numbers else None
@@ -141,7 +138,6 @@ def _back_out(back: WayBack | None) -> dict[str, object] | None:
 
 
 def _back_in(body: Mapping[str, Any] | None) -> WayBack | None:
-    """And back."""
     if body is None:
         return None
     numbers = WayBackNumbers(**body["numbers"]) if body["numbers"] else None
@@ -149,14 +145,12 @@ def _back_in(body: Mapping[str, Any] | None) -> WayBack | None:
 
 
 def _seen_out(seen: RunawayState | None) -> dict[str, float | None] | None:
-    """By name; null where infinite."""
     if seen is None:
         return None
     return {name: None if math.isinf(value) else value for name, value in seen._asdict().items()}
 
 
 def _seen_in(body: Mapping[str, Any] | None) -> RunawayState | None:
-    """And back."""
     if body is None:
         return None
     at = {name: math.inf if value is None else float(value) for name, value in body.items()}

@@ -155,7 +155,6 @@ def _rest(n: int, lag: float) -> FloatArray:
 
 
 def _fitted(pv: FloatArray, responses: "_Responses", rest: FloatArray, chosen: list[int]) -> FloatArray:
-    """What jumps in these columns explain."""
     columns = np.concatenate([rest, responses.columns(chosen)], axis=1)
     return np.asarray(columns @ np.linalg.lstsq(columns, pv, rcond=None)[0], dtype=np.float64)
 

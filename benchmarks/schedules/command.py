@@ -5,7 +5,6 @@ Examples
   python benchmarks/schedules run --seed 1 --loops 2 --part drawn --out rows.jsonl
   python benchmarks/schedules run --seed 1 --part physics --mode scheduled --verbose
   python benchmarks/schedules table rows.jsonl
-  python benchmarks/schedules both --seed 1 --count 4
 """
 
 import argparse
@@ -15,7 +14,6 @@ from pathlib import Path
 from cases.counting import spread
 from online.runner import rows_of
 
-from schedules import both
 from schedules.measure import MODES, PLACES, WALK, Row, measure, tasks
 from schedules.stream import stream
 from schedules.tables import line, table
@@ -26,8 +24,6 @@ PARTS = ("drawn", "signal", "constant", "physics")
 def main() -> int:
     """Measure, or print the table of rows again."""
     options = _parser().parse_args()
-    if options.what == "both":
-        return both.tell(options.seed, options.count)
     if options.what == "table":
         rows: list[Row] = [row for file in options.files for row in rows_of(file)]
         whole = True
@@ -74,9 +70,6 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--offset", type=int, default=0, help="and the first of these")
     one.add_argument("--out", type=Path, metavar="FILE", help="a line of JSON a case; cases it holds are not run again")
     one.add_argument("--verbose", action="store_true", help="a line a case")
-    pairs = what.add_parser("both", help="a plant that changes with two variables: schedules over one and over both")
-    pairs.add_argument("--seed", type=int, default=1)
-    pairs.add_argument("--count", type=int, default=2, help="records")
     two = what.add_parser("table", help="the table again, of rows from files")
     two.add_argument("files", type=Path, nargs="+", metavar="FILE")
     return parser

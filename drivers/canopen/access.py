@@ -105,7 +105,6 @@ class CanOpenAccess:
         return _Place(self._file.variable(at.object, key, written=written, read=read), at.scale, at.offset)
 
     def _listen(self, mapping: DeviceMapping) -> None:
-        """Telemetry, states and the setpoint."""
         self._read["pv"] = self._place(mapping.pv, ("pv",))
         self._read["co"] = self._place(mapping.co, ("co",))
         if mapping.sp is not None:
@@ -118,7 +117,6 @@ class CanOpenAccess:
             self._written["setpoint"] = self._place(mapping.setpoint, ("setpoint",), written=True, read=False)
 
     def _watch(self, name: str, states: States, source: str, key: Key) -> None:
-        """Note a state object."""
         self._read[name] = self._place(states.at, key)
         self._watched[name] = _Watch(states, source)
 
@@ -171,7 +169,6 @@ class CanOpenAccess:
         return ()
 
     def _answered(self, message: can.Message) -> Sequence[Told]:
-        """An answer by SDO."""
         answer = self._sdo.take(message)
         if answer is None:
             doubled, self._sdo.doubled = self._sdo.doubled.removeprefix(WRITTEN), ""
@@ -218,7 +215,6 @@ class CanOpenAccess:
         return (Stopped(reason, watch.source),)
 
     def _on_state(self, state: int) -> Sequence[Told]:
-        """A heartbeat."""
         if state == BOOTED:
             return (Alive(), Started())
         if state == PRE_OPERATIONAL and self._settings.start:
@@ -290,5 +286,4 @@ class CanOpenAccess:
 
 
 def _frame(cob: int, data: bytes) -> can.Message:
-    """A frame."""
     return can.Message(arbitration_id=cob, is_extended_id=False, data=data)

@@ -118,7 +118,6 @@ class EdsFile:
         return found
 
     def _found(self, name: str, key: Key) -> Variable:
-        """The variable of this name."""
         index, _, sub = name.partition(":")
         try:
             number: int | str = int(index, 16)
@@ -141,7 +140,6 @@ class EdsFile:
         return found
 
     def _there(self, number: int | str) -> str:
-        """What could have been meant."""
         known = sorted(entry.index for entry in self.dictionary.values())
         if isinstance(number, int):
             known.sort(key=lambda index: abs(index - number))

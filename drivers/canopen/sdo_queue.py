@@ -105,7 +105,6 @@ class SdoQueue:
         return [] if self._open is None else [self._frame(self._open)]
 
     def _frame(self, transfer: Transfer) -> can.Message:
-        """A question as a frame."""
         data, variable = transfer.data, transfer.variable
         if data is not None and len(data) > IN_ONE:
             self._segments = _Segments(data)
@@ -116,7 +115,6 @@ class SdoQueue:
         return self._message(place + (data or b"").ljust(4, b"\0"))
 
     def _message(self, data: bytes) -> can.Message:
-        """A frame to the node's server."""
         return can.Message(arbitration_id=0x600 + self._node, is_extended_id=False, data=data)
 
     def take(self, message: can.Message) -> Answer | None:
@@ -154,7 +152,6 @@ class SdoQueue:
         return transfer.data is not None and not segments.at and data[0] == DOWNLOADED
 
     def _segment(self, transfer: Transfer, segments: _Segments, data: bytes) -> Answer | None:
-        """A segment was taken, or given."""
         writes = transfer.data is not None
         if data[0] & COMMAND != (SEGMENT_TAKEN if writes else SEGMENT_GIVEN):
             return None
@@ -175,7 +172,6 @@ class SdoQueue:
         return None
 
     def _ended(self, answer: Answer, data: bytes) -> Answer:
-        """The open question has its answer."""
         self._last = answer.transfer, data
         self._open = self._deadline_s = self._segments = self._next = None
         return answer

@@ -88,12 +88,10 @@ class VirtualCanOpenNode:
         self.node.nmt.state = "PRE-OPERATIONAL"
 
     def _variable(self, at: object) -> tuple[Variable, ObjectOf]:
-        """An object of the mapping."""
         assert isinstance(at, ObjectOf)
         return self._file.variable(at.object, (), read=False), at
 
     def _put(self, at: object, ours: float) -> None:
-        """Put a number into its object."""
         variable, place = self._variable(at)
         there = holds(variable)
         value = there.nearest(min(max((ours - place.offset) / place.scale, there.low), there.high))
@@ -101,7 +99,6 @@ class VirtualCanOpenNode:
         self.node.set_data(variable.index, variable.subindex, raw)
 
     def _publish(self) -> None:
-        """The loop's numbers into their objects."""
         loop, mapping = self.loop, self._mapping
         self._put(mapping.pv, loop.pv)
         self._put(mapping.co, loop.co)
@@ -130,7 +127,6 @@ class VirtualCanOpenNode:
         return self._taken()
 
     def _transmit(self) -> None:
-        """The PDOs that are in force."""
         for pdo in self.node.tpdo.values():
             if not pdo.enabled or not len(pdo):
                 continue
@@ -149,7 +145,6 @@ class VirtualCanOpenNode:
         return self._taken()
 
     def _hand_in(self, message: can.Message) -> None:
-        """A frame to the package."""
         try:
             self._network.notify(message.arbitration_id, bytearray(message.data), message.timestamp)
         except (ValueError, LookupError, TypeError, IndexError, OSError):  # a damaged frame
@@ -161,12 +156,10 @@ class VirtualCanOpenNode:
         return self._taken()
 
     def _taken(self) -> list[can.Message]:
-        """What the package has sent."""
         sent, self._network.sent = self._network.sent, []
         return sent
 
     def _on_write(self, index: int, subindex: int, od: Variable, data: bytes) -> None:
-        """The host has written an object."""
         value = od.decode_raw(bytes(data))
         for gain in self._mapping.gains:
             variable, _ = self._variable(gain.at)

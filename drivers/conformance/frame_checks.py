@@ -289,7 +289,6 @@ def setpoint(talk: Conversation, sp: float) -> bool:
 
 
 def _modes(found: Examination) -> None:
-    """Manual holds co, and says so."""
     talk = found.talk
     co = next(half.co for half in halves(talk.samples(2)) if isinstance(half, TelemetryPv))
     answer = talk.ack(Kind.MODE, Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))

@@ -156,7 +156,6 @@ def _no_jump(
 
 
 def _co(talk: Conversation) -> float:
-    """The output of the newest sample."""
     return [half.co for half in halves(talk.samples(2)) if isinstance(half, TelemetryPv)][-1]
 
 
@@ -206,7 +205,6 @@ def _switched_on(found: Examination) -> None:
 def _refusal(
     found: Examination, name: str, gains: PidGains, commit: Callable[[int], Commit], reasons: tuple[Reason, ...]
 ) -> None:
-    """A commit that must not run."""
     talk = found.talk
     seq = talk.fresh_seq()
     stage, sent = talk.stage(seq, gains), commit(seq)

@@ -161,7 +161,6 @@ class DbcAccess:
         return names
 
     def _watch(self, states: States, key: Key, *, stop: bool) -> None:
-        """Note a state signal."""
         place = self._place(states.at, key)
         known = self._states.setdefault((place.frame_id, place.layout.is_extended_frame), [])
         known.append(_State(place, states, stop))
@@ -335,7 +334,6 @@ class DbcAccess:
 
 
 def _number(value: object) -> float | None:
-    """A finite number, or nothing."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         return None
     return float(value)

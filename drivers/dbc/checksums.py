@@ -13,7 +13,6 @@ BYTE, WORD = 0xFF, 0xFFFF
 
 
 def _crc(data: Iterable[int], bits: int, polynomial: int, start: int, end: int) -> int:
-    """A CRC without reflection."""
     top, mask, crc = 1 << (bits - 1), (1 << bits) - 1, start
     for byte in data:
         crc ^= byte << (bits - 8)

@@ -249,7 +249,6 @@ def _identifier(name: str) -> int | None:
 
 
 def _there(names: Sequence[str], wanted: str) -> str:
-    """What could have been meant."""
     ranked = sorted(names, key=lambda name: -_alike(name.lower(), wanted.lower()))
     shown = ", ".join(ranked[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
     return f"there is {shown}" if names else "there is none"

@@ -44,7 +44,6 @@ class VirtualDbcDevice:
         self._describe()
 
     def _describe(self) -> None:
-        """What each message carries."""
         loop, mapping = self.loop, self._mapping
         self._send(mapping.pv, lambda: loop.pv)
         self._send(mapping.co, lambda: loop.co)
@@ -98,7 +97,6 @@ class VirtualDbcDevice:
         return self._places[slot].layout.is_extended_frame == message.is_extended_id
 
     def _frame(self, slot: Slot) -> can.Message:
-        """The message as it is now."""
         place, guard = self._places[slot], self._guards.get(slot[0])
         values = defaults(place.layout, place.page, {})
         for name, value in self._sent[slot].items():
@@ -116,7 +114,6 @@ class VirtualDbcDevice:
         )
 
     def _obey(self, message: can.Message) -> None:
-        """A setpoint, or gains."""
         written = {str(gain.quantity): gain.at for gain in self._mapping.gains}
         if self._mapping.setpoint is not None:
             written["setpoint"] = self._mapping.setpoint

@@ -90,7 +90,6 @@ def _messages(path: Path, form: RecordForm) -> dict[Identifier, Message]:
 
 @lru_cache(maxsize=16)
 def _described(name: str) -> tuple[Message, ...]:
-    """The messages of a DBC."""
     try:
         return tuple(read_dbc_file(Path(name)).messages)
     except DeviceError as error:
@@ -130,7 +129,6 @@ class _CanFrame:
 def _by_identifier(
     path: Path, messages: Mapping[Identifier, Message], told: list[Assumption]
 ) -> dict[Identifier, Frames]:
-    """The frames of these messages."""
     times: dict[Identifier, list[float]] = {}
     data: dict[Identifier, list[bytes]] = {}
     for frame in _whole_frames(path, told):

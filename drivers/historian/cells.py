@@ -106,7 +106,6 @@ def numbers(table: RawTable, place: int, decimal: str, form: RecordForm) -> Floa
 
 
 def _number(table: RawTable, place: int, row: int, text: str, decimal: str, missing: frozenset[str]) -> float:
-    """One field."""
     if text.lower() in missing:
         return np.nan
     if decimal == "." and NUMBER.fullmatch(text):

@@ -166,7 +166,6 @@ def loop_in_pieces(files: Sequence[Path], form: RecordForm, tag: str, most_rows:
 
 
 def _only(read: Sequence[TableSignals], form: RecordForm, tag: str) -> LoopRecord:
-    """The one loop of a piece."""
     found = _loops(read, form).get(tag, RecordingError(f"{read[0].source}: no values of {tag} that are known"))
     if isinstance(found, RecordingError):
         raise found
@@ -186,7 +185,6 @@ def _loops(read: Sequence[TableSignals], form: RecordForm) -> dict[str, LoopReco
 
 
 def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> LoopRecord:
-    """One loop's signals on one clock."""
     for role, trend in loop.trends.items():
         if not len(trend.t_s):
             raise RecordingError(f"{read[0].source}: {role} has no value that is known; name another column")
@@ -316,7 +314,6 @@ def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, Trend]]:
 
 
 def _pieces(read: Sequence[TableSignals]) -> dict[str, Pieces]:
-    """The same, not put together."""
     pieces: dict[str, Pieces] = {}
     for one in read:
         for tag, trends in one.loops.items():
@@ -353,7 +350,6 @@ def _one_after_the_other(role: str, pieces: list[Trend], source: str) -> Trend:
 
 
 def _chosen(loops: Mapping[str, Mapping[str, Trend]], form: RecordForm, table: RawTable) -> _Loop:
-    """The loop that is meant."""
     whole = {tag: trends for tag, trends in loops.items() if {"pv", "co"} <= trends.keys()}
     if form.tag:
         fitting = [tag for tag in whole if tag.lower() == form.tag.lower()]
@@ -375,14 +371,12 @@ def _chosen(loops: Mapping[str, Mapping[str, Trend]], form: RecordForm, table: R
 
 
 def _listed(names: Iterable[str]) -> str:
-    """Some names."""
     found = [name or "(no tag)" for name in names]
     more = f" and {len(found) - TAGS_SHOWN} more" if len(found) > TAGS_SHOWN else ""
     return (", ".join(found[:TAGS_SHOWN]) or "nothing") + more
 
 
 def _told_once(assumed: Iterable[Assumption]) -> tuple[Assumption, ...]:
-    """Each assumption once."""
     return tuple(dict.fromkeys(assumed))
 
 

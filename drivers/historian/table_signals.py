@@ -100,7 +100,6 @@ def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False)
 
 
 def _is_long(plain: Mapping[str, list[int]], found: Mapping[str, Mapping[str, list[int]]], form: RecordForm) -> bool:
-    """Whether each row names its signal."""
     named_so = {"tag", "value"} <= {*plain, *form.columns}
     return named_so and not any({"pv", "co"} & roles.keys() for roles in found.values())
 
@@ -188,7 +187,6 @@ def _by_file_name(
 def _clock(
     table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form: RecordForm, decimal: str
 ) -> tuple[_Clock, list[Assumption]]:
-    """Rows in the order of time."""
     if form.dt_s is not None:
         rows = np.arange(len(table.places))
         return _Clock(rows, (rows * form.dt_s).astype(np.float64), as_they_stand=True), []
@@ -286,7 +284,6 @@ def _by_content(table: RawTable) -> int | None:
 
 
 def _good(table: RawTable, places: Sequence[int], form: RecordForm, told: list[Assumption]) -> np.ndarray:
-    """Rows whose quality is good."""
     rows = np.ones(len(table.places), dtype=bool)
     named_so = _column(table, "quality", form, ())
     places = places if named_so is None else [named_so]
@@ -423,6 +420,5 @@ def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> l
 
 
 def _rows(table: RawTable, rows: np.ndarray) -> RawTable:
-    """Some rows of a table."""
     columns = tuple(c[rows] if isinstance(c, np.ndarray) else [c[row] for row in rows] for c in table.columns)
     return replace(table, columns=columns, places=[table.places[row] for row in rows])

@@ -242,7 +242,6 @@ def _reader(date: str) -> Callable[[str], datetime]:
 
 
 def _at(day: datetime, clock: re.Match[str]) -> datetime:
-    """A time of a day."""
     hour, minute, second = int(clock["h"]), int(clock["m"]), int(clock["s"] or 0)
     if clock["half"]:
         if not 1 <= hour <= 12:
@@ -267,7 +266,6 @@ def _zone(text: str) -> timezone:
 
 
 def _digits(text: str) -> datetime:
-    """Digits of date and time."""
     try:
         moment = datetime.strptime(text[:14], "%Y%m%d%H%M%S")  # noqa: DTZ007  the zone follows
     except ValueError:

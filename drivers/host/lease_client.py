@@ -82,7 +82,6 @@ class LeaseKeeper:
             return [self._request(stamp)]
 
     def _request(self, stamp: int) -> Lease:
-        """The next request."""
         self._counter = (self._counter + 1) % COUNTER_WRAP
         return Lease(self.owner, stamp, 0 if self._ending else self._samples, self._counter)
 

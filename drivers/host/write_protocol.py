@@ -266,7 +266,6 @@ class WriteProtocol:
         return self._claims < CLAIMS and (unsent or self.phase in {WritePhase.STAGING, WritePhase.CLAIMING})
 
     def _actions(self) -> dict[WritePhase, Callable[[WriteOrder], list[Frame]]]:
-        """What each phase sends."""
         return {
             WritePhase.CLAIMING: lambda _: [],
             WritePhase.STAGING: self._stage,
@@ -282,7 +281,6 @@ class WriteProtocol:
         return [*order.stage(), self._reader.ask(Page.STAGED), *challenge]
 
     def _time_out(self) -> None:
-        """The phase's time is over."""
         if self._tries < TRIES.get(self.phase, self._tries + 1):
             self._move(WriteInput.TIMEOUT)
             return
@@ -364,7 +362,6 @@ class WriteProtocol:
         return WriteFailed(order.seq, self._why, running)
 
     def _move(self, event: WriteInput) -> None:
-        """Go where the table says."""
         if not self.machine.take(event) or event is WriteInput.TIMEOUT:
             return
         if event is WriteInput.LAPSED:

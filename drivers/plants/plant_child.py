@@ -42,7 +42,6 @@ def main(handle: int) -> None:
 
 
 def _made(spec: ModelSpec) -> "PythonModel | FmuModel":
-    """The model of a kind."""
     if spec.kind == "fmu":
         from retuner.drivers.plants.fmu_model import FmuModel  # noqa: PLC0415  an extra
 

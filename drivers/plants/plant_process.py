@@ -99,7 +99,6 @@ class ModelInProcess:
             self._end()
 
     def _answer(self, within_s: float) -> bytes:
-        """The next answer's content."""
         try:
             if not self._pipe.poll(within_s):
                 raise StillBusyError("does not answer")
@@ -124,7 +123,6 @@ class ModelInProcess:
         return f"its process was killed by {signal.Signals(-code).name}"
 
     def _end(self) -> None:
-        """Kill it."""
         self._process.kill()
         self._process.wait()
 

@@ -116,7 +116,6 @@ class _Copy:
 
 
 def _matrix(name: str, rows: Rows, height: int, width: int) -> FloatArray:
-    """The rows as a matrix."""
     if len(rows) != height or any(len(row) != width for row in rows):
         found = f"{len(rows)} x {'/'.join(map(str, sorted({len(row) for row in rows}))) or 0}"
         raise PlantFaultError(f"is {found}; it must be {height} x {width}", name)

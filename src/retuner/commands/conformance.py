@@ -55,7 +55,6 @@ def _examined(
     *,
     restart: bool,
 ) -> "Examination":
-    """The examination on the bus."""
     from retuner.drivers.bus.bus import CanLink, LinkSettings
     from retuner.drivers.clock import MonotonicClock
     from retuner.drivers.conformance.chapters import chapters
@@ -77,7 +76,6 @@ def _examined(
 
 
 def _nobody() -> bool:
-    """Nobody switches it off."""
     return False
 
 

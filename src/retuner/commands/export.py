@@ -77,7 +77,6 @@ def _table_of(folder: Path) -> Path:
 
 
 def _read(path: Path) -> GainTable:
-    """The table of a file."""
     try:
         with path.open("rb") as stream:
             raw = stream.read(LARGEST + 1)

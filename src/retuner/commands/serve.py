@@ -49,6 +49,5 @@ def serve(
 
 
 def _say(line: str) -> None:
-    """A line, at once."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()

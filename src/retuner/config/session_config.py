@@ -125,7 +125,6 @@ def loop_documents(document: Mapping[str, object]) -> list[dict[str, object]]:
 
 
 def _of_one(shared: Mapping[str, object], table: object) -> dict[str, object]:
-    """The document of one loop."""
     if not isinstance(table, Mapping):
         return {**shared, "loop": table}
     own = {name: table[name] for name in SECTIONS if name in table}

@@ -40,12 +40,10 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[str]], classes: Iterable
 
 
 def _cells(heads: Sequence[str], row: Iterable[str]) -> str:
-    """Cells that know their heads."""
     return "".join(f'<td data-head="{_plain(head)}">{cell}</td>' for head, cell in zip(heads, row, strict=False))
 
 
 def _plain(head: str) -> str:
-    """A head without its tags."""
     return re.sub(r"<[^>]*>", " ", head).replace('"', "&quot;")
 
 

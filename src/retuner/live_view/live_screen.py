@@ -156,6 +156,5 @@ class LiveScreen:
         return fitted(Text.assemble((self._title, "bold reverse"), "  ", (bar, "green")), width)
 
     def _draw(self) -> None:
-        """Renew the picture."""
         if self._display is not None:
             self._display.update(self.picture(self.width, self.console.height), refresh=True)

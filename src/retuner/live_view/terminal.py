@@ -105,14 +105,12 @@ def _mode(seen: LoopSeen) -> Text:
 
 
 def _in_force(seen: LoopSeen, here: RegionSeen | None) -> Text:
-    """Region, gains in force, Ms."""
     gains = settings_text(seen.running) if seen.running else "gains not known yet"
     ms = "" if here is None else f"   Ms {'not known yet' if here.ms is None else ms_words(here.ms)}"
     return Text.assemble("  region ", (here.name if here else "not known", "bold"), f"   {gains}", (ms, "bold"))
 
 
 def _phases(seen: LoopSeen, here: RegionSeen | None, unit: str) -> Text:
-    """Where recogniser and trial stand."""
     peaks = f", {len(seen.peaks)} peak{'s' * (len(seen.peaks) != 1)}" if seen.peaks else ""
     trial = here.trial if here else "idle"
     text = Text(f"  recogniser {seen.recogniser}{peaks}, band {seen.band:.2g} {unit}")

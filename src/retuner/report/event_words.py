@@ -17,7 +17,6 @@ def event_line(kind: str, body: Mapping[str, object]) -> str:
 
 
 def _after(what: str) -> Callable[[Document], str]:
-    """What happened, with the row's reason."""
     return lambda body: _because(what, body)
 
 

@@ -74,7 +74,6 @@ def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
 
 
 def _iae(ratios: tuple[float, float] | None) -> str:
-    """Worst and best region."""
     if ratios is None:
         return "-"
     worst, best = ratios

@@ -40,7 +40,6 @@ def regions_now(names: Sequence[str], decisions: Sequence[Document]) -> list[Reg
 
 
 def _region(name: str, own: list[Document]) -> RegionNow:
-    """One region out of its decisions."""
     known = next(
         (
             one

@@ -88,7 +88,6 @@ def _references(model: ProcessModel) -> References | None:
 
 
 def _row(model: ProcessModel, result: TuneResult, best: References | None) -> RuleRow:
-    """A result with its performance."""
     found = performance(model.linear(), result.tuning.gains)
     j = weighted_cost(found, best.iae_setpoint, best.iae_load) if best else math.inf
     return RuleRow(result, found, j if math.isfinite(j) else None)

@@ -186,7 +186,6 @@ def _telling(record: Window) -> Window:
 
 
 def _recorded(record: Window | None, limits: tuple[float | None, float | None]) -> dict[str, object]:
-    """The record's part of the document."""
     if record is None:
         return {"dt": 1.0, "sp": [], "pv": [], "co": [], "limits": [-1e9, 1e9], "range": 1.0, "floor": [0.0, 0.0]}
     room = 1e6 * max(float(np.ptp(record.co)), 1.0)

@@ -40,7 +40,6 @@ def schedule_png(found: ScheduleDesign, windows: Sequence[Window]) -> bytes:
 
 
 def _figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
-    """All panels."""
     figure = Figure(figsize=(14, 11))
     along = " and ".join(filter(None, (found.variable, found.second)))
     figure.suptitle(f"{along}: {found.reason}", x=0.06, ha="left", fontsize=14, weight="bold")

@@ -53,7 +53,6 @@ def overview(runs: Runs) -> Document:
 
 
 def _short(session: WatchedSession, loop: WatchedLoop) -> Document:
-    """A loop for the overview."""
     newest = loop.reader.since(loop.reader.counts()[0] - 1).table
     state, head = loop.reader.state(), loop.reader.head
     decided = next((one for one in reversed(session.ledger.decisions) if _is_of(one, loop)), None)
@@ -149,7 +148,6 @@ def loop_document(session: WatchedSession, loop: WatchedLoop) -> Document:
 
 
 def _decision(decided: Decided) -> Document:
-    """A decision in a few words."""
     d = decided.document
     return {
         "number": decided.number,

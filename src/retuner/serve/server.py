@@ -77,7 +77,6 @@ def serve(
 
 
 def _run(application: Gate, options: ServeOptions, ours: socket.socket) -> None:
-    """Answer until somebody ends it."""
     _enough_files()
     config = uvicorn.Config(
         application,

@@ -168,7 +168,6 @@ class _Loop:
             device.release(clock.now_s())
 
     def _desk(self, session: LoopSession, folder: Path) -> OrderDesk:
-        """Where people's orders are taken in."""
         return OrderDesk(
             OrderBox(folder),
             session.retuner,
@@ -194,7 +193,6 @@ class _Loop:
         self._run.observer.said(f"{self._name}: {text}" if self._name else text)
 
     def _sampled(self, sample: LoopSample) -> None:
-        """A sample was taken."""
         if self.session is not None:
             self._run.sampled(self.session, sample)
 
@@ -327,7 +325,6 @@ class Run:
     def _begin(
         self, buses: HostBuses, deciders: Sequence[Decider], speed: float = 1.0, *, remember: bool = False
     ) -> Session:
-        """The host's side on open buses."""
         loops = [
             loop.begin(buses.port(i), decider, speed, remember=remember)
             for i, (loop, decider) in enumerate(zip(self._loops, deciders, strict=True))

@@ -154,7 +154,6 @@ def _show(
 
 
 def _tell_what_next(job: RunJob, ledger: Ledger, left: Sequence[_Left], screen: LiveScreen) -> None:
-    """What a person can do now."""
     several = job.config.several
     about = rows_by_loop(ledger.rows(), job.config.names)
     for one in left:

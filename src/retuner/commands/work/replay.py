@@ -212,7 +212,6 @@ def recorded_loop(log: Path, options: FormOptions, config: Config) -> Iterator[R
 
 
 def _answered(log: Path, config_file: Path, retuner: Retuner, found: Answer) -> dict[str, object]:
-    """The answer as one JSON document."""
     table = retuner.table
     return {
         "log": str(log),

@@ -82,12 +82,10 @@ def _all_loops(recorded: Sequence[RecordedSession]) -> dict[str, object]:
 
 
 def _decided(recorded: RecordedSession) -> list[Row]:
-    """The rows of decisions."""
     return [row for row in recorded.rows if row.kind == "decision"]
 
 
 def _named(recorded: RecordedSession, rows: list[Row], decision: int) -> Row:
-    """The row of a decision."""
     for row in rows:
         if row.body.get("number") == decision:
             return row
@@ -125,7 +123,6 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
 
 
 def _facts(recorded: RecordedSession) -> dict[str, str]:
-    """Where all this comes from."""
     last = recorded.rows[-1]
     return {
         "session": str(recorded.folder),
