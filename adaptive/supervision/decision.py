@@ -63,6 +63,7 @@ class Basis(StrEnum):
     BORROWED = "borrowed"
     PRETUNE = "pretune"
     RAN = "ran_before"
+    ALL_SAMPLES = "all_samples"
 
 
 class Delay(NamedTuple):
@@ -87,7 +88,8 @@ class Decision:
     on, which is what the cause and the proof go by (`estimate` is what the record itself shows).
     undos : changes undone in a row, told where this one restores.
     later : the loop is in another region, so that nothing is to be written now: the gains belong in the table, and run
-    when the loop comes.
+    when the loop comes. all_samples : what all samples up to now say of the gains in force, beside this response; None
+    before they were looked at.
     """
 
     number: int
@@ -116,6 +118,7 @@ class Decision:
     delay: Delay | None = None
     undos: int | None = None
     later: bool = False
+    all_samples: Numbers | None = None
 
     def __repr__(self) -> str:
         return (
@@ -129,8 +132,8 @@ class Decision:
         return shown.html(self)
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values: what the ledger keeps. The key `delay` is there only where a decision was entered later, and
-        `later` only where gains of another region are to be taken into the table.
+        """Plain values: what the ledger keeps. Keys that are not always there: `delay` where a decision was entered
+        later, `all_samples` where a book is kept, `later` where gains of another region are to come into the table.
         """
         return {
             "number": self.number,
@@ -157,6 +160,7 @@ class Decision:
             "judgement": self.judgement.to_dict() if self.judgement else None,
             "trial": self.trial,
             **({"delay": self.delay._asdict()} if self.delay else {}),
+            **({"all_samples": self.all_samples.to_dict()} if self.all_samples else {}),
             **({"later": True} if self.later and self.action == Action.COMMIT else {}),
         }
 

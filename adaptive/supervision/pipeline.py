@@ -21,6 +21,7 @@ from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, on_th
 from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground
+from retuner.adaptive.supervision.by_book import by_all_samples, robust_by_book
 from retuner.adaptive.supervision.causes import (
     FOREIGN,
     NOT_CONFIRMED,
@@ -60,7 +61,7 @@ from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.way_back import StillAllowed
+from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.adaptive.weighed import NO_NUMBERS
 
 NOT_KNOWN = "not_identifiable"
@@ -81,7 +82,11 @@ def decide(question: Question) -> StageResult:
     try:
         for stage in STAGES:
             name = stage.name
-            if found.end is None or stage.always:
+            if question.alone:
+                due = stage.alone
+            else:
+                due = found.end is None or stage.always
+            if due:
                 stage.run(found)
         return found.result()
     except MemoryError:
@@ -398,7 +403,8 @@ def check_after_trial(found: Findings) -> None:
     trial = found.question.trial
     if trial.phase is TrialPhase.TRIAL and found.end is not None and found.end.code != Ground.SATURATED.name.lower():
         found.posterior = posterior_of(found.record, found.learned, trial, found.settings)
-    found.walked = _walked(found) if trial.phase is TrialPhase.TRIAL else None
+    if trial.phase is TrialPhase.TRIAL:
+        found.walked = NOTHING_KNOWN if robust_by_book(found) else _walked(found)
 
 
 def _walked(found: Findings) -> StillAllowed | None:
@@ -434,6 +440,7 @@ class Stage(NamedTuple):
     name: str
     run: Callable[[Findings], None]
     always: bool = False
+    alone: bool = False
 
 
 STAGES = (
@@ -452,7 +459,8 @@ STAGES = (
     Stage("runaway", runaway),
     Stage("confirmation", confirmation),
     Stage("return", cut_refuted, always=True),
-    Stage("expectation", expectation, always=True),
+    Stage("all samples", by_all_samples, always=True, alone=True),
+    Stage("expectation", expectation, always=True, alone=True),
     Stage("check after a trial", check_after_trial, always=True),
     Stage("elsewhere", elsewhere, always=True),
 )

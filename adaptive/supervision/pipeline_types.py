@@ -13,6 +13,8 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.explanations.book import Book
+from retuner.adaptive.explanations.settings_by_book import BookNumbers
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.across import ways_of
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -52,7 +54,8 @@ class ResponseRecord:
     foreign : for how many more responses under the gains in force something else than the tuning won here than lost.
     excitation : what the region's model rests on.
     at : the scheduling values at its end. entered_s : since when the loop was in the region at its end.
-    passed_over : responses to a led setpoint since that was last said.
+    passed_over : responses to a led setpoint since that was last said. book : what all samples have shown of the
+    region, None before they were looked at.
     """
 
     region: int
@@ -67,6 +70,7 @@ class ResponseRecord:
     at: tuple[float, float] = (0.0, 0.0)
     entered_s: float = -math.inf
     passed_over: int = 0
+    book: Book | None = None
 
     @property
     def own(self) -> Sequence[LoopSample]:
@@ -126,6 +130,7 @@ class StageResult:
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
     elsewhere : what is due in a region where the loop is not, by its index; nothing for none. walked : what the loop
     did lately leaves of its process beside a load that wanders as before the change of a trial; None where none did.
+    book : what all samples have shown of the region by now, None for as before; all_samples : of the gains in force.
     """
 
     code: str
@@ -145,6 +150,20 @@ class StageResult:
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, "StageResult"] = field(default_factory=dict)
     walked: StillAllowed | None = None
+    book: Book | None = None
+    all_samples: BookNumbers | None = None
+
+
+class Look(NamedTuple):
+    """All samples of a region that are to be entered into its book. book : as it is, None to begin one.
+
+    grows : the window comes again with more samples. limited : share of them with the output at a limit.
+    """
+
+    book: Book | None
+    window: Window
+    grows: bool
+    limited: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +171,8 @@ class Question:
     """What a completed response asks; plain values, so that the answer may be worked out anywhere (`pipeline.decide`).
 
     sample_number : of the sample that raised it, counted by the retuner from 1. trial : where the region stood then.
-    free : the other regions that no trial, hold or mode keeps from a change.
+    free : the other regions that no trial, hold or mode keeps from a change. look : the samples that are due to be
+    looked at, None for none. alone : no response has completed, so nothing but that is asked.
     """
 
     record: ResponseRecord
@@ -160,6 +180,8 @@ class Question:
     sample_number: int
     trial: Trial
     free: tuple[int, ...] = ()
+    look: Look | None = None
+    alone: bool = False
 
     @property
     def t_s(self) -> float:
@@ -180,12 +202,16 @@ class Led(NamedTuple):
 
 
 class RetunerState(NamedTuple):
-    """Where a retuner stands; with its table and region models, all that later decisions depend on."""
+    """Where a retuner stands; with its table and region models, all that later decisions depend on.
+
+    looked_s : when all samples were looked at last.
+    """
 
     finder: FinderState
     decisions: int
     samples: int
     led: Led = Led()
+    looked_s: float = -math.inf
 
 
 class OpenQuestion(NamedTuple):
@@ -329,6 +355,8 @@ class Findings:
     walked: StillAllowed | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, StageResult] = field(default_factory=dict)
+    book: Book | None = None
+    all_samples: BookNumbers | None = None
 
     @property
     def record(self) -> ResponseRecord:
@@ -385,6 +413,8 @@ class Findings:
             promise=self.promise,
             posterior=self.posterior,
             walked=self.walked,
+            book=self.book,
+            all_samples=self.all_samples,
             beside=self.beside,
             elsewhere=self.elsewhere,
         )
@@ -412,6 +442,7 @@ def with_outcome(
         basis=outcome.basis,
         proposal=outcome.proposal,
         verdict=verdict,
+        all_samples=outcome.all_samples,
     )
 
 

@@ -130,6 +130,11 @@ class ResponseFinder:
         return self._region.region if self._region else None
 
     @property
+    def entered_s(self) -> float:
+        """Since when the loop is in its region; minus infinity before the first sample."""
+        return _entered(self._region) if self._region else -math.inf
+
+    @property
     def scheduled(self) -> tuple[float, float]:
         """The scheduling values in force, filtered and the last good ones; 0 before the first sample."""
         if self._region is None or not self._samples:

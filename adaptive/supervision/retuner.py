@@ -11,16 +11,21 @@ A decision may take longer than a sample. `observe` makes it on the spot; whoeve
 Between the first and the last samples go on; a response that completes is passed over, a late answer refused.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.signals.recogniser import RecogniserPhase
-from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
+from retuner.adaptive.supervision.by_book import look_after_s, look_of
 from retuner.adaptive.supervision.decision import (
     WRITES,
     Action,
@@ -41,6 +46,7 @@ from retuner.adaptive.supervision.pipeline_types import (
     PASSED_OVER,
     Ended,
     Led,
+    Look,
     OpenQuestion,
     Question,
     ResponseRecord,
@@ -66,6 +72,9 @@ from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
+PATIENCE = 2.0
+"""Times as long as with a response is waited before all samples are looked at without one."""
+
 
 class Retuner:
     """Watches one loop and decides.
@@ -82,12 +91,14 @@ class Retuner:
         self.region_models: dict[int, RegionModel] = {}
         self.foreign: dict[int, int] = {}
         self.excitation: dict[int, Excitation] = {}
+        self.books: dict[int, Book] = {}
         self._finder = ResponseFinder(table.regions, self._gains_at, settings)
         self._observe = self._finder.step
         self.trials = TrialSupervisor(
             settings.trial, settings.sample_time_s, self._put_back, self._still_allowed, self._person_decides
         )
         self._decisions, self._led = 0, Led()
+        self._looked_s = self._alone_s = -math.inf  # when all samples were looked at, and are to be without a response
         self._open: OpenQuestion | None = None
         self._due: Mapping[int, StageResult] = {}
         self.sample_number = 0  # samples observed so far
@@ -120,12 +131,13 @@ class Retuner:
 
     def state(self) -> RetunerState:
         """Where it stands: see state_file.py, which turns it into plain values."""
-        return RetunerState(self._finder.state(), self._decisions, self.sample_number, self._led)
+        return RetunerState(self._finder.state(), self._decisions, self.sample_number, self._led, self._looked_s)
 
     def resume(self, state: RetunerState) -> None:
         """Go on from there. A question that was open is not any more: nobody may enter its answer."""
         self._finder.resume(state.finder)
         self._decisions, self.sample_number, self._led = state.decisions, state.samples, state.led
+        self._looked_s, self._alone_s = state.looked_s, -math.inf
         self._open, self._due = None, {}
 
     def observe(self, sample: LoopSample) -> Decision | None:
@@ -164,7 +176,37 @@ class Retuner:
         """A sample while nothing is on trial."""
         seen = self._observe(sample)
         self.sample_number += 1
-        return NOTHING if seen is None else self._seen(seen)
+        if seen is None:
+            return NOTHING if sample[0] < self._alone_s else self._looked()
+        return self._seen(seen)
+
+    def _looked(self) -> Step:
+        """Where no response has completed for long, all samples are looked at by themselves."""
+        region, look = self.region, self._look(PATIENCE)
+        if look is None or region is None or self.settings.mode_of(region) == Mode.OFF or self._open is not None:
+            return NOTHING
+        window = look.window
+        if float(np.max(np.abs(window.sp - window.pv))) <= self.band:  # nothing but noise
+            self._looked_s = self.now_s
+            return NOTHING
+        times = float(window.t_s[0]), float(window.t_s[-1])
+        nothing = Response(*times, (), Ending.QUIET, bool(np.ptp(window.sp) > 0.0), self.band)
+        return self._asked(Completed(region, nothing, self._finder.entered_s), alone=look)
+
+    def _look(self, patience: float = 1.0) -> Look | None:
+        """What of all samples is due to be looked at; None for not yet. patience : so many times as long is waited."""
+        region, samples, settings = self.region, self._finder.samples, self.settings
+        if region is None or not samples or self.table.lookup is not Lookup.HARD:
+            self._alone_s = math.inf if samples else -math.inf
+            return None
+        gains, since_s, dt_s = self.table.gains_of(region), self._finder.entered_s, settings.sample_time_s
+        after_s = look_after_s(gains, dt_s, settings.history)
+        from_s = max(self._looked_s, samples[0].t_s, since_s)
+        self._alone_s = from_s + PATIENCE * after_s
+        if self.now_s < from_s + patience * after_s:
+            return None
+        self._alone_s = self.now_s + PATIENCE * after_s
+        return look_of(samples, self.books.get(region), gains, since_s, after_s, dt_s)
 
     @property
     def open_question(self) -> Question | None:
@@ -312,7 +354,9 @@ class Retuner:
         blended = self.table.lookup == Lookup.INTERPOLATED
         ended = self.trials.look(sample, w.region, w.band, sample.t_s - last_s, gap_s, blended=blended)
         if not ended:
-            return NOTHING if seen is None else self._seen(seen)
+            if seen is None:
+                return NOTHING if sample[0] < self._alone_s else self._looked()
+            return self._seen(seen)
         if seen is None and TrialEvent.RUNAWAY in ended.values():  # nothing teaches as much as this
             seen = w.cut_short(following)
         step = self._seen(seen, ended) if seen is not None else NOTHING
@@ -360,9 +404,13 @@ class Retuner:
             return Step(self._decision(seen.region, told)) if (told := left(seen, self.settings)) else NOTHING
         if self.settings.mode_of(seen.region) == Mode.OFF:
             return NOTHING
+        return self._asked(seen, ended)
+
+    def _asked(self, seen: Completed, ended: Ended = NOBODY, alone: Look | None = None) -> Step:
+        """What a completed response asks, or all samples alone. ended : trials that the same sample ended."""
         region = next(iter(ended), seen.region)
         try:
-            question = self._question(seen, news=bool(ended or self.trials.busy))
+            question = self._question(seen, news=bool(ended or self.trials.busy or alone), alone=alone)
         except Exception as error:  # noqa: BLE001  whatever the record is like, the next sample is taken
             return NOTHING if ended else Step(self._decision(seen.region, not_evaluated("question", error)))
         if question is None:
@@ -374,15 +422,21 @@ class Retuner:
         )
         return Step(None, question)
 
-    def _question(self, seen: Completed, *, news: bool) -> Question | None:
-        """What a completed response asks; None where it says only what was said lately. news : whatever it says."""
+    def _question(self, seen: Completed, *, news: bool, alone: Look | None = None) -> Question | None:
+        """What a completed response asks; None where it says only what was said lately. news : whatever it says.
+
+        alone : no response has completed, and this is looked at.
+        """
         others = (region for region in range(len(self.table.regions)) if region != seen.region)
         free = tuple(at for at in others if self.trials.idle(at, self.now_s) and self.settings.mode_of(at) in WRITES)
         case = self._case(seen)
         if not news and passed_over(self._led, case, self.settings):
             self._led = self._led._replace(passed_over=self._led.passed_over + 1)
             return None
-        return Question(case, self.settings, self.sample_number, self.trials.of(seen.region), free)
+        look = alone or (self._look() if seen.region == self.region else None)
+        self._looked_s = self._looked_s if look is None else self.now_s
+        trial = self.trials.of(seen.region)
+        return Question(case, self.settings, self.sample_number, trial, free, look, alone is not None)
 
     def _entered(self, question: Question, outcome: StageResult) -> Decision:
         """What the answer teaches is kept, a trial judged, and the decision made."""
@@ -391,13 +445,15 @@ class Retuner:
         if outcome.region_model is not None:
             self.region_models[region] = outcome.region_model
         self.region_models.update(outcome.beside)
+        if outcome.book is not None:
+            self.books[region] = outcome.book
         if outcome.foreign is not None:
             self.foreign[region] = outcome.foreign
         if outcome.excitation is not None:
             self.excitation[region] = outcome.excitation
         if outcome.forget:
             self._forget(region)
-        judgement = self._judge(case, outcome)
+        judgement = None if question.alone else self._judge(case, outcome)
         decision = self._decision(region, outcome, question, judgement)
         if judgement is not None and self.trials.phase(region) == TrialPhase.RESTORING:
             return self._restoring(region, decision)
@@ -446,6 +502,7 @@ class Retuner:
             w.scheduled,
             seen.entered_s,
             self._led.passed_over,
+            self.books.get(seen.region),
         )
 
     def _decision(
@@ -458,7 +515,7 @@ class Retuner:
         if not phase_allows:
             outcome = held(outcome, self.trials.of(region), now_s)
         accepted = outcome.verdict is not None and outcome.verdict.accepted and phase_allows
-        response = question.record.response if question else None
+        response = question.record.response if question and not question.alone else None
         promised = outcome.promise
         if accepted and promised is None:
             at, pattern = (question.record.at, question.record.pattern) if question else (self._finder.scheduled, None)

@@ -7,6 +7,7 @@ from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.swing_checks import LimitSwingSettings
+from retuner.adaptive.explanations.settings_by_book import BookSettings
 from retuner.adaptive.guard import NO_LOCKS, GuardSettings, Locks
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
@@ -49,6 +50,7 @@ class RetunerSettings:
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
     units : how the controller keeps gains; None for one that keeps them as they are.
     choice : what a change must be expected to bring, and how surely.
+    book : what all samples together say of the process, under loads that wander.
     gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is
         lost, so long a pause comes once in 400,000.
     """
@@ -89,6 +91,7 @@ class RetunerSettings:
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
+    book: BookSettings = field(default_factory=BookSettings)
     pv_range: tuple[float, float] = EVERYWHERE
     units: VendorUnits | None = None
 

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -198,6 +199,8 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "samples": [_numbers_out(sample) for sample in finder.samples],
         "decisions": state.decisions,
         "samples_observed": state.samples,
+        "looked_s": _numbers_out((state.looked_s,)),
+        "books": {str(region): book.to_dict() for region, book in retuner.books.items()},
         "trials": retuner.trials.to_dict(),
         "foreign": {str(region): count for region, count in retuner.foreign.items()},
         "excitation": {
@@ -238,6 +241,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             int(region): Excitation(*(int(count) for count in counts))
             for region, counts in memory["excitation"].items()
         }
+        retuner.books = {int(region): Book.from_dict(body) for region, body in memory.get("books", {}).items()}
         finder = FinderState(
             region=_region_in(memory["region"]),
             recogniser=_recogniser_in(memory["recogniser"]),
@@ -249,7 +253,9 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
         )
         retuner.trials.resume(memory["trials"])
         led = _state_in(Led, memory.get("led", Led()))
-        retuner.resume(RetunerState(finder, int(memory["decisions"]), int(memory["samples_observed"]), led))
+        (looked_s,) = _numbers_in(memory.get("looked_s", ("-inf",)))
+        counted = int(memory["decisions"]), int(memory["samples_observed"])
+        retuner.resume(RetunerState(finder, *counted, led, float(looked_s)))
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the memory is damaged: {error!r}") from error
     return retuner

@@ -1,0 +1,177 @@
+"""The book of one loop and region: how likely each process is, by all samples so far, under a load that wanders.
+
+    explain   the likelihood of a window of samples, whatever the gains were while it was recorded: co is the input
+    update    ln w  <-  ln w + ln((1 - ODD) L / max L + ODD mean L / max L)
+    move      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard)
+
+No window makes anything sure: it may be an odd one, that says nothing. A process may change, so what is known fades to
+what was known before any record. Windows add up point by point on one grid (process_grid.py), because gains are counted
+in a unit, and time in an interval, that stay: those of the loop when its book was begun. Before any record each process
+of the grid is as likely as the others on which a loop at work is not far beyond its limit of stability.
+
+A window that still grows is weighed anew each time: `whole` is what was known before it. The weights are kept in levels
+of STEP, so that a book that was stored is the same as one that was not.
+"""
+
+import base64
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.explanations.process_grid import (
+    DEAD_TIMES,
+    GAINS,
+    ComplexArray,
+    gain_unit,
+    responses_of,
+    robustness,
+    shapes,
+)
+from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses
+from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.gains import PidGains
+
+STEP, DEEPEST = 0.05, 255
+"""Levels of the logarithms that are kept, and the one of what is left out: no loop at work comes from there."""
+ODD = 0.02
+"""Probability that a window says nothing of the process."""
+GRID = (len(shapes()), len(DEAD_TIMES), len(GAINS))
+
+
+BEYOND = 1.25
+"""Loop gains so many times beyond the limit of stability are left out: no loop at work comes from there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Book:
+    """What is known of a process.
+
+    direction : sign of its gain. unit, dt_s : what loop gains and times of the grid are counted in. t_s : time up to
+    which samples are entered for good. records : windows entered. leans : what followed from it at the last look, -1
+    less action, 1 more, 0 nothing. levels : of each process of the grid, how many STEP its logarithm of the weight lies
+    under the largest; whole : the same without the window that still grows; prior : before any record. One byte a
+    process.
+    """
+
+    direction: int
+    unit: float
+    dt_s: float
+    t_s: float
+    records: int
+    leans: int
+    levels: bytes
+    whole: bytes
+    prior: bytes
+
+    @classmethod
+    def begun(cls, gains: PidGains, dt_s: float, t_s: float) -> "Book":
+        """Before any record. gains : in force. dt_s : interval of the condensed samples."""
+        known = robustness(gains, dt_s)
+        possible = np.broadcast_to(known.ultimate * BEYOND >= GAINS, GRID)
+        levels = _levels(np.where(possible, 0.0, -math.inf))
+        return cls(gains.direction, gain_unit(gains, dt_s), dt_s, t_s, 0, 0, levels, levels, levels)
+
+    def weights(self) -> FloatArray:
+        """Of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
+        return _weights(self.levels)
+
+    def drawn(self, count: int) -> LikelyProcesses:
+        """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).
+
+        Drawn from the whole and not the likeliest only: where much is possible each of those has next to no weight.
+        """
+        whole = np.cumsum(self.weights().ravel())
+        at = np.searchsorted(whole, (np.arange(count) + 0.5) / count * whole[-1])
+        index, counts = np.unique(np.minimum(at, len(whole) - 1), return_counts=True)
+        rows, dead, gain = np.unravel_index(index, GRID)
+        responses: ComplexArray = responses_of(rows, dead) * (GAINS[gain] / self.unit)[:, None]
+        places = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))
+        return LikelyProcesses(places, counts / count, responses, self.dt_s)
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values."""
+        kept = {name: getattr(self, name) for name in ("direction", "unit", "dt_s", "t_s", "records", "leans")}
+        return kept | {name: _packed(getattr(self, name)) for name in ("levels", "whole", "prior")}
+
+    @classmethod
+    def from_dict(cls, body: Mapping[str, Any]) -> "Book":
+        """And back.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            Something is missing, of the wrong kind, or of another grid.
+        """
+        levels, whole, prior = (_unpacked(str(body[name])) for name in ("levels", "whole", "prior"))
+        unit, dt_s, t_s = (float(body[name]) for name in ("unit", "dt_s", "t_s"))
+        if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s)):
+            raise ValueError(f"a book of unit {unit}, interval {dt_s} s, time {t_s} s")
+        direction = 1 if int(body["direction"]) > 0 else -1
+        return cls(direction, unit, dt_s, t_s, int(body["records"]), int(body["leans"]), levels, whole, prior)
+
+
+def explain(record: Prepared, book: Book) -> FloatArray:
+    """Tempered log-likelihood of a window on every process of the grid; the window's interval is the book's."""
+    return log_likelihood(record, book.direction, book.unit)
+
+
+def update(book: Book, window: Window, *, grows: bool = False) -> Book:
+    """With a window of all samples since the last one. grows : it will come again, with more samples."""
+    record = Prepared.at(window, book.dt_s)
+    logs = -STEP * _array(book.whole)
+    if np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
+        found = explain(record, book)
+        share = np.exp(found - float(np.max(found)))
+        logs += np.log((1.0 - ODD) * share + ODD * float(np.mean(share)))
+    logs[_array(book.whole) == DEEPEST] = -math.inf
+    now = replace(book, levels=_levels(logs))
+    if grows:
+        return now
+    return replace(now, whole=now.levels, t_s=float(window.t_s[-1]), records=book.records + 1)
+
+
+def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
+    """After a time in which the process may have become another one. hazard_s : mean time after which it has."""
+    change = -math.expm1(-max(elapsed_s, 0.0) / hazard_s)
+    weights = (1.0 - change) * _weights(book.whole) + change * _weights(book.prior)
+    return replace(book, whole=_levels(np.where(weights > 0.0, np.log(np.maximum(weights, 1e-300)), -math.inf)))
+
+
+def _array(levels: bytes) -> FloatArray:
+    return np.frombuffer(levels, dtype=np.uint8).reshape(GRID).astype(np.float64)
+
+
+def _weights(levels: bytes) -> FloatArray:
+    kept = _array(levels)
+    weights = np.where(kept < DEEPEST, np.exp(-STEP * kept), 0.0)
+    return np.asarray(weights / float(weights.sum()), dtype=np.float64)
+
+
+def _levels(logs: FloatArray) -> bytes:
+    """Logarithms of weights as levels under the largest; only what was left out from the beginning stays out."""
+    top = float(np.max(logs))
+    under = np.round((top - np.maximum(logs, top - DEEPEST * STEP)) / STEP)
+    kept: npt.NDArray[np.uint8] = np.where(np.isneginf(logs), DEEPEST, np.minimum(under, DEEPEST - 1)).astype(np.uint8)
+    return kept.tobytes()
+
+
+def _packed(levels: bytes) -> str:
+    """As text."""
+    return base64.b64encode(zlib.compress(levels)).decode("ascii")
+
+
+def _unpacked(text: str) -> bytes:
+    """And back."""
+    try:
+        levels = zlib.decompress(base64.b64decode(text, validate=True))
+    except (ValueError, zlib.error) as error:
+        raise ValueError(f"weights of a book that cannot be read: {error}") from None
+    if len(levels) != math.prod(GRID) or min(levels) != 0:
+        raise ValueError(f"a book of {len(levels)} processes, the grid has {math.prod(GRID)}")
+    return levels

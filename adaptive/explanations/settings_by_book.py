@@ -1,0 +1,226 @@
+"""Settings worth having over the processes of a book, and what a set of gains does there.
+
+    worth(set) = E[cost(in force)] - E[cost(set)],     cost = ln(1/ki) + risk ln(Ms / ms_calm)+      (unstable: most)
+
+1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
+expectation is over processes drawn from the book, each as likely as the others. On line a change costs more than words:
+it is made where the book is clear, and was at the look before. Less action, where Ms is probably too high with the
+gains in force. More, where they have room probably. Nothing else: a good set is not changed for another good one.
+No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
+comes back by itself looks like a process that does.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.explanations.book import Book
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, shapes
+from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses, process_model, quantile
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.weighed import Numbers
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class BookSettings:
+    """Settings.
+
+    hazard_s : mean time after which a process is another one; a day to a year, default 30 days (fouling, wear).
+    drawn : processes that stand for the weights; 100 to 1000, default 300.
+    worth : how much cheaper a change must be expected to be, in logarithms of the integrated error; 0.1 to 0.7, default
+        0.25. price of a wrong one: see bad_share.
+    ms_high : Ms above which a loop has too little robustness; 1.8 to 2.5, default 2. ms_good : up to which it may have
+        more action; 1.5 to 1.8, default 1.7. ms_bad : Ms that no more than bad_share of the processes may give a change
+        to more action; 1.8 to 2.2, default 1.9. bad_share : 0.05 to 0.4, default 0.2. unstable_share : and this share
+        may be unstable; 0 to 0.05, default 0.02.
+    less_odds : probability of too little robustness from which less action follows; 0.5 to 0.9, default 0.8.
+    sure_odds : from which it does at the first look; 0.9 to 0.99, default 0.95. more_odds : probability of room from
+        which more action follows; 0.5 to 0.9, default 0.7. room : how many times as much of all actions a loop must
+        bear for that; 1.5 to 3, default 1.8.
+    ms_calm : Ms up to which robustness costs nothing; 1.5 to 1.8, default 1.68. risk, most : of
+        the cost, as in settings_by_odds.py.
+    """
+
+    hazard_s: float = 30 * 86400.0
+    drawn: int = 300
+    worth: float = 0.25
+    ms_high: float = 2.0
+    ms_good: float = 1.7
+    ms_bad: float = 1.9
+    bad_share: float = 0.2
+    unstable_share: float = 0.02
+    less_odds: float = 0.8
+    sure_odds: float = 0.95
+    more_odds: float = 0.7
+    room: float = 1.8
+    ms_calm: float = 1.68
+    risk: float = 5.0
+    most: float = 8.0
+
+
+LESS, LONGER = (0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25), (1.0, 1.5, 2.0, 4.0)
+"""Times all actions, and times the integral time, that are tried for a loop with too little robustness."""
+MORE, SHORTER = (1.0, 1.25, 1.6, 2.0), (1.0, 0.7, 0.5)
+"""The same for a loop that has room."""
+AT_ONCE = 2.5
+"""Times the integral action that a change may make of it."""
+PROVED_ON = 12
+"""Processes on which a change is proved, spread over the odds."""
+
+
+@dataclass(frozen=True, slots=True)
+class BookNumbers(Numbers):
+    """What the book says of the gains in force. high : probability that Ms is over its limit. room : that they have
+    room. ms, ms_low, ms_high : the middle of its odds and where nine of ten lie. records : windows behind it.
+    worth : of the change, ln; None where none is worth making.
+    """
+
+    book_high: float
+    book_room: float
+    book_ms: float
+    book_ms_low: float
+    book_ms_high: float
+    book_records: float
+    book_worth: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ByBook:
+    """numbers : of the gains in force. leans : see Book. tuning : settings worth having, None for none.
+
+    models : on which they are to be proved, the one in the middle first; without the share that may come out badly.
+    """
+
+    numbers: BookNumbers
+    leans: int = 0
+    tuning: Tuning | None = None
+    models: tuple[Plausible, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """What the book says of the gains in force."""
+        n = self.numbers
+        most = "or more" if n.book_ms_high >= MS_SHOWN else f"to {n.book_ms_high:.2f}"
+        odds = f"{n.book_high:.0%} probability that Ms is over its limit, {n.book_room:.0%} that there is room for more"
+        return f"by all samples, under a load that wanders, Ms {n.book_ms:.2f} ({n.book_ms_low:.2f} {most}); {odds}"
+
+
+MS_SHOWN = 20.0
+"""A larger Ms, and an unstable loop, is told as this."""
+
+
+def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
+    """What the book says of the gains in force, and the settings that are worth most over it."""
+    drawn = book.drawn(settings.drawn)
+    ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
+    shown = [quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95)]
+    numbers = BookNumbers(high, room, *shown, float(book.records))
+    leans = (room >= settings.more_odds) - (high >= settings.less_odds)
+    if not leans or (leans != book.leans and high < settings.sure_odds):
+        return ByBook(numbers, leans)
+    more = _more(gains, _integral_times(book, drawn), settings)
+    best = _best(drawn, gains, more if leans > 0 else _less(gains), settings, more=leans > 0)
+    if best is None:
+        return ByBook(numbers, leans)
+    worth, new, peaks = best
+    tuning, models = Tuning("simc", "series", new), _proved_on(book, drawn, peaks, settings)
+    return ByBook(replace(numbers, book_worth=worth), leans, tuning, models)
+
+
+def shares(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> tuple[float, float]:
+    """Probability that Ms is over its limit with these gains, and that there is room for more action."""
+    high = float(drawn.weights @ (drawn.peaks(gains) > settings.ms_high))
+    room = float(drawn.weights @ (drawn.peaks(_times(gains, settings.room, 1.0)) <= settings.ms_good))
+    return high, room
+
+
+def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
+    """All actions so many times, and the integral time besides."""
+    a = all_of_them
+    return PidGains(a * gains.kp, a * gains.ki / integral_time, a * gains.kd)
+
+
+def _less(gains: PidGains) -> Iterator[PidGains]:
+    """Candidates with less action."""
+    for share in LESS:
+        for longer in LONGER if gains.kp else (1.0,):
+            yield _times(gains, share, longer)
+
+
+def _more(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -> Iterator[PidGains]:
+    """Candidates with more action. integral_times : of the rule, seconds, on each process as likely as the others."""
+    for times in MORE:
+        for shorter in SHORTER if gains.kp and gains.ki else (1.0,):
+            shortest = shorter * gains.kp / gains.ki if gains.kp and gains.ki else math.inf
+            if shorter < 1.0 and float(np.mean(integral_times > SLACK * shortest)) > settings.bad_share:
+                continue
+            if 1.0 < times / shorter <= AT_ONCE:
+                yield _times(gains, times, shorter)
+
+
+SLACK = 1.25
+"""The rule's integral time over one that is short enough to be no longer the rule's."""
+
+
+def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
+    """SIMC's integral time on each process, seconds: min(tau1, 8 theta) by the half rule, tau_c = theta."""
+    found = []
+    for (i, j, _), weight in zip(drawn.index, drawn.weights, strict=True):
+        shape, dead = shapes()[i], DEAD_TIMES[j] + 0.5
+        own = 8.0 * (dead + shape.second) if shape.integrates else min(
+            shape.lag + shape.second / 2, 8.0 * (dead + shape.second / 2)
+        )  # fmt: skip
+        found += [own * book.dt_s] * max(round(float(weight) * PER_PROCESS), 1)
+    return np.array(found)
+
+
+PER_PROCESS = 300
+"""Times that a process with all of the weight would be counted."""
+
+
+def _best(
+    drawn: LikelyProcesses, gains: PidGains, candidates: Iterator[PidGains], settings: BookSettings, *, more: bool
+) -> tuple[float, PidGains, FloatArray] | None:
+    """Worth, gains and Ms on each process of the best candidate; None where none is worth a change."""
+    now, best = _cost(drawn, gains, settings)[0], None
+    for new in candidates:
+        cost, peaks = _cost(drawn, new, settings)
+        bad, lost = float(drawn.weights @ (peaks > settings.ms_bad)), float(drawn.weights @ np.isinf(peaks))
+        if more and (bad > settings.bad_share or lost > settings.unstable_share):
+            continue
+        worth = now - cost
+        if worth >= settings.worth and (best is None or worth > best[0]):
+            best = worth, new, peaks
+    return best
+
+
+def _cost(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> tuple[float, FloatArray]:
+    """Expected cost of a set (head of this file), and its Ms on each process."""
+    peaks = drawn.peaks(gains)
+    over = np.log(np.maximum(np.where(np.isinf(peaks), 1.0, peaks) / settings.ms_calm, 1.0))
+    risk = np.where(np.isinf(peaks), settings.most, np.minimum(settings.risk * over, settings.most))
+    integral = math.log(abs(gains.ki)) if gains.ki else -settings.most
+    return float(drawn.weights @ risk) - integral, peaks
+
+
+def _proved_on(
+    book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings
+) -> tuple[Plausible, ...]:  # fmt: skip
+    """Processes spread over the odds by their Ms with the new gains, without the worst that may come out badly."""
+    order = np.argsort(peaks, kind="stable")
+    whole = np.cumsum(drawn.weights[order])
+    at = np.searchsorted(whole, (1.0 - settings.bad_share) * (np.arange(PROVED_ON) + 0.5) / PROVED_ON)
+    chosen = [int(order[min(int(i), len(order) - 1)]) for i in (np.searchsorted(whole, 0.5), *at)]
+    return tuple(Plausible(_model(book, drawn, i), 0.0) for i in dict.fromkeys(chosen))
+
+
+def _model(book: Book, drawn: LikelyProcesses, at: int) -> ProcessModel:
+    i, j, k = drawn.index[at]
+    shape = shapes()[i]
+    return process_model(shape, DEAD_TIMES[j], GAINS[k] * shape.unit / book.unit, book.direction, book.dt_s)

@@ -1,0 +1,221 @@
+"""All samples, not only those of recognised responses: what the book of a region says, and what follows.
+
+    look      so many samples since the last one: a question of its own, or with the response that completes then
+    speak     where the pipeline cannot tell (no response, nothing identifiable, a residual that no load step explains)
+              and the odds are clear: settings worth having over the book, proved, on trial, with a sentence
+    object    where the pipeline changes gains: not less action where the book says that there is room for more, and
+              not more where it says that Ms is over its limit then
+    excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
+
+The book is silent where one lasting tone moves the loop, where the output stands at a limit, where a valve may not
+follow, and where clear setpoint steps have shown the process: such a case is not the book's.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.explanations.book import Book, move, update
+from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, shares
+from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
+from retuner.adaptive.explanations.wandering_load import Prepared
+from retuner.adaptive.guard import prove
+from retuner.adaptive.guard.border import borders_of
+from retuner.adaptive.guard.request import ChangeRequest, Evidence
+from retuner.adaptive.indexes.autocovariance import regularity
+from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.guard_request import allowed_where_gains_run, may_follow
+from retuner.adaptive.supervision.pipeline_types import Findings, Look
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import Lookup
+
+LOOKED = "looked"
+"""Code: all samples were looked at, without a response."""
+OPEN = frozenset({LOOKED, "not_identifiable", "unconfirmed", "unknown", "external", "low_excitation"})
+"""Codes with which the pipeline says that it cannot tell."""
+LOOK, WHOLE = 500, 1000
+"""Samples of the book's interval after which it is looked at, and after which a window is entered for good."""
+PER_TAU_I = 100
+"""Samples of the book's interval in the integral time in force: lags and dead times of the grid reach round that."""
+STRETCHED = 4.0
+"""Factor by which an interval may be off before the book is begun anew."""
+
+
+def interval_s(gains: PidGains, sample_time_s: float) -> float:
+    """The interval in which a loop's book counts."""
+    tau_i = abs(gains.kp / gains.ki) if gains.kp and gains.ki else 0.0
+    return max(round(tau_i / sample_time_s / PER_TAU_I), 1) * sample_time_s
+
+
+def look_after_s(gains: PidGains, sample_time_s: float, history: int) -> float:
+    """Time after which all samples are looked at again; some windows of it are kept."""
+    return min(LOOK * interval_s(gains, sample_time_s), history / KEPT_LOOKS * sample_time_s)
+
+
+KEPT_LOOKS = 4
+"""Looks that the samples which are kept must hold."""
+
+
+def look_of(
+    samples: Sequence[LoopSample], book: Book | None, gains: PidGains, since_s: float, after_s: float, dt_s: float
+) -> Look | None:
+    """What is to be looked at; None where it is too little. since_s : since when the loop is in its region."""
+    wanted = interval_s(gains, dt_s)
+    if book is not None and (book.direction != gains.direction or not 1 / STRETCHED <= book.dt_s / wanted <= STRETCHED):
+        book = None
+    first_s = max(since_s, -math.inf if book is None else book.t_s)
+    rows = [sample for sample in samples if sample.t_s > first_s]
+    if len(rows) * dt_s < after_s or len(rows) < FEWEST:
+        return None
+    window = Window.of(rows)
+    limited = sum(1 for sample in rows if sample.limited) / len(rows)
+    span_s = (WHOLE / LOOK) * after_s
+    return Look(book, window, grows=len(rows) * dt_s < span_s * ROUNDED, limited=limited)
+
+
+FEWEST = 100
+"""Samples of a look."""
+ROUNDED = 0.99
+
+
+def by_all_samples(found: Findings) -> None:
+    """What does the book of the region say, of all samples up to now?"""
+    look, settings, record = found.question.look, found.settings.book, found.record
+    book = record.book
+    if look is not None:
+        now_s, first_s = float(look.window.t_s[-1]), float(look.window.t_s[0])
+        known = look.book or Book.begun(
+            record.in_force, interval_s(record.in_force, found.settings.sample_time_s), first_s
+        )
+        known = move(known, now_s - first_s, settings.hazard_s)
+        book = found.book = update(known, look.window, grows=look.grows)
+    if book is not None:
+        told = by_book(book, record.in_force, settings)
+        if found.verdict is not None and found.verdict.accepted:
+            _object(found, book, told, settings)
+        elif look is not None and _may_speak(found, look):
+            _speak(found, look, book, told)
+        found.all_samples = told.numbers
+        if look is not None:
+            found.book = replace(book, leans=told.leans)
+        if found.end is None:
+            found.stop(LOOKED, f"no response to judge; {told.words}")
+
+
+def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings) -> None:
+    """The change that the pipeline makes is dropped where the book is clear that it does harm."""
+    verdict, record = found.verdict, found.record
+    assert verdict is not None
+    assert verdict.gains is not None
+    if record.table.lookup is not Lookup.HARD or _shown_clearly(found):
+        return
+    now, new, numbers = record.in_force, verdict.gains, told.numbers
+    less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
+    more = abs(new.kp) > abs(now.kp) / NEARLY or abs(new.ki) > abs(now.ki) / NEARLY
+    why = ""
+    if less and not more and numbers.book_room >= settings.more_odds and numbers.book_high <= 1.0 - settings.less_odds:
+        why = "less action would make a slow loop slower"
+    elif more and shares(book.drawn(settings.drawn), new, settings)[0] >= settings.less_odds:
+        why = "more action would take its robustness"
+    if why:
+        found.verdict = found.basis = found.promise = None
+        found.stop("unconfirmed", f"{told.words}: {why}")
+
+
+NEARLY = 0.95
+"""Share of an action down to which it is the same."""
+
+
+def _may_speak(found: Findings, look: Look) -> bool:
+    """Whether the case is the book's."""
+    record, code = found.record, found.end.code if found.end is not None else LOOKED
+    if code not in OPEN or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
+        return False
+    if look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
+        return False
+    return not (_shown_clearly(found) or one_tone(look.window))
+
+
+def robust_by_book(found: Findings) -> bool:
+    """Whether the set on trial is robust on next to all processes by all samples, those of its trial among them: then a
+    load that wanders explains a response that swings.
+    """
+    numbers, settings = found.all_samples, found.settings.book
+    return found.book is not None and numbers is not None and numbers.book_high <= 1.0 - settings.less_odds
+
+
+MOST_LIMITED = 0.02
+"""Share of samples with the output at a limit up to which they show the loop."""
+
+
+def _shown_clearly(found: Findings) -> bool:
+    """Whether clear setpoint steps have shown the process, and nothing speaks against that."""
+    record = found.record
+    known = record.region_models.get(record.region)
+    return known is not None and known.identifiable and record.excitation.clear > 0 and not record.foreign
+
+
+def one_tone(window: Window) -> bool:
+    """Whether one lasting tone is most of what moves the loop: it identifies no process, whatever fits it."""
+    error = window.sp - window.pv
+    wave = regularity(error)
+    if wave is None or wave.regularity <= REGULAR:
+        return False
+    power = np.abs(np.fft.rfft((error - np.mean(error)) * np.hanning(len(error)))) ** 2
+    peak = int(np.argmax(power))
+    return float(np.sum(power[max(peak - 2, 0) : peak + 3])) > TONE_SHARE * float(np.sum(power))
+
+
+REGULAR, TONE_SHARE = 1.0, 0.5
+"""Regularity from which an oscillation lasts (Thornhill et al. 2003), and share of the error's power in one line: loops
+near instability under real loads wander in amplitude and phase."""
+
+
+def _speak(found: Findings, look: Look, book: Book, told: ByBook) -> None:
+    """The change that is worth having over the book, proved as any other."""
+    settings = found.settings
+    if told.tuning is None or not told.models:
+        return
+    less = told.leans < 0
+    valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
+    if valve > (MOST_VALVE if less else 0.0):
+        return
+    verdict = prove(_request(found, book, told), settings.guard)
+    if not verdict.accepted:
+        return
+    odds = told.numbers.book_high if less else told.numbers.book_room
+    cause = Cause.AGGRESSIVE if less else Cause.SLUGGISH
+    words = f"{told.words}; {'less' if less else 'more'} action is expected to be worth {told.numbers.book_worth:.0%}"
+    if found.end is not None and found.end.code != LOOKED:
+        words = f"{words} (this response by itself: {found.end.reason})"
+    found.diagnosis = Diagnosis(cause, min(odds, MOST_SURE), told.numbers.to_dict(), words)
+    found.proposal, found.verdict, found.basis = told.tuning, verdict, Basis.ALL_SAMPLES
+    found.stop(verdict.ruling.name.lower(), words)
+
+
+MOST_VALVE, MOST_SURE = 1.5, 0.97
+"""Tempered logarithm of the odds of a valve from which not even less action follows; no cause is told surer."""
+
+
+def _request(found: Findings, book: Book, told: ByBook) -> ChangeRequest:
+    """The guard's question: the processes on which it is proved are those of the book."""
+    record, settings = found.record, found.settings
+    region, now_s = record.region, float(record.window.t_s[-1])
+    assert told.tuning is not None
+    known = allowed_where_gains_run(record.table, record.region_models, now_s, settings)
+    return ChangeRequest(
+        record.table.gains_of(region),
+        record.commissioned.gains_of(region),
+        told.tuning,
+        told.models,
+        settings.sample_time_s,
+        Evidence(records=book.records + 1),
+        borders_of(record.table, region, {i: models for i, models in known.items() if i != region}),
+        filter_s=settings.filter_s,
+        locks=settings.locks_of(region),
+        units=settings.units,
+    )

@@ -1,0 +1,168 @@
+"""The book of a loop: what windows say together, what is stored, and what follows from it on line."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retuner import PidController, PidGains
+from retuner.adaptive.explanations.book import ODD, Book, move, update
+from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.supervision.decision import Action
+from retuner.schedule.pid import law, start, step
+
+K, LAG, DEAD = 2.0, 20.0, 4
+GOOD = PidGains(0.5 * LAG / (K * (DEAD + 0.5)), 0.5 * LAG / (K * (DEAD + 0.5)) / LAG)
+SETTINGS = BookSettings()
+
+
+def walk(seed: int, n: int) -> FloatArray:
+    """A load that wanders."""
+    return np.cumsum(np.random.default_rng(seed).normal(size=n)) * 0.05
+
+
+def scaled(times: float) -> PidGains:
+    """Times the good gains."""
+    return PidGains(times * GOOD.kp, times * GOOD.ki)
+
+
+class Plant:
+    """A lag with dead time, a sample at a time."""
+
+    def __init__(self) -> None:
+        self.pv, self.late = 0.0, [0.0] * DEAD
+
+    def move(self, u: float) -> float:
+        self.late.append(u)
+        self.pv += (K * self.late.pop(0) - self.pv) * (1.0 - math.exp(-1.0 / LAG))
+        return self.pv
+
+
+def recorded(gains: PidGains, seed: int, n: int = 1000) -> Window:
+    """A loop under a load that wanders, with one setpoint step."""
+    load, noise = walk(seed, n), np.random.default_rng([seed, 1]).normal(size=n) * 0.05
+    rules = law(gains, co_min=-1e6, co_max=1e6)
+    state, plant, pv = start(rules, 0.0, 0.0, 0.0), Plant(), 0.0
+    rows = []
+    for i in range(n):
+        sp, seen = (0.0 if i < n // 3 else 4.0), pv + float(noise[i])
+        state, co = step(rules, state, sp, seen, 1.0)
+        rows.append((float(i), sp, seen, co))
+        pv = plant.move(co + float(load[i]))
+    return Window(*np.array(rows).T)
+
+
+def begun(gains: PidGains = GOOD) -> Book:
+    return Book.begun(gains, 1.0, 0.0)
+
+
+def after(gains: PidGains, seed: int) -> Book:
+    """Two windows under these gains."""
+    book = begun(gains)
+    for i in range(2):
+        book = update(book, recorded(gains, seed + i))
+    return book
+
+
+def test_too_much_gain_is_told_from_room_for_more() -> None:
+    tight, weak = (by_book(after(scaled(times), 3), scaled(times), SETTINGS).numbers for times in (2.6, 0.2))
+    assert tight.book_high > 0.9
+    assert weak.book_high < 0.1
+    assert weak.book_room > 0.7
+
+
+def test_less_action_follows_at_once_and_more_only_at_the_second_look() -> None:
+    tight = by_book(after(scaled(2.6), 3), scaled(2.6), SETTINGS)
+    assert tight.tuning is not None
+    assert tight.tuning.gains.kp < 2.0 * GOOD.kp
+    assert tight.models
+    book = after(scaled(0.2), 3)
+    first = by_book(book, scaled(0.2), SETTINGS)
+    assert first.leans == 1
+    assert first.tuning is None
+    second = by_book(replace(book, leans=first.leans), scaled(0.2), SETTINGS)
+    assert second.tuning is not None
+    assert 1.0 < second.tuning.gains.ki / scaled(0.2).ki <= 2.5
+
+
+def test_a_record_under_other_gains_counts_for_the_same_process() -> None:
+    book = update(update(begun(scaled(0.5)), recorded(scaled(0.5), 5)), recorded(GOOD, 6))
+    assert by_book(book, scaled(2.6), SETTINGS).numbers.book_high > 0.8  # under gains that never ran
+
+
+def test_no_window_makes_a_process_impossible() -> None:
+    book = update(begun(), recorded(GOOD, 7))
+    possible = begun().weights() > 0
+    weights = book.weights()[possible]
+    assert weights.min() > 0
+    assert weights.max() / weights.min() < len(weights) / ODD
+
+
+def test_a_window_that_grows_is_weighed_once() -> None:
+    window = recorded(GOOD, 8)
+    grown = update(update(begun(), window.part(slice(0, 500)), grows=True), window)
+    assert grown == update(begun(), window)
+
+
+def test_what_stands_still_says_nothing() -> None:
+    window, book = recorded(GOOD, 9, 200), begun()
+    still = Window(window.t_s, window.sp, np.zeros(200), np.zeros(200))
+    assert update(book, still).levels == book.levels
+
+
+def test_what_is_known_fades() -> None:
+    book = after(GOOD, 10)
+    assert move(book, 0.0, SETTINGS.hazard_s).whole == book.whole
+    assert move(book, 1e3 * SETTINGS.hazard_s, SETTINGS.hazard_s).whole == book.prior
+
+
+def test_a_stored_book_is_the_same() -> None:
+    book = after(GOOD, 11)
+    assert Book.from_dict(json.loads(json.dumps(book.to_dict(), allow_nan=False))) == book
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"levels": "no"}, {"levels": "eJwDAAAAAAE="}, {"unit": 0.0}, {"dt_s": -1.0}, {"t_s": math.inf}]
+)
+def test_a_damaged_book_is_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="book"):
+        Book.from_dict(begun().to_dict() | wrong)
+
+
+def watched(pid: PidController, seed: int, n: int, memory_at: int = 0) -> tuple[list[bytes], PidController]:
+    """Decisions on a loop under a load that wanders; at one sample it goes on from its memory."""
+    load, noise = walk(seed, n) * 0.3, np.random.default_rng([seed, 1]).normal(size=n) * 0.05
+    plant, pv, told = Plant(), 50.0, []
+    for i in range(n):
+        co = pid.step(50.0, pv + float(noise[i]))
+        if pid.decision is not None:
+            told.append(pid.decision.canonical())
+        pv = 50.0 + plant.move(co + float(load[i]))
+        if i + 1 == memory_at:
+            from retuner.adaptive.supervision.state_file import remember, restore
+
+            pid._retuner = restore(json.loads(json.dumps(remember(pid.retuner), allow_nan=False)), pid.retuner.settings)
+    return told, pid
+
+
+def controller(times: float) -> PidController:
+    return PidController(scaled(times), dt_s=1.0, pv_range=(0.0, 100.0), co_range=(-1e6, 1e6), mode="auto")
+
+
+def test_a_loop_that_is_too_tight_is_calmed_without_a_setpoint_step() -> None:
+    _, pid = watched(controller(2.7), 4, 1500)
+    assert pid.gains.kp < 2.0 * GOOD.kp
+    assert pid.gains.kp > 0.3 * GOOD.kp
+
+
+def test_the_book_is_in_the_memory() -> None:
+    whole, one = watched(controller(0.25), 4, 1800)
+    parts, other = watched(controller(0.25), 4, 1800, memory_at=1300)
+    assert parts == whole
+    assert one.retuner.books == other.retuner.books
+    assert one.retuner.books[0].records
+    assert any(json.loads(body).get("all_samples") for body in whole)
+    assert all(json.loads(body)["action"] in set(Action) for body in whole)
