@@ -119,8 +119,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     """What the book says of the gains in force, and the settings that are worth most over it."""
     drawn = book.drawn(settings.drawn)
     ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
-    shown = [quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95)]
-    numbers = BookNumbers(high, room, *shown, float(book.records))
+    middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
+    numbers = BookNumbers(high, room, middle, low, most, float(book.records))
     leans = (room >= settings.more_odds) - (high >= settings.less_odds)
     if not leans or (leans != book.leans and high < settings.sure_odds):
         return ByBook(numbers, leans)

@@ -27,9 +27,11 @@ from retuner.adaptive.guard.border import borders_of
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
 from retuner.adaptive.indexes.autocovariance import regularity
 from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import allowed_where_gains_run, may_follow
-from retuner.adaptive.supervision.pipeline_types import Findings, Look
+from retuner.adaptive.supervision.held_process import runaway
+from retuner.adaptive.supervision.pipeline_types import Findings, Look, admitted
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -137,7 +139,25 @@ def _may_speak(found: Findings, look: Look) -> bool:
         return False
     if look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
         return False
+    if found.question.alone and admitted(record, found.settings).ground in SPOILT:
+        return False
     return not (_shown_clearly(found) or one_tone(look.window))
+
+
+SPOILT = frozenset(
+    {
+        Ground.MANUAL,
+        Ground.OUT_OF_RANGE,
+        Ground.PV_STUCK,
+        Ground.PV_CLIPPED,
+        Ground.LOST_SAMPLES,
+        Ground.IRREGULAR,
+        Ground.REPEATED,
+        Ground.LEFT_REGION,
+        Ground.SATURATED,
+    }
+)
+"""What is wrong with a record of which nothing follows; of a response the pipeline has said so by then."""
 
 
 def robust_by_book(found: Findings) -> bool:
@@ -195,6 +215,7 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook) -> None:
     found.diagnosis = Diagnosis(cause, min(odds, MOST_SURE), told.numbers.to_dict(), words)
     found.proposal, found.verdict, found.basis = told.tuning, verdict, Basis.ALL_SAMPLES
     found.stop(verdict.ruling.name.lower(), words)
+    runaway(found)
 
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97

@@ -11,6 +11,7 @@ from retuner import PidController, PidGains
 from retuner.adaptive.explanations.book import ODD, Book, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.supervision.by_book import one_tone
 from retuner.adaptive.supervision.decision import Action
 from retuner.schedule.pid import law, start, step
 
@@ -166,3 +167,11 @@ def test_the_book_is_in_the_memory() -> None:
     assert one.retuner.books[0].records
     assert any(json.loads(body).get("all_samples") for body in whole)
     assert all(json.loads(body)["action"] in set(Action) for body in whole)
+
+
+def test_one_lasting_tone_is_told_from_a_load_that_wanders() -> None:
+    t = np.arange(800.0)
+    tone = np.sin(t / 6.0) + 0.1 * np.random.default_rng(3).normal(size=800)
+    assert one_tone(Window(t, np.zeros(800), tone, tone))
+    assert not one_tone(Window(t, np.zeros(800), walk(3, 800), walk(3, 800)))
+    assert not one_tone(recorded(GOOD, 3))
