@@ -11,7 +11,7 @@ class ChoiceSettings:
     """Costs are natural logarithms of IAE: 0.1 is a tenth of it. Odds are of something else against the models."""
 
     ms_limit: Annotated[
-        float, Setting("Ms above which settings are out of specification", 1.4, 2.2, source="Grimholt & Skogestad 2012")
+        float, Setting("Ms above which settings are out of specification", 1.2, 3.2, source="Grimholt & Skogestad 2012")
     ] = 1.8
     j_limit: Annotated[
         float, Setting("IAE over that of SIMC above which they are as well", 1.0, 2.0, source="the benchmarks' judge")

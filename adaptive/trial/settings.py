@@ -14,7 +14,7 @@ class TrialSettings:
     decay_slack : and by this much in the ratio of successive peaks; 0 to 0.5, default 0.15 (a model is never exact).
     iae_slack : and by this factor in IAE; 1 to 4, default 1.5.
     harmless_decay : a ratio of successive peaks up to this is never called worse; 0.1 to 0.5, default 0.25.
-    harmless_ms : an Ms up to this on the models that a trial leaves allowed is never called worse; 1.5 to 3, default
+    harmless_ms : an Ms up to this on the models that a trial leaves allowed is never called worse; 1.2 to 5, default
         2.1 (as the guard's for the worst model).
     seen_bands : noise bands that the largest peak must have to be judged; 2 to 20, default 4.
     seen_wanders : standard deviations of the error before the change, while nothing happened, that the largest peak
@@ -69,7 +69,7 @@ class TrialSettings:
             ("decay_slack", 0, 0.5),
             ("iae_slack", 1, 4),
             ("harmless_decay", 0.1, 0.5),
-            ("harmless_ms", 1.5, 3),
+            ("harmless_ms", 1.2, 5),
             ("seen_bands", 2, 20),
             ("seen_wanders", 2, 10),
             ("rest_share", 0, 0.1),

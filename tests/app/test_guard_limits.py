@@ -59,3 +59,31 @@ def test_locked_parameters_arrive_for_the_loop_and_for_single_regions(tmp_path: 
     path.write_text(text.replace('["tau_d"]', '["tau_x"]'))
     with pytest.raises(UserError, match="locked"):
         load_config(path)
+
+
+@pytest.mark.parametrize(("nominal", "worst"), [(2.0, 3.0), (1.3, 1.5)])
+def test_every_limit_of_robustness_follows_from_the_persons_two(nominal: float, worst: float, tmp_path: Path) -> None:
+    path = tmp_path / "oven.toml"
+    limits = f"[adaptation]\nms_nominal = {nominal}\nms_worst = {worst}\n"
+    path.write_text(OVEN.read_text().replace("[adaptation]\n", limits))
+    found, usual = retuner_settings(load_config(path)), retuner_settings(load_config(OVEN))
+    for one, was in (
+        (found.cause.ms_high, usual.cause.ms_high),
+        (found.diagnosis.cause.ms_high, usual.diagnosis.cause.ms_high),
+        (found.robust.ms_nominal, usual.robust.ms_nominal),
+        (found.choice.ms_limit, usual.choice.ms_limit),
+        (found.book.ms_high, usual.book.ms_high),
+    ):
+        assert one / was == pytest.approx(nominal / 1.75)
+    assert found.guard.ms_border == found.trial.harmless_ms == pytest.approx(worst)
+    assert (found.cause.ms_high > 1.83) is (nominal > 1.75)
+
+
+def test_a_border_of_ones_own_and_the_usual_limits_stay(tmp_path: Path) -> None:
+    path = tmp_path / "oven.toml"
+    text = OVEN.read_text().replace("[adaptation]\n", "[adaptation]\nms_worst = 2.5\n")
+    path.write_text(f"{text}\n[adaptation.limits]\nms_border = 1.9\n")
+    assert retuner_settings(load_config(path)).guard.ms_border == 1.9
+    usual = retuner_settings(load_config(OVEN))
+    assert usual.cause.ms_high == 1.8
+    assert usual.choice.ms_limit == 1.8

@@ -11,6 +11,7 @@ from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.robustness_demand import demanded
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
@@ -80,7 +81,7 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
     """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
     a, loop = config.adaptation, config.loop
     mode = _permitted(config, mode)
-    return RetunerSettings(
+    settings = RetunerSettings(
         sample_time_s=loop.sample_time_s,
         pv_span=loop.pv_max - loop.pv_min,
         pv_range=(loop.pv_min, loop.pv_max),
@@ -100,6 +101,7 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         without_model=without_model_settings(config),
         units=_of_foreign(config, "vendor_units"),
     )
+    return demanded(settings)
 
 
 def _permitted(config: Config, mode: Mode | None) -> Mode | None:
