@@ -70,16 +70,15 @@ def look_of(
     if book is not None and (book.direction != gains.direction or not 1 / STRETCHED <= book.dt_s / wanted <= STRETCHED):
         book = None
     first_s = max(since_s, -math.inf if book is None else book.t_s)
-    rows = [sample for sample in samples if sample.t_s > first_s]
+    most = round(WHOLE / LOOK * after_s / dt_s)
+    rows = [sample for sample in samples if sample.t_s > first_s][-most:]
     if len(rows) * dt_s < after_s or len(rows) < FEWEST:
         return None
-    window = Window.of(rows)
     limited = sum(1 for sample in rows if sample.limited) / len(rows)
-    span_s = (WHOLE / LOOK) * after_s
-    return Look(book, window, grows=len(rows) * dt_s < span_s * ROUNDED, limited=limited)
+    return Look(book, Window.of(rows), grows=len(rows) < ROUNDED * most, limited=limited)
 
 
-FEWEST = 100
+FEWEST = 300
 """Samples of a look."""
 ROUNDED = 0.99
 

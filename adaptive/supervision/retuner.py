@@ -72,7 +72,7 @@ from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
-PATIENCE = 2.0
+PATIENCE = 4.0
 """Times as long as with a response is waited before all samples are looked at without one."""
 
 
