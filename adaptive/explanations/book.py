@@ -7,7 +7,7 @@
 No window makes anything sure: it may be an odd one, that says nothing. A process may change, so what is known fades to
 what was known before any record. Windows add up point by point on one grid (process_grid.py), because gains are counted
 in a unit, and time in an interval, that stay: those of the loop when its book was begun. Before any record each process
-of the grid is as likely as the others on which a loop at work is not far beyond its limit of stability.
+of the grid is as likely as the others on which a loop at work is neither far beyond its limit of stability nor idle.
 
 A window that still grows is weighed anew each time: `whole` is what was known before it. The weights are kept in levels
 of STEP, so that a book that was stored is the same as one that was not.
@@ -44,8 +44,10 @@ ODD = 0.02
 GRID = (len(shapes()), len(DEAD_TIMES), len(GAINS))
 
 
-BEYOND = 1.25
-"""Loop gains so many times beyond the limit of stability are left out: no loop at work comes from there."""
+BEYOND, LEAST = 1.25, 25.0
+"""Loop gains so many times beyond the limit of stability are left out, and those so many times within it. A loop at
+work comes from neither: one that does next to nothing looks like one that works well, whose co undoes its load.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,7 @@ class Book:
     def begun(cls, gains: PidGains, dt_s: float, t_s: float) -> "Book":
         """Before any record. gains : in force. dt_s : interval of the condensed samples."""
         known = robustness(gains, dt_s)
-        possible = np.broadcast_to(known.ultimate * BEYOND >= GAINS, GRID)
+        possible = np.broadcast_to((known.ultimate * BEYOND >= GAINS) & (known.ultimate <= LEAST * GAINS), GRID)
         levels = _levels(np.where(possible, 0.0, -math.inf))
         return cls(gains.direction, gain_unit(gains, dt_s), dt_s, t_s, 0, 0, levels, levels, levels)
 

@@ -37,11 +37,11 @@ class BookSettings:
         0.25. price of a wrong one: see bad_share.
     ms_high : Ms above which a loop has too little robustness; 1.8 to 2.5, default 2. ms_good : up to which it may have
         more action; 1.5 to 1.8, default 1.7. ms_bad : Ms that no more than bad_share of the processes may give a change
-        to more action; 1.8 to 2.2, default 1.9. bad_share : 0.05 to 0.4, default 0.2. unstable_share : and this share
+        to more action; 1.8 to 2.2, default 1.9. bad_share : 0.05 to 0.4, default 0.1. unstable_share : and this share
         may be unstable; 0 to 0.05, default 0.02.
-    less_odds : probability of too little robustness from which less action follows; 0.5 to 0.9, default 0.8.
+    less_odds : probability of too little robustness from which less action follows; 0.5 to 0.9, default 0.85.
     sure_odds : from which it does at the first look; 0.9 to 0.99, default 0.95. more_odds : probability of room from
-        which more action follows; 0.5 to 0.9, default 0.7. room : how many times as much of all actions a loop must
+        which more action follows; 0.5 to 0.9, default 0.85. room : how many times as much of all actions a loop must
         bear for that; 1.5 to 3, default 1.8.
     ms_calm : Ms up to which robustness costs nothing; 1.5 to 1.8, default 1.68. risk, most : of
         the cost, as in settings_by_odds.py.
@@ -53,11 +53,11 @@ class BookSettings:
     ms_high: float = 2.0
     ms_good: float = 1.7
     ms_bad: float = 1.9
-    bad_share: float = 0.2
+    bad_share: float = 0.1
     unstable_share: float = 0.02
-    less_odds: float = 0.8
+    less_odds: float = 0.85
     sure_odds: float = 0.95
-    more_odds: float = 0.7
+    more_odds: float = 0.85
     room: float = 1.8
     ms_calm: float = 1.68
     risk: float = 5.0
