@@ -1,6 +1,6 @@
 """Settings of a retuner, its parts' settings among them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from retuner.adaptive.choice.settings import ChoiceSettings
 from retuner.adaptive.diagnosis.cause import CauseSettings
@@ -119,3 +119,41 @@ class RetunerSettings:
         """What stays as it is in a region, by index."""
         own = self.region_locks[region] if region < len(self.region_locks) else None
         return self.locks if own is None else own
+
+
+def demanded(settings: RetunerSettings) -> RetunerSettings:
+    """One demand of robustness: settings whose every Ms limit follows from the guard's two, which a person sets.
+
+        limit = default x nominal / 1.75     of what is asked of the process as it is known: cause, rule, choice, book
+        limit = default x worst / 2.1        of what is asked of all that is plausible: rule, border, trial
+
+    The defaults were made for the guard's own; there nothing changes. A border's limit that was set by itself stays.
+    """
+    usual, guard = GuardSettings(), settings.guard
+    nominal, worst = guard.ms_nominal / usual.ms_nominal, guard.ms_worst / usual.ms_worst
+    if nominal == worst == 1.0:
+        return settings
+    cause, robust, book = settings.cause, settings.robust, settings.book
+    border = guard.ms_worst if guard.ms_border == usual.ms_border else guard.ms_border
+    high = nominal * settings.diagnosis.cause.ms_high
+    return replace(
+        settings,
+        guard=replace(guard, ms_border=border),
+        cause=replace(cause, ms_high=nominal * cause.ms_high),
+        diagnosis=replace(settings.diagnosis, cause=replace(settings.diagnosis.cause, ms_high=high)),
+        robust=replace(
+            robust,
+            ms_nominal=nominal * robust.ms_nominal,
+            ms_worst=worst * robust.ms_worst,
+            ms_third=nominal * robust.ms_third,
+        ),
+        choice=replace(settings.choice, ms_limit=nominal * settings.choice.ms_limit),
+        trial=replace(settings.trial, harmless_ms=worst * settings.trial.harmless_ms),
+        book=replace(
+            book,
+            ms_high=nominal * book.ms_high,
+            ms_good=nominal * book.ms_good,
+            ms_bad=nominal * book.ms_bad,
+            ms_calm=nominal * book.ms_calm,
+        ),
+    )

@@ -11,8 +11,7 @@ from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.robustness_demand import demanded
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.settings import RetunerSettings, demanded
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config import Config
