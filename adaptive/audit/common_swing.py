@@ -153,9 +153,9 @@ def _root(loops: Sequence[Swinging]) -> tuple[str | None, str, bool]:
         return None, "the tuning of several makes them oscillate against each other; slow one down and look again", True
     loudest, second = sorted(loops, key=lambda one: -one.harmonic)[:2]
     if loudest.harmonic > max(LOUDER * second.harmonic, BENT):
-        return loudest.tag, "its harmonics are the strongest: what is passed on is filtered", False
+        return loudest.tag, "its harmonics are the strongest, and harmonics are filtered on the way to others", False
     if loudest.harmonic < BENT:
-        why = "nothing in them is bent: they oscillate against each other, or it comes from no loop here"
+        why = "none of them is nonlinear: they oscillate against each other, or the source is not among these loops"
         return None, why, len(loops) == 2
     return None, "none stands out", False
 

@@ -245,8 +245,8 @@ def _of_idle(screen: LoopScreen, looked_at: int) -> LoopVerdict:
     """Sluggish by the idle index, without settings."""
     action = Action.RECORD
     reason = (
-        f"after loads co and pv come back together (idle index {screen.idle:.2f}): the loop waits for the process. "
-        "A setpoint step tells the settings"
+        f"after loads co and pv return together (idle index {screen.idle:.2f}): the loop waits for the process. "
+        "A setpoint step would give the settings"
     )
     sure, avoidable, basis = SURE_IT_WAITS, error_share(screen.harris), Basis.HARRIS
     rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
@@ -266,7 +266,7 @@ def _of_limit(sure: float, screen: LoopScreen, stretches: Sequence[StretchVerdic
     """A limit that binds for part of the time."""
     action = FOR_CAUSE[Cause.SATURATION]
     w, loss = screen.at_limits, screen.loss_at_limits
-    reason = f"co stands at a limit for {w:.0%} of the time, where {loss:.0%} of the error comes up, on one side"
+    reason = f"co is at a limit for {w:.0%} of the time, where {loss:.0%} of the error arises, on one side"
     showing = [s for s in stretches if s.cause == Cause.SATURATION]
     since = showing[0].begin_s if showing else None
     rank, seen, basis = sure * loss / EFFORT[action], len(showing), Basis.LIMIT
@@ -305,5 +305,5 @@ def _of_screen(screen: LoopScreen) -> str:
     period = f"oscillates with a period of {screen.period_s:.4g} s" if screen.period_s else "nothing stands out"
     if screen.setpoint:
         return f"screened only: {period}"
-    at_limits = f", co stands at a limit for {screen.at_limits:.0%} of the time" if screen.at_limits else ""
-    return f"no setpoint on record, so only pv and co were screened: {period}{at_limits}"
+    at_limits = f", co is at a limit for {screen.at_limits:.0%} of the time" if screen.at_limits else ""
+    return f"no setpoint in the record, so only pv and co were screened: {period}{at_limits}"

@@ -399,7 +399,7 @@ OVERSHOOTS = 0.25
 WORDS = {
     Cause.OK: "the tuning is in order",
     Cause.AGGRESSIVE: "too much gain",
-    Cause.SLOW_INTEGRATING: "too much integral action for the gain",
+    Cause.SLOW_INTEGRATING: "too much integral action for this gain",
     Cause.SLUGGISH: "the loop could be much faster",
     Cause.STICTION: "a valve that sticks or has play explains the record best, under a load that wanders",
 }

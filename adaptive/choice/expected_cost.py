@@ -364,7 +364,7 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool, pays: bool) -> st
         sure += f", {_chance(numbers.odd)} that this record is odd"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
-    why = "a second record must agree before a change" if waits else _too_little(numbers)
+    why = "a second record must agree first" if waits else _too_little(numbers)
     if pays:
         why = f"expected benefit {percent(numbers.gain)} +- {percent(numbers.spread)}: another record must agree"
     return f"no change{' yet' if waits else ''}: expected {iae}, {then}; {sure}; {why}"

@@ -120,7 +120,7 @@ def counted(told: Diagnosis) -> Diagnosis:
 # Whether the tuning is the cause: the margins that the identified process has with the gains in force decide.
 #
 #     Ms high, small gain margin    aggressive: too much gain
-#     Ms high, LARGE gain margin    slow_integrating: too much integral action for the gain (the loop swings slowly)
+#     Ms high, LARGE gain margin    slow_integrating: too much integral action for this gain (the loop swings slowly)
 #     little integral action        sluggish: ki well under what SIMC gives, with robustness to spare
 #     little gain                   sluggish, or slow_integrating where the integral time is short as well; not asked
 #                                   where hardly more than the integral counts (robust_simc.py)

@@ -217,13 +217,13 @@ def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> F
         return found
     reason = (
         f"pv and co stand still together for {holds.samples * window.sample_time_s:.3g} s again and again, "
-        f"{holds.share:.0%} of the record: gaps that were filled with the last values; what happened in them is lost"
+        f"{holds.share:.0%} of the record: gaps that were filled with the last values; their content is lost"
     )
     verdict = replace(told, cause=Cause.UNKNOWN, confidence=0.9, reason=reason)
     return replace(found, diagnosis=verdict, tuning=None, aim=None)
 
 
-TOO_FEW = "{samples} samples do not tell movement from noise: {fewest} and more are needed"
+TOO_FEW = "{samples} samples are too few to separate movement from noise: {fewest} or more are needed"
 TOO_SHORT = "{samples} samples are fewer than a process and a tone beside it have unknowns"
 UNDECIDED = 0.5
 """Confidence of an answer that leaves the cause open."""
@@ -276,7 +276,7 @@ def _obvious(seen: Screening, settings: DiagnosisSettings) -> Diagnosis | None:
     if condition in NOT_AT_WORK and condition != Condition.NOT_CONTROLLING:
         return Diagnosis(Cause.UNKNOWN, 1.0, evidence, seen.condition.sentence)
     if share > settings.saturated_share:
-        reason = f"the controller output stands at a limit for {share:.0%} of the record"
+        reason = f"the controller output is at a limit for {share:.0%} of the record"
         return Diagnosis(Cause.SATURATION, min(1.0, 0.5 + share), evidence, reason)
     if condition in {Condition.NOT_CONTROLLING, Condition.MOVING_SETPOINT}:
         return Diagnosis(Cause.UNKNOWN, 1.0, evidence, seen.condition.sentence)

@@ -37,7 +37,7 @@ def shortcomings(window: Window, seen: Screening, model: ProcessModel | None = N
     if seen.condition.condition not in {Condition.NORMAL, Condition.MOVING_SETPOINT}:
         found.append(seen.condition.sentence)
     if n < FEWEST_SAMPLES:
-        found.append(f"{n} samples are little: {FEWEST_SAMPLES} and more are needed")
+        found.append(f"{n} samples are little: {FEWEST_SAMPLES} or more are needed")
     if seen.period_s is not None:
         found += _of_oscillation(seen.period_s, float(window.t_s[-1] - window.t_s[0]), dt)
     if model is not None:

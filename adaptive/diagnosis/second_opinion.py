@@ -143,7 +143,7 @@ def unconfirmed(
     be changed, None where no model said so.
     """
     if not excitation.setpoints and excitation.loads < swing.fewest_loads:
-        reason = "one load response is not enough: another one, or a setpoint step, is needed"
+        reason = "one load response is not enough: another one, or a setpoint step, must agree"
         return _unknown(reason, excitation)
     peak = max((abs(p.e) for p in response.peaks), default=0.0)
     if not excitation.setpoints and peak < swing.load_bands * response.band:
@@ -161,7 +161,7 @@ def unconfirmed(
         found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
     if found.cause in TUNING_CAUSES:  # the settings are those of the region's model
         return None
-    return replace(found, reason=f"what is seen since {seen[0].t_s:,.0f} s does not confirm it: {found.reason}")
+    return replace(found, reason=f"the record since {seen[0].t_s:,.0f} s does not confirm it: {found.reason}")
 
 
 def _diagnosed(

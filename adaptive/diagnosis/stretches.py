@@ -78,7 +78,7 @@ def over_time(parts: list[Window], found: list[Found]) -> Found:
     if count == 1:
         cause, count = Counter(causes).most_common(1)[0]
     if count == 1 or (cause in TUNING_CAUSES and len(named) > 1):
-        reason = f"the record changes over time: {told}"
+        reason = f"the behaviour changes over the record: {told}"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, found[-1].diagnosis.evidence, reason))
     agreeing = [f for f in found if f.diagnosis.cause == cause]
     best = max(agreeing, key=lambda f: (f.tuning is not None, f.diagnosis.confidence))

@@ -150,7 +150,7 @@ def _in_order(loop: Loop, found: Found) -> Found:
     if max(room, verdict.evidence.get("ki_ratio", 0.0)) > settings.cause.slack:
         slow = f"{told}, and is perhaps slower than necessary: {open_because}"
         return replace(found, diagnosis=replace(verdict, evidence=evidence, reason=slow))
-    reason = f"{told}; the record does not show how fast it could be: {open_because}"
+    reason = f"{told}. The record does not show how fast it could be: {open_because}"
     return replace(found, diagnosis=Diagnosis(Cause.OK, 0.6, evidence, reason))
 
 
@@ -245,7 +245,7 @@ def _torn(loop: Loop, found: Found, other: ProcessModel, why: str) -> Found:
 def _open(found: Found, why: str) -> Found:
     """The cause without settings, and without a number that rests on what is not known."""
     slow = found.diagnosis.cause is Cause.SLUGGISH
-    told = "loads are rejected more slowly than need be" if slow else found.diagnosis.reason
+    told = "loads are rejected more slowly than necessary" if slow else found.diagnosis.reason
     reason = f"{told}. No settings: {why}"
     return replace(found, diagnosis=replace(found.diagnosis, reason=reason, settled=False), tuning=None)
 
@@ -445,11 +445,11 @@ def _undisturbed(window: Window, estimate: ModelEstimate, evidence: dict[str, fl
         return Diagnosis(Cause.EXTERNAL, 0.8, evidence | {"external_period_s": period_s}, reason)
     share = evidence.get("noise_share", 0.0)
     if share < HARDLY_NOISE and estimate.explained >= EXPLAINED:
-        reason = "the loop by itself explains the record, but what set it in motion came before: no step shows why"
+        reason = "the loop alone explains the record, but what set it in motion came before the record began"
         return Diagnosis(Cause.UNKNOWN, 0.6, evidence, reason)
     if share > NOISY or estimate.noise_std >= estimate.residual_std:
         return Diagnosis(Cause.NOISE, 0.8, evidence, "only noise moves this loop")
-    reason = "an unexplained disturbance moves this loop: neither steps nor a regular oscillation"
+    reason = "an unexplained disturbance moves this loop: neither steps nor a regular oscillation explain it"
     return Diagnosis(Cause.UNKNOWN, 0.6, evidence, reason)
 
 

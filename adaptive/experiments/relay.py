@@ -257,7 +257,7 @@ def _regular(t_s: FloatArray, switches: np.ndarray[tuple[int], np.dtype[np.int_]
         if usual and middle / ODD_WAVE < wave < middle * ODD_WAVE:
             kept.append(i)
     if len(kept) < FEWEST_WAVES:
-        raise ValueError("no two waves of the relay are alike; this is no limit cycle yet: record longer")
+        raise ValueError("no two waves of the relay are alike; not a limit cycle yet: record longer")
     return kept
 
 

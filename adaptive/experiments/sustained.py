@@ -86,7 +86,7 @@ def swing(window: Window) -> Swing:
     periods, heights = periods[:last], heights[:last]
     if last < FEWEST_PERIODS:
         raise ValueError(
-            f"pv swings for {last} periods beyond its noise, and {FEWEST_PERIODS} are needed: record "
+            f"pv oscillates for {last} periods beyond its noise, and {FEWEST_PERIODS} are needed: record "
             "longer, or raise the gain"
         )
     decay = float((heights[-1] / heights[0]) ** (1 / (len(heights) - 1)))

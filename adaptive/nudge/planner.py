@@ -64,10 +64,10 @@ class NudgePhase(StrEnum):
 class NudgeInput(StrEnum):
     """Everything that can happen; the value is the clause that people read."""
 
-    TOO_SMALL = "a bump of the size that is allowed would not be seen in the noise"
-    DUE = "nothing has shown the process for a while"
-    PUT_OFF = "the loop is not at rest or not free for it any more"
-    BEGUN = "nobody objected after its announcement"
+    TOO_SMALL = "the allowed bump would be lost in the noise"
+    DUE = "nothing has shown the process recently"
+    PUT_OFF = "the loop is no longer at rest or no longer free"
+    BEGUN = "nobody objected"
     TAKEN = "the controller has taken it"
     NOT_TAKEN = "the controller has not taken it"
     AT_REST = "the loop has come to rest"
@@ -78,7 +78,7 @@ class NudgeInput(StrEnum):
     NOT_IN_AUTO = "the loop is not in automatic"
     NOT_ALLOWED = "the mode does not allow it any more"
     ENDED = "the session ends"
-    LEFT_OUT = "the session before left it out; the setpoint goes back"
+    LEFT_OUT = "the previous session left it active; the setpoint goes back"
     OTHERS = "someone else has moved the setpoint: it stays as it is"
     BACK = "the setpoint is back"
 
@@ -244,7 +244,7 @@ class NudgePlanner:
         enough = math.ceil(10 * self.settings.percent * least / bands) / 10
         reason = (
             f"a setpoint bump of {self.settings.percent:g} % is {bands:.1f} noise bands, and {least:g} are needed: "
-            f"none is made; adaptation.nudge.percent = {enough:.1f} would do"
+            f"no bump is made; try adaptation.nudge.percent = {enough:.1f} would do"
         )
         return NudgeNews(NudgeInput.TOO_SMALL, self.phase, None, sample.sp, sample.sp, reason)
 
@@ -295,7 +295,7 @@ class NudgePlanner:
             )
         reason = (
             f"{around.wanted}: in {self.settings.announce_s:.0f} s the setpoint goes from {self._before:g} to {to:g} "
-            f"{way}; to put it off, move the setpoint or take the loop to manual"
+            f"{way}; to postpone it, move the setpoint or take the loop to manual"
         )
         return self._enter(NudgeInput.DUE, NudgePhase.ANNOUNCED, sample.t_s, reason)
 

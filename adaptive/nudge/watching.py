@@ -15,7 +15,7 @@ from retuner.adaptive.trial.phase import TrialPhase
 ROOM = 2.0
 """Bumps between the setpoint and a border of the region or the end of pv's range: it overshoots."""
 ONCE = 1
-"""Records after which a region has shown its process once only: a second one is to agree."""
+"""Records after which a region has shown its process only once: a second one is to agree."""
 WRITES = frozenset({Mode.TRIAL, Mode.AUTO})
 """Modes in which retuner may write by itself, so a setpoint as well."""
 TO_THE_SETPOINT = frozenset({"sp", "pv"})
@@ -94,7 +94,7 @@ class Nudger:
         if open_:
             return f'the process in region "{name}" is {open_}'
         if model.records <= ONCE:
-            return f'region "{name}" has shown its process once only'
+            return f'region "{name}" has shown its process only once'
         return ""
 
     def _room(self) -> tuple[float, float]:

@@ -65,7 +65,7 @@ def approve_proposal(retuner: Retuner, decision: Decision, expires_after_s: floa
     Raises
     ------
     ValueError
-        The decision proposes nothing, it is older than that, or other gains have come into force since.
+        The decision proposes nothing, it is older than that, or other gains became active meanwhile.
     """
     proposal = Proposal.of(decision)
     if proposal is None:
@@ -90,7 +90,7 @@ def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict
     """Why an approved proposal is not written; empty when it is."""
     in_force = retuner.table.gains_of(region)
     if proposal.promise is None:
-        return "it has no predicted performance to judge a trial by"
+        return "it has no prediction to judge a trial by"
     if change_factor(in_force, proposal.before) > SAME_GAINS:
         return str(ProposalStanding.OTHER_GAINS)
     if verdict is None:
@@ -173,7 +173,7 @@ def found_running(retuner: Retuner, gains: PidGains) -> Decision | None:
     if trial.phase is TrialPhase.WRITING:
         retuner.not_written(region)
     if trial.phase in TO_BE_SEEN and (tried or same_gains(retuner.table.at(*at), gains)):
-        again = retuner.ordered(region, StageResult("restore_again", f"a restart found it {trial.phase}"))
+        again = retuner.ordered(region, StageResult("restore_again", f"a restart found {trial.phase}"))
         return replace(again, action=Action.RESTORE, gains_after=retuner.table.gains_of(region))
     return retuner.edited(gains)
 

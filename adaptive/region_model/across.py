@@ -159,7 +159,7 @@ def _estimate(crossing: Crossing, shown: Shown, region: int) -> ModelEstimate:
     unsure = best.gain_uncertainty(crossing.window.sample_time_s)
     left, beyond = shown.found[0].left, _beyond(crossing, shown)
     is_known = unsure <= limit.gain_std_limit and beyond <= limit.remainder_limit
-    reason = "known along its way, with the process in motion"
+    reason = "fitted along its way, with the process in motion"
     if beyond > limit.remainder_limit:
         reason = f"the model leaves {beyond:.1f} times the noise (limit {limit.remainder_limit:g})"
     elif not is_known:

@@ -66,7 +66,7 @@ def unsure(model: RegionModel, sample_time_s: float) -> str:
     if spread <= WELL_KNOWN:
         return ""
     known, enough = factors_text(spread, WELL_KNOWN)
-    return f"known to a factor of {known} by setpoint steps to and fro, and more of them tell it to {enough}"
+    return f"known within a factor of {known} by setpoint steps to and fro, more of them would reach {enough}"
 
 
 def _apart(

@@ -79,7 +79,10 @@ def _steps(found: Findings, model: RegionModel, wanted: RobustProposal, verdict:
         part = replace(wanted, tuning=replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None))
         one = proved(found, model, part)
         if one.accepted:
-            notes = (*verdict.notes, f"{share:.0%} of the proved change, which is expected to cost less than all of it")
+            notes = (
+                *verdict.notes,
+                f"{share:.0%} of the proved change, because that is expected to be better than the full change",
+            )
             accepted.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s, notes=notes))
     return accepted
 

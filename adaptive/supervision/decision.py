@@ -208,14 +208,14 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
     assert back is not None
     judged = decision.judgement.reason if decision.judgement else ""
     done = (
-        "no earlier gains are expected to be better, so the trial gains stay"
+        "no earlier gains are expected to be better, so the trial gains are kept"
         if back.stays
         else _WORDS[back.gains == trial.old]
     )
     reason = "; ".join(filter(None, (f"{done}: {judged or cause}", back.reason)))
     reason += f"; also in {', '.join(also)}" if also else ""
     if promised_wrongly(trial, decision):
-        reason += "; the model predicted otherwise and is discarded"
+        reason += "; the model's prediction was wrong, so the model is discarded"
     return replace(
         decision,
         region=region,

@@ -120,7 +120,7 @@ def admission(found: Findings) -> None:
     found.diagnosis, found.numbers, reason = refused.diagnosis(), refused.numbers, refused.sentence
     if refused.ground is Ground.SETPOINT_LED and record.passed_over:
         found.numbers = replace(refused.numbers, passed_over=float(record.passed_over))
-        reason = f"{reason}; {record.passed_over} responses to it were passed over since this was last said"
+        reason = f"{reason}; {record.passed_over} such responses were skipped since the last report"
     found.stop(refused.ground.name.lower(), reason)
 
 
@@ -142,7 +142,7 @@ def identification(found: Findings) -> None:
         return
     learned = by_sequences(found) if found.steps is not None else _by_itself(found)
     if learned is None:
-        found.stop(NOT_KNOWN, "no loop explains what the setpoint makes of pv")
+        found.stop(NOT_KNOWN, "no model explains how pv follows the setpoint")
         return
     found.learned = learned = beside_sequences(found, learned)
     found.unexplained = learned.estimate.unexplained(float(np.ptp(found.record.window.pv)))
@@ -231,7 +231,7 @@ def region_model(found: Findings) -> None:
 def _of_two_sets(why: str, *, crossed: bool) -> str:
     """Why a pattern tells nothing; why : what is said before."""
     came = "crossed a boundary" if crossed else "began under other gains"
-    return f"its pattern is that of two sets of gains{'' if came in why else f', because it {came}'}"
+    return f"two sets of gains shaped this response{'' if came in why else f', because it {came}'}"
 
 
 def without_a_model(found: Findings) -> None:
@@ -256,7 +256,7 @@ def without_a_model(found: Findings) -> None:
         return
     stored = record.table.stored_for(record.region, proposed.tuning.gains, *record.at)
     if stored is None:
-        found.stop(NOT_KNOWN, f"{reason}; beside its neighbours' no gains of this region give that")
+        found.stop(NOT_KNOWN, f"{reason}; no gains of this region give that next to its neighbours'")
         return
     after = record.table.with_gains(record.region, stored).at(record.region, *record.at)
     bold = too_bold((found.in_use or learned.estimate).plausible, record.in_force, after, found.settings)

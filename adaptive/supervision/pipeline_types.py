@@ -227,10 +227,10 @@ class OpenQuestion(NamedTuple):
 class Overtaken(StrEnum):
     """Why an answer that comes later than its question is not entered any more."""
 
-    TRIAL_ENDED = "the trial under which the response ran has ended since"
-    REGION_LEFT = "the loop has left the region since"
-    BROKEN_OFF = "the record was broken off since: samples are missing, in manual, or without a scheduling variable"
-    GAINS_CHANGED = "other gains have come into force since"
+    TRIAL_ENDED = "the trial of this response has ended meanwhile"
+    REGION_LEFT = "the loop has left the region meanwhile"
+    BROKEN_OFF = "the record was interrupted: samples are missing, in manual, or without a scheduling variable"
+    GAINS_CHANGED = "other gains became active meanwhile"
 
 
 def overtaken_by(
@@ -269,7 +269,7 @@ def left(seen: Left, settings: RetunerSettings) -> StageResult | None:
     return StageResult(
         "broken_off",
         f"{seen.broken} gaps of more than {settings.gap_samples} sample times in a row came before a response was "
-        f"complete: nothing can be evaluated between them; look for where samples are lost",
+        f"complete: nothing can be evaluated; find out where samples are lost",
     )
 
 

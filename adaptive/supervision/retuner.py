@@ -233,7 +233,7 @@ class Retuner:
         phase = self.trials.phase(opened.question.record.region)
         overtaken = overtaken_by(opened, self.region, self._finder.samples, self.table, phase)
         if overtaken is not None:
-            refused = StageResult(f"overtaken_{overtaken.name.lower()}", f"the answer comes too late: {overtaken}")
+            refused = StageResult(f"overtaken_{overtaken.name.lower()}", f"the decision came too late: {overtaken}")
             return self._decision(opened.question.record.region, refused, opened.question)
         return self._learned_from_the_end(opened, result) if opened.ended else self._entered(opened.question, result)
 

@@ -197,9 +197,9 @@ def _by_loads(seen: JudgedResponse, told: str, costs: _Costs, settings: TrialSet
         return ""
     words = told.replace(WORSE_WORDS, "")
     if seen.wandering and not costs.words:
-        return f"a load that wanders explains this response as well: {words}"
+        return f"a wandering load explains this response equally well: {words}"
     if seen.posterior and seen.posterior.agreed and in_favour(seen.posterior, settings):
-        return f"the models explain this response by its loads: {words}"
+        return f"loads explain this response: {words}"
     return ""
 
 
@@ -216,7 +216,7 @@ def _not_worse(
         return Judgement(TrialFinding.BETTER, f"better than predicted: {told}", numbers)
     swings = swing.decay_sure is not None and swing.decay_sure > swing.decay_limit
     beyond = swings or (upset is not None and 0.0 <= upset.iae_limit < upset.iae)
-    head = "not as predicted, but no worse than the previous gains" if beyond else "as predicted"
+    head = "not as predicted, but no worse than with the previous gains" if beyond else "as predicted"
     return Judgement(TrialFinding.AS_PROMISED, f"{head}: {told}", numbers)
 
 

@@ -28,7 +28,7 @@ def turned_words(ours: PidGains, now: PidGains, *, on_trial: bool) -> str:
     return (
         f"the active gains have the other sign ({_set(now)}, configured {_set(ours)}), so the loop may drive away"
         "; on hold: nothing is written, no model is updated"
-        f"{'; the trial is over, and what is to run is decided anew' if on_trial else ''}"
+        f"{'; the trial ends, and what runs next is decided again' if on_trial else ''}"
         "; set gains of the configured sign at the controller, or end the session and change the sign in the "
         "configuration"
     )
@@ -42,7 +42,7 @@ def right_words(now: PidGains) -> str:
 def edit_words(ours: PidGains, now: PidGains, known: StillAllowed, hold_s: float, *, on_trial: bool) -> str:
     """A person has set gains where others were in force: recognised, weighed, held."""
     words = f"an operator replaced {_set(ours)} by {_set(now)}"
-    words += "; the trial of these gains is over without a verdict" if on_trial else ""
+    words += "; the trial of these gains ended without a verdict" if on_trial else ""
     ms = known.ms(now)
     if ms:
         found = Robustness.of(ms)

@@ -169,7 +169,7 @@ def in_favour(found: PosteriorCheck, settings: TrialSettings) -> str:
     """What it says for the tried set, if anything."""
     if not found.settled or found.ms_most > settings.harmless_ms:
         return ""
-    return f"by the models robust: Ms at most {found.ms_most:.2f} on every plausible one"
+    return f"robust according to the models: Ms at most {found.ms_most:.2f} on every plausible one"
 
 
 def promised_cost(promised: Promise) -> float:

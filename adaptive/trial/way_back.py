@@ -190,7 +190,7 @@ def less_stable(to: PidGains, present: PidGains, known: StillAllowed, harmless_m
     if not (less or lost):
         return ""
     return (
-        f"they are less stable over {models_words(models)}: {robustness_words(there.ms, there.unstable, models)}, "
+        f"they are less stable on {models_words(models)}: {robustness_words(there.ms, there.unstable, models)}, "
         f"active gains {robustness_words(here.ms, here.unstable, models)}"
     )
 
@@ -283,8 +283,8 @@ def _words(
     ):
         words += f"; both are robust (up to {settings.harmless_ms:g})"
     if found.something_else > SOMETHING_ELSE:
-        words += f"; {found.something_else:.0%} probability that something else explains what was seen"
-    return words if runs in {ran.before, ran.tried} else f"{words}; an earlier gain set is expected to be the best"
+        words += f"; {found.something_else:.0%} chance that something else explains this"
+    return words if runs in {ran.before, ran.tried} else f"{words}; an earlier set is expected to be best"
 
 
 def models_words(models: float) -> str:

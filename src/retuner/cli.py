@@ -45,7 +45,7 @@ COMMANDS = {
     "reduce": "Reduce a process model to first or second order by the half rule.",
     "ledger": "Read, verify, export or revert what was seen, decided and written.",
     "experiment": "Make a step, setpoint or relay test, or evaluate a recorded one.",
-    "doctor": "What of retuner works on this machine, and what to do about the rest.",
+    "doctor": "Check what works on this machine, and what to do about the rest.",
 }
 """Every command and what `retuner --help` says of it."""
 ON_RECORDS = frozenset({"audit", "diagnose", "identify", "reduce", "schedule", "tune"})

@@ -1,4 +1,4 @@
-"""What of retuner works on this machine, and what to do about the rest. Each check does the thing itself: a frame goes
+"""Check what works on this machine, and what to do about the rest. Each check does the thing itself: a frame goes
 over a bus, a row goes into a ledger, a small fit is computed.
 
 No frame is sent on a bus that a controller may hang on: SocketCAN interfaces are opened, listened to and closed.
@@ -261,7 +261,7 @@ def _ledger(folder: Path) -> Finding:
             with Ledger(path) as ledger:
                 ledger.append("doctor", {"writes": "here"}, 0.0)
                 if not ledger.verify().ok:
-                    raise OSError("a row was written and reads otherwise")
+                    raise OSError("a row was written and reads back differently")
             return f"a ledger can be kept here; opened and written in {(time.perf_counter() - begun_s) * 1e3:.0f} ms"
 
     remedy = "give a folder on a local disk that you may write to: retuner doctor --folder PATH, retuner run --out PATH"
@@ -275,10 +275,10 @@ def _timer() -> Finding:
         asleep_s = time.perf_counter()
         time.sleep(0.005)
         late_s = max(late_s, time.perf_counter() - asleep_s - 0.005)
-    what = f"wakes a sleeper at most {late_s * 1e3:.1f} ms late, in {TIMER_TRIES} tries"
+    what = f"wakes up at most {late_s * 1e3:.1f} ms late, in {TIMER_TRIES} tries"
     if late_s * 1e3 <= LATE_MS:
         return Finding("timer", Level.OK, what)
-    remedy = f"fine for loops slower than {late_s * 10:.1f} s; for faster ones leave the machine less to do"
+    remedy = f"fast enough for loops slower than {late_s * 10:.1f} s; for faster loops reduce the load on this machine"
     return Finding("timer", Level.OPTIONAL, what, remedy)
 
 

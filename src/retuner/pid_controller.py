@@ -253,7 +253,7 @@ class PidController:
         Raises
         ------
         ValueError
-            There is no proposal, it is older than a day, or other gains have come into force since.
+            There is no proposal, it is older than a day, or other gains became active meanwhile.
         """
         advised = decision or self._proposed
         if advised is None or self._place is None:

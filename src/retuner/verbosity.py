@@ -61,7 +61,7 @@ def _tell_more(count: int) -> None:
 
 Quiet = Annotated[
     bool,
-    typer.Option("--quiet", "-q", callback=_hush, expose_value=False, help="The answer and errors, and nothing else."),
+    typer.Option("--quiet", "-q", callback=_hush, expose_value=False, help="Only the answer and errors."),
 ]
 Verbose = Annotated[
     int,
@@ -72,7 +72,7 @@ Verbose = Annotated[
         callback=_tell_more,
         expose_value=False,
         show_default=False,
-        help="Tell what is done; -vv: everything.",
+        help="Show what is done; -vv: everything.",
     ),
 ]
 _template = typer.Typer(add_completion=False)

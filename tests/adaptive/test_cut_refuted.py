@@ -61,7 +61,7 @@ def test_a_set_that_is_less_stable_by_what_is_known_does_not_come_back() -> None
     assert rig.retuner.table.gains_of(0) == CUT
     told = [d for d in decisions if d.code == "tone_goes_on"]
     assert told
-    assert "do not come back: they are less stable over the 6 plausible models: unstable" in told[0].reason
+    assert "do not come back: they are less stable on the 6 plausible models: unstable" in told[0].reason
 
 
 SHORTER, LONGER = [30.0] * 6, [52.0] * 5

@@ -108,7 +108,7 @@ def test_the_output_as_an_axis_has_its_own_unit_and_range() -> None:
             12,
         ),
         ('variable = "sp"', 'variable = "pw"', "schedule.axis[1].variable", "must be 'sp', 'pv', 'co' or 'can'", 11),
-        ('lookup = "interpolated"', "bounds = [70.0]", "schedule.bounds", "stands beside [[schedule.axis]]", 9),
+        ('lookup = "interpolated"', "bounds = [70.0]", "schedule.bounds", "conflicts with [[schedule.axis]]", 9),
         ("kc = 4.0", "kc = 4.0\ncell = [2, 2]", "schedule.region[1].cell", "is missing; give each region", 24),
         ("kc = 4.0", "kc = -4.0", "schedule.region[4].kc", "acts against", 38),
     ],

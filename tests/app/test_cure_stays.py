@@ -157,7 +157,7 @@ def test_an_edit_is_taken_over_held_and_told(make_wire: Callable[..., Wire]) -> 
     decision = wire.session.decisions[-1]
     assert decision.code == "edited"
     assert "held for 50 s" in decision.reason
-    assert "the trial of these gains is over without a verdict" in decision.reason
+    assert "the trial of these gains ended without a verdict" in decision.reason
     assert "Ms at most" in decision.reason
     wire.run(60)
     assert wire.runs == to_wire(FOREIGN)

@@ -277,7 +277,7 @@ def test_wrong_options_are_refused_by_both_commands(tmp_path, capsys, arguments,
 @pytest.mark.parametrize("command", ["diagnose", "identify"])
 def test_records_too_short_for_anything_are_refused(tmp_path, capsys, command):
     message = refused(capsys, command, str(loop(tmp_path / "a.csv", n=19)))
-    assert "19 samples say nothing of a loop; give at least 20" in message
+    assert "19 samples are too few for a loop; give at least 20" in message
 
 
 def test_shared_options_are_read_once_for_both_commands(tmp_path):

@@ -111,7 +111,7 @@ def test_an_export_has_everything(session: Path, tmp_path: Path, capsys: pytest.
     capsys.readouterr()
     for arguments, told in (
         ([], "give --csv FILE or --jsonl FILE"),
-        (["--csv", str(table)], "is there already"),
+        (["--csv", str(table)], "exists already"),
         (["--csv", str(tmp_path / "no" / "x.csv")], "make it first"),
     ):
         assert main(["ledger", "export", str(session), *arguments]) == 2

@@ -164,7 +164,7 @@ def forged(change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     ("harm", "line"),
     [
-        (torn, "it is torn or was changed"),
+        (torn, "it is damaged or was changed"),
         (forged(lambda d: d["memory"].update(version=3)), "memory version 3 is not"),
         (forged(lambda d: d.update(about="0")), "it is of another configuration"),
         (forged(lambda d: d["memory"].pop("trials")), "the memory is damaged"),

@@ -153,7 +153,7 @@ def test_a_session_that_cannot_bring_it_back_says_so(wire: Wire) -> None:
     wire.heard = lambda message: message is None
     session.stop("the test is over")
     wire.run(300)
-    assert session.left_open == "the setpoint has not come back from a bump"
+    assert session.left_open == "the setpoint is still bumped"
 
 
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.ADVISE])

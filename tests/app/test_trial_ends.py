@@ -150,7 +150,7 @@ def test_a_change_decided_while_an_order_is_written_does_not_take_its_place(make
     wire.session._decided(ours.ordered(0, StageResult("injected", "for a test"), NEW, PROMISE))
     wire.run(20)
     assert wire.trials.phase(0) is P.IDLE
-    assert dict(wire.rows)["dropped"]["reason"] == "another change is on its way"
+    assert dict(wire.rows)["dropped"]["reason"] == "another change is in progress"
     wire.end()
     assert wire.runs == to_wire(ordered)
 

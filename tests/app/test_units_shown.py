@@ -69,11 +69,11 @@ def test_a_direct_acting_controller_has_positive_numbers() -> None:
 @pytest.mark.parametrize(
     ("region", "key", "said"),
     [
-        ("kc = 2\n" + TRADE, "pb_pct", "stands beside kc"),
+        ("kc = 2\n" + TRADE, "pb_pct", "conflicts with kc"),
         ("tau_i_s = 30", "kc", "add kc, gain or pb_pct"),
         ("pb_pct = 25", "tau_i_s", "add tau_i_s, tau_i_min or repeats_per_min"),
         ("pb_pct = 0\ntau_i_s = 30", "pb_pct", "would control nothing"),
-        ("kc = 2\ntau_i_s = 30\ntau_i_min = 0.5", "tau_i_min", "stands beside tau_i_s"),
+        ("kc = 2\ntau_i_s = 30\ntau_i_min = 0.5", "tau_i_min", "conflicts with tau_i_s"),
         ("kc = 2\nrepeats_per_min = 120", "repeats_per_min", "must be at least loop.sample_time_s"),
         ("kc = 2\nrepeats_per_min = -1", "repeats_per_min", "0"),
         ("pb_pct = nan\ntau_i_s = 30", "pb_pct", "finite"),

@@ -1,6 +1,6 @@
 """A user's own project beside an editable install of a clone: Python and type checkers find the same package.
 
-The clone stands beside the user's script under its own name, `retuner`, where it used to hide the package.
+The clone conflicts with the user's script under its own name, `retuner`, where it used to hide the package.
 """
 
 import os

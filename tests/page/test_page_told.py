@@ -112,7 +112,7 @@ def test_a_row_that_was_changed_is_not_believed(session: Session, served: Served
     database.close()
     served.look()
     (told,) = served.client.get("/api/overview").json()["sessions"]
-    assert told["broken"] == "row 2 cannot be believed: it was changed after it was written"
+    assert told["broken"] == "row 2 cannot be trusted: it was changed after it was written"
     assert told["rows"] == 1
     served.login()
     order = {"loop": "demo/1", "order": "mode", "mode": "off", "by": "Ada"}

@@ -130,7 +130,7 @@ def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") ->
             refused.append((path, told_fault(error)))
         else:
             if not held[path].signals:
-                refused.append((path, f"{path}: neither its columns nor its name tell a loop's pv or co"))
+                refused.append((path, f"{path}: neither its columns nor its name show a loop's pv or co"))
     alone: dict[str, list[Path]] = {}
     apart: dict[str, list[Path]] = {}
     for path, one in held.items():
@@ -141,7 +141,7 @@ def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") ->
                 alone.setdefault(_by_name(path, tag_pattern), []).append(path)
     shared = _shared(apart, held, refused)
     twice = alone.keys() & {tag for task in shared for tag in task.tags}
-    said = "by its name loop {}, which other files hold by their columns; rename it, or give --tag-pattern"
+    said = "its name says loop {}, which other files hold by their columns; rename it, or give --tag-pattern"
     refused += [(path, f"{path}: {said.format(tag)}") for tag in sorted(twice) for path in alone[tag]]
     tasks = [Task((tag,), tuple(paths), separate=True) for tag, paths in alone.items() if tag not in twice]
     return Catalogue((*tasks, *shared), tuple(refused), *_joined(held.values()))

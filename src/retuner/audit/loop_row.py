@@ -76,7 +76,7 @@ def audit_task(task: Task, settings: AuditSettings) -> list[Row]:
         read = read_loops(task.files, settings.form, task.tags)
     except ANY_FAULT as error:
         return [failed(tag, told_fault(error)) for tag in task.tags]
-    missing = RecordingError(f"{task.files[0]}: no values that are known")
+    missing = RecordingError(f"{task.files[0]}: no usable values")
     return [_row(tag, _the_only(read.get(tag, missing)), settings) for tag in task.tags]
 
 

@@ -135,7 +135,7 @@ def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> 
             _root_itself(row, group)
             continue
         if row["cause"] in SWUNG and group.coherence is not None:
-            row["reason"] = f"swings in step with {group.root} ({group.why}); by itself: {row['reason']}"
+            row["reason"] = f"oscillates in step with {group.root} ({group.why}); by itself: {row['reason']}"
             row["cause"], row["settings"] = str(Cause.EXTERNAL), None
             row["confidence"] = max(_number(row, "confidence"), group.coherence * ROOT_SURE)
         if row["cause"] == str(Cause.EXTERNAL):
@@ -150,7 +150,9 @@ def _root_itself(row: Row, group: CommonSwing) -> None:
     """What others swing with is not sent upstream by itself: there is nobody it comes from."""
     if row["cause"] == str(Cause.EXTERNAL):
         row["action"] = str(Action.LOOK)
-        row["reason"] = f"others swing in step with it, likely from here: {group.why}; by itself: {row['reason']}"
+        row["reason"] = (
+            f"others oscillate in step with it, probably caused here: {group.why}; by itself: {row['reason']}"
+        )
 
 
 def _in_order(rows: Sequence[Row]) -> None:
@@ -207,8 +209,8 @@ def _diagnosed(row: Row) -> bool:
 def write_joined(path: Path, found: Catalogue) -> None:
     """How names were joined to loops, as a file that --record takes back after somebody has mended it."""
     lines = [
-        "# How the audit joined names to loops. Mend what is wrong and give it back with --record; a name that stands",
-        '# for no signal gets "". Rules by the last word of names do the same for many: words = { meas = "pv" }',
+        "# How the audit joined names to loops. Correct what is wrong and give it back with --record; a name that is",
+        '# no signal gets "". Rules by the last word of names do the same for many: words = { meas = "pv" }',
         "[record]",
         "words = {}",
         "[record.signals]",
@@ -232,7 +234,9 @@ def summary(rows: Sequence[Row], refused: int) -> str:
     kinds = ", ".join(f"{count} {kind}" for kind, count in visits.most_common())
     told = [f"{worth} of {len(rows)} loops deserve a visit{': ' * bool(kinds)}{kinds}"]
     told += [f"{quiet} {'is' if quiet == 1 else 'are'} in order"] * bool(quiet)
-    told += [f"{untold} {'shows' if untold == 1 else 'show'} too little to tell; each says what would"] * bool(untold)
+    told += [f"{untold} {'shows' if untold == 1 else 'show'} too little to judge; each says what would help"] * bool(
+        untold
+    )
     told += [f"{screened} {'was' if screened == 1 else 'were'} screened only; nothing stands out"] * bool(screened)
     told += [f"{again} {'is' if again == 1 else 'are'} another loop's record again"] * bool(again)
     told += [f"{broken} could not be judged"] * bool(broken)

@@ -78,7 +78,7 @@ def _by_itself(task: Task, do: Work) -> list[Row]:
         try:
             return pool.submit(do, task).result()
         except BrokenProcessPool:
-            return [failed(tag, "its process died twice, for want of memory perhaps") for tag in task.tags]
+            return [failed(tag, "its process died twice, perhaps out of memory") for tag in task.tags]
 
 
 def _quiet() -> None:

@@ -36,7 +36,7 @@ ActionOption = Annotated[
     str | None,
     typer.Option("--action", help="With --controller: reverse or direct acting; else the sign of the gain says it."),
 ]
-PvSpan = Annotated[float | None, typer.Option(help="Span of pv, in its own unit; gain and pb are told of it.")]
+PvSpan = Annotated[float | None, typer.Option(help="Span of pv, in its own unit; gain and pb refer to it.")]
 CONTROLLER = "--controller, --action, --pv-span"
 
 PANEL = "The form of the record (else detected, and reported)"
@@ -141,7 +141,7 @@ def controller_units(
     from retuner.schedule.dials import told_of_spans
 
     if name is not None and pv_span is None and told_of_spans(name):
-        raise UserError(f"--controller {name} is told of the span of pv: give --pv-span")
+        raise UserError(f"--controller {name} needs the span of pv: give --pv-span")
     recorded = next((told for limits, told in NOT_PERCENT.items() if limits == co_limits), None)
     if name is not None and recorded and told_of_spans(name):
         raise UserError(f"--controller {name} counts co in percent: give --scale co={recorded}:0..100, and limits so")

@@ -16,7 +16,7 @@ class AdaptationConfig(Section):
         "region, roll it back when worse, else wait for operator approval; auto: the same, without waiting",
         unit="-",
         default="advise",
-        source="nothing changes until someone says so",
+        source="nothing changes until someone allows it",
     )
     rule: Literal["simc"] = setting("Tuning rule", unit="-", default="simc", source="Skogestad 2003")
     ms_nominal: float = setting(
@@ -172,7 +172,7 @@ class AdaptationConfig(Section):
         "Before a run: first model and settings from a commanded step of co, the loop restored as it was",
         unit="-",
         default=False,
-        source="no test signal unless someone says so",
+        source="no test signal unless someone allows it",
     )
     pretune_step_pct: float | None = setting(
         "That step, negative for down; absent: 5 % of the range of co",

@@ -95,7 +95,7 @@ class RegionConfig(Section):
         for keys, needed in ((GAIN_KEYS, True), (INTEGRAL_KEYS, True), (DERIVATIVE_KEYS, False)):
             given = [key for key in keys if key in self.model_fields_set]
             if len(given) > 1:
-                yield Problem((given[1],), f"stands beside {given[0]}; give one of them")
+                yield Problem((given[1],), f"conflicts with {given[0]}; give one of them")
             if needed and not given:
                 yield Problem((keys[0],), f"is missing; add {', '.join(keys[:-1])} or {keys[-1]}")
         key = self.dials[0].key
@@ -324,7 +324,7 @@ class ScheduleConfig(Section):
         """Keys of the simple form beside [[schedule.axis]]."""
         for key in SIMPLE:
             if getattr(self, key) != type(self).model_fields[key].default:
-                yield Problem((key,), "stands beside [[schedule.axis]]; write it into the axis that it belongs to")
+                yield Problem((key,), "conflicts with [[schedule.axis]]; write it into its axis")
 
     def _region_problems(self) -> Iterator[Problem]:
         seen: set[str] = set()

@@ -103,7 +103,7 @@ def _how_it_ended(view: DecisionView) -> str:
         "quiet": "the error came to rest",
         "timeout": "no further peak came within the waiting time",
         "setpoint": "the next setpoint change cut it short",
-        "grown": "its second extreme had grown to several times the first",
+        "grown": "its second peak had grown to several times the first",
     }
     ended = endings.get(words(response, "ending"), "")
     near = f" Errors below {band:.3g} {view.unit} count as noise." if band is not None else ""

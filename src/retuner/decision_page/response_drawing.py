@@ -29,7 +29,7 @@ def response_svg(view: DecisionView) -> str:
         panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         figure.subplots_adjust(left=0.075, right=0.985, top=1 - 0.4 / height, bottom=0.48 / height, hspace=0.13)
         _draw(panels, view, view.samples)
-        return svg(figure, "The response with its peaks, the model over it, what the model leaves, controller output")
+        return svg(figure, "The response with its peaks, the model over it, the residual, controller output")
 
 
 def time_unit(span_s: float) -> tuple[float, str]:

@@ -85,7 +85,7 @@ def main(nice: int, memory_bytes: int) -> None:
             answer: object = decide(question)
         except MemoryError:
             gc.collect()
-            answer = "the worker has no memory left for it"
+            answer = "the worker ran out of memory"
         except Exception as error:  # noqa: BLE001  whatever it is, the loop is told and goes on
             answer = f"it failed: {type(error).__name__}: {error}"
         try:

@@ -69,10 +69,10 @@ class Following:
         if self._kind == Kind.SETPOINT:
             self._limited = self._limited + 1 if sample.limited else 0
             if self._limited > LIMITED_MOST:
-                return AbortCause.SATURATED, f"co stands at {sample.co:.4g} %; give a smaller amplitude or kc0"
+                return AbortCause.SATURATED, f"co is at {sample.co:.4g} %; give a smaller amplitude or kc0"
             return None
         off = wanted.co is not None and sample.mode == LoopMode.MANUAL and abs(sample.co - wanted.co) > CO_SHOWN
         self._limited = self._limited + 1 if off else 0
         if self._limited > self._patience:
-            return AbortCause.SATURATED, f"co stands at {sample.co:.4g} %, it was told {wanted.co:.4g} %"
+            return AbortCause.SATURATED, f"co is at {sample.co:.4g} %, commanded was {wanted.co:.4g} %"
         return None

@@ -35,7 +35,7 @@ OPTION_AT_FAULT = {
     AbortCause.WRONG_MODE: "setpoint",
     AbortCause.PV_BAND: "--pv-low, --pv-high",
 }
-"""Causes that are a matter of the options as long as nothing was touched."""
+"""Causes that are a matter of the options as long as nothing was changed."""
 
 
 class OnDemandExperiment:
@@ -150,9 +150,9 @@ class OnDemandExperiment:
         runner, found = self._runner, self._outcome.found
         ended = f"aborted: {runner.text}" if runner.cause else "done"
         record = self._outcome.folder / RECORD
-        state = runner.phase.value if runner.touched else "nothing was touched"
+        state = runner.phase.value if runner.touched else "nothing was changed"
         self._screen.say(f"{ended}; {state}; {len(runner.excited)} samples in {record}")
-        lines = described(found, settings=not runner.cause) if found else ["too little was recorded to say anything"]
+        lines = described(found, settings=not runner.cause) if found else ["too little was recorded for a result"]
         for line in lines:
             self._screen.say(line)
         if runner.phase is Phase.STRANDED:
@@ -169,7 +169,7 @@ class OnDemandExperiment:
         assert before is not None
         gains, limits = found.chosen.tuning.gains, self._config.adaptation
         if gains.direction != before.gains.direction:
-            return "they act the other way than the active gains; look at the sign of the process first"
+            return "they act in the opposite direction to the active gains; check the sign of the process first"
         if limits.kc_max is not None and abs(gains.kp) > limits.kc_max:
             return f"|kp| = {abs(gains.kp):.4g} is above adaptation.kc_max = {limits.kc_max:g}"
         if limits.kc_min is not None and abs(gains.kp) < limits.kc_min:

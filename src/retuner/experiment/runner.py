@@ -261,7 +261,7 @@ class ExperimentRunner:
         if self._helm.shows(self._target(), sample):
             self._move(Happening.PREPARED)
         elif self._now_s - self._phase_s > self._patience_s:
-            self.abort(AbortCause.REFUSED, "it does not show what it was told")
+            self.abort(AbortCause.REFUSED, "it does not show what was commanded")
 
     def _excite(self, sample: LoopSample) -> None:
         """Play the experiment, and see whether it has shown enough or has to end."""

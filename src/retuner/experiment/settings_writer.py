@@ -63,7 +63,7 @@ class SettingsWriter:
             running = device.running
             if device.connected and running is not None and not device.writing:
                 if running.gains != base:
-                    return "another set runs by now than when these settings were shown"
+                    return "the active gains have changed since these settings were shown"
                 self._record(
                     "intent",
                     self._now_s,

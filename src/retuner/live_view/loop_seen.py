@@ -201,7 +201,7 @@ class LoopObserver:
         if phase in TRIAL_WAITS:
             return TRIAL_WAITS[phase]
         if r.settings.mode_of(r.region) == Mode.OFF:
-            return "nothing; this region is off and only watched"
+            return "nothing; this region is off, only watched"
         if r.open_question is not None:
             return "the decision in progress"
         if state is None or (state.phase == R.LOCATE_1 and not state.started):

@@ -46,7 +46,7 @@ def change_words(found: BeforeAfter) -> str:
     error, travel = found.error_ratios, found.travel_ratios
     if not math.isfinite(error[2]):
         return "on a plausible model the new settings would not hold the loop"
-    return f"mean error {_percent(error)} of before, co's way {_percent(travel)}"
+    return f"mean error {_percent(error)} of before, co travel {_percent(travel)}"
 
 
 def step_words(change: Change) -> str:

@@ -280,9 +280,9 @@ def _write(body: Document) -> Words:
 
 
 WRITTEN = {
-    "retune": "the gains that were decided on",
+    "retune": "the gains of the decision",
     "schedule": "the gains of this region, by the schedule",
-    "restore": "the gains that are to run",
+    "restore": "the gains that should run",
 }
 """What a write is for."""
 

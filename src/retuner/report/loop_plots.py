@@ -41,7 +41,7 @@ def trend_figure(trend: LoopTrend) -> Figure:
         The trend has no samples.
     """
     if not len(trend.t_s):
-        raise ValueError("this trend has no samples yet: nothing to draw")
+        raise ValueError("no samples yet: nothing to draw")
     figure = Figure(figsize=(11, 5.6))
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
     x, unit = time_axis(trend.t_s)

@@ -164,7 +164,7 @@ def _remainder(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
         believed = i == len(picture.explanations) - 1
         left = window.pv[np.searchsorted(window.t_s, curve.t_s)] - curve.pv
         axes.plot(np.interp(curve.t_s, window.t_s, x), left, color=PV if believed else BEFORE, lw=0.8)
-        axes.set_ylabel("pv left over")
+        axes.set_ylabel("pv residual")
     axes.axhspan(-2 * picture.noise_std, 2 * picture.noise_std, color=MODEL, alpha=0.2, lw=0)
     axes.axhline(0, color=LIMIT, lw=0.8)
 

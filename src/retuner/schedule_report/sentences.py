@@ -20,7 +20,9 @@ def why_sentence(found: ScheduleDesign) -> str:
     what = " ".join(f"With {name} change: {', '.join(changes)}." for name, changes in told if changes)
     what = what or "Nothing changes with it."
     where = (
-        "" if known == len(places) else f" At {len(places) - known} of {len(places)} places the records say too little."
+        ""
+        if known == len(places)
+        else f" At {len(places) - known} of {len(places)} places the records show too little."
     )
     return f"{found.reason[0].upper()}{found.reason[1:]}. {what}{where}"
 
@@ -70,8 +72,8 @@ def variable_sentence(found: ScheduleDesign) -> str:
         return f"The process changes with none of {', '.join(e.variable for e in weighed)}."
     behind = [f"{e.variable} by {max(mine.log_likelihood - e.log_likelihood, 0.0):.0f} nats" for e in others]
     sure = mine.log_likelihood - others[0].log_likelihood > HARDLY
-    told = f"Of what was weighed most speaks for {name}; behind it: {', '.join(behind)}."
-    return told + " The records hardly tell these apart: name the one that is meant." * (not sure)
+    told = f"The evidence favours {name}; behind it: {', '.join(behind)}."
+    return told + " The records hardly separate these: name the one you mean." * (not sure)
 
 
 def motion_sentences(found: ScheduleDesign) -> list[str]:
@@ -99,8 +101,8 @@ def _moving_words(crossing: Crossing) -> str:
     if not crossing.proper:
         return ": WORSE in motion than at rest; ramp such steps."
     if crossing.own_overshoot > TOO_LARGE:
-        return ": no worse for the schedule, but such a step is too large for any gains here; ramp it."
-    return ": no worse for moving."
+        return ": the schedule does no harm, but such a step is too large for any gains here; ramp it."
+    return ": no worse in motion."
 
 
 def experiment_sentence(found: ScheduleDesign) -> str:

@@ -86,7 +86,7 @@ def lines(options: ServeOptions, port: int, token: str) -> Iterator[str]:
     if not options.read_only:
         yield f"act:   {address}#token={token}"
     if not is_local(options.host) and not secure:
-        yield f"WARNING: {options.host} can be reached from the network, and without TLS everybody there can read along"
+        yield f"WARNING: {options.host} can be reached from the network; without TLS anyone there can read along"
 
 
 def _shown(host: str) -> str:

@@ -165,7 +165,7 @@ class Page:
         try:
             content = await asyncio.to_thread((session.folder / REPORT).read_bytes)
         except OSError:
-            raise NotTakenError(404, "this session has left no report yet") from None
+            raise NotTakenError(404, "this session has no report yet") from None
         return Response(
             content, media_type="text/html; charset=utf-8", headers={"content-security-policy": PAGE_POLICY}
         )
@@ -202,7 +202,7 @@ class Page:
         if cookie is None:
             raise NotTakenError(429, "too many tries; wait a minute")
         if not cookie:
-            reason = "this page was started read-only" if self._access.read_only else "this is not the token"
+            reason = "this page is read-only" if self._access.read_only else "wrong token"
             raise NotTakenError(403, reason)
         answer = JSONResponse({"acting": True})
         self._give(answer, cookie, LASTS_S)
@@ -233,7 +233,7 @@ class Page:
             raise NotTakenError(401, "give the token first: it was printed when the page was started")
         client = request.client.host if request.client else ""
         if not self._access.orders.take(client):
-            raise NotTakenError(429, "too many orders; wait a moment")
+            raise NotTakenError(429, "too many requests; wait a moment")
         body = await _body(request)
         found = self._hub.runs.loop(_text(body, "loop"))
         if found is None:
@@ -242,7 +242,7 @@ class Page:
         if session.ledger.ended:
             raise NotTakenError(409, "this session has ended: nothing can be changed any more")
         if session.ledger.broken:
-            raise NotTakenError(409, f"the ledger cannot be believed: {session.ledger.broken}")
+            raise NotTakenError(409, f"the ledger cannot be trusted: {session.ledger.broken}")
         order = _order_of(body)
         if order.region and order.region not in loop.regions:
             raise NotTakenError(404, f"there is no region {order.region}; there are {', '.join(loop.regions)}")

@@ -75,7 +75,7 @@ class Gate:
             headers[name] = value
         host = headers.get(b"host", b"").decode("latin-1").lower()
         if host not in self._access.hosts:
-            return 421, "this host name is not ours; open the address that `retuner serve` has told"
+            return 421, "unknown host name; open the address that `retuner serve` printed"
         origin = headers.get(b"origin", b"").decode("latin-1").lower()
         site = headers.get(b"sec-fetch-site", b"").decode("latin-1")
         acts = scope["method"] not in {"GET", "HEAD"}

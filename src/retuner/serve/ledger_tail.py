@@ -93,7 +93,7 @@ class LedgerTail:
         except (ValueError, TypeError):
             expected = None
         if expected != row:
-            self.broken = f"row {self.count + 1} cannot be believed: it was changed after it was written"
+            self.broken = f"row {self.count + 1} cannot be trusted: it was changed after it was written"
             return False
         return True
 

@@ -72,7 +72,7 @@ class WriterInput(Enum):
     CHANGE = "begin to write the decision's set"
     RESTORE = "begin to write the verified gains"
     DONE = "the controller runs the set, as read back"
-    FAILED = "the write did not come about"
+    FAILED = "the write did not happen"
 
 
 P, W = WriterPhase, WriterInput
@@ -172,7 +172,7 @@ class GainWriter:
         elif self.machine.phase is WriterPhase.RESTORING:
             self._dropped(wanted, BACK)
         else:
-            self._dropped(wanted, "another change is on its way")
+            self._dropped(wanted, "another change is in progress")
 
     def hold(self, reason: str) -> None:
         """Write no decision for a while."""
@@ -374,7 +374,7 @@ class GainWriter:
         if self._pending is not None:
             held = self.t_s < self._hold_until_s
             if self._given_up(self._pending):
-                self._drop("it was given up before it could be written")
+                self._drop("it was dropped before it could be written")
             elif self._pending.region == region and not held and not self.frozen:
                 return self._here(self._pending)
             elif self._pending.later and not held and not self.frozen:

@@ -48,8 +48,8 @@ UNSEEN_SAMPLES = 30
 END_PATIENCE_SAMPLES = 200
 """Sample times that the end of a session waits for an open write and for the verified set to run again."""
 
-GAINS_OPEN = "the controller has not reported that it runs the gains that are to run"
-SETPOINT_OPEN = "the setpoint has not come back from a bump"
+GAINS_OPEN = "the controller has not reported that it runs the gains that should run"
+SETPOINT_OPEN = "the setpoint is still bumped"
 TURNED = "the active gains have the other sign than the configured ones: the loop may drive away"
 
 
@@ -71,7 +71,7 @@ class SessionInput(Enum):
     FROZEN = "rows cannot be recorded any more"
     FAILED = "a defect"
     CLOSED = "no write is open and no set is to be restored"
-    IMPATIENT = "patience is over"
+    IMPATIENT = "the waiting time is over"
     TURNED = "the controller acts in the other direction, so nothing can be restored"
 
 
@@ -133,7 +133,7 @@ class LoopSession:
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
         self._events: deque[Event] = deque()  # told by the device, and not dealt with yet
         self._sampled_s = math.inf  # when the newest sample came, by the clock of poll
-        self._ends_at_s = math.inf  # when patience is over, once the end has begun
+        self._ends_at_s = math.inf  # when the waiting time is over, once the end has begun
         self.machine = StateMachine(COURSE, SessionPhase.WATCHING)
         self.ended_by = ""  # why it was ended, if somebody or something did
         self.left_open = ""  # what the session could not bring to its end, in a sentence
@@ -155,7 +155,7 @@ class LoopSession:
 
     @property
     def finished(self) -> bool:
-        """Whether the end has begun and neither a write is open nor a set to be restored, or patience is over."""
+        """Whether the end has begun, no write is open, and no set is to be restored, or the waiting time is over."""
         return self.machine.phase in {SessionPhase.SETTLED, SessionPhase.LEFT_OPEN}
 
     @property
@@ -393,7 +393,7 @@ class LoopSession:
         self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
 
     def _close(self, now_s: float) -> None:
-        """The end is reached when nothing is open; or patience is over, and what is left open is said."""
+        """The end is reached when nothing is open; or the waiting time is over, and what is left open is said."""
         if not self.ending:
             return
         nothing_open, turned = not self.writer.open and not self._bumped, self.retuner.turned

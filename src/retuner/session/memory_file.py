@@ -126,7 +126,7 @@ def from_text(text: str, config: Config, settings: RetunerSettings) -> Retuner:
     except (ValueError, KeyError, TypeError):
         raise NoMemoryError("it is damaged") from None
     if of != about(config):
-        raise NoMemoryError("it is of another configuration: [loop], [schedule], [adaptation] or the node differ")
+        raise NoMemoryError("it belongs to another configuration: [loop], [schedule], [adaptation] or the node differ")
     try:
         return restore(memory, settings)
     except ValueError as error:
@@ -171,7 +171,7 @@ def _known(before: Path, rows: Sequence[Row]) -> tuple[str, int]:
         if digest(text) in places:
             found.append((places[digest(text)], text))
     if not found:
-        raise NoMemoryError("it is torn or was changed: the ledger knows no memory of this hash")
+        raise NoMemoryError("it is damaged or was changed: the ledger has no memory with this hash")
     place, text = max(found)
     return text, place
 
@@ -210,7 +210,7 @@ def started_with(folder: Path, rows: Sequence[Row], config: Config, settings: Re
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: {error}") from error
     if digest(text) != begun["sha256"]:
-        raise UserError(f"{path}: was changed after the run; the ledger knows it by another hash")
+        raise UserError(f"{path}: was changed after the run; the ledger has another hash for it")
     try:
         return Remembered(from_text(text, config, settings), text, 0)
     except NoMemoryError as error:

@@ -126,7 +126,7 @@ def read_loops(session: Path) -> tuple[tuple[RecordedSession, ...], SessionConfi
     first = rows[0].body
     config, text = load_session(folder / CONFIG)
     if hashlib.sha256(text.encode()).hexdigest() != first["config_sha256"]:
-        raise UserError(f"{folder / CONFIG}: was changed after the run; the ledger knows it by another hash")
+        raise UserError(f"{folder / CONFIG}: was changed after the run; the ledger has another hash for it")
     given = first["overrides"].get("adaptation.mode")
     mode = Mode(given) if given else None
     about = rows_by_loop(rows, config.names) if config.several else {config.names[0]: rows}

@@ -37,7 +37,7 @@ class LoopTrend:
     kd: FloatArray
 
     def __repr__(self) -> str:
-        told = f"mean error {self.error:.3g}, co's way {self.travel:.4g}" if len(self.t_s) else "nothing yet"
+        told = f"mean error {self.error:.3g}, co travel {self.travel:.4g}" if len(self.t_s) else "nothing yet"
         return f"LoopTrend({len(self.t_s)} samples: {told}, gains changed {len(self.changes_s)} times)"
 
     def _repr_html_(self) -> str:

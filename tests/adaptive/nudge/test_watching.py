@@ -55,4 +55,4 @@ def test_bumps_go_on_until_they_have_told_the_settings_well() -> None:
     bench.run(400, 1.0)
     known = replace(bench.retuner.region_models[0], records=6)
     assert unsure(replace(known, plausible=(rough, rough)), 1.0) == ""
-    assert "known to a factor of" in unsure(replace(known, plausible=(rough, steep)), 1.0)
+    assert "known within a factor of" in unsure(replace(known, plausible=(rough, steep)), 1.0)

@@ -57,7 +57,7 @@ def test_what_is_worse_than_promised_but_better_than_before_is_kept() -> None:
     seen = responses(Rig(ringing), 400, load=10.0)[0]
     kept = judge(seen, from_unstable, ringing, S)
     assert kept.finding is not TrialFinding.WORSE
-    assert kept.reason.startswith("not as predicted, but no worse than the previous gains: half-cycle decay ratio")
+    assert kept.reason.startswith("not as predicted, but no worse than with the previous gains: half-cycle decay ratio")
     assert "; previous gains " in kept.reason
     assert judge(seen, PROMISE, ringing, S).finding is TrialFinding.WORSE
 

@@ -242,6 +242,6 @@ def test_peaks_that_several_records_explain_by_loads_take_no_robust_set_back() -
     kept = judge(seen, held, ringing, S)
     assert kept.finding is TrialFinding.AS_PROMISED
     assert "robust: Ms at most 1.70" in kept.reason
-    assert "the models explain this response by its loads: half-cycle decay ratio" in kept.reason
+    assert "loads explain this response: half-cycle decay ratio" in kept.reason
     for doubt in ({"agreed": False}, {"settled": False}, {"ms_most": 2.5}):
         assert judge(replace(seen, posterior=replace(robust, **doubt)), held, ringing, S).finding is TrialFinding.WORSE

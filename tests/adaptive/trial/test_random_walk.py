@@ -93,7 +93,7 @@ def test_the_models_word_does_not_count_where_the_walk_explains_it() -> None:
     assert judge(swings, PROMISE, GOOD, S).finding is TrialFinding.WORSE
     found = judge(replace(swings, walked=NOTHING_KNOWN), PROMISE, GOOD, S)
     assert found.finding is TrialFinding.INCONCLUSIVE
-    assert "a load that wanders explains this response as well" in found.reason
+    assert "a wandering load explains this response equally well" in found.reason
 
 
 def test_the_processes_for_which_a_set_was_made_are_no_witnesses_for_it() -> None:

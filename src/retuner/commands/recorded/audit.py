@@ -154,7 +154,7 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
     for path, reason in found.refused[:SHOWN]:
         sys.stderr.write(f"left out: {reason if str(path) in reason else f'{path}: {reason}'}\n")
     sys.stderr.write(
-        f"names: {_names_told(found)}; {options.out / JOINED} has all, to mend and give back by --record\n"
+        f"names: {_names_told(found)}; {options.out / JOINED} lists all; correct it and give it back with --record\n"
     )
     sys.stdout.write(summary(rows, len(found.refused)) + "\n")
     for row in [row for row in rows if is_fault(row)][:SHOWN]:

@@ -175,7 +175,7 @@ def described(found: DiagnosedRecord) -> list[str]:
     if told.retune and result.settings is not None:
         lines += _recommended_lines(found)
     elif not told.retune:
-        unsure = "; no set is surely better" if told.cause in TUNING_CAUSES else ""
+        unsure = "; no set is certainly better" if told.cause in TUNING_CAUSES else ""
         lines.append(f"{'recommended':<{NAME}}no change of settings{unsure}")
     lines += _process_lines(found)
     lines.append(f"{'the loop':<{NAME}}{loop_words(found.loop)}")
@@ -244,7 +244,7 @@ def _next(found: DiagnosedRecord) -> list[str]:
     """What to do."""
     told = found.result.diagnosis
     if told.retune:
-        return ["set these, and diagnose the next record together with this one"]
+        return ["set these, then diagnose the next record together with this one"]
     if told.next is not None:
         return [f"{test_words(told.next)}; diagnose its record together with this one"]
     return _by_eye(found)

@@ -129,12 +129,12 @@ def _contradiction(other: Diagnosis | None) -> list[str]:
         return []
     if other.cause is Cause.UNKNOWN:
         return [
-            f"but retuner diagnose cannot tell the cause: {other.reason}",
-            "  it may be no matter of tuning: look at the record before you use the settings",
+            f"but retuner diagnose cannot name the cause: {other.reason}",
+            "  it may not be the tuning: look at the record before you use the settings",
         ]
     return [
         f"but retuner diagnose finds {str(other.cause).replace('_', ' ').upper()} in this record: {other.reason}",
-        "  new settings correct tuning only: resolve this first",
+        "  new settings only help tuning: fix this first",
     ]
 
 

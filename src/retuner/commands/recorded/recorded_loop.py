@@ -163,7 +163,7 @@ def require_length(recording: Recording) -> None:
     n = len(recording.t_s)
     if n < FEWEST_SAMPLES:
         raise UserError(
-            f"{recording.source}: {n} samples say nothing of a loop; give at least {FEWEST_SAMPLES}, better 100"
+            f"{recording.source}: {n} samples are too few for a loop; give at least {FEWEST_SAMPLES}, better 100"
         )
 
 

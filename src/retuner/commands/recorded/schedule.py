@@ -60,10 +60,12 @@ class ScheduleOptions(FormOptions):
     by: Annotated[
         list[str] | None,
         typer.Option(
-            "--by", metavar="VARIABLE", help="sp, pv, co or any column; several: the evidence chooses 1 or 2."
+            "--by", metavar="VARIABLE", help="sp, pv, co or any column; of several the evidence chooses 1 or 2."
         ),
     ] = None
-    low: Annotated[float | None, typer.Option(help="Lower end of the first variable; default: as visited.")] = None
+    low: Annotated[
+        float | None, typer.Option(help="Lower end of the first variable; default: as far as the records go.")
+    ] = None
     high: Annotated[float | None, typer.Option(help="Upper end of the first variable.")] = None
     co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
     co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
@@ -75,7 +77,7 @@ class ScheduleOptions(FormOptions):
         typer.Option(metavar="TOML", help="Gain table active then, to compare; else identified."),
     ] = None
     gain_columns: Annotated[
-        str, typer.Option(metavar="KP,KI,KD", help="Columns of the active gains, parallel, to compare; kd may lack.")
+        str, typer.Option(metavar="KP,KI,KD", help="Columns of the active gains, parallel, to compare; kd is optional.")
     ] = ""
     controller: Controller = None
     action: ActionOption = None

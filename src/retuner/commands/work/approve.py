@@ -148,9 +148,9 @@ def approve(session: Path, asked: Asked, person: Person, *, as_json: bool) -> in
     digest, unlock = asked.digest, asked.unlock
     found = places(session, asked.loop)
     if asked.every and (unlock or digest) is not None:
-        raise UserError("--all: lists proposals; leave it out to approve or unlock one")
+        raise UserError("--all: lists proposals; omit it to approve or unlock one")
     if unlock is not None and asked.into is not None:
-        raise UserError("--into: takes up a proposed schedule; leave it out to unlock a region")
+        raise UserError("--into: takes up a proposed schedule; omit it to unlock a region")
     if unlock is not None:
         return _unlock(only_place(session, asked.loop), unlock, digest, person, as_json=as_json)
     if digest is None and asked.into is not None:
@@ -203,7 +203,7 @@ def _take_up(place: LoopPlace, full: str, into: Path | None, person: Person, *, 
     parts = f"{len(table.gains)} regions along {table.regions.axes[0].label}"
     told = f"{into}: has the schedule {full[:SHORTEST]} now, {parts}; its next run uses it"
     if written.comments:
-        told += f"; comments on {written.comments} lines of the old section went with it"
+        told += f"; comments on {written.comments} lines of the old section were lost with it"
     _tell(document, told, as_json=as_json)
     return 0
 
@@ -231,7 +231,7 @@ def _closed(place: LoopPlace, full: str) -> str:
         return "it was rejected"
     proposal = place.shown.proposals.get(full)
     if proposal is None:
-        return "" if full in place.shown.waiting.values() else "this change does not wait for an operator"
+        return "" if full in place.shown.waiting.values() else "this change needs no operator"
     standing = place.shown.standing(proposal, place.expires_after_s)
     return str(standing) if standing is not ProposalStanding.OPEN else superseded(place.shown.successor(proposal))
 

@@ -143,7 +143,7 @@ def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Questi
     Raises
     ------
     ConfigError, UserError, DeviceError
-        The configuration, an option, the folder or the bus cannot be used; nothing was touched.
+        The configuration, an option, the folder or the bus cannot be used; nothing was changed.
     """
     config = on_bus(load_config(path, options.loop), options.interface, options.channel)
     in_process = config.bus.interface == "virtual"

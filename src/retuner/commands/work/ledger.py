@@ -266,7 +266,7 @@ def export(session: Path, as_csv: Path | None, as_jsonl: Path | None) -> int:
     target = as_csv or as_jsonl
     assert target is not None
     if target.exists():
-        raise UserError(f"{target}: is there already; give another name")
+        raise UserError(f"{target}: exists already; give another name")
     if not target.parent.is_dir():
         raise UserError(f"{target}: the folder {target.parent} does not exist; make it first")
     rows, broken = believed(path)

@@ -89,7 +89,7 @@ def _mode_of(options: RunOptions, session: SessionConfig) -> Mode | None:
         raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
     mode = Mode(options.mode) if options.mode else None
     if any(one.adaptation.pretune and (mode or one.adaptation.mode) == Mode.OFF for one in session.loops):
-        raise UserError("pretune moves co, and mode off only watches: leave pretune out, or give --mode advise")
+        raise UserError("pretune moves co, but mode off only watches: omit pretune, or give --mode advise")
     return mode
 
 
