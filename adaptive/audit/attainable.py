@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
 from retuner.adaptive.fit.dynamics import Clock
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
@@ -161,5 +160,7 @@ def _held(a: FloatArray, b: FloatArray, length: float) -> tuple[FloatArray, Floa
     n = len(b)
     whole = np.zeros((n + 1, n + 1))
     whole[:n, :n], whole[:n, n] = a, b
+    from scipy.linalg import expm  # noqa: PLC0415  half a second of every other audit command
+
     moved = np.asarray(expm(length * whole), dtype=np.float64)
     return moved[:n, :n], moved[:n, n]

@@ -12,7 +12,6 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.fft import rfft
 
 from retuner.adaptive.indexes.autocovariance import DRIFT_WINDOWS, LEAST_STRENGTH, Regularity, regularity
 from retuner.adaptive.signals.sample import FloatArray
@@ -100,7 +99,7 @@ def _stand_out(rows: FloatArray) -> npt.NDArray[np.bool_]:
     i = np.arange(length) - (length - 1) / 2
     level = rows - rows.mean(axis=1, keepdims=True)
     flat = level - np.outer(level @ i / float(i @ i), i)
-    spectrum = rfft(flat.astype(np.float32), 2 * length)  # for the eye of a first look
+    spectrum = np.fft.rfft(flat.astype(np.float32), 2 * length)  # for the eye of a first look
     power = spectrum.real**2 + spectrum.imag**2
     sums = np.cumsum(power, axis=1, dtype=np.float64)
     bands = sums[:, edges[2:]] - sums[:, edges[:-2]]

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
 
 from retuner.adaptive.audit.lasting_swing import LastingSwing, lasting_swing
 from retuner.adaptive.audit.record_sums import LAGS, AtExtreme, Measure, RecordSums, covariances, record_sums
@@ -52,6 +51,8 @@ STILL_MOST = 400
 """Samples of constant co that are a long stretch in a record of any length."""
 
 NO_WAVE = Regularity(0.0, 0.0, 0.0, 0.0)
+APART = np.abs(np.arange(LAGS)[:, None] - np.arange(LAGS))
+"""How far apart two lags are, shape (LAGS, LAGS)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +255,7 @@ def _harris(r: FloatArray, delay: int) -> float:
     if r[0] <= 0:
         return 0.0
     r = np.concatenate([[1 + 1e-9], r[1:] / r[0]])
-    ar = solve_toeplitz(r[:-1], r[1:])
+    ar = np.linalg.solve(r[APART], r[1:])
     innovation = float(r[0] - ar @ r[1:])
     psi = np.zeros(delay)
     psi[0] = 1.0

@@ -4,12 +4,16 @@ Each function takes a Decision, or the document of one as the ledger keeps it.
 """
 
 import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.supervision.decision import Decision
 from retuner.decision_page.row_values import Document, brief, decided_on, gains_of, number, part, parts, words
 from retuner.decision_page.shown_units import units_of
 from retuner.schedule.gains import PidGains
+
+if TYPE_CHECKING:
+    from retuner.adaptive.supervision.decision import Decision  # loads all that decides
 
 WHOLE_STEP = 0.999
 """A step of at least this share is the whole one to a reader."""
@@ -21,19 +25,19 @@ LATER = "in the table, to be written when the loop enters the region"
 INTEGRATING = {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
 
 
-def document_of(decision: Decision | Document) -> Document:
+def document_of(decision: "Decision | Document") -> Document:
     """A decision as plain values."""
-    return decision.to_dict() if isinstance(decision, Decision) else decision
+    return decision if isinstance(decision, Mapping) else decision.to_dict()
 
 
-def stays(decision: Decision | Document) -> bool:
+def stays(decision: "Decision | Document") -> bool:
     """Whether the gains on trial stay, and are only read back: no undo, though the action is that of one."""
     document = document_of(decision)
     before, after = (part(document, name) for name in ("gains_before", "gains_after"))
     return words(document, "action") == "restore" and bool(after) and after == before
 
 
-def takes_back(decision: Decision | Document) -> bool:
+def takes_back(decision: "Decision | Document") -> bool:
     """Whether other gains replace those on trial."""
     document = document_of(decision)
     return words(document, "action") == "restore" and not stays(document)
@@ -49,7 +53,7 @@ def short_settings(gains: PidGains, loop: str = "") -> str:
     return units_of(loop).short(gains)
 
 
-def response_text(decision: Decision | Document) -> str:
+def response_text(decision: "Decision | Document") -> str:
     """What was recognised."""
     r = part(document_of(decision), "response")
     if not r:
@@ -75,7 +79,7 @@ def process_text(m: ProcessModel) -> str:
     return f"{gain} {brief(m.k)}{lags}{zeta} theta {brief(m.theta_s)} s"
 
 
-def model_text(decision: Decision | Document) -> str:
+def model_text(decision: "Decision | Document") -> str:
     """What the process is, and how many records say so."""
     document = document_of(decision)
     m = decided_on(document)
@@ -89,14 +93,14 @@ def model_text(decision: Decision | Document) -> str:
     return f"{process_text(m)} ({records})"
 
 
-def cause_text(decision: Decision | Document) -> str:
+def cause_text(decision: "Decision | Document") -> str:
     """The cause, or what it was about where no response was looked at, or that there was none to name."""
     document = document_of(decision)
     cause = words(part(document, "diagnosis"), "cause").replace("_", " ")
     return cause or about_nothing_seen(document) or "undecided"
 
 
-def about_nothing_seen(decision: Decision | Document) -> str:
+def about_nothing_seen(decision: "Decision | Document") -> str:
     """What a decision is about that no response led to; empty where one did."""
     document = document_of(decision)
     code = words(document, "code")
@@ -112,7 +116,7 @@ WITHOUT = {
 """What decisions without a response are about, by the beginnings of their codes."""
 
 
-def change_text(decision: Decision | Document) -> str:
+def change_text(decision: "Decision | Document") -> str:
     """What changes, from what to what, with Ms."""
     document = document_of(decision)
     verb, loop = VERBS.get(words(document, "action")), words(document, "loop")
@@ -167,7 +171,7 @@ def ms_words(ms: float | None) -> str:
     return "unstable" if ms is None or math.isinf(ms) else f"{ms:.2f}"
 
 
-def one_line(decision: Decision | Document) -> str:
+def one_line(decision: "Decision | Document") -> str:
     """The decision in one line."""
     document = document_of(decision)
     reason = words(document, "reason")

@@ -19,11 +19,19 @@ from retuner.decision_page.evidence_words import evidence_table
 from retuner.decision_page.explain import process_text, settings_text, stays
 from retuner.decision_page.html import document, escaped, pairs, paragraph, section, table, text_table
 from retuner.decision_page.outcome import judgement_section, later_section, promise_section
-from retuner.decision_page.response_drawing import response_svg
-from retuner.decision_page.robustness_drawing import new_name, old_name, robustness_svg
 from retuner.decision_page.row_values import finite, gains_of, number, numbers, part, parts, words
 from retuner.decision_page.shown_units import units_of
-from retuner.decision_page.text import DONE, footing, headline, margin_rows, ms_limit, parameters, structure
+from retuner.decision_page.text import (
+    DONE,
+    footing,
+    headline,
+    margin_rows,
+    ms_limit,
+    new_name,
+    old_name,
+    parameters,
+    structure,
+)
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.dials import PARALLEL
 from retuner.schedule.gains import PidGains
@@ -57,6 +65,9 @@ def page(view: DecisionView) -> str:
 
 def article(view: DecisionView) -> str:
     """The page as a part of another."""
+    from retuner.decision_page.response_drawing import response_svg  # noqa: PLC0415  matplotlib, for those who draw
+    from retuner.decision_page.robustness_drawing import robustness_svg  # noqa: PLC0415
+
     response = response_svg(view)
     drawing = robustness_svg(view, ms_limit(view))
     body = [

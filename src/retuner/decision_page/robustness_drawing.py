@@ -22,6 +22,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.response_drawing import time_unit
 from retuner.decision_page.svg import AFTER, BEFORE, FAINT, LIMIT, SETPOINT, settings, svg, thinned
+from retuner.decision_page.text import new_name, old_name
 from retuner.schedule.gains import PidGains
 
 REAL, IMAGINARY = (-2.3, 0.7), (-1.75, 0.75)
@@ -95,16 +96,6 @@ def _nyquist(axes: Axes, view: DecisionView, process: LinearProcess, before: Pid
     axes.legend(
         loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handlelength=1.8, columnspacing=1.0
     )
-
-
-def old_name(view: DecisionView) -> str:
-    """What the gains in force are called."""
-    return "before" if view.after else "active"
-
-
-def new_name(view: DecisionView) -> str:
-    """What the gains are called that were let through, or only proposed."""
-    return "after" if view.after else "proposed"
 
 
 def _ms(process: LinearProcess, gains: PidGains) -> str:

@@ -198,3 +198,18 @@ def _margin(found: Margins, name: str, unit: str) -> str:
         return "unstable"
     value: float = getattr(found, name)
     return f"{value:.3g}{unit}" if math.isfinite(value) else "no limit"
+
+
+def old_name(view: DecisionView) -> str:
+    """What the gains in force are called."""
+    return "before" if view.after else "active"
+
+
+def new_name(view: DecisionView) -> str:
+    """What the gains are called that were let through, or only proposed."""
+    return "after" if view.after else "proposed"
+
+
+def ms_text(ms: float | None) -> str:
+    """Ms as people read it."""
+    return "-" if ms is None else "unstable" if ms == float("inf") else f"{ms:.2f}"

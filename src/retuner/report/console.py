@@ -13,8 +13,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision
 from retuner.decision_page.explain import cause_text, change_text, model_text, short_settings, stays, takes_back
 from retuner.decision_page.shown_units import units_of
-from retuner.decision_page.text import MS_LIMIT
-from retuner.report.report import ms_text
+from retuner.decision_page.text import MS_LIMIT, ms_text
 from retuner.report.scores import RegionScore
 from retuner.streams import LastingStream
 

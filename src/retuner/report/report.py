@@ -27,7 +27,7 @@ from retuner.decision_page.html import escaped, figure, paragraph, table
 from retuner.decision_page.page import article
 from retuner.decision_page.row_values import Document, number, part, words
 from retuner.decision_page.shown_units import units_of
-from retuner.decision_page.text import MS_LIMIT
+from retuner.decision_page.text import MS_LIMIT, ms_text
 from retuner.report.plots import Mark, trend_svg, twin_svg
 from retuner.report.region_overview import overview
 from retuner.report.scores import Columns, RegionScore, Twin, twin_steps
@@ -164,11 +164,6 @@ def _lead(data: ReportData, documents: Sequence[Document]) -> str:
 def _counted(count: int, what: str) -> str:
     """A number and its noun with its verb."""
     return f"{count} {what}{' was' if count == 1 else 's were'}"
-
-
-def ms_text(ms: float | None) -> str:
-    """Ms as people read it."""
-    return "-" if ms is None else "unstable" if ms == float("inf") else f"{ms:.2f}"
 
 
 def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
