@@ -25,7 +25,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.loop.margins import margins
-from retuner.decision_page import page as page_module
+from retuner.decision_page import robustness_drawing
 from retuner.decision_page.decision_view import DecisionView, what_came_of, worth_pages
 from retuner.decision_page.explain import one_line
 from retuner.decision_page.page import article, ms_limit, page
@@ -265,7 +265,7 @@ def test_odd_and_missing_values_leave_a_page(changes: list[tuple[tuple[Any, ...]
         document = with_value(document, at, value)
     shown = DecisionView(document, None, "degC", 2.0)
     with pytest.MonkeyPatch.context() as patch:  # drawings have tests of their own
-        patch.setattr(page_module, "robustness_svg", lambda *_: "")
+        patch.setattr(robustness_drawing, "robustness_svg", lambda *_: "")
         text = article(shown)
     elements(text)
     assert headline(shown)
