@@ -24,7 +24,7 @@ from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import Found
 from retuner.adaptive.explanations.deciding_test import DecidingTest, deciding_test, valve_test
-from retuner.adaptive.explanations.process_grid import gain_unit
+from retuner.adaptive.explanations.process_grid import gain_unit, shapes
 from retuner.adaptive.explanations.setpoint_overshoot import SeenOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import (
     Worthwhile,
@@ -34,7 +34,14 @@ from retuner.adaptive.explanations.settings_by_odds import (
 )
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
-from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES, TEMPER, Prepared, log_likelihood
+from retuner.adaptive.explanations.wandering_load import (
+    MOST_SAMPLES,
+    TEMPER,
+    Prepared,
+    log_likelihood,
+    setpoint_share,
+    temper,
+)
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition, record_condition
@@ -56,12 +63,14 @@ class Walk:
 
     log_likelihood : of the grid's processes, records joined. valve : ln Bayes factor of a valve, tempered.
     record : the longest window as it was compared. best : its own largest tempered log-likelihood a sample.
+    moved : largest share of setpoint or hand in what moves a record (wandering_load.py).
     """
 
     log_likelihood: FloatArray
     valve: float
     record: Prepared
     best: float
+    moved: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,17 +175,30 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     """All records and windows under a load that wanders, on one clock; None where nothing moves."""
     dt = max(_interval_s(w, settings) for w in windows)
     parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
-    records = [Prepared.at(part, dt) for part in parts]
-    records = [r for r in records if len(r.pv) >= FEWEST and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
-    if not records:
+    both = [(Prepared.at(part, dt), Prepared.at(replace(part, pv=part.sp), dt).pv) for part in parts]
+    both = [(r, sp) for r, sp in both if len(r.pv) >= FEWEST and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
+    if not both:
         return None
+    records = [record for record, _ in both]
     unit = gain_unit(gains, dt) if gains is not None else 1.0
     each = [log_likelihood(r, direction, unit) if gains is not None else np.zeros(1) for r in records]
     valve = sum(log_odds_of_valve(r, direction) for r in records)
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
     size = 0.5 * math.log(float(np.var(records[longest].pv)))  # likelihoods are counted in it
     best = TEMPER * float(np.max(each[longest])) / len(records[longest].pv) - size
-    return Walk(np.sum(each, axis=0), valve, records[longest], best)
+    shares = [0.0]
+    if gains is not None:
+        shares = [_share(*one, likelihood) for one, likelihood in zip(both, each, strict=True)]
+        each = [TEMPER / temper(share) * likelihood for share, likelihood in zip(shares, each, strict=True)]
+    return Walk(np.sum(each, axis=0), valve, records[longest], best, max(shares))
+
+
+def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> float:
+    """The setpoint's share in what moves a record. setpoint : from its first value; pv's own where co goes by hand."""
+    if np.array_equal(setpoint, record.pv):
+        return 1.0
+    row = int(np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)[0])
+    return setpoint_share(record, setpoint, shapes()[row].lag)
 
 
 def _interval_s(window: Window, settings: OddsSettings) -> float:
@@ -207,7 +229,8 @@ def _shapes(found: Found, settings: OddsSettings) -> float:
 def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: OddsSettings) -> dict[Cause, float]:
     """Odds under a load that wanders. shapes : what shapes and plateaus say for a valve, in all records."""
     prior = math.log(settings.stiction / (1.0 - settings.stiction))
-    grid = settings.valve_weight * walk.valve
+    known, other = (min(weight * walk.valve, 500.0) for weight in (settings.valve_weight, settings.other_weight))
+    grid = math.log((1.0 - settings.other_valve) * math.exp(known) + settings.other_valve * math.exp(min(other, 0.0)))
     evidence = shapes + (max(grid, 0.0) if shapes else grid)  # shapes see valves that no grid has
     stiction = 1.0 / (1.0 + math.exp(-min(max(prior + evidence, -50.0), 50.0)))
     rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
@@ -271,10 +294,11 @@ def _weight_of_steps(found: Found, walk: Walk, settings: OddsSettings) -> float:
         return settings.tone_alone if found.diagnosis.cause == Cause.EXTERNAL else HALF
     record = fit.fit.misfit.record
     lead = len(record.pv) * (_per_sample(fit, len(record.pv), walk) - walk.best)
+    most = settings.tone_alone if found.diagnosis.cause == Cause.EXTERNAL else 1.0
     white = fit.colour.std <= settings.noise_left * record.noise_std
     if white and fit.fit.misfit.loads <= settings.few_loads:
         lead = max(lead, 0.0)
-    return 1.0 / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
+    return most / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
 
 
 HALF = 0.5
@@ -320,7 +344,7 @@ def _verdict(
     shares = {str(c): q for c, q in causes.items()}
     by_steps = weight >= HALF and told.diagnosis.cause == cause
     wanted = odds if sure and not _swings_alone(open_ones) and not (by_steps and told.tuning is not None) else None
-    worth = _settings(causes, wanted, settings) if wanted is not None else None
+    worth = _settings(causes, wanted, walk.moved, settings) if wanted is not None else None
     if by_steps and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
@@ -358,9 +382,16 @@ def _swings_alone(open_ones: Sequence[tuple[Window, Found]]) -> bool:
     return not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
 
 
-def _settings(causes: Mapping[Cause, float], odds: TuningOdds, settings: OddsSettings) -> Worthwhile | None:
-    """Settings worth having, where tuning is the cause and the odds that they are asked for are large enough."""
+def _settings(
+    causes: Mapping[Cause, float], odds: TuningOdds, moved: float, settings: OddsSettings
+) -> Worthwhile | None:
+    """Settings worth having, where tuning is the cause and the odds that they are asked for are large enough.
+
+    moved : of Walk. Loads alone may pass for the loop's own doing however sure the odds: then the test comes first.
+    """
     if next(iter(causes)) not in TUNING_CAUSES:
+        return None
+    if moved < settings.moved and next(iter(causes.values())) < settings.loads_odds:
         return None
     less = causes.get(Cause.AGGRESSIVE, 0.0) + causes.get(Cause.SLOW_INTEGRATING, 0.0)
     more = causes.get(Cause.SLUGGISH, 0.0)

@@ -6,8 +6,8 @@
 A valve that may stay behind co is told by steps of co in manual: D is then between the process's answer and none.
 
 D/2 is the mean of the log-likelihood ratio of two processes under the load and noise that the record has shown (A/C
-and s, wandering_load.py), T its temper, and the ratio is normal with variance D. The test decides where the odds come
-out at nine to one or more. In each class the processes nearest to one another count.
+and s, wandering_load.py), T the temper of a setpoint's doing, and the ratio is normal with variance D. The test decides
+where the odds come out at nine to one or more. In each class the processes nearest to one another count.
 """
 
 import math
@@ -20,16 +20,14 @@ import numpy as np
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, TuningOdds, class_of
 from retuner.adaptive.explanations.wandering_load import (
-    LOADS,
-    TEMPER,
+    T_SETPOINT,
     LoadModel,
     Prepared,
     filtered,
     impulse_response,
-    load_model,
+    likeliest_load,
     responses,
     spectrum,
-    under_loads,
 )
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -142,11 +140,7 @@ def _groups(odds: TuningOdds) -> list[list[_Process]]:
 def _load(odds: TuningOdds, record: Prepared) -> tuple[LoadModel, float]:
     """Load and noise that explain the record best beside the likeliest process, and the standard deviation s."""
     i = int(np.unravel_index(int(np.argmax(odds.weights)), odds.weights.shape)[0])
-    lag = shapes()[i].lag
-    fits = under_loads(record, record.co[None], lag, LOADS, DEAD_TIMES)
-    variance = fits.left.min(axis=(1, 2)) / fits.freedom
-    best = int(np.argmin(variance))
-    return load_model(lag, *LOADS[best]), math.sqrt(float(variance[best]))
+    return likeliest_load(record, shapes()[i].lag)
 
 
 def _answer(process: _Process, co: FloatArray) -> FloatArray:
@@ -219,8 +213,8 @@ def _decides(energy: FloatArray, weight: FloatArray) -> float:
 
 def _reaches(energy: float, lead: float) -> float:
     """Probability that the tempered ratio, with what leads already, comes out at DECIDED."""
-    mean = energy / (2 * TEMPER) + lead - DECIDED
-    spread = math.sqrt(max(energy, 1e-9) / TEMPER)
+    mean = energy / (2 * T_SETPOINT) + lead - DECIDED
+    spread = math.sqrt(max(energy, 1e-9) / T_SETPOINT)
     return 0.5 * (1.0 + math.erf(mean / spread / math.sqrt(2.0)))
 
 

@@ -119,15 +119,27 @@ class LikelyProcesses:
 
 
 def likely_processes(odds: TuningOdds, most: int) -> LikelyProcesses:
-    """The likeliest processes, with the odds of those that are left out spread over them."""
+    """No more than so many processes that stand for all, the likeliest first.
+
+    They are drawn at even steps of the odds (systematic sampling, Madow & Madow 1944) along Ms with the gains in force,
+    so that loops near their limits are among them as often as they are likely.
+    """
     flat = odds.weights.ravel()
-    chosen = np.argpartition(flat, -most)[-most:]
-    chosen = chosen[np.argsort(-flat[chosen], kind="stable")]
+    kept = np.flatnonzero(flat > NEXT_TO_NONE * float(flat.max()))
+    kept = kept[np.argsort(odds.robustness.ms.ravel()[kept], kind="stable")]
+    drawn = np.searchsorted(np.cumsum(flat[kept]), (np.arange(most) + 0.5) / most * float(flat[kept].sum()))
+    chosen, counts = np.unique(kept[np.minimum(drawn, len(kept) - 1)], return_counts=True)
+    order = np.lexsort((-flat[chosen], -counts))
+    chosen, counts = chosen[order], counts[order]
     rows, dead, gain = np.unravel_index(chosen, odds.weights.shape)
     loop_gain = GAINS[gain] * odds.robustness.scale / gain_unit(odds.gains, odds.sample_time_s)
-    weights = flat[chosen] / float(flat[chosen].sum())
     index = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))
-    return LikelyProcesses(index, weights, responses_of(rows, dead) * loop_gain[:, None], odds.sample_time_s)
+    responses = responses_of(rows, dead) * loop_gain[:, None]
+    return LikelyProcesses(index, counts / float(most), responses, odds.sample_time_s)
+
+
+NEXT_TO_NONE = 1e-9
+"""Of the likeliest process's odds: what is less likely never counts."""
 
 
 def process_model(shape: Shape, dead: float, gain: float, direction: int, sample_time_s: float) -> ProcessModel:

@@ -4,7 +4,8 @@
 
 The classes are those of diagnosis: Ms over its limit by too much gain (aggressive) or by too much integral action for
 the gain (slow integrating), much more gain or integral action possible at a good Ms (sluggish), and in order. A class
-counts by the mean over its processes and not by their number: how finely a grid is drawn says nothing of plants.
+counts by the mean over its processes and not by their number: how finely a grid is drawn says nothing of plants. In
+the mean, processes weigh by how usual they are (UsualProcess): a grid reaches farther than plants do.
 """
 
 from dataclasses import dataclass
@@ -41,6 +42,29 @@ class TuningLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class UsualProcess:
+    """How usual a process is in the loop that it was found in; standard deviations of natural logarithms, wide ones.
+
+    dead, dead_std : effective dead time in samples; default 3 and 1.5 (loops are sampled for their dead time).
+    lag, lag_std : first lag in samples; default 15 and 1.7. integral_std : of the integral time in force over SIMC's;
+        default 1.2: whoever set the loop knew its lag to a factor of three or so.
+    margin, margin_std : gain margin of a loop with too much gain; default 1.35 and 0.25: with less it would have been
+        put in manual. room, room_std : of a sluggish loop, how many times as much gain it bears; default 5, and 1
+        beyond.
+    """
+
+    dead: float = 3.0
+    dead_std: float = 1.5
+    lag: float = 15.0
+    lag_std: float = 1.7
+    integral_std: float = 1.2
+    margin: float = 1.35
+    margin_std: float = 0.25
+    room: float = 5.0
+    room_std: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class TuningOdds:
     """The processes that a loop's records allow, with the gains in force.
 
@@ -56,26 +80,67 @@ class TuningOdds:
 
 
 def tuning_odds(
-    log_likelihood: FloatArray, gains: PidGains, sample_time_s: float, prior: dict[str, float], limits: TuningLimits
+    log_likelihood: FloatArray,
+    gains: PidGains,
+    sample_time_s: float,
+    prior: dict[str, float],
+    limits: TuningLimits,
+    usual: UsualProcess | None = None,
 ) -> TuningOdds:
     """Weigh the classes.
 
     log_likelihood : of all records of the loop together (wandering_load.py). gains : in force. prior : of each class,
-    sum 1. sample_time_s : of the condensed records.
+    sum 1. sample_time_s : of the condensed records. usual : what processes are usual.
     """
     known = robustness(gains, sample_time_s)
     classes = class_of(known, gains, sample_time_s, limits)
     within = known.ultimate * limits.beyond >= GAINS
     likelihood = np.exp(log_likelihood - float(np.max(log_likelihood[within], initial=-np.inf)))
     likelihood[~within] = 0.0
+    usual_ones = _usual(known, classes, gains, sample_time_s, limits, usual or UsualProcess())
     weights = np.zeros_like(likelihood)
     for i, name in enumerate(CLASSES):
         of_class = (classes == i) & within
         if of_class.any():
-            weights[of_class] = likelihood[of_class] * (prior[name] / int(of_class.sum()))
+            among = usual_ones[of_class]
+            weights[of_class] = likelihood[of_class] * (prior[name] / float(among.sum())) * among
     weights /= float(weights.sum())
     shares = {name: float(weights[classes == i].sum()) for i, name in enumerate(CLASSES)}
     return TuningOdds(weights, shares, known, gains, sample_time_s)
+
+
+def _usual(
+    known: LoopRobustness,
+    classes: FloatArray,
+    gains: PidGains,
+    sample_time_s: float,
+    limits: TuningLimits,
+    usual: UsualProcess,
+) -> FloatArray:
+    """How usual every process of the grid is within its class, 1 for the most usual."""
+    dead, lag, second = _times()
+    far = np.log(dead / usual.dead) ** 2 / usual.dead_std**2
+    far = far + np.where(np.isinf(lag), 0.0, np.log(np.minimum(lag, FINITE) / usual.lag)) ** 2 / usual.lag_std**2
+    if gains.kp and gains.ki:
+        integral = np.minimum(lag + second / 2, 8.0 * (dead + second / np.where(np.isinf(lag), 1.0, 2.0)))
+        ratio = abs(gains.kp / gains.ki) / sample_time_s / integral
+        far = far + np.log(ratio) ** 2 / usual.integral_std**2
+    margin = np.log(np.maximum(known.gain_margin, 1e-9) / usual.margin) ** 2 / usual.margin_std**2
+    room = np.maximum(np.log(known.room(limits.ms_good) / usual.room), 0.0) ** 2 / usual.room_std**2
+    aggressive, sluggish = CLASSES.index("aggressive"), CLASSES.index("sluggish")
+    far = far + np.select([classes == aggressive, classes == sluggish], [margin, room], 0.0)
+    return np.asarray(np.exp(-0.5 * far), dtype=np.float64)
+
+
+FINITE = 1e9
+"""A lag in samples that has an end."""
+
+
+@cache
+def _times() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Dead times with the sampler's half sample, first and second lags; in samples, ready for (shapes, dead, 1)."""
+    lag, second = (np.array([getattr(shape, name) for shape in shapes()])[:, None, None] for name in ("lag", "second"))
+    return (np.array(DEAD_TIMES) + 0.5)[None, :, None], lag, second
 
 
 def class_of(known: LoopRobustness, gains: PidGains, sample_time_s: float, limits: TuningLimits) -> FloatArray:
