@@ -230,7 +230,8 @@ def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: Od
     """Odds under a load that wanders. shapes : what shapes and plateaus say for a valve, in all records."""
     prior = math.log(settings.stiction / (1.0 - settings.stiction))
     known, other = (min(weight * walk.valve, 500.0) for weight in (settings.valve_weight, settings.other_weight))
-    grid = math.log((1.0 - settings.other_valve) * math.exp(known) + settings.other_valve * math.exp(min(other, 0.0)))
+    unlike = settings.other_valve * (1.0 - walk.moved)  # setpoint steps would show it
+    grid = math.log((1.0 - unlike) * math.exp(known) + unlike * math.exp(min(other, 0.0)))
     evidence = shapes + (max(grid, 0.0) if shapes else grid)  # shapes see valves that no grid has
     stiction = 1.0 / (1.0 + math.exp(-min(max(prior + evidence, -50.0), 50.0)))
     rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
@@ -251,9 +252,8 @@ def _under_steps(
         if told.cause == Cause.UNKNOWN:
             told = replace(told, cause=Cause.EXTERNAL, confidence=HALF)
         weight = max(_weight_of_steps(found, walk, settings), tone)
-        others = 1.0 - under_walk.get(told.cause, 0.0)
-        shares = {c: (1 - told.confidence) * p / max(others, 1e-9) for c, p in under_walk.items() if c != told.cause}
-        shares[told.cause] = told.confidence
+        shares = {cause: (1 - told.confidence) * p for cause, p in under_walk.items()}  # where steps are silent
+        shares[told.cause] = shares.get(told.cause, 0.0) + told.confidence
         for cause in {*shares, *total}:
             total[cause] = total.get(cause, 0.0) + weight * math.log(max(shares.get(cause, 0.0), 1e-6))
         most = max(most, weight)
