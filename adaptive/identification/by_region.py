@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.identification.estimate import ModelEstimate
@@ -21,6 +22,10 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 
 FEWEST_SAMPLES = 40
 """A shorter stretch shows no dynamics beside its start and its noise."""
+STANDS = 10
+"""Samples in a row at one end of pv's range that are no measurement."""
+MOVES_ELSEWHERE = 0.5
+"""Share of samples that repeat the one before, from which pv is coarse."""
 CROSSED = 3.0
 """A border is crossed when the signal is beyond it by so many standard deviations of its noise."""
 
@@ -50,11 +55,12 @@ def by_region(window: Window, by: FloatArray, bounds: Sequence[float]) -> tuple[
     if not len(edges) or not np.all(np.isfinite(edges)) or np.any(np.diff(edges) <= 0):
         raise ValueError(f"boundaries {', '.join(f'{b:g}' for b in bounds) or 'none'}: give finite ones that increase")
     at = _places(by, edges, CROSSED * noise_sigma(by))
-    cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(at)]
+    clipped = _clipped(window.pv)
+    cuts = [0, *(np.flatnonzero(np.diff(at).astype(bool) | np.diff(clipped)) + 1).tolist(), len(at)]
     ends = [-math.inf, *edges.tolist(), math.inf]
     stretches: list[list[Window]] = [[] for _ in ends[1:]]
     for first, end in pairwise(cuts):
-        if end - first >= FEWEST_SAMPLES:
+        if end - first >= FEWEST_SAMPLES and not clipped[first]:
             stretches[at[first]].append(window.part(slice(first, end)))
     return tuple(RegionRecord(ends[i], ends[i + 1], tuple(found)) for i, found in enumerate(stretches))
 
@@ -71,6 +77,18 @@ def identify_region(record: RegionRecord, sign: int | None, settings: FitSetting
         found = identify_window(window, sign, priors, settings)
         sign = found.log.sign
     return found
+
+
+def _clipped(pv: FloatArray) -> npt.NDArray[np.bool_]:
+    """Where pv stands at its largest or smallest value, as a sensor does at an end of its range."""
+    none = np.zeros(len(pv), dtype=np.bool_)
+    if float(np.mean(np.diff(pv) == 0.0)) > MOVES_ELSEWHERE:  # a coarse signal stands anywhere
+        return none
+    for end in (float(np.max(pv)), float(np.min(pv))):
+        runs = np.flatnonzero(np.diff(np.concatenate([[False], pv == end, [False]])))
+        for first, after in zip(runs[::2].tolist(), runs[1::2].tolist(), strict=True):
+            none[first:after] |= after - first >= STANDS
+    return none
 
 
 def _excitation(window: Window) -> float:

@@ -14,7 +14,7 @@ from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.by_region import FEWEST_SAMPLES, by_region, identify_region
 from retuner.adaptive.identification.estimate import ModelEstimate
-from retuner.adaptive.identification.identify import FitSettings, identify_manual, identify_window
+from retuner.adaptive.identification.identify import FROM_MOTION, FitSettings, identify_manual, identify_window
 from retuner.adaptive.identification.in_parts import identify_parts
 from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTuning, robust_simc
 from retuner.adaptive.loop.margins import Margins, margins
@@ -283,7 +283,7 @@ def identify_by_region(
     window = within(window, co_min, co_max)
     sign, found = gains.direction if gains else None, []
     for region in by_region(window, np.asarray(by, dtype=np.float64), bounds):
-        estimate = identify_region(region, sign, FitSettings())
+        estimate = identify_region(region, sign, FROM_MOTION if open_loop else FitSettings())
         told = None if estimate is None else _followed(max(region.stretches, key=_length), estimate, gains, open_loop)
         found.append(RegionIdentification(region.low, region.high, sum(map(_length, region.stretches)), told))
     return tuple(found)

@@ -80,3 +80,37 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     for wrong in (["--bounds", "50"], ["--region-by", "level", "--bounds", "50"], ["--region-by", "pv"]):
         assert main(["identify", str(path), *wrong]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def tank(clipped: float = np.inf) -> Window:
+    """In manual: a gain that rises from 1.6 to 3.3 with the level, and a sensor that may end."""
+    rng = np.random.default_rng(0)
+    h, u, rows = 4.0, 40.0, []
+    for i in range(3000):
+        u = rng.uniform(25.0, 75.0) if i % 250 == 0 else u
+        rows.append((min(10.0 * h + rng.normal(0.0, 0.15), clipped), u))
+        for _ in range(5):
+            h = max(h + 0.4 * (0.05 * u / 40.0 - 0.025 * np.sqrt(max(h, 0.0))), 0.01)
+    pv, co = np.array(rows).T
+    return Window(np.arange(3000) * 5.0, np.full(3000, 40.0), pv, co)
+
+
+def test_in_manual_no_load_is_bought_in_any_region() -> None:
+    """It had been fitted with the closed loop's settings, and processes were invented."""
+    window = tank()
+    found = identify_by_region(window, window.pv, [40.0, 80.0], open_loop=True)
+    for region in found:
+        assert region.found is not None
+        assert region.found.estimate.load_times_s == ()
+    gains = [region.found.estimate.log.model().k for region in found if region.found is not None]
+    assert gains == sorted(gains)
+    assert gains[-1] > 1.5 * gains[0]
+
+
+def test_what_a_sensor_cuts_off_is_in_no_region() -> None:
+    whole, cut = tank(), tank(clipped=90.0)
+    known = identify_by_region(whole, whole.pv, [80.0], open_loop=True)[-1]
+    found = identify_by_region(cut, cut.pv, [80.0], open_loop=True)[-1]
+    assert found.samples < known.samples
+    standing = [w for w in by_region(cut, cut.pv, [80.0])[-1].stretches if np.mean(w.pv == 90.0) > 0.2]
+    assert standing == []
