@@ -1,0 +1,175 @@
+"""What a record, a command and a decision cost, as ratios in one run, against the last ratios on record.
+
+    python benchmarks/costs.py [--rounds 3] [--only NAME ...] [--note "why"]
+
+CPU time of this process or of the command's; the shortest of interleaved rounds. Records and commands are counted in
+`python -c "import numpy"` of the same round, parts of the engine in the same part computed by numpy. Records are drawn
+from a seed of its own (benchmarks/cases), 1,000 samples or so each. Prints each ratio beside the last one in
+costs.toml and exits 1 where one is worse by more than a tenth; --note appends this run there with its reason. On a
+machine that does something else as well, ratios differ by a fifth from run to run: more rounds help.
+"""
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from cases import diagnosis
+from startup import cpu_s, write_record
+
+from retuner import PidController, PidGains, identify
+from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
+from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
+from retuner.adaptive.fit import engine
+from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.plateaus import as_steps
+from retuner.diagnosing import diagnose
+
+HISTORY = Path(__file__).with_suffix(".toml")
+WORSE = 1.1
+SEED, RECORDS = 4040, 8
+HELP = ("", "run", "report", "approve", "replay", "experiment", "identify", "diagnose", "audit", "schedule")
+COMMAND = "import sys; from retuner.cli import main; sys.exit(main({}))"
+DECIDING_S = 0.005
+"""A step of PidController that takes longer decided something."""
+
+
+def spent(work: Callable[[], object]) -> float:
+    """CPU seconds of this process."""
+    begun = time.process_time()
+    work()
+    return time.process_time() - begun
+
+
+def records() -> list[diagnosis.DiagnosisCase]:
+    """Drawn loops, one of each cause in turn."""
+    return list(diagnosis.cases(SEED, RECORDS))
+
+
+def on_records(base: float) -> Iterator[tuple[str, float]]:
+    """identify with gains told and diagnose without, in Python: median and worst record."""
+    known = [(case.record, case.gains) for case in records()]
+    works = {
+        "identify": [partial(identify, r.t, r.sp, r.pv, r.co, gains=gains) for r, gains in known],
+        "diagnose": [partial(diagnose, r.t, r.sp, r.pv, r.co) for r, _ in known],
+    }
+    for name, each in works.items():
+        times = [spent(work) for work in each]
+        yield f"{name} a record, median", statistics.median(times) / base
+        yield f"{name} a record, worst", max(times) / base
+
+
+def of_engine(_: float) -> Iterator[tuple[str, float]]:
+    """Parts that the compiled engine computes, over numpy."""
+    r = records()[0].record
+    record = Prepared.of(Window(r.t, r.sp, r.pv, r.co))
+    parts: dict[str, Callable[[], object]] = {
+        "likelihood of the grid": lambda: log_likelihood(record, 1, 1.0),
+        "odds of a valve": lambda: log_odds_of_valve(record, 1),
+        "plateaus": lambda: as_steps(record.pv),
+    }
+    for name, work in parts.items():
+        found = {}
+        for which in ("c", "numpy"):
+            with engine.using(which):
+                work()
+                found[which] = spent(work)
+        yield f"engine / numpy: {name}", found["c"] / found["numpy"]
+
+
+def of_commands(base: float) -> Iterator[tuple[str, float]]:
+    """Commands and imports over `import numpy`."""
+    yield "from retuner import Retuner", cpu_s(["-c", "from retuner import Retuner"]) / base
+    for name in HELP:
+        given = [*([name] if name else []), "--help"]
+        yield " ".join(["retuner", *given]), cpu_s(["-c", COMMAND.format(given)]) / base
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "record.csv")
+        write_record(path)
+        for name in ("identify", "diagnose"):
+            given = [name, str(path), "--kc", "1", "--tau-i", "15", "--json"]
+            yield f"retuner {name} FILE", cpu_s(["-c", COMMAND.format(given)]) / base
+
+
+def on_line(base: float) -> Iterator[tuple[str, float]]:
+    """A decision of PidController on a loop of 10 s with a dead time of 3 s: median and worst, after the first."""
+    rng, dt, y = np.random.default_rng(SEED), 0.5, 50.0
+    controller = PidController(PidGains(0.6, 0.12), dt_s=dt, pv_range=(0, 100))
+    late, times = [50.0] * 6, []
+    for i in range(4000):
+        setpoint = 60.0 if (i // 250) % 2 else 50.0
+        begun = time.process_time()
+        late.append(controller.step(setpoint, y + float(rng.normal(0, 0.05))))
+        times.append(time.process_time() - begun)
+        y += dt / 10.0 * (0.8 * (late.pop(0) - 50.0) + 50.0 - y)
+    decided = [t for t in times if t > DECIDING_S][1:]
+    yield "a decision on line, median", statistics.median(decided) / base
+    yield "a decision on line, worst", max(decided) / base
+
+
+GROUPS = {"records": on_records, "engine": of_engine, "commands": of_commands, "online": on_line}
+
+
+def measured(rounds: int, only: list[str]) -> dict[str, float]:
+    """The smallest ratio of each name over the rounds, each with a base of its own."""
+    found: dict[str, float] = {}
+    for _ in range(rounds):
+        for group in only:
+            base = min(cpu_s(["-c", "import numpy"]) for _ in range(3))
+            for name, ratio in GROUPS[group](base):
+                found[name] = min(ratio, found.get(name, ratio))
+    return found
+
+
+def history() -> list[dict[str, object]]:
+    """The runs on record, oldest first."""
+    return tomllib.loads(HISTORY.read_text(encoding="utf-8"))["run"] if HISTORY.exists() else []
+
+
+def last_of(name: str, runs: list[dict[str, object]]) -> float | None:
+    """The newest ratio of this name."""
+    told = (run["ratios"].get(name) for run in reversed(runs))  # type: ignore[attr-defined]
+    return next((ratio for ratio in told if ratio is not None), None)
+
+
+def append(found: dict[str, float], note: str) -> None:
+    """One more run in the history."""
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout
+    lines = ["", "[[run]]", f'day = "{datetime.now(UTC):%Y-%m-%d}"', f'commit = "{commit.strip()}"']
+    lines += [f'note = "{note}"', "[run.ratios]", *(f'"{name}" = {ratio:.3g}' for name, ratio in found.items())]
+    with HISTORY.open("a", encoding="utf-8") as out:
+        out.write("\n".join(lines) + "\n")
+
+
+def main() -> int:
+    """Measure, compare, tell."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--only", nargs="+", choices=list(GROUPS), default=list(GROUPS))
+    parser.add_argument("--note", help="append this run to the history, with the reason")
+    options = parser.parse_args()
+    runs, worse = history(), 0
+    found = measured(options.rounds, options.only)
+    for name, ratio in found.items():
+        before = last_of(name, runs)
+        bad = before is not None and ratio > WORSE * before
+        worse += bad
+        was = f"{before:8.3g}" if before is not None else "       -"
+        sys.stdout.write(f"{name:36} {was} -> {ratio:8.3g}{'  WORSE' if bad else ''}\n")
+    if options.note:
+        append(found, options.note)
+    return 1 if worse else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
