@@ -3,6 +3,7 @@
     python benchmarks/world --data FOLDER [--set step8] [--seed 1] [--cases 80] [--fold 0] [--jobs 2] [--out FILE]
     python benchmarks/world --data FOLDER --next ...      with the test made that each answer proposes
     python benchmarks/world --data FOLDER --real          what is said of the real records themselves
+    python benchmarks/world --data FOLDER --invariance    and whether it stays under changes that mean nothing
 
 FOLDER holds index.csv (file, tag, label) and records (t, sp, pv, co) of real loops; their co are the loads (draw.py).
 --fold takes the loads of every second tag only, so that what was chosen on one half is counted on the other. Right: the
@@ -29,6 +30,7 @@ from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from world.draw import CLASSES, DT_S, SETS, drawn, tested
+from world.invariance import invariance
 from world.process import margins
 
 AS = {"ok": "ok", "sluggish": "sluggish", "aggressive": "aggressive", "slow_integrating": "aggressive",
@@ -153,9 +155,13 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--real", action="store_true")
+    parser.add_argument("--invariance", action="store_true")
     options = parser.parse_args()
     if options.real:
         print("\n".join(real(options.data)))
+        return 0
+    if options.invariance:
+        print("\n".join(invariance(options.data, options.cases, options.jobs)))
         return 0
     work = functools.partial(scored, options.seed, options.kind, options.data, options.fold, options.next)
     scores = []
