@@ -5,11 +5,11 @@ from dataclasses import replace
 
 from retuner.adaptive.loop.margins import ultimate
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.rules import classic, lambda_imc, optimal, simc_family, ziegler_nichols
+from retuner.adaptive.rules import averaging, classic, lambda_imc, optimal, simc_family, ziegler_nichols
 from retuner.adaptive.rules.rule import WISH_LABELS, ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
 from retuner.adaptive.rules.simc import without_second_lag
 
-MODULES = (simc_family, optimal, lambda_imc, classic, ziegler_nichols)
+MODULES = (simc_family, averaging, optimal, lambda_imc, classic, ziegler_nichols)
 RULES: dict[str, Rule] = {rule.name: rule for module in MODULES for rule in module.RULES}
 """Every rule by its name."""
 ALIASES = {"itae": "itae-load", "zn-quarter-decay": "quarter-decay"}

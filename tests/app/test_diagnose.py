@@ -30,6 +30,7 @@ KEYS = {
     "assumed",
     "by_eye",
     "aim",
+    "aimed",
     "rival",
     "cause",
     "confidence",
@@ -191,6 +192,21 @@ def test_a_change_is_told_by_what_it_does(tmp_path, capsys):
     assert after < 20
     assert float(found[4]) > 2.5
     assert float(found[5]) < 1.8
+
+
+def test_another_aim_than_tight_control_has_settings_of_its_own(tmp_path, capsys):
+    path = str(loop(tmp_path / "a.csv", kc=7.0))
+    main(["diagnose", path, "--aim", "smooth", "--ymax", "4", "--u0", "2", "--json"])
+    found = json.loads(capsys.readouterr().out)["aimed"]
+    assert found["rule"] == "simc-smooth"
+    assert found["gains"]["kc"] == pytest.approx(0.5, rel=0.01)
+    for arguments, told in (
+        (("--aim", "loose"), "--aim loose: give one of tight, smooth, averaging"),
+        (("--aim", "averaging"), "give --ymax"),
+        (("--ymax", "4"), "they go with the other aims"),
+        (("--aim", "averaging", "--ymax", "4"), "rule averaging has no settings for type"),
+    ):
+        assert told in refused(capsys, "diagnose", path, *arguments)
 
 
 def test_records_of_one_loop_give_one_answer(tmp_path, capsys):

@@ -1,11 +1,17 @@
-"""retuner experiment step|setpoint|relay|ultimate: on demand against a controller, with limits, restored afterwards; or
-the evaluation of a recorded one (--from FILE).
+"""retuner experiment step|setpoint|relay|ultimate|valve: on demand against a controller, with limits, restored
+afterwards; or the evaluation of a recorded one (--from FILE).
 """
 
 import typer
 
 from retuner.commands.options import signed_by
-from retuner.commands.work.experiment_options import RelayOptions, SetpointOptions, StepOptions, UltimateOptions
+from retuner.commands.work.experiment_options import (
+    RelayOptions,
+    SetpointOptions,
+    StepOptions,
+    UltimateOptions,
+    ValveOptions,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -61,3 +67,12 @@ def ultimate(options: UltimateOptions) -> int:
     from retuner.commands.work import experiment as work
 
     return work.ultimate(options)
+
+
+@app.command("valve", epilog="Example: retuner experiment valve; retuner experiment valve --from valve.csv")
+@signed_by(ValveOptions)
+def valve(options: ValveOptions) -> int:
+    """A valve test by hand; the exit status."""
+    from retuner.commands.work.valve_test import valve as work
+
+    return work(options)

@@ -133,6 +133,10 @@ def test_without_dead_time_a_rule_answers_or_says_what_to_give(name: str) -> Non
     if name in {"lambda", "imc", "imc-pi", "simc-smooth"}:
         assert tune(ProcessModel(T.FOPDT, 1.0, 5.0), name, **wishes).tuning.gains.kp > 0
         return
+    if T.FOPDT not in RULES[name].types:
+        with pytest.raises(ValueError, match="has no settings for type fopdt"):
+            tune(ProcessModel(T.FOPDT, 1.0, 5.0), name)
+        return
     with pytest.raises(ValueError, match="theta = 0"):
         tune(ProcessModel(T.FOPDT, 1.0, 5.0), name)
 

@@ -4,11 +4,13 @@ import math
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from retuner.adaptive.loop.margins import margins, ultimate
 from retuner.adaptive.loop.optimum import Aim, optimal_pi
 from retuner.adaptive.loop.performance import performance, weighted_cost
+from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.schedule.forms import SeriesGains
 from retuner.schedule.gains import PidGains
@@ -130,3 +132,16 @@ def test_the_slides_reaction_curve_slip_would_be_unstable() -> None:
     )
     assert margins(process, good).stable
     assert not margins(process, PidGains(good.kp, good.kp / (0.33 * 3.5))).stable
+
+
+def test_averaging_level_control_uses_the_room_of_the_tank() -> None:
+    """Marlin 1995, section 18.3: Kc = 0.736 dF/dL and TI = 4/(k' Kc), so that a step dF moves the level by dL."""
+    model = ProcessModel(ProcessType.INTEGRATING, 0.02)
+    found = tune(model, "averaging", u0=10.0, y_max=5.0).gains
+    assert found.kp == pytest.approx(0.7358 * 10 / 5, rel=1e-4)
+    assert found.kp / found.ki == pytest.approx(4 / (0.02 * found.kp))
+    answer = step_response(model.linear(), found, 1000.0, 0.0, load=True)
+    assert 10.0 * np.max(answer.pv) == pytest.approx(5.0, rel=1e-3)
+    assert -np.min(answer.co) == pytest.approx(1 + math.exp(-2), rel=1e-3)
+    with pytest.raises(ValueError, match="no room to average"):
+        tune(ProcessModel(ProcessType.INTEGRATING, 0.02, theta_s=60.0), "averaging", u0=10.0, y_max=5.0)

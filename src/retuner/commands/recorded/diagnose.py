@@ -8,8 +8,9 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
+import numpy as np
 import typer
 
 from retuner import diagnosing
@@ -36,11 +37,11 @@ from retuner.decision_page.explain import settings_text
 from retuner.decision_page.shown_units import chosen_units
 from retuner.diagnosing import RecordDiagnosis
 from retuner.drivers.recorded.recording import Recording
-from retuner.errors import user_input
+from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.report.change_of_settings import Change, change_of, change_words, step_words
 from retuner.schedule.gains import PidGains
-from retuner.tuning import tuning_lines
+from retuner.tuning import tune, tuning_lines
 from retuner.verbosity import busy
 
 app = typer.Typer(add_completion=False)
@@ -77,6 +78,13 @@ class DiagnoseOptions(RecordOptions):
         typer.Argument(metavar="FILE...", help="Records of one loop, oldest first; or one, a file for each signal."),
     ]
     kc: Annotated[float | None, typer.Option(help="Active controller gain; else identified from the record.")] = None
+    aim: Annotated[
+        str, typer.Option(help="tight; smooth: as slow as --ymax allows; averaging: a tank moves, its flow does not.")
+    ] = "tight"
+    ymax: Annotated[float | None, typer.Option(help="With these aims: how far pv may go, in its unit.")] = None
+    u0: Annotated[
+        float | None, typer.Option(help="For this step of the load, co units; default what co had to move.")
+    ] = None
     with_evidence: Annotated[bool, typer.Option("--evidence", help="All numbers behind it, and other forms.")] = False
 
 
@@ -91,6 +99,7 @@ def diagnose(options: DiagnoseOptions) -> int:
         The file or an option cannot be used.
     """
     gains = controller(options)
+    _check_aim(options)
     records = read_records_of_loop(options)
     for read in records:
         require_length(read.recording)
@@ -103,13 +112,65 @@ def diagnose(options: DiagnoseOptions) -> int:
         write_whole(options.plot, _picture(found, options))
     assumed = tuple(dict.fromkeys(one for read in records for one in read.assumed))
     tell_assumed(assumed, options)
+    aimed = _aimed(found, options)
     if options.as_json:
-        told = {**document(found), "records": len(records), "assumed": [a.what for a in assumed]}
+        read_as = {"records": len(records), "assumed": [a.what for a in assumed]}
+        told = {**document(found), "aimed": aimed.document, **read_as}
         sys.stdout.write(json.dumps(told, indent=2, allow_nan=False) + "\n")
     else:
-        lines = described(found) + (evidence_of(found) if options.with_evidence else [])
+        lines = (
+            described(found)
+            + [f"  {line}" for line in aimed.lines]
+            + (evidence_of(found) if options.with_evidence else [])
+        )
         sys.stdout.write("\n".join(lines) + "\n")
     return 1 if found.result.diagnosis.cause == Cause.UNKNOWN else 0
+
+
+AIMS = {"tight": None, "smooth": "simc-smooth", "averaging": "averaging"}
+"""Rules of the aims; tight control is what is recommended anyway."""
+USUAL = (5.0, 95.0)
+"""Percentiles of co between which it moves because of loads."""
+
+
+class Aimed(NamedTuple):
+    """Settings for another aim than tight control: in lines, and as JSON."""
+
+    lines: tuple[str, ...] = ()
+    document: dict[str, object] | None = None
+
+
+def _check_aim(options: DiagnoseOptions) -> None:
+    """Refuse aims that are none, and one without its numbers."""
+    if options.aim not in AIMS:
+        raise UserError(f"--aim {options.aim}: give one of {', '.join(AIMS)}")
+    given = options.ymax is not None or options.u0 is not None
+    if (AIMS[options.aim] is None) == given:
+        wanted = "--ymax: how far pv may go" if not given else "no --ymax and no --u0: they go with the other aims"
+        raise UserError(f"--aim {options.aim}: give {wanted}")
+
+
+def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> Aimed:
+    """Settings for the aim on the process that was identified.
+
+    Raises
+    ------
+    UserError
+        The rule has no settings for this process, or --ymax leaves no room.
+    """
+    rule, model = AIMS[options.aim], found.result.model
+    if rule is None:
+        return Aimed()
+    if model is None:
+        return Aimed((f"{options.aim:<{NAME}}none: the record does not tell the process",))
+    low, high = np.percentile(found.window.co, USUAL).tolist()
+    u0 = options.u0 if options.u0 is not None else high - low
+    with user_input(f"--aim {options.aim}"):
+        settings = tune(model, rule, u0=u0, y_max=options.ymax)
+    what = f"for a step of the load by {u0:.3g} of co pv goes {abs(options.ymax or 0.0):.3g} at most"
+    note = "".join(f"; {one}" for one in settings.tuning.notes)
+    line = f"{options.aim:<{NAME}}{settings_text(settings.gains)}: {what}{note}"
+    return Aimed((line,), {"aim": options.aim, "u0": u0, "ymax": options.ymax, **settings.to_dict()})
 
 
 def _found(source: str, recordings: list[Recording], given: PidGains | None, options: RecordOptions) -> DiagnosedRecord:

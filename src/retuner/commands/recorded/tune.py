@@ -49,8 +49,8 @@ class TuneOptions:
     ms: Annotated[float | None, typer.Option(help="Demanded Ms (simc rules, optimal).")] = None
     gm: Annotated[float | None, typer.Option(help="Demanded gain margin (simc rules).")] = None
     c: Annotated[float | None, typer.Option(help="c in tau_I = min(tau1, c (tau_c + theta)); default 4.")] = None
-    u0: Annotated[float | None, typer.Option(help="Largest disturbance, co units (simc-smooth).")] = None
-    ymax: Annotated[float | None, typer.Option(help="Deviation allowed, pv units (simc-smooth).")] = None
+    u0: Annotated[float | None, typer.Option(help="Largest disturbance, co units (simc-smooth, averaging).")] = None
+    ymax: Annotated[float | None, typer.Option(help="Deviation allowed, pv units (simc-smooth, averaging).")] = None
     ku: Annotated[float | None, typer.Option(help="Ultimate gain; from the model if left out.")] = None
     pu: Annotated[float | None, typer.Option(help="Ultimate period, s.")] = None
     kq: Annotated[float | None, typer.Option(help="Gain at quarter decay.")] = None

@@ -80,3 +80,14 @@ class UltimateOptions(RecordedOptions):
     file: Annotated[Path, typer.Option("--from", metavar="FILE", help="Recording of the swing.")]
     kc: Annotated[float | None, typer.Option(help="Proportional gain under which it swung.")] = None
     rule: Rule = "zn-ultimate"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValveOptions(FormOptions):
+    """Small steps of co up and down in manual: resolution, dead band and stroke of the valve, with their odds."""
+
+    file: Annotated[
+        Path | None, typer.Option("--from", metavar="FILE", help="The recorded test; without it the moves are shown.")
+    ] = None
+    step: Annotated[float, typer.Option(help="Small step of the moves that are shown, percent of co.")] = 0.5
+    as_json: Json = False
