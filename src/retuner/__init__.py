@@ -145,7 +145,7 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 engine.prefer(os.environ.get(engine.VARIABLE, "auto"))
-shown.shown_by("retuner.notebook", import_module)
+shown.shown_by("retuner.commands.recorded.notebook", import_module)
 
 if not TYPE_CHECKING:  # a type checker knows the names from above, and refuses any other
 

@@ -34,7 +34,7 @@ ORDER = (
     "errors", "files", "stopping", "streams", "products", "verbosity", "templates", "conversions", "tuning", "api",
     "diagnosing", "scheduling", "config", "ledger", "decisions", "simulation", "pid_controller", "",
     "decision_page", "report", "schedule_report", "experiment", "audit", "session", "live_view", "replay", "serve",
-    "gain_export", "doctor", "commands", "notebook", "cli", "__main__",
+    "gain_export", "doctor", "commands", "cli", "__main__",
 )
 """Every package in the order of the house, lowest first, below `retuner.`; a file on a floor of packages counts as one,
 and "" is what `import retuner` gives. A package imports only from itself and from those before it."""
@@ -45,7 +45,7 @@ CORE = {
     "commands.run": (49_600, {
         "adaptive.audit", "adaptive.schedule_choice", "api", "audit", "diagnosing", "doctor", "drivers.conformance",
         "drivers.canopen", "drivers.dbc", "drivers.historian", "drivers.plants.fmu_model", "experiment",
-        "gain_export", "live_view", "notebook", "report", "schedule_report", "scheduling", "serve", "session.pretuning",
+        "gain_export", "live_view", "report", "schedule_report", "scheduling", "serve", "session.pretuning",
         "tuning",
     }),
 }
