@@ -37,6 +37,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
+maximum_signature_line_length = 60  # longer ones have one parameter a line
 
 ARRAY = "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.{}]]"
 NUMBERS = f"~collections.abc.Sequence[float] | {ARRAY.format('floating')}"
@@ -119,13 +120,14 @@ def _marked_up(_app: Sphinx, _what: str, _name: str, _of: object, _options: obje
 
 
 def _short_types(*event: object) -> tuple[str, str] | None:
-    """Arrays under the names that the code has for them."""
+    """Types without their modules, arrays under the names that the code has for them."""
     signature, returned = event[-2:]
     if not isinstance(signature, str):
         return None
     for long, short in LONG_TYPES:
         signature = signature.replace(long, short)
-    return signature, str(returned or "")
+    bare = re.compile(r"~?\b(?:[a-z_][a-z0-9_]*\.)+(?=[A-Za-z_])")
+    return bare.sub("", signature), bare.sub("", str(returned or ""))
 
 
 def setup(app: Sphinx) -> None:

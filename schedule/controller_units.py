@@ -25,7 +25,13 @@ from retuner.schedule.vendor_units import Quantity, VendorGain, VendorUnits
 
 
 class Acting(StrEnum):
-    """What the output does when pv rises; the value is the word of the configuration."""
+    """What the output does when pv rises; the value is the word of the configuration.
+
+    Attributes
+    ----------
+    REVERSE : it falls, as heating needs it.
+    DIRECT : it rises, as cooling needs it.
+    """
 
     REVERSE = "reverse"
     DIRECT = "direct"

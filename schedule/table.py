@@ -29,7 +29,13 @@ LEAST_SHARE = 1e-12
 
 
 class Lookup(StrEnum):
-    """How the gains in force follow from the table."""
+    """How the active gains follow from the table.
+
+    Attributes
+    ----------
+    HARD : the gains of the region.
+    INTERPOLATED : a mean of the sets at the centres around the operating point.
+    """
 
     HARD = "hard"
     INTERPOLATED = "interpolated"

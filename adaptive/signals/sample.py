@@ -12,7 +12,13 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class LoopMode(IntEnum):
-    """Who moves the controller output."""
+    """Who moves the controller output.
+
+    Attributes
+    ----------
+    MANUAL : an operator.
+    AUTO : the controller.
+    """
 
     MANUAL = 0
     AUTO = 1
@@ -21,6 +27,8 @@ class LoopMode(IntEnum):
 class LoopSample(NamedTuple):
     """What the loop did at one sampling instant. Plain scalars only: this is the per-sample path.
 
+    Attributes
+    ----------
     t_s : time of the sample in seconds, increasing.
     sp, pv : setpoint and process value in the same engineering unit.
     co : controller output applied from this instant on (held until the next sample).

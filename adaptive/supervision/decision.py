@@ -31,8 +31,12 @@ from retuner.schedule.gains import PidGains
 class Mode(StrEnum):
     """What the retuner may do in a region.
 
-    off : only watch. advise : propose; what a person approves is written and on trial. trial : write one change, watch
-    it, restore the old set when worse, then wait for a person. auto : the same, and go on by itself.
+    Attributes
+    ----------
+    off : only watch.
+    advise : propose; what a person approves is written and on trial.
+    trial : write one change, watch it, restore the old set when worse, then wait for a person.
+    auto : the same, and go on by itself.
     """
 
     OFF = "off"
@@ -46,7 +50,15 @@ WRITES = frozenset({Mode.AUTO, Mode.TRIAL})
 
 
 class Action(StrEnum):
-    """What follows from a decision."""
+    """What follows from a decision.
+
+    Attributes
+    ----------
+    NONE : nothing.
+    ADVISE : the change is proposed and waits for an operator.
+    COMMIT : the change is to be written.
+    RESTORE : earlier gains are to be written again.
+    """
 
     NONE = "none"
     ADVISE = "advise"
@@ -77,19 +89,28 @@ class Delay(NamedTuple):
 class Decision:
     """One decision on one response.
 
-    number : counts up from 1 per loop. t_s : time of the sample at which it was entered, which is the one that
-    completed the response unless `delay` names both. region : name.
+    Attributes
+    ----------
+    number : counts up from 1 per loop.
+    t_s : time of the sample at which it was entered, which is the one that completed the response unless `delay` names
+        both.
+    region : name.
     mode : of the region at the time. The stages that were not reached are None; `reason` is the sentence of the one
-    that decided, `code` its name for machines, `numbers` what it weighed.
-    gains_before : in force; gains_after : what shall be written (action COMMIT or RESTORE) or is advised.
-    records : how many records the region's model rests on. basis : what the proposal rests on.
-    promise : what gains_after promise. judgement : of the response against the promise of the gains on trial, if any.
-    trial : where the region stands after this decision. known : the process as it may be met in the region from now
-    on, which is what the cause and the proof go by (`estimate` is what the record itself shows).
+        that decided, `code` its name for machines, `numbers` what it weighed.
+    gains_before : in force.
+    gains_after : what shall be written (action COMMIT or RESTORE) or is advised.
+    records : how many records the region's model rests on.
+    basis : what the proposal rests on.
+    promise : what gains_after promise.
+    judgement : of the response against the promise of the gains on trial, if any.
+    trial : where the region stands after this decision.
+    known : the process as it may be met in the region from now on, which is what the cause and the proof go by
+        (`estimate` is what the record itself shows).
     undos : changes undone in a row, told where this one restores.
     later : the loop is in another region, so that nothing is to be written now: the gains belong in the table, and run
-    when the loop comes. all_samples : what all samples up to now say of the gains in force, beside this response; None
-    before they were looked at.
+        when the loop comes.
+    all_samples : what all samples up to now say of the gains in force, beside this response; None before they were
+        looked at.
     """
 
     number: int

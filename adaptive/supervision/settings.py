@@ -26,24 +26,30 @@ from retuner.schedule.vendor_units import VendorUnits
 class RetunerSettings:
     """Settings of one loop's retuner.
 
-    sample_time_s : of the controller. pv_span : range of pv, for the smallest noise band.
+    Attributes
+    ----------
+    sample_time_s : of the controller.
+    pv_span : range of pv, for the smallest noise band.
     pv_range : what the transmitter can say, pv units: what lies far outside teaches nothing.
-    mode : what it may do; region_modes : in single regions by index, None or missing for `mode`.
-    locks : parameters that stay as they are; region_locks : in single regions by index, None or missing for `locks`.
+    mode : what it may do.
+    region_modes : in single regions by index, None or missing for `mode`.
+    locks : parameters that stay as they are.
+    region_locks : in single regions by index, None or missing for `locks`.
     band : noise band in pv units; None estimates it from the data.
     band_sigmas : noise standard deviations in the estimated band; 2 to 6, default 4.
     band_min_share : smallest band as a share of pv_span; default 0.001.
     wait_s : longest wait for the next peak; None takes wait_tau_i times tau_I in force.
     wait_tau_i, quiet_tau_i : waiting and settling time in units of tau_I; defaults 10 and 0.7.
     shortest_wait, shortest_quiet : and at least this many samples; defaults 60 and 12.
-    history : most samples of one response; default 4000. lead_share, lead_samples : how much of the time before a
-        response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
+    history : most samples of one response; default 4000.
+    lead_share, lead_samples : how much of the time before a response belongs to its window: this share of its length
+        plus this many samples; defaults 0.25 and 20.
     fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
         change on what is left open, and later records narrow it.
     growth : when a swing grows as only an unstable loop's does.
     limit_swing : what an unstable loop between the output's limits is told by.
-    swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
-        line: a change is on trial there, and manual is told.
+    swing : when something else than the tuning is asked for.
+    diagnosis : how, with the limits of cause that hold on line: a change is on trial there, and manual is told.
     cause : from which excess a tuning is the cause; slack 1.15, because later records narrow what is known.
     robust : how settings follow from what is known; less is held back for what the model cannot see than off line
         (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
@@ -51,8 +57,8 @@ class RetunerSettings:
     units : how the controller keeps gains; None for one that keeps them as they are.
     choice : what a change must be expected to bring, and how surely.
     book : what all samples together say of the process, under loads that wander.
-    gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is
-        lost, so long a pause comes once in 400,000.
+    gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is lost,
+        so long a pause comes once in 400,000.
     """
 
     sample_time_s: float

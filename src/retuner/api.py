@@ -47,8 +47,11 @@ Record = LoopRecord | Frame | str | PathLike[str]
 class Identification:
     """What a record says of its process, and the settings that follow (None when it does not say enough).
 
+    Attributes
+    ----------
     aim : where one event asks for far more gain than is in force, the settings are a first step only
-        (diagnosis/first_step.py), and these are what they lead to. step_reason : why; empty where there is no aim.
+        (diagnosis/first_step.py), and these are what they lead to.
+    step_reason : why; empty where there is no aim.
     record : what it was found from, for the picture; None where it was not kept.
     """
 

@@ -28,14 +28,18 @@ if TYPE_CHECKING:
 class RecordDiagnosis:
     """The cause of a loop's behaviour, the process where it could be told, and the settings that would cure it.
 
+    Attributes
+    ----------
     fits : explanations of pv by name ("linear", "external", "stuck"), on the samples that were fitted.
     aim : where the settings are a first step only (diagnosis/first_step.py), those that they lead to.
     record : what it was told from, for the picture; None where it was not kept.
     active : the settings in force, as given or as read off the record; None where neither is known.
-    co_limits : lowest and highest co as given. likely : the processes that the settings rest on where these come from
-        the odds of many (adaptive/explanations/), the likeliest first; else empty, and `model` is the process.
+    co_limits : lowest and highest co as given.
+    likely : the processes that the settings rest on where these come from the odds of many (adaptive/explanations/),
+        the likeliest first; else empty, and `model` is the process.
     room : times all actions in force that stay robust on next to every process, and on half of the odds; None where
-        settings do not come from odds. on : which of several records it is told of, from 0.
+        settings do not come from odds.
+    on : which of several records it is told of, from 0.
     """
 
     diagnosis: Diagnosis

@@ -20,8 +20,13 @@ RULES = tuple(REGISTRY)
 class TuneResult:
     """Settings of a rule, in a named form, with the margins of the model under them (None without a model).
 
-    tuning : the rule, its settings as parallel gains (`tuning.gains`), its notes. form : in which they are written.
-    kind : p, pi or pid. explanation : formula and numbers. model : the process that they were worked out for.
+    Attributes
+    ----------
+    tuning : the rule, its settings as parallel gains (`tuning.gains`), its notes.
+    form : in which they are written.
+    kind : p, pi or pid.
+    explanation : formula and numbers.
+    model : the process that they were worked out for.
     """
 
     tuning: Tuning

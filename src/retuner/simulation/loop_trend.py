@@ -24,8 +24,12 @@ Frame: TypeAlias = Any
 class LoopTrend:
     """What a loop did, sample by sample; all arrays of shape (n,).
 
-    t_s : seconds. sp, pv : pv units. co : co units, held until the next sample. kp, ki, kd : parallel gains in force,
-    NaN where the controller does not tell them.
+    Attributes
+    ----------
+    t_s : seconds.
+    sp, pv : pv units.
+    co : co units, held until the next sample.
+    kp, ki, kd : parallel gains in force, NaN where the controller does not tell them.
     """
 
     t_s: FloatArray
