@@ -126,6 +126,7 @@ def _short_types(*event: object) -> tuple[str, str] | None:
         return None
     for long, short in LONG_TYPES:
         signature = signature.replace(long, short)
+    signature = re.sub(r"<(?:function |[\w.]+: )([^>]+)>", r"\1", signature).replace("mappingproxy({})", "{}")
     bare = re.compile(r"~?\b(?:[a-z_][a-z0-9_]*\.)+(?=[A-Za-z_])")
     return bare.sub("", signature), bare.sub("", str(returned or ""))
 

@@ -25,13 +25,7 @@ from retuner.schedule.vendor_units import Quantity, VendorGain, VendorUnits
 
 
 class Acting(StrEnum):
-    """What the output does when pv rises; the value is the word of the configuration.
-
-    Attributes
-    ----------
-    REVERSE : it falls, as heating needs it.
-    DIRECT : it rises, as cooling needs it.
-    """
+    """What the output does when pv rises: it falls (reverse, heating) or rises (direct, cooling)."""
 
     REVERSE = "reverse"
     DIRECT = "direct"

@@ -29,13 +29,7 @@ LEAST_SHARE = 1e-12
 
 
 class Lookup(StrEnum):
-    """How the active gains follow from the table.
-
-    Attributes
-    ----------
-    HARD : the gains of the region.
-    INTERPOLATED : a mean of the sets at the centres around the operating point.
-    """
+    """How the active gains follow from the table: the region's own, or a mean of the sets at the centres around."""
 
     HARD = "hard"
     INTERPOLATED = "interpolated"

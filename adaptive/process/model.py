@@ -22,9 +22,6 @@ class ProcessType(StrEnum):
 
     Attributes
     ----------
-    FOPDT, SOPDT : first and second order with dead time.
-    INTEGRATING, INTEGRATING_LAG, DOUBLE_INTEGRATING : one integrator, one with a lag, two.
-    DELAY : dead time only.
     SOPDT_INVERSE : second order behind a zero in the right half-plane, 1 - b s: pv answers the wrong way first.
     TOPDT : second order and a third lag. Rules take it as the second order that the half rule makes of it.
     """

@@ -12,13 +12,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class LoopMode(IntEnum):
-    """Who moves the controller output.
-
-    Attributes
-    ----------
-    MANUAL : an operator.
-    AUTO : the controller.
-    """
+    """Who moves the controller output: an operator (manual) or the controller (auto)."""
 
     MANUAL = 0
     AUTO = 1

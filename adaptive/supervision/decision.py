@@ -50,15 +50,7 @@ WRITES = frozenset({Mode.AUTO, Mode.TRIAL})
 
 
 class Action(StrEnum):
-    """What follows from a decision.
-
-    Attributes
-    ----------
-    NONE : nothing.
-    ADVISE : the change is proposed and waits for an operator.
-    COMMIT : the change is to be written.
-    RESTORE : earlier gains are to be written again.
-    """
+    """What follows from a decision: nothing, a proposal, gains to be written, earlier gains to be written again."""
 
     NONE = "none"
     ADVISE = "advise"

@@ -31,13 +31,7 @@ class TrialPhase(StrEnum):
 
 
 class TrialEvent(StrEnum):
-    """Everything that can happen to a change; the value is the clause that people read.
-
-    Attributes
-    ----------
-    STOPPED : the session ended; a loop of your own passes it to `retuner.abort`.
-    LINK_LOST, MANUAL, GAP : what else interrupts a trial; the other members are listed below.
-    """
+    """Everything that can happen to a change; the value is the clause that people read."""
 
     PROPOSED = "a change is to be written"
     URGENT = "an urgent change towards stability is to be written"
