@@ -33,10 +33,8 @@ class Mode(StrEnum):
 
     Attributes
     ----------
-    off : only watch.
-    advise : propose; what a person approves is written and on trial.
-    trial : write one change, watch it, restore the old set when worse, then wait for a person.
-    auto : the same, and go on by itself.
+    off, advise : only watch; propose, and write what an operator approves, on trial.
+    trial, auto : write one change, watch it, restore the old set when worse; then wait for an operator, or go on.
     """
 
     OFF = "off"

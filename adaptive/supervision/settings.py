@@ -31,8 +31,7 @@ class RetunerSettings:
     sample_time_s : of the controller.
     pv_span : range of pv, for the smallest noise band.
     pv_range : what the transmitter can say, pv units: what lies far outside teaches nothing.
-    mode : what it may do.
-    region_modes : in single regions by index, None or missing for `mode`.
+    mode, region_modes : what it may do; in single regions by index, None or missing for `mode`.
     locks : parameters that stay as they are.
     region_locks : in single regions by index, None or missing for `locks`.
     band : noise band in pv units; None estimates it from the data.
