@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 DEV    := $(VENV)/.installed-dev
 unexport PYTHONDONTWRITEBYTECODE # every process would compile all that it imports: five seconds for `retuner run`
-PIP    := $(BIN)/python -m pip install -q --no-compile --disable-pip-version-check
+PIP    := $(BIN)/python -m pip install --no-compile --disable-pip-version-check
 
 .PHONY: demo test lint docs lowest release bench nightly clean
 
@@ -46,7 +46,7 @@ $(STAMP): pyproject.toml setup.py
 	@test -f $@ && $(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	@rm -f $@ $(DEV)
 	@echo "installing retuner and what it needs into $(VENV): a minute or two, once"
-	@$(PIP) --upgrade 'pip>=25.1'
+	@$(PIP) -q --upgrade 'pip>=25.1'
 	@$(PIP) -e '.[all]'
 	@echo "installed"
 	@touch $@
