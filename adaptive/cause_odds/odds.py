@@ -351,8 +351,8 @@ def _verdict(
     test = None
     if odds is not None:
         evidence |= _ms_range(odds)
-        if p < settings.undecided:
-            test = _next(causes, odds, walk, open_ones[0][0])
+        if p < settings.undecided or (cause in TUNING_CAUSES and worth is None):
+            test = _next(causes, odds, walk, open_ones[0][0], settings)
     reason = _reason(cause, odds, evidence, told)
     settled = cause not in TUNING_CAUSES or worth is not None
     verdict = Diagnosis(cause, p, evidence, reason, settled, shares, test)
@@ -364,17 +364,27 @@ OF_ONE_MODEL = frozenset({"ms", "gm", "pm_deg", "ki_ratio", "kp_ratio"})
 """Evidence of a model that the verdict does not rest on."""
 
 
-def _next(causes: Mapping[Cause, float], odds: TuningOdds, walk: Walk, window: Window) -> DecidingTest | None:
+def _next(
+    causes: Mapping[Cause, float], odds: TuningOdds, walk: Walk, window: Window, settings: OddsSettings
+) -> DecidingTest | None:
     """The deciding test: of the valve where it is one of the two causes in question, else of the tuning.
 
     None for a loop that cannot be moved by its setpoint, or whose error never moves.
     """
-    if Cause.STICTION in list(causes)[:2]:
+    if Cause.STICTION in list(causes)[:2] and causes[Cause.STICTION] >= IN_QUESTION:
         return valve_test(odds, walk.record, float(np.std(window.co)))
     error_std = float(np.std(window.sp - window.pv))
     if not (odds.gains.kp or odds.gains.ki) or not error_std > 0:
         return None
-    return deciding_test(odds, walk.record, error_std)
+    test = deciding_test(odds, walk.record, error_std)
+    sure = next(iter(causes.values())) >= settings.undecided
+    return replace(test, size=max(test.size, PLAIN * error_std)) if sure else test
+
+
+PLAIN = 4.0
+"""Usual errors of a step that confirms a cause which loads alone seem to show."""
+IN_QUESTION = 0.05
+"""Odds of a valve from which it is asked for."""
 
 
 def _swings_alone(open_ones: Sequence[tuple[Window, Found]]) -> bool:

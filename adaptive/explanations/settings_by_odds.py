@@ -41,7 +41,7 @@ class WorthSettings:
 
     worth : how much cheaper they must be expected to be, in logarithms of the integrated error; 0.1 to 0.7, default
         0.25.
-    ms_bad : Ms that no more than bad_share of the odds may give them; 1.8 to 2.2, default 1.9. bad_share : 0.02 to 0.2,
+    ms_bad : Ms that no more than bad_share of the odds may give them; 1.7 to 2.2, default 1.8. bad_share : 0.02 to 0.2,
         default 0.1. unstable_share : and this share may be unstable; 0 to 0.05, default 0.01.
     ms_calm : Ms up to which robustness costs nothing; 1.4 to 1.8, default 1.6 (SIMC's own is 1.59 to 1.70).
     risk : what Ms over it costs, per logarithm; 2 to 10, default 5. unstable : cost of an unstable loop; default 8.
@@ -52,7 +52,7 @@ class WorthSettings:
     """
 
     worth: float = 0.25
-    ms_bad: float = 1.9
+    ms_bad: float = 1.8
     bad_share: float = 0.1
     unstable_share: float = 0.01
     ms_calm: float = 1.6
