@@ -49,12 +49,13 @@ def with_overshoot(odds: TuningOdds, seen: Sequence[SeenOvershoot], limits: Tuni
         return odds
     classes = class_of(odds.robustness, odds.gains, odds.sample_time_s, limits)
     weights = odds.weights.copy()
-    for kind in range(len(CLASSES)):
-        inside = np.flatnonzero((classes == kind).ravel() & (weights.ravel() > 0.0))
+    of_kind = [np.flatnonzero((classes == kind).ravel() & (weights.ravel() > 0.0)) for kind in range(len(CLASSES))]
+    chosen = [inside[np.argsort(-weights.ravel()[inside], kind="stable")[:LIKELIEST]] for inside in of_kind]
+    ends = np.cumsum([len(likeliest) for likeliest in chosen])
+    every = np.split(_overshoots(odds, np.concatenate(chosen)), ends[:-1])  # all at once: a loop over samples
+    for inside, likeliest, own in zip(of_kind, chosen, every, strict=True):
         if not len(inside):
             continue
-        likeliest = inside[np.argsort(-weights.ravel()[inside], kind="stable")[:LIKELIEST]]
-        own = _overshoots(odds, likeliest)
         likelihood = np.exp(-0.5 * sum(np.maximum((one.overshoot - own) / one.std, 0.0) ** 2 for one in seen))
         known = weights.ravel()[likeliest]
         weights.ravel()[inside] *= float(known @ likelihood / known.sum())
