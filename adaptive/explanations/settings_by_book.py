@@ -140,6 +140,11 @@ def shares(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> t
     return high, room
 
 
+def dearer(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> float:
+    """What a set is expected to cost more than another over the processes, ln."""
+    return _cost(drawn, new, settings)[0] - _cost(drawn, now, settings)[0]
+
+
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
     """All actions so many times, and the integral time besides."""
     a = all_of_them

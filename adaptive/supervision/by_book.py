@@ -3,8 +3,8 @@
     look      so many samples since the last one: a question of its own, or with the response that completes then
     speak     where the pipeline cannot tell (no response, nothing identifiable, a residual that no load step explains)
               and the odds are clear: settings worth having over the book, proved, on trial, with a sentence
-    object    where the pipeline changes gains: not less action where the book says that there is room for more, and
-              not more where it says that Ms is over its limit then
+    object    where the pipeline changes gains: not less action where the book says that the loop is robust and would
+              only be slower, and not more where it says that Ms is over its limit then
     excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
 
 The book is silent where one lasting tone moves the loop, where the output stands at a limit, where a valve may not
@@ -19,7 +19,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.explanations.book import Book, move, update
-from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, shares
+from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, dearer, shares
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import prove
@@ -112,15 +112,15 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings) -
     verdict, record = found.verdict, found.record
     assert verdict is not None
     assert verdict.gains is not None
-    if record.table.lookup is not Lookup.HARD or _shown_clearly(found):
+    if record.table.lookup is not Lookup.HARD or not book.records or found.growth is not None or _shown_clearly(found):
         return
-    now, new, numbers = record.in_force, verdict.gains, told.numbers
+    now, new, drawn = record.in_force, verdict.gains, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
-    more = abs(new.kp) > abs(now.kp) / NEARLY or abs(new.ki) > abs(now.ki) / NEARLY
+    robust = told.numbers.book_high <= 1.0 - settings.less_odds
     why = ""
-    if less and not more and numbers.book_room >= settings.more_odds and numbers.book_high <= 1.0 - settings.less_odds:
-        why = "less action would make a slow loop slower"
-    elif more and shares(book.drawn(settings.drawn), new, settings)[0] >= settings.less_odds:
+    if less and robust and dearer(drawn, now, new, settings) >= settings.worth:
+        why = "less action would only make the loop slower"
+    elif not less and shares(drawn, new, settings)[0] >= settings.less_odds:
         why = "more action would take its robustness"
     if why:
         found.verdict = found.basis = found.promise = None

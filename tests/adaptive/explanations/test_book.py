@@ -9,7 +9,7 @@ import pytest
 
 from retuner import PidController, PidGains
 from retuner.adaptive.explanations.book import ODD, Book, move, update
-from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book
+from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, dearer
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.supervision.by_book import one_tone
 from retuner.adaptive.supervision.decision import Action
@@ -175,3 +175,9 @@ def test_one_lasting_tone_is_told_from_a_load_that_wanders() -> None:
     assert one_tone(Window(t, np.zeros(800), tone, tone))
     assert not one_tone(Window(t, np.zeros(800), walk(3, 800), walk(3, 800)))
     assert not one_tone(recorded(GOOD, 3))
+
+
+def test_a_cut_of_a_robust_loop_costs_its_speed_and_one_of_a_tight_loop_saves() -> None:
+    for times, costs in ((1.0, True), (2.6, False)):
+        drawn = after(scaled(times), 3).drawn(SETTINGS.drawn)
+        assert (dearer(drawn, scaled(times), scaled(0.3 * times), SETTINGS) > 0) is costs
