@@ -1,6 +1,6 @@
 """The book of one loop and region: how likely each process is, by all samples so far, under a load that wanders.
 
-    explain   the likelihood of a window of samples, whatever the gains were while it was recorded: co is the input
+    L         the likelihood of a window of samples, whatever the gains were while it was recorded: co is the input
     update    ln w  <-  ln w + ln((1 - ODD) L / max L + ODD mean L / max L)
     move      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard)
 
@@ -118,17 +118,12 @@ class Book:
         return cls(direction, unit, dt_s, t_s, int(body["records"]), int(body["leans"]), levels, whole, prior)
 
 
-def explain(record: Prepared, book: Book) -> FloatArray:
-    """Tempered log-likelihood of a window on every process of the grid; the window's interval is the book's."""
-    return log_likelihood(record, book.direction, book.unit)
-
-
 def update(book: Book, window: Window, *, grows: bool = False) -> Book:
     """With a window of all samples since the last one. grows : it will come again, with more samples."""
     record = Prepared.at(window, book.dt_s)
     logs = -STEP * _array(book.whole)
     if np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
-        found = explain(record, book)
+        found = log_likelihood(record, book.direction, book.unit)
         share = np.exp(found - float(np.max(found)))
         logs += np.log((1.0 - ODD) * share + ODD * float(np.mean(share)))
     logs[_array(book.whole) == DEEPEST] = -math.inf
