@@ -15,7 +15,7 @@ import numpy.typing as npt
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording
 
-NUMBER = r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*"
+NUMBER = r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*"
 FORM = re.compile(rf"{NUMBER}\.\.{NUMBER}:{NUMBER}\.\.{NUMBER}")
 NAMED = {"mA": "4..20", "V": "0..10"}
 """Ranges that have a name."""

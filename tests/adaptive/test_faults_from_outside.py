@@ -23,6 +23,7 @@ from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessT
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import Window
 from retuner.drivers.historian.raw_table import VALUE, WITH_UNIT
+from retuner.drivers.historian.scaling import FORM
 from retuner.pid_controller import PidController
 from retuner.schedule.gains import PidGains
 
@@ -127,7 +128,7 @@ def test_a_response_that_was_cut_short_is_not_read() -> None:
     assert setpoint_responses(sp, pv) is None
 
 
-@pytest.mark.parametrize("pattern", [VALUE, WITH_UNIT])
+@pytest.mark.parametrize("pattern", [VALUE, WITH_UNIT, FORM])
 def test_a_field_of_digits_without_end_is_read_in_no_time(pattern: re.Pattern[str]) -> None:
     """A pattern that tries every split takes minutes for this."""
     assert pattern.fullmatch("1" * 200_000 + "x") is None
