@@ -115,7 +115,7 @@ def test_the_starter_is_accepted_and_its_comments_show_the_true_defaults() -> No
         ("pv_max = 10", "pv_max = 0", "loop.pv_max", "= 0 must be greater than pv_min = 0"),
         ("pv_max = 10", "pv_max = [1]", "loop.pv_max", "= [1] must be a number"),
         ("pv_max = 10", "pv_max = 1979-05-27", "loop.pv_max", "must be a number"),
-        ("sample_time_s = 0.5", "sample_time_s = 0", "loop.sample_time_s", "must be at least 0.001"),
+        ("sample_time_s = 0.5", "sample_time_s = 0", "loop.sample_time_s", "must be at least 0.0001"),
         ("sample_time_s = 0.5", "sample_time_s = 11", "schedule.region[1].tau_i_s", "= 10 s must be at least"),
         ("sample_time_s = 0.5", "sample_tme_s = 0.5", "loop.sample_tme_s", "did you mean sample_time_s?"),
         ("sample_time_s = 0.5", "zzz = 1\nsample_time_s = 0.5", "loop.zzz", "known here: name, pv_unit"),

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.process.model import LinearProcess
+from retuner.drivers.plants.identified import alike, load_of, model_of
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.plants.model import ModelSpec, PlantFaultError
 from retuner.drivers.plants.plant_process import ModelInProcess
@@ -22,6 +23,7 @@ from retuner.drivers.plants.python_model import PythonModel, find_object
 from retuner.drivers.plants.recorded_load import LoadedPlant, RecordedLoad, RecordedLoads
 from retuner.drivers.plants.shared_plant import PlantPort, PortSettings, SharedPlant
 from retuner.drivers.plants.state_space import StateSpaceModel, matrices_of
+from retuner.drivers.recorded.recording import Recording
 
 LAG = ([[-1 / 30]], [[2.5 / 30]], [[1.0]], [])  # 2.5/(30 s + 1)
 # R. K. Wood and M. W. Berry, Chem. Eng. Sci. 28 (1973) 1707: a distillation column, time in minutes
@@ -404,3 +406,59 @@ def test_in_simulated_time_a_step_is_waited_for(tmp_path: Path, bench: list[Benc
     bench[0].flag.touch()
     assert bench[0].steps(4) == [3.0] * 4
     assert bench[0].said == []
+
+
+# The plant of a record.
+
+
+def recorded(load: np.ndarray) -> tuple[LinearProcess, Recording]:
+    """A record of a known process under a known load at its output, co moving as a controller's would."""
+    process = LinearProcess(1.5, (30.0,), (), 4.0)
+    plant = LinearPlant(process, start_co=40.0)
+    co = 40.0 + 5.0 * np.sin(0.05 * np.arange(len(load))) + 3.0 * (np.arange(len(load)) > 100)
+    pv = np.array([0.0, *(plant.step(float(one), 0.0, 2.0) for one in co[:-1])]) + 70.0 + load
+    return process, Recording("record", 2.0 * np.arange(len(load)), pv, co)
+
+
+def test_the_load_of_a_record_is_what_its_model_leaves() -> None:
+    load = 0.3 * np.cumsum(np.random.default_rng(1).normal(size=500))
+    process, record = recorded(load)
+    found = load_of(process, record.t_s, record.pv, record.co)
+    np.testing.assert_allclose(found.values, load - load[0], atol=1e-9)
+
+
+def test_a_load_alike_has_the_same_spectrum_and_another_course() -> None:
+    load = np.convolve(np.random.default_rng(2).normal(size=500), np.ones(9) / 9, mode="same")
+    process, record = recorded(load)
+    own = load_of(process, record.t_s, record.pv, record.co)
+    one, other = alike(own, 1), alike(own, 2)
+    straight = own.values - np.linspace(own.values[0], own.values[-1], len(load))
+    for drawn in (one, other):
+        np.testing.assert_allclose(np.abs(np.fft.rfft(drawn.values)), np.abs(np.fft.rfft(straight)), atol=1e-8)
+    assert abs(np.corrcoef(one.values, other.values)[0, 1]) < 0.5
+    assert alike(own, 1).values.tolist() == one.values.tolist()
+
+
+def test_a_bench_repeats_the_plant_of_a_record(tmp_path: Path) -> None:
+    """The record's own load and co give the record's pv again."""
+    load = 0.2 * np.cumsum(np.random.default_rng(3).normal(size=300))
+    process, record = recorded(load)
+    (tmp_path / "found.json").write_text(
+        '{"model": {"type": "fopdt", "k": 1.5, "tau1": 30.0, "tau2": 0.0, "theta": 4.0}}'
+    )
+    assert model_of(tmp_path / "found.json") == process
+    again = LoadedPlant(
+        LinearPlant(process, start_pv=float(record.pv[0]), start_co=float(record.co[0])),
+        RecordedLoads([load_of(process, record.t_s, record.pv, record.co)]),
+    )
+    got = [again.step(float(co), 0.0, 2.0) for co in record.co[:-1]]
+    np.testing.assert_allclose(got, record.pv[1:], atol=1e-8)
+    for content, told in (
+        ("{}", "holds no model"),
+        ("nothing", "cannot be read"),
+        ('{"model": {"type": "x"}}', "found.json"),
+    ):
+        (tmp_path / "found.json").write_text(content)
+        with pytest.raises(PlantFaultError, match=told) as wrong:
+            model_of(tmp_path / "found.json")
+        assert wrong.value.key == ("file",)

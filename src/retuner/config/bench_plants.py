@@ -12,6 +12,7 @@ from retuner.config.model import Config
 from retuner.config.plants import (
     BoilerPlantConfig,
     FmuPlantConfig,
+    IdentifiedPlantConfig,
     LinearPlantConfig,
     LoadConfig,
     OvenPlantConfig,
@@ -23,6 +24,7 @@ from retuner.config.setting import Problem
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.plants.boiler_plant import BoilerPlant
+from retuner.drivers.plants.identified import alike, load_of, model_of
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.plants.model import ModelSpec, PlantFaultError, PlantModel, missing_name
 from retuner.drivers.plants.oven_plant import OvenPlant
@@ -83,15 +85,18 @@ def known_plant(config: Config) -> KnownPlant | None:
     plant = plant_of(config)
     if isinstance(plant, ModelConfig):
         return None
-    made = _ours(config, plant)
     try:
+        made = _ours(config, plant)
         loads = _loads(plant.loads)
     except PlantFaultError as fault:
         raise UnusablePlantError(0, config.loop.name, fault) from None
     return made if loads is None else LoadedPlant(made, loads)
 
 
-def _ours(config: Config, plant: OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig) -> KnownPlant:
+OurConfig = OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig | IdentifiedPlantConfig
+
+
+def _ours(config: Config, plant: OurConfig) -> KnownPlant:
     """One of our own plants."""
     assert config.device is not None
     seed = config.device.seed
@@ -99,6 +104,8 @@ def _ours(config: Config, plant: OvenPlantConfig | LinearPlantConfig | BoilerPla
         return OvenPlant(plant.settings(), plant.start_c, seed)
     if isinstance(plant, BoilerPlantConfig):
         return BoilerPlant(plant.settings(), plant.start_c, seed)
+    if isinstance(plant, IdentifiedPlantConfig):
+        return _of_record(config, plant, seed)
     process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
     return LinearPlant(
         process,
@@ -109,6 +116,25 @@ def _ours(config: Config, plant: OvenPlantConfig | LinearPlantConfig | BoilerPla
         co_min=config.loop.co_min_pct,
         co_max=config.loop.co_max_pct,
     )
+
+
+def _of_record(config: Config, plant: IdentifiedPlantConfig, seed: int) -> KnownPlant:
+    """The plant of a record."""
+    process = model_of(Path(plant.file))
+    try:
+        record = read_loop_record([Path(plant.record)]).recording
+    except RecordingError as error:
+        raise PlantFaultError(f": {error}", "record") from None
+    load = load_of(process, record.t_s, record.pv, record.co)
+    load = alike(load, seed) if plant.load == "alike" else load
+    made = LinearPlant(
+        process,
+        start_pv=float(record.pv[0]),
+        start_co=float(record.co[0]),
+        co_min=config.loop.co_min_pct,
+        co_max=config.loop.co_max_pct,
+    )
+    return LoadedPlant(made, RecordedLoads([load]))
 
 
 class Plants:

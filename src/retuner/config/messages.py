@@ -33,7 +33,7 @@ LIMITS: dict[str, str] = {
     "model_attributes_type": "must be a table",
     "literal_error": "must be {expected}",
     "union_tag_invalid": "must have kind = one of {expected_tags}",
-    "union_tag_not_found": "needs its kind; add kind = one of oven, linear, boiler, state_space, python, fmu",
+    "union_tag_not_found": "needs its kind; add one of oven, linear, boiler, state_space, python, fmu, identified",
 }
 """What pydantic's error types mean here; the braces are filled from pydantic's context."""
 

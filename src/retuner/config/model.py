@@ -30,7 +30,7 @@ class LoopConfig(Section):
     pv_min: float = setting("Lower end of the pv range", unit="pv", low=-1e9, high=1e9, source="the transmitter")
     pv_max: float = setting("Upper end of the pv range", unit="pv", low=-1e9, high=1e9, source="the transmitter")
     sample_time_s: float = setting(
-        "Sampling interval of the controller", unit="s", low=0.001, high=3600, source="the controller"
+        "Sampling interval of the controller", unit="s", low=0.0001, high=3600, source="the controller"
     )
     co_min_pct: float = setting(
         "Lower limit of the output", unit="%", low=-200, high=200, default=0.0, source="actuator"

@@ -260,13 +260,9 @@ class _ForeignModelSection(ModelSection):
         source="it begins at rest",
     )
     patience_s: float = setting(
-        "Time of the machine that a step, or the model's beginning, may take; then it counts as hanging",
-        unit="s",
-        above=0,
-        high=3600,
-        default=20.0,
-        source="a model with large imports takes seconds to begin",
-    )
+        "Time of the machine that a step, or the model's beginning, may take; then it counts as hanging", unit="s",
+        above=0, high=3600, default=60.0, source="large imports on a busy machine take half a minute",
+    )  # fmt: skip
 
 
 class PythonPlantConfig(_ForeignModelSection):
@@ -323,12 +319,18 @@ class StateSpacePlantConfig(ModelSection):
             yield Problem(("model",), "or the matrices a, b, c: give one of them")
 
 
+class IdentifiedPlantConfig(_PlantSection):
+    """[device.plant] with kind = "identified": the plant of a record, as `retuner identify` found it, and its load."""
+
+    kind: Literal["identified"] = setting("Which plant", unit="-", source="the user")
+    file: str = setting("What retuner identify RECORD --json printed", unit="-", text=(1, 1024), source="the user")
+    record: str = setting("The record, for its load and its start", unit="-", text=(1, 1024), source="the user")
+    load: Literal["alike", "recorded"] = setting(
+        "Another load of the same spectrum, or the record's own", unit="-", default="alike", source="the user"
+    )
+
+
+OwnPlant = OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig | IdentifiedPlantConfig
 PlantConfig = Annotated[
-    OvenPlantConfig
-    | LinearPlantConfig
-    | BoilerPlantConfig
-    | PythonPlantConfig
-    | FmuPlantConfig
-    | StateSpacePlantConfig,
-    Field(discriminator="kind"),
+    OwnPlant | PythonPlantConfig | FmuPlantConfig | StateSpacePlantConfig, Field(discriminator="kind")
 ]
