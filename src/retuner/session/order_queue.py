@@ -319,7 +319,7 @@ class OrderDesk:
             past = before.shown.proposals.get(digest)
             if past is None:
                 return {}, f"no proposal {digest[:SHORT]} in that session"
-            reason = "it was approved in that session; request a revert to undo it"
+            reason = "it was approved in that session; order a revert to return to the gains before"
             return {"region": past.region, "tried": False}, reason * (digest in before.shown.approved)
         decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
         if decision is None:
