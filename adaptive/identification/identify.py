@@ -135,7 +135,7 @@ def identify_window(
     Raises
     ------
     ValueError
-        co or pv do not change at all in the record: there is nothing to identify from.
+        co or pv do not change at all in the record, or it has too few samples: there is nothing to identify from.
     """
     settings = settings or FitSettings()
     signs = (sign,) if sign else tuple({log.sign for log in (priors or {}).values()}) or (1, -1)

@@ -52,7 +52,7 @@ def test_what_only_an_odd_record_asks_for_waits_for_another_one_and_says_so() ->
     assert choice.index == 0
     assert choice.waits
     assert choice.numbers.odd == 0.8
-    assert "80% that this one is odd beside those before it" in choice.reason
+    assert "80 % that this record is odd" in choice.reason
     assert choose(by_odds(now, now, seen.odd), None, seen, SETTINGS, now).index == 1
     assert choose(now, None, replace(seen, odd=0.0), SETTINGS).index == 1
 

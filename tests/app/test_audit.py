@@ -101,7 +101,7 @@ def test_a_loop_without_setpoint_is_screened_for_what_can_be_told_without_it(pla
     (row,) = audit_task(task, AuditSettings(1))
 
     assert row["action"] == "export its setpoint"
-    assert "no setpoint on record" in str(row["reason"])
+    assert "no setpoint in the record" in str(row["reason"])
     assert row["stretches"] == []
     assert (row["loss_per_day"], row["screen"]["iae_per_day"], row["screen"]["harris"]) == (None, None, None)
     assert row["screen"]["effort_per_day"] > 0
@@ -218,7 +218,7 @@ def test_the_root_of_a_group_is_not_sent_upstream() -> None:
     listed, _ = ranked(rows)
 
     assert (listed[0]["tag"], listed[0]["action"]) == ("valve", "inspect")
-    assert "likely from here: its valve sticks" in str(listed[0]["reason"])
+    assert "probably caused here: its valve sticks" in str(listed[0]["reason"])
 
 
 def test_names_cannot_leave_the_page(tmp_path: Path) -> None:

@@ -227,7 +227,7 @@ def test_an_act_goes_into_an_order_file_of_the_session(session: Session, served:
         (["nowhere"], "nowhere: there is no such folder"),
         (["."], ".: holds no session"),
         (["demo", "--certificate", "none.pem"], "none.pem: there is no such file"),
-        (["demo", "--host", "203.0.113.9"], "cannot be listened at"),
+        (["demo", "--host", "203.0.113.9"], "cannot listen there"),
     ],
 )
 def test_what_cannot_be_served_is_one_line_and_status_2(
