@@ -121,7 +121,7 @@ def test_that_a_setpoint_is_led_is_said_once_and_then_with_a_count() -> None:
     assert rows[0].numbers.to_dict().get("passed_over") is None
     count = int(rows[1].numbers.to_dict()["passed_over"])
     assert count > 5
-    assert f"{count} responses" in rows[1].reason
+    assert f"{count} such responses" in rows[1].reason
 
 
 def test_once_a_person_sets_the_setpoint_again_the_loop_learns_again() -> None:
