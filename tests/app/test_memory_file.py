@@ -132,7 +132,7 @@ def test_killed_at_any_row_or_file_the_next_session_knows_what_the_ledger_knows(
         unknown = [r for r in again.trials.undecided if again.trials.phase(r).name == "WRITING"]
         assert not unknown or not {"committed", "refused", "dropped"} & {*after}  # the controller will tell
     assert without
-    assert all(decided == 0 and (not line or "no memory of this hash" in line) for decided, line in without)
+    assert all(decided == 0 and (not line or "no memory with this hash" in line) for decided, line in without)
 
 
 def copied(whole: Life, to: Path) -> Path:
@@ -166,7 +166,7 @@ def forged(change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
     [
         (torn, "it is damaged or was changed"),
         (forged(lambda d: d["memory"].update(version=3)), "memory version 3 is not"),
-        (forged(lambda d: d.update(about="0")), "it is of another configuration"),
+        (forged(lambda d: d.update(about="0")), "it belongs to another configuration"),
         (forged(lambda d: d["memory"].pop("trials")), "the memory is damaged"),
         (forged(lambda d: d.pop("memory")), "it is damaged"),
         (lambda folder: (folder / LEDGER).write_bytes(b"no ledger"), "ledger.sqlite"),

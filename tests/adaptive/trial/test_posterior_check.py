@@ -171,7 +171,7 @@ def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
     known = replace(moving, posterior=said)
     found = judge(known, believed, GOOD, S)
     assert found.finding is TrialFinding.AS_PROMISED
-    assert "robust: Ms at most" in found.reason
+    assert "robust according to the models: Ms at most" in found.reason
     doubtful = Plausible(replace(MODEL, k=2.0), 3.0)
     unsure = replace(moving, posterior=check_posterior([*TRUE, doubtful], SLUGGISH, GOOD, DT_S))
     assert judge(unsure, believed, GOOD, S).finding is TrialFinding.INCONCLUSIVE
@@ -241,7 +241,7 @@ def test_peaks_that_several_records_explain_by_loads_take_no_robust_set_back() -
     seen = replace(responses(Rig(ringing), 400, load=10.0)[0], posterior=robust)
     kept = judge(seen, held, ringing, S)
     assert kept.finding is TrialFinding.AS_PROMISED
-    assert "robust: Ms at most 1.70" in kept.reason
+    assert "robust according to the models: Ms at most 1.70" in kept.reason
     assert "loads explain this response: half-cycle decay ratio" in kept.reason
     for doubt in ({"agreed": False}, {"settled": False}, {"ms_most": 2.5}):
         assert judge(replace(seen, posterior=replace(robust, **doubt)), held, ringing, S).finding is TrialFinding.WORSE

@@ -161,7 +161,7 @@ def test_evidence_against_a_set_leads_to_what_is_expected_to_lose_least_of_all_t
     earlier = (SETS["unstable"], SETS["right"])
     found = way_back(worse, SetsThatRan(old, tried, earlier, swings=0.6), known, TrialSettings())
     assert found.gains == SETS["right"]
-    assert "an earlier gain set" in found.reason
+    assert "an earlier set" in found.reason
     assert not found.stays
 
 
