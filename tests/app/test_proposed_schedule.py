@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
+from retuner.adaptive.region_model import refinement
 from retuner.adaptive.region_model.refinement import Refinement
 from retuner.adaptive.schedule_design.places import DesignLimits
 from retuner.cli import main
 from retuner.commands.work.approve import _full_hash, places
 from retuner.config.loading import load_session
 from retuner.config.model import Config
-from retuner.decisions import proposed_schedule
 from retuner.decisions.proposed_schedule import digest_of, taken_up
 from retuner.errors import UserError
 from retuner.files import write_whole
@@ -48,7 +48,7 @@ def proposal(table: GainTable = OTHER) -> Refinement:
 
 def asking_for(patch: pytest.MonkeyPatch, found: Refinement | None) -> None:
     """What the records of every session ask for."""
-    patch.setattr(proposed_schedule, "refinement", lambda *_: found)
+    patch.setattr(refinement, "refinement", lambda *_: found)
 
 
 @pytest.fixture(scope="module")

@@ -104,7 +104,7 @@ def test_other_gains_or_no_promise_end_a_proposal() -> None:
     bench = Bench(GOOD)
     assert str(ProposalStanding.OTHER_GAINS) in approve(bench.retuner, OFFERED, 60.0).reason
     bare = replace(OFFERED, promise=None)
-    assert "no predicted performance" in approve(Bench().retuner, bare, 60.0).reason
+    assert "it has no prediction to judge a trial by" in approve(Bench().retuner, bare, 60.0).reason
     with pytest.raises(ValueError, match="does not exist"):
         approve(bench.retuner, replace(OFFERED, region="elsewhere"), 60.0)
 
