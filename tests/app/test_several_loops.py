@@ -165,7 +165,7 @@ def test_the_number_of_a_foreign_controller_is_that_of_its_device() -> None:
     head = 'schema = 1\n[schedule]\nvariable = "sp"\n[bus]\ninterface = "socketcan"\nchannel = "can0"\n'
     two = parse_session(head + FOREIGN.format(0) + FOREIGN.format(3))
     assert [config.node for config in two.loops] == [0, 3]
-    assert any(line.endswith("channel can0, node 3") for line in described(two.loops[1], several=True))
+    assert any(line.endswith("channel can0, node 3") for line in described(two.loops[1], (), several=True))
     same = FOREIGN.format(3).replace("axis 3", "axis 4") + "[loop.bus]\nnode = 9\n"
     with pytest.raises(UnusableError) as unusable:
         parse_session(head + FOREIGN.format(3) + same)
