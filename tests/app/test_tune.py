@@ -26,8 +26,9 @@ def answer(capsys: Capture, *arguments: str, status: int = 0) -> dict:
 
 @pytest.mark.parametrize("rule", [name for name in RULES if name != "quarter-decay"])
 def test_every_rule_by_name(capsys: Capture, rule: str) -> None:
-    extra = ["--u0", "1", "--ymax", "5"] if rule == "simc-smooth" else []
-    found = answer(capsys, *FOPDT, "--rule", rule, *extra)
+    extra = ["--u0", "1", "--ymax", "5"] if rule in {"simc-smooth", "averaging"} else []
+    process = ["--type", "integrating", "--k", "0.02", "--theta", "2"] if rule == "averaging" else FOPDT
+    found = answer(capsys, *process, "--rule", rule, *extra)
     assert found["rule"] == rule
     assert set(found["gains"]) == {"kc", "tau_i", "tau_d"}
     assert set(found["parallel"]) == {"kp", "ki", "kd"}
