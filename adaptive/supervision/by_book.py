@@ -25,7 +25,6 @@ from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.border import borders_of
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
-from retuner.adaptive.indexes.autocovariance import regularity
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Basis
@@ -179,19 +178,20 @@ def _shown_clearly(found: Findings) -> bool:
 
 
 def one_tone(window: Window) -> bool:
-    """Whether one lasting tone is most of what moves the loop: it identifies no process, whatever fits it."""
+    """Whether one tone is most of what moves the loop: it identifies no process, whatever fits it.
+
+    A look may hold too few of its periods to show that it lasts.
+    """
     error = window.sp - window.pv
-    wave = regularity(error)
-    if wave is None or wave.regularity <= REGULAR:
-        return False
     power = np.abs(np.fft.rfft((error - np.mean(error)) * np.hanning(len(error)))) ** 2
     peak = int(np.argmax(power))
-    return float(np.sum(power[max(peak - 2, 0) : peak + 3])) > TONE_SHARE * float(np.sum(power))
+    return peak >= FEWEST_PERIODS and float(np.sum(power[peak - 2 : peak + 3])) > TONE_SHARE * float(np.sum(power))
 
 
-REGULAR, TONE_SHARE = 1.0, 0.5
-"""Regularity from which an oscillation lasts (Thornhill et al. 2003), and share of the error's power in one line: loops
-near instability under real loads wander in amplitude and phase."""
+FEWEST_PERIODS = 3
+"""Periods of a tone in a look; fewer are how a load wanders."""
+TONE_SHARE = 0.5
+"""Share of the error's power in one line: loops near instability under real loads wander in amplitude and phase."""
 
 
 def _speak(found: Findings, look: Look, book: Book, told: ByBook) -> None:
