@@ -188,7 +188,7 @@ def one_tone(window: Window) -> bool:
     return peak >= FEWEST_PERIODS and float(np.sum(power[peak - 2 : peak + 3])) > TONE_SHARE * float(np.sum(power))
 
 
-FEWEST_PERIODS = 3
+FEWEST_PERIODS = 2
 """Periods of a tone in a look; fewer are how a load wanders."""
 TONE_SHARE = 0.5
 """Share of the error's power in one line: loops near instability under real loads wander in amplitude and phase."""
