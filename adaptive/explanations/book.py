@@ -103,7 +103,7 @@ class Book:
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Book":
-        """And back.
+        """The book of these plain values.
 
         Raises
         ------
@@ -159,12 +159,10 @@ def _levels(logs: FloatArray) -> bytes:
 
 
 def _packed(levels: bytes) -> str:
-    """As text."""
     return base64.b64encode(zlib.compress(levels)).decode("ascii")
 
 
 def _unpacked(text: str) -> bytes:
-    """And back."""
     try:
         levels = zlib.decompress(base64.b64decode(text, validate=True))
     except (ValueError, zlib.error) as error:

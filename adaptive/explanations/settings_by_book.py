@@ -1,6 +1,6 @@
 """Settings worth having over the processes of a book, and what a set of gains does there.
 
-    worth(set) = E[cost(in force)] - E[cost(set)],     cost = ln(1/ki) + risk ln(Ms / ms_calm)+      (unstable: most)
+    worth(set) = E[cost(in force)] - E[cost(set)],     cost as in settings_by_odds.py
 
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
 expectation is over processes drawn from the book, each as likely as the others. On line a change costs more than words:
@@ -12,13 +12,19 @@ comes back by itself looks like a process that does.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, shapes
-from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses, process_model, quantile
+from retuner.adaptive.explanations.settings_by_odds import (
+    LikelyProcesses,
+    WorthSettings,
+    expected_cost,
+    process_model,
+    quantile,
+)
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
@@ -43,8 +49,7 @@ class BookSettings:
     sure_odds : from which it does at the first look; 0.9 to 0.99, default 0.95. more_odds : probability of room from
         which more action follows; 0.5 to 0.9, default 0.85. room : how many times as much of all actions a loop must
         bear for that; 1.5 to 3, default 1.8.
-    ms_calm : Ms up to which robustness costs nothing; 1.5 to 1.8, default 1.68. risk, most : of
-        the cost, as in settings_by_odds.py.
+    cost : what a set costs on a process; Ms up to 1.68 costs nothing (1.5 to 1.8).
     """
 
     hazard_s: float = 30 * 86400.0
@@ -59,9 +64,7 @@ class BookSettings:
     sure_odds: float = 0.95
     more_odds: float = 0.85
     room: float = 1.8
-    ms_calm: float = 1.68
-    risk: float = 5.0
-    most: float = 8.0
+    cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68))
 
 
 LESS, LONGER = (0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25), (1.0, 1.5, 2.0, 4.0)
@@ -142,7 +145,7 @@ def shares(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> t
 
 def dearer(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> float:
     """What a set is expected to cost more than another over the processes, ln."""
-    return _cost(drawn, new, settings)[0] - _cost(drawn, now, settings)[0]
+    return expected_cost(drawn, new, settings.cost)[0] - expected_cost(drawn, now, settings.cost)[0]
 
 
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
@@ -193,9 +196,9 @@ def _best(
     drawn: LikelyProcesses, gains: PidGains, candidates: Iterator[PidGains], settings: BookSettings, *, more: bool
 ) -> tuple[float, PidGains, FloatArray] | None:
     """Worth, gains and Ms on each process of the best candidate; None where none is worth a change."""
-    now, best = _cost(drawn, gains, settings)[0], None
+    now, best = expected_cost(drawn, gains, settings.cost)[0], None
     for new in candidates:
-        cost, peaks = _cost(drawn, new, settings)
+        cost, peaks = expected_cost(drawn, new, settings.cost)
         bad, lost = float(drawn.weights @ (peaks > settings.ms_bad)), float(drawn.weights @ np.isinf(peaks))
         if more and (bad > settings.bad_share or lost > settings.unstable_share):
             continue
@@ -203,15 +206,6 @@ def _best(
         if worth >= settings.worth and (best is None or worth > best[0]):
             best = worth, new, peaks
     return best
-
-
-def _cost(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> tuple[float, FloatArray]:
-    """Expected cost of a set (head of this file), and its Ms on each process."""
-    peaks = drawn.peaks(gains)
-    over = np.log(np.maximum(np.where(np.isinf(peaks), 1.0, peaks) / settings.ms_calm, 1.0))
-    risk = np.where(np.isinf(peaks), settings.most, np.minimum(settings.risk * over, settings.most))
-    integral = math.log(abs(gains.ki)) if gains.ki else -settings.most
-    return float(drawn.weights @ risk) - integral, peaks
 
 
 def _proved_on(

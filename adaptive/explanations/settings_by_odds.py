@@ -168,10 +168,10 @@ def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
     """The settings that are worth most over the odds; None where none is worth a change."""
     likely = likely_processes(odds, settings.processes)
     known = models(odds, likely)
-    before = _cost(likely, odds.gains, settings)[0]
+    before = expected_cost(likely, odds.gains, settings)[0]
     best: Worthwhile | None = None
     for tuning in _candidates(odds.gains, known[: settings.rules], odds.sample_time_s, settings):
-        cost, peaks = _cost(likely, tuning.gains, settings)
+        cost, peaks = expected_cost(likely, tuning.gains, settings)
         bad = float(likely.weights @ (peaks > settings.ms_bad))
         if bad > settings.bad_share or float(likely.weights @ np.isinf(peaks)) > settings.unstable_share:
             continue
@@ -191,10 +191,10 @@ def halved(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
     """
     likely = likely_processes(odds, settings.processes)
     now = odds.gains
-    before, peaks_before = _cost(likely, now, settings)
+    before, peaks_before = expected_cost(likely, now, settings)
     for scale in CALMER:
         half = Tuning("simc", "series", PidGains(now.kp * scale, now.ki * scale, now.kd * scale))
-        cost, peaks = _cost(likely, half.gains, settings)
+        cost, peaks = expected_cost(likely, half.gains, settings)
         if float(likely.weights @ (peaks > settings.ms_bad)) <= 0.5:
             break
     worse = float(likely.weights @ (peaks > np.maximum(peaks_before, settings.ms_bad)))
@@ -229,7 +229,7 @@ def quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
     return float(values[order[min(at, len(values) - 1)]])
 
 
-def _cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[float, FloatArray]:
+def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[float, FloatArray]:
     """Expected cost of a set (head of this file), and its Ms on each process."""
     peaks = likely.peaks(gains)
     over = np.log(np.maximum(np.where(np.isinf(peaks), 1.0, peaks) / settings.ms_calm, 1.0))

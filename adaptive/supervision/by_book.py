@@ -7,7 +7,7 @@
               only be slower, and not more where it says that Ms is over its limit then
     excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
 
-The book is silent where one lasting tone moves the loop, where the output stands at a limit, where a valve may not
+The book is silent where one tone moves the loop, where the output stands at a limit, where a valve may not
 follow, and where clear setpoint steps have shown the process: such a case is not the book's.
 """
 

@@ -159,6 +159,6 @@ def demanded(settings: RetunerSettings) -> RetunerSettings:
             ms_high=nominal * book.ms_high,
             ms_good=nominal * book.ms_good,
             ms_bad=nominal * book.ms_bad,
-            ms_calm=nominal * book.ms_calm,
+            cost=replace(book.cost, ms_calm=nominal * book.cost.ms_calm),
         ),
     )
