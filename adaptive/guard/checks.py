@@ -133,7 +133,7 @@ def _totals(request: ChangeRequest, new: PidGains, s: GuardSettings, over_limit:
             less = (way > 0) != MORE_WHEN_LARGER[parameter]
             value, limit = math.exp(abs(way)), math.inf if over_limit and less else s.total_ratio_max
             forced = least / start if way > 0 else start / most
-            words = f"factor of {parameter} relative to the baseline gains"
+            words = f"{parameter} as a factor of its baseline"
             name, limit = f"total_{parameter.name.lower()}", max(limit, forced)
             check = Check(name, words, value, limit, value <= limit * (1 + ROUNDING))
             gone = now.get(parameter, before[parameter]) - before[parameter]

@@ -33,12 +33,9 @@ def test_a_step_back_towards_the_commissioned_set_passes_and_says_that_it_leads_
     assert verdict.ruling == Ruling.UNPROVED_STEP
     assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(0.19 * GAINS.kp)
-    assert (
-        words_of(verdict, "total_kc")
-        == "factor of kc relative to the baseline gains (no further than the active value, 6.667)"
-    )
+    assert words_of(verdict, "total_kc") == "kc as a factor of its baseline (no further than the active value, 6.667)"
     inside = prove(of_pattern(times(0.5, 0.5), times(0.6, 0.6), GAINS), SETTINGS)
-    assert words_of(inside, "total_kc") == "factor of kc relative to the baseline gains"
+    assert words_of(inside, "total_kc") == "kc as a factor of its baseline"
 
 
 def test_a_step_beyond_the_commissioned_set_goes_no_farther() -> None:
