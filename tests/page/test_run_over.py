@@ -1,5 +1,7 @@
 """A run with its page beside it ends well: the page stays up where a person watches, and says what came of it."""
 
+import base64
+import hashlib
 import json
 import os
 import pty
@@ -21,6 +23,8 @@ from starlette.testclient import TestClient
 sys.path.append(str(Path(__file__).resolve().parents[1] / "app"))
 
 from recorded import SHORT
+
+from retuner.report.what_if import section
 
 WITHIN_S = 120.0
 ADDRESS = re.compile(rb"http://127\.0\.0\.1:\d+/")
@@ -152,3 +156,17 @@ def test_without_a_terminal_a_run_ends_by_itself(tmp_path: Path) -> None:
     )
     assert b"stays up" not in run.stdout
     assert (tmp_path / "run" / "report.html").is_file()
+
+
+def test_the_served_report_runs_its_own_panel_and_no_other_script(tmp_path: Path) -> None:
+    session = Session(tmp_path / "demo")
+    page = section([("</script><script>alert(1)</script>", {"dt": 1.0})], {"sets": ["final", "baseline"]})
+    (session.folder / "report.html").write_text(page, encoding="utf-8")
+    with asking(session) as client:
+        policy = client.get("/report/demo").headers["content-security-policy"]
+    scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    allowed = [base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in scripts]
+    assert len(scripts) == 1
+    assert f"sandbox allow-scripts; script-src 'sha256-{allowed[0]}'" in policy
+    assert '<section id="what-if" hidden>' in page  # no empty heading where the script does not run
+    session.close()

@@ -3,7 +3,6 @@
 Each decision that changes something, or that a proof decided, has a page of its own, which its row's link shows.
 """
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -31,7 +30,8 @@ from retuner.decision_page.text import MS_LIMIT, ms_text
 from retuner.report.plots import Mark, trend_svg, twin_svg
 from retuner.report.region_overview import overview
 from retuner.report.scores import Columns, RegionScore, Twin, twin_steps
-from retuner.report.what_if import of_region, page_script, panel_style
+from retuner.report.what_if import of_region, panel_style
+from retuner.report.what_if import section as what_if_section
 from retuner.schedule.table import GainTable
 
 SAME_GAINS = 1e-4
@@ -108,14 +108,8 @@ def _tried(data: ReportData, documents: Sequence[Document]) -> str:
         sets = (data.before.gains_of(name), data.after.gains_of(name))
         told = of_region(data.run, i, [one for one in documents if words(one, "region") == name], sets, data.ms_limit)
         panels += [(name, told)] if told is not None else []
-    if not panels:
-        return ""
-    given = json.dumps(panels, allow_nan=False).replace("<", "\\u003c")
     units = units_of(data.loop)
-    how = json.dumps({"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]})
-    each = "for (const [name, what] of PANELS) whatIf(document.getElementById('what-if'), what, { name, ...HOW })"
-    script = f"{page_script()}\nconst PANELS = {given}, HOW = {how};\n{each}"
-    return f'<h2>What other settings would do</h2><div id="what-if"></div><script>{script}</script>'
+    return what_if_section(panels, {"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]})
 
 
 def _undone(documents: Sequence[Document]) -> list[float]:

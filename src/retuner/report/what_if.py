@@ -5,10 +5,13 @@ replays the record, draws responses and finds Ms for any settings that a slider 
 adaptive/loop/replayed.py and margins.py, which a test holds.
 """
 
+import base64
+import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 
 import numpy as np
@@ -39,6 +42,15 @@ MS_LIMIT = 1.8
 """Ms above it is shown as too much where the page knows no limit of its own."""
 FASTEST, SLOWEST = 0.3, 20.0
 """tau_c of the slider over the dead time as the controller sees it, at the least and at the most."""
+FILL = """
+{
+  const place = document.getElementById("what-if");
+  const given = JSON.parse(document.getElementById("what-if-data").textContent);
+  place.hidden = false;
+  for (const [name, what] of given.panels) whatIf(place, what, { name, ...given.how });
+}
+"""
+"""The script of a static page's section."""
 PAGE_UNITS = ("kc-s", "kc-min", "gain-min", "pb-s", "pb-min", "pb-rpm")
 """Units that are offered beside the vendors' controllers."""
 
@@ -216,6 +228,31 @@ def _speeds(model: ProcessModel | None, dt_s: float, *, pid: bool) -> list[list[
             return []
         found.append([float(f"{tau_c:.3g}"), *(_short(value) for value in (gains.kp, gains.ki, gains.kd))])
     return found
+
+
+def section(panels: Sequence[tuple[str, dict[str, object]]], how: Mapping[str, object]) -> str:
+    """The part of a static page that tries settings, out of sight where no script may run; nothing without panels.
+
+    What the panels show is data; the script is the same on every page, so a server may let it and nothing else run.
+    """
+    if not panels:
+        return ""
+    data = json.dumps({"panels": panels, "how": how}, allow_nan=False).replace("<", "\\u003c")
+    return (
+        '<section id="what-if" hidden><h2>What other settings would do</h2></section>'
+        f'<script type="application/json" id="what-if-data">{data}</script><script>{section_script()}</script>'
+    )
+
+
+@cache
+def section_script() -> str:
+    """The engine with the lines that fill `section`."""
+    return page_script() + FILL
+
+
+def script_hash() -> str:
+    """The script of `section` as a content security policy names it."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(section_script().encode()).digest()).decode()
 
 
 def page_script() -> str:

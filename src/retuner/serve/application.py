@@ -17,7 +17,7 @@ from starlette.routing import Route
 
 from retuner.decision_page.html import palette
 from retuner.errors import UserError
-from retuner.report.what_if import page_script, panel_style
+from retuner.report.what_if import page_script, panel_style, script_hash
 from retuner.serve import documents
 from retuner.serve.access import LASTS_S, Access
 from retuner.serve.gate import PAGE_POLICY, Gate
@@ -160,15 +160,14 @@ class Page:
         return Response(self._pages[place], media_type="text/html; charset=utf-8", headers=headers)
 
     async def _report(self, request: Request) -> Response:
-        """The report that a session left, which runs no script."""
+        """The report that a session left; of its scripts only our own runs, the panel that tries settings."""
         session = self._session(request)
         try:
             content = await asyncio.to_thread((session.folder / REPORT).read_bytes)
         except OSError:
             raise NotTakenError(404, "this session has no report yet") from None
-        return Response(
-            content, media_type="text/html; charset=utf-8", headers={"content-security-policy": PAGE_POLICY}
-        )
+        policy = f"{PAGE_POLICY} allow-scripts; script-src '{script_hash()}'"
+        return Response(content, media_type="text/html; charset=utf-8", headers={"content-security-policy": policy})
 
     def _rows(self, request: Request) -> object:
         asked = request.query_params
