@@ -1,4 +1,4 @@
-"""Write docs/diagnose.png: a loop with twice the gain it should have, as `retuner diagnose --plot` shows it.
+"""Write docs/diagnose.svg: a loop with twice the gain it should have, as `retuner diagnose --plot` shows it.
 
 python scripts/diagnose_picture.py
 """
@@ -13,7 +13,7 @@ from retuner.cli import main
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 
-PICTURE = Path(__file__).resolve().parent.parent / "docs" / "diagnose.png"
+PICTURE = Path(__file__).resolve().parent.parent / "docs" / "diagnose.svg"
 LAG_S, DEAD_TIME, NOISE, SEED = 20.0, 3, 0.05, 3
 
 

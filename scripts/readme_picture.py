@@ -1,4 +1,4 @@
-"""Make docs/oven.png, the picture of the README: the trend of the demo, as its report shows it.
+"""Make docs/oven.svg, the picture of the README: the trend of the demo, as its report shows it.
 
 python scripts/readme_picture.py
 """
@@ -7,7 +7,8 @@ from pathlib import Path
 
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import load_config
-from retuner.report.plots import trend_png
+from retuner.decision_page.svg import svg_file
+from retuner.report.plots import Mark, trend_figure
 from retuner.session.running import Run, nothing
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -18,9 +19,9 @@ def main() -> None:
     config = load_config(ROOT / "examples" / "oven.toml")
     retuned = Run(config, nothing).simulated().loops[0]
     fixed = Run(config, nothing, mode=Mode.OFF).simulated().loops[0]
-    commits = [t for t, _ in retuned.commits]
-    png = trend_png(retuned.trend.columns(), fixed.trend.columns(), commits, config.regions(), config.loop.pv_unit)
-    (ROOT / "docs" / "oven.png").write_bytes(png)
+    marks = [Mark(t_s, 0, undone=False) for t_s, _ in retuned.commits]
+    figure = trend_figure(retuned.trend.columns(), fixed.trend.columns(), marks, config.regions(), config.loop.pv_unit)
+    (ROOT / "docs" / "oven.svg").write_text(svg_file(figure, "An oven retuned in three regions"), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -278,7 +278,7 @@ def test_the_deciding_test_is_told_where_the_odds_are_open(capsys):
         (["--co-max", "1"], "--co-max 1: co runs from"),
         (["--tau-i", "20"], "need --kc"),
         (["--kc", "0"], "kc = 0"),
-        (["--plot", "a.svg"], "ends in .png"),
+        (["--plot", "a.pdf"], "ends in .png or .svg"),
         (["--columns", "x=1"], "roles are t, date, sp, pv, co"),
         (["--columns", "pv=nothing"], 'no column "nothing"'),
     ],

@@ -139,7 +139,7 @@ def test_in_python_a_path_is_a_record_and_the_design_shows_itself_as_the_command
     assert str(found) + "\n" == capsys.readouterr().out
     assert "\n" not in repr(found)
     assert len(repr(found)) < 120
-    assert "data:image/png" in found._repr_html_()
+    assert "data:image/svg+xml" in found._repr_html_()
 
 
 def test_a_schedule_over_two_variables_is_taken_by_check(tmp_path: Path, capsys: Capture) -> None:

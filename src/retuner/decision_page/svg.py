@@ -1,4 +1,6 @@
-"""Line drawings as SVG text for a page: sharp on paper, a few ten kilobytes each, alike for equal numbers.
+"""Line drawings: as SVG for a page, as an SVG file that is light or dark as its reader's screen is, or as PNG.
+
+SVG is sharp on paper, a few ten kilobytes each, and alike for equal numbers.
 
 Coordinates keep one decimal (a tenth of a point), curves of many samples keep the extremes of every stretch, and the
 font is the reader's own: what takes room and cannot be seen is left out.
@@ -6,13 +8,15 @@ font is the reader's own: what takes room and cannot be seen is left out.
 
 import io
 import re
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.decision_page.html import palette
 
 BEFORE, AFTER, MODEL, SETPOINT, FAINT, LIMIT = "#d55e00", "#0072b2", "#d55e00", "#222222", "#9a9a9a", "#cc79a7"
 """Colours that colour-blind readers tell apart (Okabe & Ito 2008), each with a line style of its own beside it."""
@@ -34,6 +38,9 @@ TONES = {
 _COLOUR = re.compile("|".join(TONES))
 MOST_POINTS = 900
 """Points of a drawn curve."""
+DPI = 110
+KINDS = (".png", ".svg")
+"""Endings of the files that a drawing is written to."""
 _PATH = re.compile(r' d="[^"]*"')
 _DECIMALS = re.compile(r"(\.\d)\d+")
 _HEAD = re.compile(r"^.*?(?=<svg)", re.DOTALL)
@@ -41,9 +48,10 @@ _METADATA = re.compile(r"\s*<metadata>.*?</metadata>", re.DOTALL)
 _SIZE = re.compile(r'<svg ([^>]*?)width="[^"]*" height="[^"]*"', re.DOTALL)
 
 
-def settings(name: str) -> AbstractContextManager[None]:
+@contextmanager
+def settings(name: str) -> Iterator[None]:
     """The look of these drawings; name : tells the ids of one drawing on a page from those of another."""
-    return rc_context(
+    with rc_context(
         {
             "svg.fonttype": "none",
             "text.parse_math": False,
@@ -61,18 +69,34 @@ def settings(name: str) -> AbstractContextManager[None]:
             "axes.xmargin": 0.0,
             "svg.hashsalt": name,
         }
-    )
+    ):
+        yield
 
 
-def svg(figure: Figure, alt: str) -> str:
-    """The drawing as an <svg> element that fills the width it is given."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+def svg(figure: Figure, alt: str, *, tight: bool = False) -> str:
+    """The drawing as an <svg> element that fills the width it is given; tight : cut or grown to what is drawn."""
+    buffer, nothing = io.StringIO(), {"Date": None, "Creator": None, "Format": None, "Type": None}
+    with settings(alt):
+        figure.savefig(buffer, format="svg", metadata=nothing, bbox_inches="tight" if tight else None)
     text = _METADATA.sub("", _HEAD.sub("", buffer.getvalue()))
     text = _COLOUR.sub(lambda found: f"var(--{TONES[found[0]]})", text)
     text = _PATH.sub(lambda found: _DECIMALS.sub(r"\1", found[0]), text)
     label = alt.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     return _SIZE.sub(rf'<svg role="img" aria-label="{label}" \1', text, count=1)
+
+
+def svg_file(figure: Figure, alt: str) -> str:
+    """The drawing as a file of its own, which brings the pages' colours along."""
+    return svg(figure, alt, tight=True).replace(">", f"><style>{palette()} text{{fill:var(--ink)}}</style>", 1)
+
+
+def drawn(figure: Figure, alt: str, kind: str) -> bytes:
+    """The drawing as a file of a kind (KINDS); without the date, so that equal numbers give equal bytes."""
+    if kind.lower() == ".svg":
+        return svg_file(figure, alt).encode()
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, bbox_inches="tight", metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def thinned(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:

@@ -1,24 +1,25 @@
 """The picture of an experiment: pv with its limits and what the fitted model makes of the same co, and co below."""
 
-import io
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.decision_page.svg import MARK
+from retuner.decision_page.svg import MARK, settings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.experiment.findings import Findings
-from retuner.report.plots import DPI, FIXED, PV, SP, time_axis
+from retuner.report.plots import FIXED, PV, SP, time_axis
 
 EVEN = 0.05
 """Sampling intervals that differ by more than this share of their median are not even enough to simulate over."""
 
 
-def experiment_png(window: Window, found: Findings, title: str, unit: str, band: tuple[float, float] | None) -> bytes:
-    """PNG bytes.
+@settings("experiment")
+def experiment_figure(
+    window: Window, found: Findings, title: str, unit: str, band: tuple[float, float] | None
+) -> Figure:
+    """The picture.
 
     Parameters
     ----------
@@ -43,9 +44,7 @@ def experiment_png(window: Window, found: Findings, title: str, unit: str, band:
     for axes in (top, bottom):
         axes.margins(x=0)
         axes.grid(alpha=0.3)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, bbox_inches="tight", metadata={"Software": None})
-    return buffer.getvalue()
+    return figure
 
 
 def _readings(axes: Axes, x: FloatArray, window: Window, found: Findings) -> None:

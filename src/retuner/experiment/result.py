@@ -6,7 +6,8 @@ from pathlib import Path
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import gains_dict
-from retuner.experiment.drawing import experiment_png
+from retuner.decision_page.svg import drawn
+from retuner.experiment.drawing import experiment_figure
 from retuner.experiment.findings import Findings, headline
 from retuner.experiment.runner import ExperimentRunner
 from retuner.files import write_json, write_whole
@@ -63,6 +64,6 @@ class ExperimentResult:
         if found is not None:
             title = f"{self.loop}, {runner.plan.kind}: {headline(found)}"
             band = (runner.plan.pv_low, runner.plan.pv_high)
-            picture = experiment_png(Window.of(runner.excited), found, title, self.unit, band)
-            write_whole(self.folder / PICTURE, picture)
+            picture = experiment_figure(Window.of(runner.excited), found, title, self.unit, band)
+            write_whole(self.folder / PICTURE, drawn(picture, title, ".png"))
         write_json(self.folder / SUMMARY, self.to_dict())

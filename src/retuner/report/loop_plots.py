@@ -1,6 +1,5 @@
 """Pictures of a loop: its trend, and a record before and after a change of settings."""
 
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,9 +8,9 @@ from matplotlib.figure import Figure
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.decision_page.svg import MARK
+from retuner.decision_page.svg import MARK, settings
 from retuner.report.change_of_settings import Change, change_words, settling_s
-from retuner.report.plots import DPI, FIXED, PV, SP, floors, time_axis
+from retuner.report.plots import FIXED, PV, SP, floors, time_axis
 from retuner.schedule.gains import PidGains
 from retuner.simulation.loop_trend import LoopTrend
 
@@ -25,13 +24,7 @@ OUT_OF_SIGHT = 1e9
 """Where an unstable answer is cut off; the axes end long before."""
 
 
-def as_png(figure: Figure) -> bytes:
-    """Draw to PNG; without the date, so that equal runs give equal bytes."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, bbox_inches="tight", metadata={"Software": None})
-    return buffer.getvalue()
-
-
+@settings("trend")
 def trend_figure(trend: LoopTrend) -> Figure:
     """Setpoint and pv above, co below; a line where gains changed.
 

@@ -1,6 +1,5 @@
 """The pictures of a report: trend with region bands and retune marks, and before and after for each region."""
 
-import io
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,7 +14,6 @@ from retuner.report.scores import Columns, Twin
 from retuner.schedule.regions import Regions
 
 PV, SP, FIXED = AFTER, SETPOINT, BEFORE
-DPI = 110
 DENSE = 2400
 """Points of a curve over a whole run."""
 NOISE_BANDS, CO_FLOOR = 8.0, 10.0
@@ -43,14 +41,6 @@ class Mark(NamedTuple):
     t_s: float
     number: int
     undone: bool
-
-
-def trend_png(run: Columns, fixed: Columns | None, marks: Sequence[Mark], regions: Regions, unit: str) -> bytes:
-    """`trend_figure` as PNG; without the date, so that equal runs give equal bytes."""
-    buffer = io.BytesIO()
-    figure = trend_figure(run, fixed, marks, regions, unit)
-    figure.savefig(buffer, format="png", dpi=DPI, bbox_inches="tight", metadata={"Software": None})
-    return buffer.getvalue()
 
 
 def trend_svg(run: Columns, fixed: Columns | None, marks: Sequence[Mark], regions: Regions, unit: str) -> str:

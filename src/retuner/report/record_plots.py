@@ -1,6 +1,5 @@
 """The picture of one record: setpoint, pv and its explanations, co, what is left, pv over co, evidence."""
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import wrap
@@ -10,17 +9,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.decision_page.svg import MARK
+from retuner.decision_page.svg import FAINT, MARK, MODEL, settings
 from retuner.report.change_of_settings import Change
 from retuner.report.loop_plots import change_into
-from retuner.report.plots import DPI, PV, SP, floors, time_axis
+from retuner.report.plots import PV, SP, floors, time_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FAR = 2.0
 """A setpoint further from pv than this many ranges of pv would leave no room for the curves."""
-MODEL, LIMIT, BEFORE = "#d08a3c", "#999999", "#bbbbbb"
 HEIGHT, HEIGHT_OF_CHANGE = 8.2, 5.4
 """Inches of the picture, and of what before and after add to it."""
 BELOW = 0.57
@@ -28,6 +26,8 @@ BELOW = 0.57
 WHOLE: dict[str, Any] = {"width_ratios": (2.1, 1), "height_ratios": (2, 1.3, 1), "wspace": 0.08}
 CHANGED: dict[str, Any] = {"width_ratios": (2.1, 0.75, 0.75), "height_ratios": (1.6, 1), "wspace": 0.16}
 """Shapes of the two grids of panels."""
+MOST_POINTS = 300
+"""Of pv over co."""
 LINE_WIDTH, MOST_LINES = 72, 27
 """Characters in a line of the text beside the curves, and lines that fit."""
 
@@ -69,13 +69,7 @@ class RecordPicture:
     change: Change | None = None
 
 
-def record_png(picture: RecordPicture) -> bytes:
-    """Draw it as PNG."""
-    buffer = io.BytesIO()
-    record_figure(picture).savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
-
-
+@settings("record")
 def record_figure(picture: RecordPicture) -> Figure:
     """Draw it: the record with its explanations, and below it before and after where a change is recommended."""
     height = HEIGHT if picture.change is None else HEIGHT + HEIGHT_OF_CHANGE
@@ -133,7 +127,7 @@ def _signals(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
     for i, curve in enumerate(picture.explanations):
         believed = i == len(picture.explanations) - 1
         place = np.interp(curve.t_s, window.t_s, x)
-        axes.plot(place, curve.pv, color=MODEL if believed else LIMIT, lw=1.3 if believed else 1.0, label=curve.name)
+        axes.plot(place, curve.pv, color=MODEL if believed else FAINT, lw=1.3 if believed else 1.0, label=curve.name)
     axes.set_ylabel("pv, sp")
     _legend(axes)
 
@@ -150,7 +144,7 @@ def _output(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
     room = 0.3 * float(np.ptp(co))
     for limit in picture.limits:
         if limit is not None and np.min(co) - room <= limit <= np.max(co) + room:
-            axes.axhline(limit, color=LIMIT, lw=1.0, ls=":")
+            axes.axhline(limit, color=FAINT, lw=1.0, ls=":")
     axes.set_ylabel("co")
 
 
@@ -163,10 +157,10 @@ def _remainder(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
     for i, curve in enumerate(picture.explanations):
         believed = i == len(picture.explanations) - 1
         left = window.pv[np.searchsorted(window.t_s, curve.t_s)] - curve.pv
-        axes.plot(np.interp(curve.t_s, window.t_s, x), left, color=PV if believed else BEFORE, lw=0.8)
+        axes.plot(np.interp(curve.t_s, window.t_s, x), left, color=PV if believed else FAINT, lw=0.8)
         axes.set_ylabel("pv residual")
     axes.axhspan(-2 * picture.noise_std, 2 * picture.noise_std, color=MODEL, alpha=0.2, lw=0)
-    axes.axhline(0, color=LIMIT, lw=0.8)
+    axes.axhline(0, color=FAINT, lw=0.8)
 
 
 def _events(picture: RecordPicture, x: FloatArray, panels: Sequence["Axes"]) -> None:
@@ -181,8 +175,10 @@ def _events(picture: RecordPicture, x: FloatArray, panels: Sequence["Axes"]) -> 
 
 def _curve(axes: "Axes", window: Window) -> None:
     """pv over co: an ellipse, a parallelogram, a cloud."""
-    axes.plot(window.co, window.pv, color=BEFORE, lw=0.6)
-    axes.scatter(window.co, window.pv, c=np.arange(len(window.co)), s=3, cmap="viridis", linewidths=0)
+    every = -(-len(window.co) // MOST_POINTS)
+    co, pv = window.co[::every], window.pv[::every]
+    axes.plot(co, pv, color=FAINT, lw=0.6)
+    axes.scatter(co, pv, c=np.arange(len(co)), s=3, cmap="viridis", linewidths=0)
     axes.set_title("pv over co", fontsize=10)
     axes.yaxis.tick_right()
     axes.grid(alpha=0.3)

@@ -1,6 +1,5 @@
 """Pictures of tuning: closed-loop responses of several rules in one figure, and the Pareto curve of J against Ms."""
 
-import io
 import math
 
 import numpy as np
@@ -16,22 +15,15 @@ from retuner.adaptive.loop.simulate import StepResponse, step_response
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.decision_page.svg import AFTER, BEFORE, SETPOINT, settings
 from retuner.report.rule_comparison import RuleRow
 from retuner.schedule.gains import PidGains
 
-DPI = 110
 SHOWN = 1.8
 """Largest |pv| that the axes make room for; wilder responses leave the picture."""
 MS_CURVE = (1.2, 1.25, 1.3, 1.4, 1.5, 1.59, 1.7, 1.8, 1.9, 2.0, 2.2, 2.5)
 TAU_C_CURVE = (0.2, 0.35, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
 TAU_C_MARKED = (0.5, 1.0, 1.5)
-
-
-def _png(figure: Figure) -> bytes:
-    """Draw to PNG; without the date, so that equal runs give equal bytes."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, bbox_inches="tight", metadata={"Software": None})
-    return buffer.getvalue()
 
 
 def _window_s(model: ProcessModel, rows: list[RuleRow]) -> float:
@@ -53,7 +45,8 @@ def _both(process: LinearProcess, gains: PidGains, window_s: float, load: float)
     return StepResponse(first.t[keep], pv[keep], co[keep])
 
 
-def responses_png(model: ProcessModel, rows: tuple[RuleRow, ...]) -> bytes:
+@settings("responses")
+def responses_figure(model: ProcessModel, rows: tuple[RuleRow, ...]) -> Figure:
     """Process value (above) and controller output (below) of every stable row, one column for each kind.
 
     A unit setpoint step at first, then a load step of the size that SIMC answers with about a third of it.
@@ -76,7 +69,7 @@ def responses_png(model: ProcessModel, rows: tuple[RuleRow, ...]) -> bytes:
         axes[1, column].plot(found.t, found.co, color=colour, lw=1.0)
     for column, kind in enumerate(kinds):
         axes[0, column].set_title(f"{kind.upper()}: setpoint step, then load step of {load:.3g} co", fontsize=10)
-        axes[0, column].axhline(1.0, color="#333333", lw=0.8, ls="--")
+        axes[0, column].axhline(1.0, color=SETPOINT, lw=0.8, ls="--")
         axes[1, column].set_xlabel("time [s]")
         for panel in axes[:, column]:
             panel.grid(alpha=0.3)
@@ -87,7 +80,7 @@ def responses_png(model: ProcessModel, rows: tuple[RuleRow, ...]) -> bytes:
     low, high = axes[0, 0].get_ylim()
     axes[0, 0].set_ylim(max(low, 1 - SHOWN), min(high, 1 + SHOWN))
     _limit_output(axes[1, 0], stable)
-    return _png(figure)
+    return figure
 
 
 def _limit_output(panel: Axes, stable: list[RuleRow]) -> None:
@@ -109,7 +102,8 @@ def _load_size(process: LinearProcess, stable: list[RuleRow], window_s: float) -
     return math.copysign(float(f"{size:.1g}"), process.k)
 
 
-def pareto_png(model: ProcessModel) -> bytes:
+@settings("pareto")
+def pareto_figure(model: ProcessModel) -> Figure:
     """J against Ms: the best PI controllers, and SIMC with tau_c as parameter (Grimholt & Skogestad 2012, figure 9).
 
     Raises
@@ -121,7 +115,7 @@ def pareto_png(model: ProcessModel) -> bytes:
     figure = Figure(figsize=(6.4, 4.6))
     axes = figure.subplots()
     curve = [(ms, optimal_pi(process, ms).cost) for ms in MS_CURVE]
-    axes.plot(*zip(*curve, strict=True), color="#1f5fa8", lw=1.8, label="best PI (Pareto)")
+    axes.plot(*zip(*curve, strict=True), color=AFTER, lw=1.8, label="best PI (Pareto)")
     theta = without_second_lag(model).theta_s
     points = []
     for ratio in TAU_C_CURVE:
@@ -129,13 +123,13 @@ def pareto_png(model: ProcessModel) -> bytes:
         ms = sensitivity_peak(process, gains)
         if ms <= MS_CURVE[-1]:
             points.append((ratio, ms, weighted_cost(performance(process, gains), best.iae_setpoint, best.iae_load)))
-    axes.plot([p[1] for p in points], [p[2] for p in points], color="#2e8b57", lw=1.4, label="SIMC, tau_c varied")
+    axes.plot([p[1] for p in points], [p[2] for p in points], color=BEFORE, lw=1.4, label="SIMC, tau_c varied")
     for ratio, ms, j in points:
         if ratio in TAU_C_MARKED:
-            axes.plot(ms, j, "o", color="#2e8b57", ms=6)
+            axes.plot(ms, j, "o", color=BEFORE, ms=6)
             axes.annotate(f"tau_c = {ratio:g} theta", (ms, j), textcoords="offset points", xytext=(7, 5), fontsize=9)
     axes.set_xlabel("Ms (robustness: smaller is more robust)")
     axes.set_ylabel("J (performance: smaller is better)")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=9)
-    return _png(figure)
+    return figure

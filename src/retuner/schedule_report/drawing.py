@@ -1,6 +1,5 @@
 """The picture of a schedule: records, the process over the variable, gains, Ms and J before and after."""
 
-import io
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -10,8 +9,8 @@ from matplotlib.figure import Figure
 
 from retuner.adaptive.schedule_design.places import OUT
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.decision_page.svg import BANDS, FAINT, MARK, settings, svg, thinned
-from retuner.report.plots import DPI, FIXED, PV, SP
+from retuner.decision_page.svg import BANDS, FAINT, MARK, settings, thinned
+from retuner.report.plots import FIXED, PV, SP
 from retuner.schedule.table import Lookup
 from retuner.scheduling import ScheduleDesign
 
@@ -26,20 +25,12 @@ MOST_POINTS = 2400
 CURVES = (("k", "process gain k"), ("tau", "lag [s]"), ("theta", "dead time [s]"))
 
 
-def schedule_svg(found: ScheduleDesign, windows: Sequence[Window]) -> str:
-    """Draw it for a page."""
-    with settings("schedule"):
-        return svg(_figure(found, windows), "records, process, gains, Ms and J over the variable")
+SHOWS = "records, process, gains, Ms and J over the variable"
 
 
-def schedule_png(found: ScheduleDesign, windows: Sequence[Window]) -> bytes:
-    """Draw it as PNG."""
-    buffer = io.BytesIO()
-    _figure(found, windows).savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def _figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
+@settings("schedule")
+def schedule_figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
+    """Draw it."""
     figure = Figure(figsize=(14, 11))
     along = " and ".join(filter(None, (found.variable, found.second)))
     figure.suptitle(f"{along}: {found.reason}", x=0.06, ha="left", fontsize=14, weight="bold")

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from retuner.adaptive.signals.sample import Window
 from retuner.decision_page.html import document, escaped, figure, paragraph, text_table
 from retuner.decision_page.shown_units import chosen_units
+from retuner.decision_page.svg import svg
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
-from retuner.schedule_report.drawing import schedule_svg
+from retuner.schedule_report.drawing import SHOWS, schedule_figure
 from retuner.schedule_report.sentences import (
     experiment_sentence,
     limit_sentence,
@@ -27,7 +28,7 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
     body = [
         f"<h1>{escaped(name)}: gain schedule over {escaped(along)}</h1>",
         paragraph(why_sentence(found), "lead"),
-        figure(schedule_svg(found, windows)),
+        figure(svg(schedule_figure(found, windows), SHOWS)),
         paragraph(
             "Bands are two standard deviations; ticks at the foot show where the records were; grey is not accurate "
             "enough. Dashed lines are boundaries, dotted ones knots.",

@@ -379,7 +379,8 @@ WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 
 def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
     """The record with what was found."""
-    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
+    from retuner.decision_page.svg import drawn
+    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure
 
     told, estimate = found.result.diagnosis, found.result.estimate
     lines = [*_controller_lines(found), *_process_lines(found), *evidence_lines(found.evidence, readings=False)]
@@ -398,4 +399,5 @@ def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
         closed_loop=not options.open_loop,
         change=found.change,
     )
-    return record_png(picture)
+    assert options.plot is not None
+    return drawn(record_figure(picture), title, options.plot.suffix)

@@ -174,7 +174,8 @@ def described(found: Identification) -> list[str]:
 def _picture(recording: Recording, found: Identification, options: RecordOptions) -> bytes:
     """The record with the model's pv."""
     from retuner.adaptive.identification.fitted_curve import fitted_pv
-    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
+    from retuner.decision_page.svg import drawn
+    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure
 
     window, estimate = recording.window(), found.estimate
     title = f"{Path(recording.source).name}: " + ("identified" if estimate.identifiable else "not identifiable")
@@ -190,4 +191,5 @@ def _picture(recording: Recording, found: Identification, options: RecordOptions
         estimate.noise_std,
         closed_loop=not options.open_loop,
     )
-    return record_png(picture)
+    assert options.plot is not None
+    return drawn(record_figure(picture), title, options.plot.suffix)

@@ -22,15 +22,16 @@ from retuner.decision_page.explain import document_of, one_line
 from retuner.decision_page.html import escaped
 from retuner.decision_page.page import article
 from retuner.decision_page.shown_units import chosen_units
+from retuner.decision_page.svg import drawn
 from retuner.diagnosing import RecordDiagnosis
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.pid_controller import PidController
 from retuner.report.change_of_settings import change_of
-from retuner.report.loop_plots import as_png, trend_figure
-from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure, record_png
+from retuner.report.loop_plots import trend_figure
+from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure
 from retuner.report.rule_comparison import RuleRow
-from retuner.report.tuning_plots import responses_png
-from retuner.schedule_report.drawing import schedule_png
+from retuner.report.tuning_plots import responses_figure
+from retuner.schedule_report.drawing import schedule_figure
 from retuner.scheduling import ScheduleDesign
 from retuner.simulation.loop_trend import LoopTrend
 from retuner.tuning import TuneResult, tuning_lines
@@ -95,15 +96,15 @@ def _(result: ScheduleDesign) -> str:
 
 @html.register
 def _(result: ScheduleDesign) -> str:
-    return _shown(result, schedule_png(result, result.records))
+    return _shown(result, schedule_figure(result, result.records))
 
 
 @html.register
 def _(result: TuneResult) -> str:
     if result.model is None or result.margins is None or not result.margins.stable:
-        return _shown(result, b"")
+        return _shown(result)
     row = RuleRow(result, performance(result.model.linear(), result.tuning.gains), None)
-    return _shown(result, responses_png(result.model, (row,)))
+    return _shown(result, responses_figure(result.model, (row,)))
 
 
 @figure.register
@@ -129,7 +130,7 @@ def _(result: RecordDiagnosis) -> Figure:
 @html.register(Identification)
 @html.register(RecordDiagnosis)
 def _(result: Identification | RecordDiagnosis) -> str:
-    return _shown(result, b"" if result.record is None else as_png(figure(result)))
+    return _shown(result, None if result.record is None else figure(result))
 
 
 @text.register(LoopTrend)
@@ -152,7 +153,7 @@ def _(result: PidController) -> Figure:
 @html.register(PidController)
 def _(result: LoopTrend | PidController) -> str:
     trend = result.trend if isinstance(result, PidController) else result
-    return _shown(result, as_png(trend_figure(trend)) if len(trend.t_s) else b"")
+    return _shown(result, trend_figure(trend) if len(trend.t_s) else None)
 
 
 def _kept(record: Window | None) -> Window:
@@ -178,7 +179,7 @@ def _(result: LoopRecord) -> str:
     window = result.recording.window()
     assumed = [one.what for one in result.assumed]
     picture = _picture(window, result.tag or "record", result.recording.source, assumed, (), ())
-    return _shown(result, record_png(picture))
+    return _shown(result, record_figure(picture))
 
 
 @html.register
@@ -214,8 +215,10 @@ def _picture(
     )
 
 
-def _shown(result: object, png: bytes) -> str:
+def _shown(result: object, picture: Figure | None = None) -> str:
+    """Words, and below them the picture, light or dark as the reader's screen is."""
     words = f"<pre>{escaped(text(result))}</pre>"
-    if not png:
+    if picture is None:
         return words
-    return f'{words}<img style="max-width:100%" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+    data = base64.b64encode(drawn(picture, "picture of the result", ".svg")).decode()
+    return f'{words}<img style="max-width:100%" src="data:image/svg+xml;base64,{data}">'

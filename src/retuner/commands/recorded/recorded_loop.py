@@ -11,7 +11,16 @@ import numpy as np
 import typer
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.commands.options import ActionOption, Controller, FormOptions, Json, PvSpan, controller_units
+from retuner.commands.options import (
+    ActionOption,
+    Controller,
+    FormOptions,
+    Json,
+    Plot,
+    PvSpan,
+    check_plot,
+    controller_units,
+)
 from retuner.commands.recorded.record_form import read_record, read_several
 from retuner.decision_page.shown_units import show_units
 from retuner.drivers.historian.loop_record import LoopRecord
@@ -49,7 +58,7 @@ class RecordOptions(FormOptions):
         str, typer.Option("--from", metavar="WHEN", help="Begin here: seconds of the record, or 2026-05-04T08:30.")
     ] = ""
     end: Annotated[str, typer.Option("--to", metavar="WHEN", help="End here, likewise.")] = ""
-    plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Draw the record and what was found.")] = None
+    plot: Plot = None
     as_json: Json = False
 
 
@@ -74,8 +83,7 @@ def read_records_of_loop(options: RecordOptions) -> list[LoopRecord]:
 def _check_options(options: RecordOptions) -> None:
     """Refuse limits and names that cannot be used."""
     _check_limits(options)
-    if options.plot is not None and options.plot.suffix.lower() != ".png":
-        raise UserError(f"--plot {options.plot}: give a name that ends in .png")
+    check_plot(options.plot)
 
 
 def _checked(read: LoopRecord, options: RecordOptions) -> LoopRecord:

@@ -202,13 +202,14 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
     folder = options.out
     if folder is None:
         return []
-    from retuner.schedule_report.drawing import schedule_png
+    from retuner.decision_page.svg import drawn
+    from retuner.schedule_report.drawing import SHOWS, schedule_figure
     from retuner.schedule_report.page import page
 
     name = found.table.loop if found.table is not None else options.files[0].stem
     files: dict[Path, str | bytes] = {
         folder / "report.html": page(found, windows, name),
-        folder / "schedule.png": schedule_png(found, windows),
+        folder / "schedule.png": drawn(schedule_figure(found, windows), SHOWS, ".png"),
     }
     if found.table is not None:
         low, high = (f(float(f(window.co)) for window in windows) for f in (min, max))

@@ -12,7 +12,7 @@ import typer
 from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.explanation import Explanation
-from retuner.commands.options import ActionOption, Controller, Json, controller_units, signed_by
+from retuner.commands.options import ActionOption, Controller, Json, check_plot, controller_units, signed_by
 from retuner.errors import UserError, user_input
 from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
 from retuner.schedule.controller_units import ControllerUnits
@@ -64,7 +64,9 @@ class TuneOptions:
     explain: Annotated[bool, typer.Option("--explain", help="Also formula, numbers put in and source.")] = False
     plot: Annotated[
         Path | None,
-        typer.Option(metavar="PNG", help="Draw closed-loop responses; for rule optimal the Pareto curve J against Ms."),
+        typer.Option(
+            metavar="FILE", help="Draw the responses (.png, .svg); of rule optimal the Pareto curve J against Ms."
+        ),
     ] = None
     as_json: Json = False
 
@@ -114,6 +116,7 @@ def tune(options: TuneOptions) -> int:
     UserError
         An option is out of its range, or no rule has an answer for this process.
     """
+    check_plot(options.plot)
     model = options.model()
     return _by_every_rule(model, options) if options.everything else _by_one_rule(model, options)
 
@@ -165,19 +168,21 @@ def _draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> Non
         row = RuleRow(result, performance(model.linear(), result.tuning.gains), None)
         _draw(model, (row,), path)
         return
-    from retuner.report.tuning_plots import pareto_png
+    from retuner.decision_page.svg import drawn
+    from retuner.report.tuning_plots import pareto_figure
 
     with user_input("--plot"):
-        picture = pareto_png(model)
+        picture = drawn(pareto_figure(model), "J over Ms", path.suffix)
     path.write_bytes(picture)
 
 
 def _draw(model: ProcessModel, rows: tuple[RuleRow, ...], path: Path) -> None:
     """The responses of rules in one figure."""
-    from retuner.report.tuning_plots import responses_png
+    from retuner.decision_page.svg import drawn
+    from retuner.report.tuning_plots import responses_figure
 
     with user_input("--plot"):
-        picture = responses_png(model, rows)
+        picture = drawn(responses_figure(model, rows), "closed-loop responses", path.suffix)
     path.write_bytes(picture)
 
 

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.rules.registry import rule_named
-from retuner.commands.options import on_bus
+from retuner.commands.options import check_plot, on_bus
 from retuner.commands.recorded.record_form import read_record, tell_assumed
 from retuner.commands.work.experiment_options import (
     OnDemandOptions,
@@ -24,10 +24,11 @@ from retuner.commands.work.experiment_options import (
 )
 from retuner.config import Config, load_config
 from retuner.config.bench_plants import plant_of
+from retuner.decision_page.svg import drawn
 from retuner.drivers.device import Bench, DeviceError
 from retuner.drivers.recorded.recording import require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
-from retuner.experiment.drawing import experiment_png
+from retuner.experiment.drawing import experiment_figure
 from retuner.experiment.findings import METHODS, OVERSHOOT_RULE, ULTIMATE, Question, described, evaluate, headline
 from retuner.experiment.on_demand import OnDemandExperiment
 from retuner.experiment.result import RECORD
@@ -94,6 +95,7 @@ def from_recording(file: Path, options: RecordedOptions, question: Question) -> 
     UserError, RecordingError
         The file or an option cannot be used.
     """
+    check_plot(options.plot)
     read = read_record([file], options)
     tell_assumed(read.assumed, options)
     recording = read.recording
@@ -105,7 +107,8 @@ def from_recording(file: Path, options: RecordedOptions, question: Question) -> 
     found = evaluate(window, question)
     if options.plot is not None:
         title = f"{file.name}: {headline(found)}"
-        write_whole(options.plot, experiment_png(window, found, title, "pv unit", None))
+        picture = experiment_figure(window, found, title, "pv unit", None)
+        write_whole(options.plot, drawn(picture, title, options.plot.suffix))
     if options.as_json:
         sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
     else:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop
+from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop, Plot
 
 Rule = Annotated[str, typer.Option(help="Tuning rule.")]
 ControllerKind = Annotated[str | None, typer.Option("--kind", help="p, pi or pid, as the rule has it.")]
@@ -17,7 +17,7 @@ class RecordedOptions(FormOptions):
     """A recorded experiment and how to show it."""
 
     file: Annotated[Path | None, typer.Option("--from", metavar="FILE", help="Evaluate this recording instead.")] = None
-    plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Draw the recording.")] = None
+    plot: Plot = None
     method: Annotated[str, typer.Option(help="Whose model is tuned for; fit, or a named method of this test.")] = "fit"
     rule: Rule = "simc"
     kind: ControllerKind = None
