@@ -21,7 +21,6 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and 
 Interface = Annotated[str | None, typer.Option("--interface", "-i", help="python-can interface.")]
 Channel = Annotated[str | None, typer.Option("--channel", "-c", help="Channel of the interface.")]
 Loop = Annotated[str | None, typer.Option("--loop", metavar="NAME", help="Which loop, where there are several.")]
-Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the record with the result: .png or .svg.")]
 By = Annotated[str | None, typer.Option(help="Who requests it; default: the user of this process.")]
 Note = Annotated[str, typer.Option(help="Why, for the ledger.")]
 
@@ -41,18 +40,6 @@ PvSpan = Annotated[float | None, typer.Option(help="Span of pv, in its own unit;
 CONTROLLER = "--controller, --action, --pv-span"
 
 PANEL = "The form of the record (else detected, and reported)"
-
-
-def check_plot(path: Path | None) -> None:
-    """Refuse a picture of another kind.
-
-    Raises
-    ------
-    UserError
-        The name ends neither in .png nor in .svg.
-    """
-    if path is not None and path.suffix.lower() not in {".png", ".svg"}:
-        raise UserError(f"--plot {path}: give a name that ends in .png or .svg")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

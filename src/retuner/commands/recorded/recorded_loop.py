@@ -11,16 +11,8 @@ import numpy as np
 import typer
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.commands.options import (
-    ActionOption,
-    Controller,
-    FormOptions,
-    Json,
-    Plot,
-    PvSpan,
-    check_plot,
-    controller_units,
-)
+from retuner.commands.options import ActionOption, Controller, FormOptions, Json, PvSpan, controller_units
+from retuner.commands.recorded.plot_option import Plot, check_plot
 from retuner.commands.recorded.record_form import read_record, read_several
 from retuner.decision_page.shown_units import show_units
 from retuner.drivers.historian.loop_record import LoopRecord

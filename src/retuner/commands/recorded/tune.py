@@ -12,7 +12,8 @@ import typer
 from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.explanation import Explanation
-from retuner.commands.options import ActionOption, Controller, Json, check_plot, controller_units, signed_by
+from retuner.commands.options import ActionOption, Controller, Json, controller_units, signed_by
+from retuner.commands.recorded.plot_option import check_plot
 from retuner.errors import UserError, user_input
 from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
 from retuner.schedule.controller_units import ControllerUnits

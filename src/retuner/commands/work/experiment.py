@@ -12,7 +12,8 @@ from rich.console import Console
 
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.rules.registry import rule_named
-from retuner.commands.options import check_plot, on_bus
+from retuner.commands.options import on_bus
+from retuner.commands.recorded.plot_option import check_plot
 from retuner.commands.recorded.record_form import read_record, tell_assumed
 from retuner.commands.work.experiment_options import (
     OnDemandOptions,

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop, Plot
+from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop
+from retuner.commands.recorded.plot_option import Plot
 
 Rule = Annotated[str, typer.Option(help="Tuning rule.")]
 ControllerKind = Annotated[str | None, typer.Option("--kind", help="p, pi or pid, as the rule has it.")]

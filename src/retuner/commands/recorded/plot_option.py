@@ -1,0 +1,22 @@
+"""--plot: where a command draws its picture."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from retuner.errors import UserError
+
+Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the record with the result: .png or .svg.")]
+
+
+def check_plot(path: Path | None) -> None:
+    """Refuse a picture of another kind.
+
+    Raises
+    ------
+    UserError
+        The name ends neither in .png nor in .svg.
+    """
+    if path is not None and path.suffix.lower() not in {".png", ".svg"}:
+        raise UserError(f"--plot {path}: give a name that ends in .png or .svg")
