@@ -1,4 +1,4 @@
-"""retuner init: a commented starter configuration."""
+"""retuner init: a commented starter configuration, one by questions, or the loop of a record."""
 
 import sys
 from importlib.resources import files
@@ -12,8 +12,13 @@ from retuner.files import write_whole
 
 app = typer.Typer(add_completion=False)
 
-
 STARTER = "starter"
+
+
+def profiles() -> list[str]:
+    """Controllers whose description comes along."""
+    found = (entry.name for entry in files("retuner").joinpath("templates").iterdir())
+    return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml") and name != f"{STARTER}.toml")
 
 
 def starter(profile: str = "") -> str:
@@ -24,31 +29,48 @@ def starter(profile: str = "") -> str:
     UserError
         There is no such profile.
     """
-    templates = files("retuner").joinpath("templates")
-    known = sorted(entry.name.removesuffix(".toml") for entry in templates.iterdir() if entry.name.endswith(".toml"))
-    if profile and (profile == STARTER or profile not in known):
-        known.remove(STARTER)
-        raise UserError(f"--profile {profile}: there is {', '.join(known)}")
-    return templates.joinpath(f"{profile or STARTER}.toml").read_text(encoding="utf-8")
+    if profile and profile not in profiles():
+        raise UserError(f"--profile {profile}: there is {', '.join(profiles())}")
+    return files("retuner").joinpath("templates", f"{profile or STARTER}.toml").read_text(encoding="utf-8")
 
 
-@app.command(epilog="Example: retuner init oven.toml")
+@app.command(epilog="Example: retuner init oven.toml; or retuner init loop.toml --from trend.csv")
 def init(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it.")] = Path("retuner.toml"),
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
     profile: Annotated[str, typer.Option(help="For a controller that exists: odrive, cia402, cia404.")] = "",
+    record: Annotated[
+        Path | None, typer.Option("--from", metavar="RECORD", help="Of the loop in a record, with its process to try.")
+    ] = None,
+    kc: Annotated[float | None, typer.Option(help="With --from: the active gain, % per pv unit, series form.")] = None,
+    tau_i: Annotated[float | None, typer.Option(help="With --from: the active integral time, s.")] = None,
+    tau_d: Annotated[float, typer.Option(help="With --from: the active derivative time, s.")] = 0.0,
+    ask: Annotated[
+        bool | None, typer.Option("--ask/--no-ask", help="Questions about the loop; asked on a terminal.")
+    ] = None,
 ) -> int:
-    """Write a commented starter configuration."""
-    text = starter(profile)
+    """Write a configuration: a commented starter, or by a few questions, or of a record's loop."""
+    _check_place(path, force=force)
+    texts = {path: starter(profile)}
+    asking = not profile and (ask or (ask is None and sys.stdin.isatty() and sys.stderr.isatty()))
+    if record is not None or asking:
+        from retuner.commands.work.starter import asked, of_record, series
+
+        texts = {path: asked(path)} if record is None else of_record(record, path, series(kc, tau_i, tau_d))
+    for file, text in texts.items():
+        try:
+            write_whole(file, text)
+        except OSError as error:
+            raise UserError(f"{file}: cannot be written: {error.strerror}") from None
+    sys.stdout.write(f"{path} written. Next: retuner check {path}, then retuner run {path}\n")
+    return 0
+
+
+def _check_place(path: Path, *, force: bool) -> None:
+    """Refuse a place where no file can go, or where one is."""
     if path.is_dir():
         raise UserError(f"{path}: is a folder; give the name of a file in it")
     if path.exists() and not force:
         raise UserError(f"{path}: exists; give another name, or --force to replace it")
     if not path.resolve().parent.is_dir():
         raise UserError(f"{path}: the folder {path.parent} does not exist; make it first")
-    try:
-        write_whole(path, text)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror}") from None
-    sys.stdout.write(f"{path} written. Next: retuner check {path}, then retuner run {path}\n")
-    return 0

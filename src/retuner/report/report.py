@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.supervision.decision import Decision
 from retuner.decision_page.decision_view import DecisionView, view_of, what_came_of, worth_pages
 from retuner.decision_page.explain import (
@@ -16,7 +17,6 @@ from retuner.decision_page.explain import (
     change_text,
     document_of,
     model_text,
-    one_line,
     response_text,
     settings_text,
     takes_back,
@@ -36,6 +36,8 @@ from retuner.schedule.table import GainTable
 
 SAME_GAINS = 1e-4
 """Relative difference up to which gains of a trend are those of the table (the wire rounds them)."""
+LONG_S = 3 * 3600.0
+"""Longer runs have times in hours and minutes since their start, as their picture has."""
 MOST_PAGES = 40
 """Decisions with a page of their own, the newest ones: about 130 kB and a quarter of a second each."""
 
@@ -75,8 +77,8 @@ def render(data: ReportData) -> str:
     ]
     body = [
         f"<h1>{escaped(data.loop)}: retuning report</h1>",
-        paragraph(_lead(data, documents), "lead"),
         figure(trend_svg(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit)),
+        paragraph(_lead(data, documents), "lead"),
         "<h2>Regions</h2>",
         _scores_table(data, documents),
         overview(data.after, documents, data.advice),
@@ -84,7 +86,7 @@ def render(data: ReportData) -> str:
         _tried(data, documents),
         "<h2>Decisions</h2>",
         paragraph(_decisions_note(len(views) == MOST_PAGES), "muted"),
-        _decisions_table(documents, {view.number for view in views}),
+        _decisions_table(documents, {view.number for view in views}, data.run["t"]),
         "".join(map(_page, views)),
         "<h2>Provenance</h2>",
         table(("what", "value"), ((escaped(k), f"<code>{escaped(v)}</code>") for k, v in data.facts.items())),
@@ -236,14 +238,17 @@ def as_commissioned(data: ReportData, twin: Twin) -> bool:
     )
 
 
-def _decisions_table(documents: Sequence[Document], paged: set[int]) -> str:
-    """A row for each decision; paged : numbers of those that have a page."""
-    heads = ("no.", "time [s]", "region", "response", "cause", "reason", "process", "change")
+def _decisions_table(documents: Sequence[Document], paged: set[int], t_s: FloatArray) -> str:
+    """A row for each decision; paged : numbers of those that have a page. t_s : of the run, as its picture has it."""
+    long = bool(len(t_s)) and float(t_s[-1] - t_s[0]) > LONG_S
+    heads = ("no.", "time [h:mm]" if long else "time [s]", "region", "response", "cause", "reason", "process", "change")
     rows, classes = [], []
     for document in documents:
         name = f"{number(document, 'number') or 0:.0f}"
         link = f'<a href="#{_anchor(int(name))}">{name}</a>' if int(name) in paged else name
-        when = f"{number(document, 't_s') or 0.0:,.0f}"
+        at_s = number(document, "t_s") or 0.0
+        minutes = round((at_s - float(t_s[0])) / 60) if long else 0
+        when = f"{minutes // 60}:{minutes % 60:02d}" if long else f"{at_s:,.0f}"
         told = (
             when,
             words(document, "region"),
@@ -265,5 +270,5 @@ def _anchor(decision: int) -> str:
 
 def _page(view: DecisionView) -> str:
     """A page that is seen when its row's link is followed, and on paper."""
-    line = f"{view.number}. {view.t_s:,.0f} s, {words(view.document, 'region')}: {one_line(view.document)}"
+    line = f"Decision {view.number}: {words(view.document, 'region')} at {view.t_s:,.0f} s"
     return f'<section class="page" id="{_anchor(view.number)}"><h2>{escaped(line)}</h2>{article(view)}</section>'

@@ -1,0 +1,78 @@
+"""retuner init by questions and of a record: what it writes is a configuration that check takes."""
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retuner.cli import main
+from retuner.config.loading import load_config
+from retuner.config.plants import IdentifiedPlantConfig
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import StateTuple, law, start, step
+
+
+def answered(monkeypatch: pytest.MonkeyPatch, file: Path, *answers: str) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{one}\n" for one in answers)))
+    assert main(["init", str(file), "--ask"]) == 0
+
+
+def record(path: Path, *, co: float = 1.0) -> Path:
+    """A loop with Kc 3 and tau_I 20 s on a lag of 20 s; co : scale of its column."""
+    rng, rules = np.random.default_rng(3), law(PidGains(3.0, 0.15))
+    state: StateTuple = start(rules, 50.0, 50.0, 50.0)
+    pv, way, rows = 50.0, [50.0] * 3, []
+    for i in range(300):
+        sp, seen = 50.0 + 3.0 * (i >= 100), pv + 0.05 * rng.normal()
+        state, out = step(rules, state, sp, seen, 1.0)
+        rows.append(f"{i},{sp},{seen!r},{out * co!r}")
+        way.append(out)
+        pv += (way.pop(0) - pv) / 20.0
+    path.write_text("t,sp,pv,co\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+def test_the_answers_make_the_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "a.toml"
+    answered(
+        monkeypatch, file, "retuner", "vcan0-of-python", "bus", "7", 'the "big" oven', "K", "20", "10", "300", "0.5",
+        "0", "-2.5", "40", "0",
+    )  # fmt: skip
+    config = load_config(file)
+    assert (config.loop.name, config.loop.pv_unit, config.loop.sample_time_s) == ('the "big" oven', "K", 0.5)
+    assert (config.loop.pv_min, config.loop.pv_max) == (20.0, 300.0)  # 10 is no high end, 0 no gain: asked again
+    assert (config.bus.node, config.bus.channel, config.device, config.scenario) == (7, "bus", None, None)
+    assert config.gain_table().gains_of("all").kp == pytest.approx(-2.5)
+
+
+def test_a_profile_gets_its_place_on_the_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for profile in ("cia404", "odrive"):
+        file = tmp_path / f"{profile}.toml"
+        answered(monkeypatch, file, profile, "socketcan", "can3", "9")
+        config = load_config(file)
+        assert (config.node, config.bus.interface, config.bus.channel) == (9, "socketcan", "can3")
+
+
+def test_the_loop_of_a_record_runs_on_its_own_process(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    assert main(["init", str(file), "--from", str(record(tmp_path / "r.csv"))]) == 0
+    config = load_config(file)
+    assert config.device is not None
+    assert isinstance(config.device.plant, IdentifiedPlantConfig)
+    assert config.scenario is not None
+    assert [step.sp for step in config.scenario.steps] == [50.0, 53.0]
+    assert config.gain_table().gains_of("all").kp == pytest.approx(3.0, rel=0.05)
+    assert config.loop.pv_min < 50.0
+    assert config.loop.pv_max > 53.5
+
+
+def test_what_a_record_does_not_tell_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = str(tmp_path / "a.toml")
+    assert main(["init", file, "--from", str(record(tmp_path / "raw.csv", co=100.0))]) == 2
+    assert "a configuration has percent" in capsys.readouterr().err
+    still = tmp_path / "still.csv"
+    still.write_text("t,sp,pv,co\n" + "\n".join(f"{i},1,1.{i % 2},50" for i in range(60)), encoding="utf-8")
+    assert main(["init", file, "--force", "--from", str(still)]) == 2
+    assert "does not show the active gains; give --kc" in capsys.readouterr().err
