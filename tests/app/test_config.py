@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import GuardSettings
-from retuner.commands.init import starter
 from retuner.config import Config, load_config
 from retuner.config.adaptation import AdaptationConfig
 from retuner.config.loading import LARGEST_FILE, ConfigFlaw, UnusableError, load_session, parse_config
@@ -23,6 +22,7 @@ from retuner.drivers.plants.oven_plant import OvenSettings
 from retuner.errors import ConfigError
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
+from retuner.templates import starter
 
 GOOD = """schema = 1
 [loop]

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from retuner.commands.init import starter
 from retuner.commands.options import Channel, Interface, Loop, all_on_bus
 from retuner.errors import UserError, one_line
+from retuner.templates import starter
 
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
     from retuner.config.session_config import SessionConfig

@@ -1,7 +1,6 @@
 """retuner init: a commented starter configuration, one by questions, or the loop of a record."""
 
 import sys
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
@@ -9,29 +8,9 @@ import typer
 
 from retuner.errors import UserError
 from retuner.files import write_whole
+from retuner.templates import starter
 
 app = typer.Typer(add_completion=False)
-
-STARTER = "starter"
-
-
-def profiles() -> list[str]:
-    """Controllers whose description comes along."""
-    found = (entry.name for entry in files("retuner").joinpath("templates").iterdir())
-    return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml") and name != f"{STARTER}.toml")
-
-
-def starter(profile: str = "") -> str:
-    """The starter configuration as TOML text, or that of a device's profile.
-
-    Raises
-    ------
-    UserError
-        There is no such profile.
-    """
-    if profile and profile not in profiles():
-        raise UserError(f"--profile {profile}: there is {', '.join(profiles())}")
-    return files("retuner").joinpath("templates", f"{profile or STARTER}.toml").read_text(encoding="utf-8")
 
 
 @app.command(epilog="Example: retuner init oven.toml; or retuner init loop.toml --from trend.csv")

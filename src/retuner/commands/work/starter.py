@@ -18,11 +18,11 @@ import numpy as np
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.api import identify_record
-from retuner.commands.init import profiles, starter
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.errors import UserError, user_input
 from retuner.schedule.forms import Form, from_form, in_form
 from retuner.schedule.gains import PidGains
+from retuner.templates import profiles, starter
 
 OVEN, NATIVE = "oven", "retuner"
 ROOM = 0.25
