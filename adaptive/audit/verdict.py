@@ -60,6 +60,7 @@ class Action(StrEnum):
     RETUNE = "retune"
     STEP = "record a setpoint step, then retune"
     VALVE = "repair the valve"
+    SCHEDULE = "schedule the gains over pv"
     UPSTREAM = "look upstream"
     SIZE = "check actuator size and load"
     SIGNAL = "check the sensor or the tag"
@@ -80,6 +81,7 @@ EFFORT = MappingProxyType(
         Action.UPSTREAM: 1.5,
         Action.LOOK: 2.0,
         Action.VALVE: 1.75,
+        Action.SCHEDULE: 1.5,
         Action.SIZE: 2.25,
         Action.RECORD: 2.0,
         Action.EXPORT: 1.0,
@@ -94,6 +96,7 @@ FOR_CAUSE = MappingProxyType(
         Cause.SLUGGISH: Action.RETUNE,
         Cause.SLOW_INTEGRATING: Action.RETUNE,
         Cause.STICTION: Action.VALVE,
+        Cause.NONLINEAR: Action.SCHEDULE,
         Cause.EXTERNAL: Action.UPSTREAM,
         Cause.SATURATION: Action.SIZE,
     }

@@ -3,7 +3,7 @@
     P(cause) = w P_steps(cause) + (1 - w) P_walk(cause)
 
 P_walk     process, valve and a load that wanders, by their likelihoods over all records and windows of the loop
-           (explanations/): aggressive, slow integrating, sluggish, ok, stiction
+           (explanations/): aggressive, slow integrating, sluggish, ok, stiction, nonlinear (the gain changes along pv)
 P_steps    the verdict where loads are steps, ramps or a tone (diagnosis/diagnose.py), with its confidence
 w          the odds that loads are what the second says: its fit against the walk, by likelihood. Where its residual is
            white noise after a few steps it is by far the likelier one; under the loads of a plant it is not
@@ -24,6 +24,7 @@ from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import Found
 from retuner.adaptive.explanations.deciding_test import DecidingTest, deciding_test, valve_test
+from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
 from retuner.adaptive.explanations.process_grid import gain_unit, shapes
 from retuner.adaptive.explanations.setpoint_overshoot import SeenOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import (
@@ -61,13 +62,15 @@ STEP_PRICE, OWN_PRICE = 2.0, 5.0
 class Walk:
     """What the records say under a load that wanders.
 
-    log_likelihood : of the grid's processes, records joined. valve : ln Bayes factor of a valve, tempered.
+    log_likelihood : of the grid's processes, records joined. valve : ln Bayes factor of a valve, tempered. along : what
+    they say for a gain that changes along pv.
     record : the longest window as it was compared. best : its own largest tempered log-likelihood a sample.
     moved : largest share of setpoint or hand in what moves a record (wandering_load.py).
     """
 
     log_likelihood: FloatArray
     valve: float
+    along: GainAlongPv
     record: Prepared
     best: float
     moved: float
@@ -186,11 +189,12 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
     size = 0.5 * math.log(float(np.var(records[longest].pv)))  # likelihoods are counted in it
     best = TEMPER * float(np.max(each[longest])) / len(records[longest].pv) - size
-    shares = [0.0]
+    shares = [0.0] * len(records)
     if gains is not None:
         shares = [_share(*one, likelihood) for one, likelihood in zip(both, each, strict=True)]
         each = [TEMPER / temper(share) * likelihood for share, likelihood in zip(shares, each, strict=True)]
-    return Walk(np.sum(each, axis=0), valve, records[longest], best, max(shares))
+    along = gain_along_pv(records, direction, [TEMPER / temper(share) for share in shares])
+    return Walk(np.sum(each, axis=0), valve, along, records[longest], best, max(shares))
 
 
 def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> float:
@@ -228,14 +232,17 @@ def _shapes(found: Found, settings: OddsSettings) -> float:
 
 def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: OddsSettings) -> dict[Cause, float]:
     """Odds under a load that wanders. shapes : what shapes and plateaus say for a valve, in all records."""
-    prior = math.log(settings.stiction / (1.0 - settings.stiction))
+    linear = 1.0 - settings.stiction - settings.nonlinear
     known, other = (min(weight * walk.valve, 500.0) for weight in (settings.valve_weight, settings.other_weight))
     unlike = settings.other_valve * (1.0 - walk.moved)  # setpoint steps would show it
     grid = math.log((1.0 - unlike) * math.exp(known) + unlike * math.exp(min(other, 0.0)))
     evidence = shapes + (max(grid, 0.0) if shapes else grid)  # shapes see valves that no grid has
-    stiction = 1.0 / (1.0 + math.exp(-min(max(prior + evidence, -50.0), 50.0)))
+    stiction = settings.stiction / linear * math.exp(min(max(evidence, -50.0), 300.0))
+    nonlinear = settings.nonlinear / linear * math.exp(min(max(walk.along.log_bayes, -50.0), 300.0))
+    whole = 1.0 + stiction + nonlinear
     rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
-    return {Cause.STICTION: stiction, **{cause: p * (1.0 - stiction) for cause, p in rest.items()}}
+    found = {cause: p / whole for cause, p in rest.items()}
+    return {Cause.STICTION: stiction / whole, Cause.NONLINEAR: nonlinear / whole, **found}
 
 
 def _under_steps(
@@ -353,7 +360,9 @@ def _verdict(
         evidence |= _ms_range(odds)
         if p < settings.undecided or (cause in TUNING_CAUSES and worth is None):
             test = _next(causes, odds, walk, open_ones[0][0], settings)
-    reason = _reason(cause, odds, evidence, told)
+    if cause == Cause.NONLINEAR:
+        evidence, test = evidence | {"gain_ratio": walk.along.ratio}, None
+    reason = _bends(walk.along) if cause == Cause.NONLINEAR else _reason(cause, odds, evidence, told)
     settled = cause not in TUNING_CAUSES or worth is not None
     verdict = Diagnosis(cause, p, evidence, reason, settled, shares, test)
     kept = replace(told, diagnosis=verdict, tuning=None, aim=None)
@@ -444,6 +453,16 @@ WORDS = {
     Cause.SLUGGISH: "the loop could be much faster",
     Cause.STICTION: "a valve that sticks or has play explains the record best, under a load that wanders",
 }
+
+
+def _bends(along: GainAlongPv) -> str:
+    """The sentence of a gain that changes along pv, and what to do."""
+    at, other = (along.high, along.low) if along.ratio > 1.0 else (along.low, along.high)
+    times = max(along.ratio, 1.0 / along.ratio)
+    return (
+        f"the process gain changes along pv: about {times:.2g} times as large at {at:.4g} as at {other:.4g}; one set "
+        "of gains is too fast at one end or too slow at the other. Schedule them: retuner schedule RECORD --by pv"
+    )
 
 
 def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float], told: Found) -> str:

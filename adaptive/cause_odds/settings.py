@@ -15,6 +15,8 @@ class OddsSettings:
         2002).
     stiction : prior that a valve which sticks or has play is behind a record; 0.1 to 0.4, default 0.25 (20 to 30 % of
         loops oscillate because of their valve: Jelali & Huang 2010).
+    nonlinear : prior that the gain changes along pv by two and more within the record's range; 0.01 to 0.1, default
+        0.03.
     valve_weight : power of the valve's Bayes factor; 0.5 to 3, default 2.5: its tempered likelihood was too doubtful
         where the truth was known (benchmarks/world). other_valve, other_weight : share of valves that are unlike every
         one of the grid, and the power that the Bayes factor has for them; default 0.45 and 0.15 (of 62 records whose
@@ -47,6 +49,7 @@ class OddsSettings:
     slow_integrating: float = 0.04
     sluggish: float = 0.33
     stiction: float = 0.25
+    nonlinear: float = 0.03
     valve_weight: float = 2.5
     other_valve: float = 0.45
     other_weight: float = 0.15
@@ -75,6 +78,7 @@ class OddsSettings:
             raise ValueError(f"the priors of ok, aggressive, slow_integrating and sluggish {self.prior} must sum to 1")
         for name in (
             "stiction",
+            "nonlinear",
             "noise_left",
             "most",
             "more_odds",

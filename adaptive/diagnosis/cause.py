@@ -21,6 +21,7 @@ class Cause(StrEnum):
     SLUGGISH = "sluggish"
     SLOW_INTEGRATING = "slow_integrating"
     STICTION = "stiction"
+    NONLINEAR = "nonlinear"
     EXTERNAL = "external"
     SATURATION = "saturation"
     NOISE = "noise"
@@ -103,6 +104,7 @@ MOST = {
     Cause.SLUGGISH: 0.94,
     Cause.SLOW_INTEGRATING: 0.86,
     Cause.STICTION: 0.83,
+    Cause.NONLINEAR: 0.97,
     Cause.EXTERNAL: 0.76,
     Cause.SATURATION: 0.97,
     Cause.NOISE: 0.93,

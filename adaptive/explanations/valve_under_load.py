@@ -51,9 +51,10 @@ def log_odds_of_valve(record: Prepared, direction: int) -> float:
         right = np.where(fits.gain * direction > 0, fits.gain, 0.0)  # no gain where it has the wrong sign
         found.append(fits.tempered(right[..., None])[..., 0])
     every = np.concatenate(found).transpose(1, 0, 2).reshape(len(inputs), -1)
-    return float(_log_mean(every[1:]) - _log_mean(every[:1]))
+    return float(log_mean(every[1:]) - log_mean(every[:1]))
 
 
-def _log_mean(values: FloatArray) -> float:
+def log_mean(values: FloatArray) -> float:
+    """Logarithm of the mean of exp(values)."""
     top = float(values.max())
     return top + math.log(float(np.mean(np.exp(values - top))))

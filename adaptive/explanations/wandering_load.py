@@ -97,12 +97,14 @@ class Prepared:
     """A window as this likelihood wants it: pv and co from their first values, pv's resolution, the interval.
 
     pv, co : shape (n,). resolution : standard deviation of what pv cannot show. sample_time_s : after condensing.
+    first : the first value of pv.
     """
 
     pv: FloatArray
     co: FloatArray
     resolution: float
     sample_time_s: float
+    first: float = 0.0
 
     @classmethod
     def of(cls, window: Window, most: int = MOST_SAMPLES) -> "Prepared":
@@ -117,7 +119,8 @@ class Prepared:
         pv, co = (x[: rows * n].reshape(rows, n).mean(axis=1) for x in (window.pv, window.co))
         spread = float(np.std(pv))
         resolution = max(quantum_sigma(window.pv), hidden_sigma(window.pv)) / math.sqrt(n)
-        return cls(pv - pv[0], co - co[0], max(resolution, LEAST_NOISE * spread), n * window.sample_time_s)
+        finest = max(resolution, LEAST_NOISE * spread)
+        return cls(pv - pv[0], co - co[0], finest, n * window.sample_time_s, float(pv[0]))
 
 
 @dataclass(frozen=True, slots=True)

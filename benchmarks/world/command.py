@@ -29,12 +29,12 @@ from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
-from world.draw import CLASSES, DT_S, SETS, drawn, tested
+from world.draw import BENDS, CLASSES, DT_S, SETS, drawn, tested
 from world.invariance import invariance
 from world.process import margins
 
 AS = {"ok": "ok", "sluggish": "sluggish", "aggressive": "aggressive", "slow_integrating": "aggressive",
-      "stiction": "stiction"}  # fmt: skip
+      "stiction": "stiction", "nonlinear": BENDS}  # fmt: skip
 LEAST = 0.003
 """Probability that a log score counts at least."""
 BANDS = ((0.0, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.95), (0.95, 1.01))
@@ -87,8 +87,8 @@ def scored(seed: int, kind: str, folder: str, fold: int | None, test: bool, inde
 
 
 def shares(told: Diagnosis) -> dict[str, float]:
-    """The odds of the four classes."""
-    odds = dict.fromkeys(CLASSES, 0.0)
+    """The odds of the four classes, and of a process that bends."""
+    odds = dict.fromkeys((*CLASSES, BENDS), 0.0)
     for cause, p in (told.causes or {str(told.cause): told.confidence}).items():
         if cause in AS:
             odds[AS[cause]] += p
@@ -113,7 +113,7 @@ def table(scores: list[Score]) -> list[str]:
     if given:
         over = sum(s.ms_after > 2.1 for s in given)
         lines.append(f"Ms after: largest {max(s.ms_after for s in given):.2f}, over 2.1 in {over} of {len(given)}")
-    for true in CLASSES:
+    for true in {s.true: None for s in scores}:
         counts = Counter(s.said for s in scores if s.true == true)
         lines.append(f"{true:12} {', '.join(f'{said} {count}' for said, count in counts.most_common())}")
     proposed = [s for s in scores if s.then]

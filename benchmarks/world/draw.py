@@ -5,13 +5,14 @@ class        in order (Ms up to 1.75, half of them calmer still), sluggish (Kc x
 load         a piece of the co of a real loop, stretched by 0.5 to 1.5, at the process input
 noise        0.2 to 6 % of pv's span; pv and co quantised in 7 of 10
 setpoint     real: a piece of a real one in 6 of 10; none; step4, step8: one step out and back of 4 or 8 times the
-             standard deviation that the load gives pv
+             standard deviation that the load gives pv; bends: step8 in a loop in order whose process gain is 2.5 to 6
+             times larger at one end of pv than at the other
 """
 
 import csv
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -20,7 +21,9 @@ import numpy as np
 from world.process import FloatArray, TrueProcess, drawn_process, margins, simc, simulated
 
 CLASSES = ("ok", "sluggish", "aggressive", "stiction")
-SETS = {"real": 0, "none": 1, "step4": 4, "step8": 8}
+SETS = {"real": 0, "none": 1, "step4": 4, "step8": 8, "bends": 8}
+BENDS = "nonlinear"
+"""The cause of every loop of the set bends."""
 SAMPLES, DT_S = 751, 10.0
 TRIES = 80
 CALM = 1.76
@@ -111,7 +114,7 @@ def setpoint(
 ) -> FloatArray:
     """The setpoint of a set. std : of pv under the load."""
     sp = np.zeros(SAMPLES)
-    if kind in {"step4", "step8"}:
+    if SETS[kind] > 1:
         first = int(rng.integers(SAMPLES // 8, SAMPLES // 3))
         last = first + int(rng.integers(SAMPLES // 5, SAMPLES // 2))
         sp[first:last] = SETS[kind] * std * (1 if rng.random() < 0.5 else -1)
@@ -131,12 +134,23 @@ def drawn(seed: int, index: int, kind: str, folder: str, fold: int | None = None
         None could be drawn in TRIES.
     """
     rng = np.random.default_rng([seed, index, SETS[kind]])
-    cause, loops = CLASSES[index % len(CLASSES)], real_loops(folder, fold)
+    cause, loops = BENDS if kind == "bends" else CLASSES[index % len(CLASSES)], real_loops(folder, fold)
     for _ in range(TRIES):
         found = _tried(rng, cause, kind, loops)
         if found is not None:
             return found
     raise RuntimeError(f"seed {seed}, case {index}: no loop of class {cause} could be drawn")
+
+
+def bending(rng: np.random.Generator, process: TrueProcess, pv: FloatArray) -> TrueProcess:
+    """A process whose gain is 2.5 to 6 times larger at one end of a linear loop's pv than at the other; that of pv = 0
+    stays.
+    """
+    ratio = math.exp(rng.uniform(math.log(2.5), math.log(6.0)))
+    low, high = (float(np.min(pv)), float(np.max(pv)))[:: 1 if rng.random() < 0.5 else -1]
+    below, above = min(low / (high - low), 0.0), max(high / (high - low), 1.0)  # pv = 0 lies between
+    share = (ratio - 1.0) / (above - ratio * below)
+    return replace(process, bend=share / (high - low))
 
 
 def _tried(
@@ -155,6 +169,9 @@ def _tried(
     std = float(np.std(simulated(process, gains, (rest, load, rest))[0]))
     sp = setpoint(rng, kind, std, loops)
     pv, co = simulated(process, gains, (sp, load, rest))
+    if cause == BENDS:
+        process = bending(rng, process, pv)
+        pv, co = simulated(process, gains, (sp, load, rest))
     spans = float(np.ptp(pv)), float(np.ptp(co))
     noise_std = spans[0] * float(np.exp(rng.uniform(np.log(0.002), np.log(0.06))))
     noise = rng.normal(size=SAMPLES) * noise_std

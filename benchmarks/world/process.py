@@ -17,13 +17,17 @@ PARTS = 4
 
 @dataclass(frozen=True, slots=True)
 class TrueProcess:
-    """kind : of its structure. k : gain, or slope gain. lags, theta : in samples. integrates : has an integrator."""
+    """kind : of its structure. k : gain, or slope gain. lags, theta : in samples. integrates : has an integrator.
+
+    bend : share of itself by which the gain grows a unit of pv, from pv = 0 where it is k; 0 for a linear process.
+    """
 
     kind: str
     k: float
     lags: tuple[float, ...]
     theta: float
     integrates: bool
+    bend: float = 0.0
 
     def response(self, w: FloatArray) -> npt.NDArray[np.complex128]:
         """G(jw) with the hold."""
@@ -34,6 +38,18 @@ class TrueProcess:
         for lag in self.lags:
             g = g / (lag * s + 1.0)
         return np.asarray(g, dtype=np.complex128)
+
+
+LEAST_GAIN = 0.1
+"""A process that bends keeps this share of its gain everywhere."""
+
+
+def bent(x: float, bend: float) -> float:
+    """A static curve whose slope is 1 + bend y at the output y, LEAST_GAIN at least."""
+    edge = math.log(LEAST_GAIN) / bend  # where the slope has fallen to LEAST_GAIN
+    if bend * x < math.log(LEAST_GAIN):
+        return (LEAST_GAIN - 1.0) / bend + LEAST_GAIN * (x - edge)
+    return math.expm1(min(bend * x, 50.0)) / bend
 
 
 def margins(process: TrueProcess, kc: float, tau_i: float) -> tuple[float, float]:
@@ -114,9 +130,9 @@ def simulated(
             at += 1
             x = process.k * moved
             if process.integrates:
-                state[-1] += h * x
+                state[-1] += h * x * max(1.0 + process.bend * state[-1], LEAST_GAIN)
                 x = state[-1]
             for j, decay in enumerate(decays):
                 state[j] = x = decay * state[j] + (1 - decay) * x
-            y = x
+            y = x if process.integrates or not process.bend else bent(x, process.bend)
     return pv, co

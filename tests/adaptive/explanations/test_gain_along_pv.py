@@ -1,0 +1,74 @@
+"""A gain that changes along pv: told by its likelihood, in any unit, and only where two ranges of pv are seen."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.cause_odds.odds import diagnose_records
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
+from retuner.adaptive.explanations.wandering_load import Prepared
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
+
+STEPS = (20.0, 24.0, 20.0, 32.0, 48.0, 52.0, 48.0, 30.0)
+
+
+def tank(ratio: float, steps: tuple[float, ...] = STEPS, hold: int = 60, kp: float = 1.0) -> Window:
+    """PI on a lag of 10 s with 2 s dead time, its static gain 0.5 up to pv 40 and ratio times that above."""
+    rng, n = np.random.default_rng(3), hold * len(steps)
+    sp = np.repeat(steps, hold)
+
+    def curve(u: float) -> float:
+        return 0.5 * u if u < 80.0 else 40.0 + 0.5 * ratio * (u - 80.0)
+
+    first = steps[0]
+    co0 = 2.0 * first if first < 40.0 else 80.0 + (first - 40.0) / (0.5 * ratio)
+    y, total, pole = first, co0, math.exp(-0.1)
+    pv, co = np.zeros(n), np.full(n, co0)
+    for i in range(n):
+        y = pole * y + (1.0 - pole) * curve(co[i - 3] if i > 2 else co0)
+        pv[i] = y + 0.05 * rng.standard_normal()
+        total += kp / 12.0 * (sp[i] - pv[i])
+        co[i] = kp * (sp[i] - pv[i]) + total
+    return Window(np.arange(float(n)), sp, pv, co)
+
+
+def weighed(*windows: Window) -> GainAlongPv:
+    return gain_along_pv([Prepared.of(window) for window in windows], 1, [1.0] * len(windows))
+
+
+@pytest.mark.parametrize("ratio", [3.0, 1.0 / 3.0])
+def test_a_gain_that_triples_or_falls_to_a_third_is_told_with_its_direction(ratio: float) -> None:
+    found = weighed(tank(ratio))
+    assert found.log_bayes > 1.0
+    assert (found.ratio > 1.0) is (ratio > 1.0)
+    assert found.low == pytest.approx(20.0, abs=1.0)
+
+
+def test_a_linear_loop_is_not_told_so() -> None:
+    assert weighed(tank(1.0)).log_bayes < -5.0
+
+
+def test_two_records_of_either_range_tell_what_neither_does() -> None:
+    low, high = tank(3.0, (20.0, 24.0, 20.0, 26.0)), tank(3.0, (48.0, 52.0, 48.0, 54.0))
+    assert weighed(low).log_bayes < 0.0
+    assert weighed(high).log_bayes < 0.0
+    assert weighed(low, high).log_bayes > 5.0
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.8, -1.0])
+def test_units_mean_nothing(scale: float) -> None:
+    window = tank(3.0)
+    other = replace(window, pv=scale * window.pv + 32.0, co=scale * 0.16 * window.co + 4.0)
+    assert weighed(other).log_bayes == pytest.approx(weighed(window).log_bayes, abs=0.05)
+
+
+def test_the_odds_name_it_and_say_what_to_do() -> None:
+    told = diagnose_records([tank(3.0)], PidGains(1.0, 1.0 / 12.0)).found.diagnosis
+    assert told.cause == Cause.NONLINEAR
+    assert not told.retune
+    assert told.evidence["gain_ratio"] > 2.0
+    assert "retuner schedule" in told.reason
