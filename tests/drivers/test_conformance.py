@@ -17,6 +17,7 @@ from retuner.drivers.conformance.chapters import CHAPTERS, chapters
 from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
 from retuner.drivers.conformance.counterparts import InThread, OnBus
 from retuner.drivers.conformance.examination import Examination, examine
+from retuner.drivers.conformance.finding import OTHERS_S, nodes_heard, sample_time_of
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
@@ -114,6 +115,24 @@ def test_answers_within_one_sample_are_not_condemned(late_s: float, sample_s: fl
     assert found.tried > 150
 
 
+def test_the_node_and_its_sample_time_are_found_by_listening() -> None:
+    wire = Wire(0.0, 0.4)
+    link: Any = wire
+    assert nodes_heard(link, wire.clock) == [1]
+    assert sample_time_of(link, wire.clock, 1) == pytest.approx(wire.device.settings.sample_time_s)
+    assert wire.clock.now_s() < 2 * OTHERS_S
+    assert sample_time_of(link, wire.clock, 2) is None
+
+
+def test_a_stranger_on_the_bus_is_no_node_and_is_not_spoken_to() -> None:
+    wire = Wire(0.0, 0.4)
+    wire.device.step = lambda: [can.Message(arbitration_id=3 << 5 | command, data=bytes(8), is_extended_id=False)
+                                for command in range(32)]  # fmt: skip
+    wire.send = lambda _: pytest.fail("a frame was sent")
+    link: Any = wire
+    assert nodes_heard(link, wire.clock) == []
+
+
 class SameEpoch(VirtualDevice):
     """It forgets to take a new epoch."""
 
@@ -144,7 +163,7 @@ def test_chapters_are_those_of_the_page() -> None:
 
 
 def test_nobody_there_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["conformance", "-i", "virtual", "-c", "nobody"]) == 2
+    assert main(["conformance", "-i", "virtual", "-c", "nobody", "--node", "1", "--sample-time", "0.01"]) == 2
     told = capsys.readouterr().err
     assert "node 1 on virtual nobody: no Identity" in told
     assert told.count("\n") == 1

@@ -19,12 +19,14 @@ if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
 app = typer.Typer(add_completion=False)
 
 
-@app.command(epilog="Example: retuner conformance -i socketcan -c can0 --node 1 --sample-time 0.01")
+@app.command(epilog="Example: retuner conformance -i socketcan -c can0")
 def conformance(
     interface: Annotated[str, typer.Option("--interface", "-i", help="python-can interface.")],
     channel: Annotated[str, typer.Option("--channel", "-c", help="Channel of the interface.")],
-    node: Annotated[int, typer.Option(help="Number of the device.", min=1, max=63)] = 1,
-    sample_time: Annotated[float, typer.Option(help="Seconds between its samples.")] = 2.0,
+    node: Annotated[
+        int | None, typer.Option(help="Number of the device; else the one that is heard.", min=1, max=63)
+    ] = None,
+    sample_time: Annotated[float | None, typer.Option(help="Seconds between its samples; else it is asked.")] = None,
     speed: Annotated[float, typer.Option(help="How much faster than real time a simulated device runs.")] = 1.0,
     key_file: Annotated[Path | None, typer.Option(help="Key that authenticates commits.")] = None,
     trial_samples: Annotated[
@@ -38,9 +40,9 @@ def conformance(
     Its gains are changed by a few per cent, stored, and restored at the end: use it on no process that matters.
     """
     for name, value in (("--sample-time", sample_time), ("--speed", speed)):
-        if not 0 < value < math.inf:
+        if value is not None and not 0 < value < math.inf:
             raise UserError(f"{name} {value}: give a positive number")
-    found = _examined(interface, channel, node, sample_time / speed, key_file, trial_samples, restart=restart)
+    found = _examined(interface, channel, node, sample_time, speed, key_file, trial_samples, restart=restart)
     _tell(found, as_json=as_json)
     return int(bool(found.findings))
 
@@ -48,8 +50,9 @@ def conformance(
 def _examined(
     interface: str,
     channel: str,
-    node: int,
-    sample_s: float,
+    given: int | None,
+    sample_time: float | None,
+    speed: float,
     key_file: Path | None,
     trial_samples: int,
     *,
@@ -61,18 +64,33 @@ def _examined(
     from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
     from retuner.drivers.conformance.counterparts import OnBus
     from retuner.drivers.conformance.examination import examine
+    from retuner.drivers.conformance.finding import nodes_heard, sample_time_of
     from retuner.drivers.host.key_file import read_key
 
-    clock = MonotonicClock()
+    clock, place = MonotonicClock(), f"{interface} {channel}"
     key = None if key_file is None else read_key(key_file)
     with CanLink(LinkSettings(interface=interface, channel=channel), clock) as link:
-        far = OnBus(link, clock, node, sample_s, _power_cycle(link.wait_until, clock.now_s) if restart else _nobody)
+        node = _the_node(nodes_heard(link, clock), place) if given is None else given
+        sample_s = sample_time or sample_time_of(link, clock, node)
+        if not sample_s:
+            raise UserError(f"node {node} on {place}: no Identity; is it there, and its number right?")
+        far = OnBus(
+            link, clock, node, sample_s / speed, _power_cycle(link.wait_until, clock.now_s) if restart else _nobody
+        )
         try:
             return examine(Conversation(far, node, key), chapters(trial_samples))
         except NoAnswerError as error:
-            raise UserError(
-                f"node {node} on {interface} {channel}: {error}; is it there, and its number right?"
-            ) from None
+            raise UserError(f"node {node} on {place}: {error}; is it there, and its number right?") from None
+
+
+def _the_node(heard: list[int], place: str) -> int:
+    """The one device that sends samples."""
+    if len(heard) == 1:
+        sys.stderr.write(f"node {heard[0]} found\n")
+        return heard[0]
+    if heard:
+        raise UserError(f"{place}: nodes {', '.join(map(str, heard))} send samples; name one by --node")
+    raise UserError(f"{place}: no device sends whole samples; is one there? Name it by --node if it sends none")
 
 
 def _nobody() -> bool:
