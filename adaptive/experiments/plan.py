@@ -3,7 +3,8 @@
     step       co = co0 + amplitude until pv has come to rest again, or has gone far enough to show a ramp
     relay      co = co0 + (1 + bias) amplitude while pv is too low, co0 - (1 - bias) amplitude while it is too high,
                switched where pv leaves the reference by more than the hysteresis
-    setpoint   sp = sp0 + amplitude under proportional control until pv has come to rest, or swings on
+    setpoint   sp = sp0 + amplitude under proportional control until pv has come to rest, or swings on; with a hold
+               under the gains in force: out for so long and back for as long, whatever else moves pv
 
 The hysteresis is three standard deviations of the noise seen at rest unless it is given: noise alone then switches the
 relay about once in a thousand samples near the reference (Astrom & Hagglund 1995, section 3.6).
@@ -63,7 +64,8 @@ class Plan:
     rest_time_s : how long to wait for rest.
     cycles : full waves of the relay that count; the first is left out; 2 to 50.
     bias : asymmetry of the relay, 0 (symmetric) to 0.8. hysteresis : pv units, None from the noise.
-    kc0 : proportional gain of the setpoint experiment, None for that in force.
+    kc0 : proportional gain of the setpoint experiment, None for that in force. hold_s : how long the setpoint is out,
+    and then back, under the gains in force; 0: the experiment under proportional control.
 
     Raises
     ------
@@ -85,6 +87,7 @@ class Plan:
     hysteresis: float | None = None
     kc0: float | None = None
     deviation: float = math.inf
+    hold_s: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("amplitude", "pv_low", "pv_high", "time_s", "rest_time_s"):
@@ -110,6 +113,7 @@ class Plan:
             ("deviation", not self.deviation > 0),
             ("hysteresis", hysteresis is not None and not 0 <= hysteresis < math.inf),
             ("kc0", kc0 is not None and not 0 < abs(kc0) < math.inf),
+            ("hold_s", not 0 <= self.hold_s < math.inf or (self.hold_s > 0 and self.kind != Kind.SETPOINT)),
         )
 
     def about(self, pv_rest: float) -> "Plan":
@@ -149,7 +153,7 @@ def at_rest(plan: Plan, samples: list[LoopSample]) -> Rest | None:
     sigma = noise_sigma(pv)
     moved = abs(float(np.polyfit(np.linspace(-0.5, 0.5, n), pv, 1)[0]))
     band = min(plan.pv_high - plan.pv_low, 2 * plan.deviation)
-    if moved > max(REST_DRIFT * band, TREND_STD * sigma * math.sqrt(12 / n)):
+    if not plan.hold_s and moved > max(REST_DRIFT * band, TREND_STD * sigma * math.sqrt(12 / n)):
         return None
     hysteresis = HYSTERESIS_STD * sigma if plan.hysteresis is None else plan.hysteresis
     return Rest(float(np.mean(pv)), float(np.mean([s.co for s in watched])), sigma, hysteresis)
@@ -184,6 +188,8 @@ def enough(plan: Plan, samples: list[LoopSample], rest: Rest, relay: RelayState)
     """Whether the samples since the excitation began show what the experiment is for."""
     if plan.kind == Kind.RELAY:
         return relay.switches >= 2 * plan.cycles + 3
+    if plan.hold_s:
+        return bool(samples) and samples[-1].t_s - samples[0].t_s >= 2 * plan.hold_s
     pv = np.array([s.pv for s in samples])
     if len(pv) < SHORTEST_WATCH:
         return False

@@ -3,6 +3,7 @@
 import json
 import re
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,15 @@ import pytest
 from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.enough_data import shortcomings
+from retuner.adaptive.explanations.deciding_test import DecidingTest, TestKind
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
+from retuner.commands.recorded.diagnose import command_for
 from retuner.commands.recorded.record_form import renamed
 from retuner.commands.recorded.recorded_loop import RecordOptions, controller, read_loop
+from retuner.commands.work.experiment import proposed
 from retuner.decision_page.evidence_words import GROUPS, WORDS, evidence_lines, value_text
 from retuner.errors import UserError
 from retuner.tuning import tune
@@ -342,6 +346,21 @@ def test_what_a_record_lacks_is_said_with_what_would_be_needed():
     )
     fine = Window(np.arange(1000.0), np.zeros(1000), np.sin(np.arange(1000) / 9), np.cos(np.arange(1000) / 9))
     assert shortcomings(fine, screen(fine), ProcessModel(ProcessType.FOPDT, 1.0, 20.0, 0.0, 5.0)) == ()
+
+
+def test_the_proposed_test_is_a_command_that_can_be_run(tmp_path: Path) -> None:
+    told = DecidingTest(TestKind.SETPOINT, 4.4, 1020.0, 0.84)
+    command = command_for(told).split()
+    assert command[:4] == ["retuner", "experiment", "setpoint", "CONFIG"]
+    file = tmp_path / "found.json"
+    file.write_text(json.dumps({"next": told.to_dict()}), encoding="utf-8")
+    assert proposed(file) == (float(command[5]), float(command[7]))
+    file.write_text(json.dumps({"next": replace(told, kind=TestKind.VALVE).to_dict()}), encoding="utf-8")
+    with pytest.raises(UserError, match=r"retuner experiment valve --step 4\.4"):
+        proposed(file)
+    file.write_text(json.dumps({"next": None}), encoding="utf-8")
+    with pytest.raises(UserError, match="no test in it"):
+        proposed(file)
 
 
 def test_words_for_numbers_known_and_unknown():

@@ -290,6 +290,31 @@ def test_an_output_that_the_controller_limits_ends_the_setpoint_experiment(lab: 
     assert bench.as_before()
 
 
+def test_a_held_setpoint_goes_out_and_back_under_the_active_gains(lab: Callable[..., Lab]) -> None:
+    held = replace(PLANS[Kind.SETPOINT], kc0=None, hold_s=20.0)
+    bench = lab(held, noise=0.3)
+    bench.over()
+    assert bench.conductor.cause is None
+    assert bench.as_before()
+    excited = bench.conductor.excited
+    out = [s.t_s for s in excited if s.sp == pytest.approx(52.0)]
+    assert out[-1] - out[0] == pytest.approx(20.0, abs=2 * DT)
+    assert excited[-1].t_s - out[-1] == pytest.approx(20.0, abs=3 * DT)
+    assert {s.sp for s in excited} == {50.0, 52.0}
+    with pytest.raises(ValueError, match="hold_s"):
+        replace(PLANS[Kind.STEP], hold_s=20.0)
+
+
+def test_a_setpoint_that_another_moves_during_a_hold_ends_it(lab: Callable[..., Lab]) -> None:
+    bench = lab(replace(PLANS[Kind.SETPOINT], kc0=None, hold_s=20.0))
+    bench.until(Phase.EXCITING)
+    bench.some(60)  # the setpoint is back by now
+    bench.device.sp = 47.0
+    bench.over()
+    assert bench.conductor.cause is AbortCause.FOREIGN
+    assert bench.as_before()
+
+
 def test_a_relay_against_the_grain_never_switches_back(lab: Callable[..., Lab]) -> None:
     bench = lab(replace(PLANS[Kind.RELAY], pv_low=0.0, pv_high=100.0, time_s=100.0, amplitude=5.0), k=-1.0)
     bench.over()

@@ -59,6 +59,10 @@ class Following:
         self._limited = self._foreign = 0
         self._shown = False
 
+    def expect(self) -> None:
+        """The target has changed: it may take its time to show."""
+        self._foreign, self._shown = 0, False
+
     def trouble(self, wanted: Target, sample: LoopSample) -> Trouble | None:
         """One sample under a target. In manual the setpoint may be anything: some controllers let it follow pv."""
         differs = self._helm.differs(wanted, sample)

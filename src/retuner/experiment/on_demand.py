@@ -86,7 +86,8 @@ class OnDemandExperiment:
         self._conduct()
         if runner.cause in OPTION_AT_FAULT and not runner.touched:
             raise UserError(f"{OPTION_AT_FAULT[runner.cause]}: {runner.text}; nothing was changed")
-        outcome.found = self._evaluate()
+        held = bool(runner.plan.hold_s)
+        outcome.found = None if held else self._evaluate()
         with unstoppable():
             outcome.leave()
         self._tell()
@@ -103,7 +104,7 @@ class OnDemandExperiment:
             raise runner.lost_ledger
         if runner.cause is AbortCause.INTERRUPTED:
             return INTERRUPTED
-        return 0 if runner.cause is None and usable and not outcome.written else 1
+        return 0 if runner.cause is None and (usable or held) and not outcome.written else 1
 
     def _conduct(self) -> None:
         """Turn by turn until the old state is back; Ctrl-C is an abort like any other."""
@@ -152,7 +153,10 @@ class OnDemandExperiment:
         record = self._outcome.folder / RECORD
         state = runner.phase.value if runner.touched else "nothing was changed"
         self._screen.say(f"{ended}; {state}; {len(runner.excited)} samples in {record}")
-        lines = described(found, settings=not runner.cause) if found else ["too little was recorded for a result"]
+        nothing = "too little was recorded for a result"
+        if runner.plan.hold_s and runner.cause is None:
+            nothing = f"next: retuner diagnose FIRST {record}, with FIRST for the record that asked for this test"
+        lines = described(found, settings=not runner.cause) if found else [nothing]
         for line in lines:
             self._screen.say(line)
         if runner.phase is Phase.STRANDED:

@@ -273,6 +273,11 @@ class ExperimentRunner:
             if plan.kind == Kind.RELAY:
                 self._relay = relay_step(self._relay, sample.pv, rest, before.gains.direction)
             since = self.samples[self.excited_from :]
+            if plan.hold_s:
+                out = sample.t_s - since[0].t_s < plan.hold_s
+                if self._relay.high and not out:
+                    self._following.expect()
+                self._relay = RelayState(out, 0)
             if enough(plan, since, rest, self._relay):
                 self._move(Happening.FINISHED)
                 return

@@ -54,7 +54,7 @@ def target(
         return Target(mode=LoopMode.MANUAL, co=rest.co)
     if phase is Phase.EXCITING:
         if setpoint:
-            return Target(p_only(plan, before), before.sp + plan.amplitude, LoopMode.AUTO)
+            return Target(p_only(plan, before), before.sp + plan.amplitude * relay.high, LoopMode.AUTO)
         co = rest.co + plan.amplitude if plan.kind == Kind.STEP else relay_output(plan, relay, rest)
         return Target(mode=LoopMode.MANUAL, co=co)
     if phase is Phase.PARKING and parking and not setpoint:
@@ -65,7 +65,9 @@ def target(
 
 
 def p_only(plan: Plan, before: OldState) -> PidGains:
-    """The proportional controller of the setpoint experiment; its sign is that of the gains in force."""
+    """The controller of the setpoint experiment: proportional, with the sign of the active gains; for a hold those."""
+    if plan.hold_s:
+        return before.gains
     return PidGains(before.gains.kp if plan.kc0 is None else plan.kc0, 0.0)
 
 

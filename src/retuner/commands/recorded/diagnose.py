@@ -242,6 +242,7 @@ def described(found: DiagnosedRecord) -> list[str]:
     lines.append(f"{'the loop':<{NAME}}{loop_words(found.loop)}")
     lines += [f"{'note':<{NAME}}{note}" for note in found.notes if note != told.reason]
     lines += [f"{'next':<{NAME}}{line}" for line in _next(found)]
+    lines += [f"{'run it':<{NAME}}{command_for(told.next)}"] if told.next is not None and not told.retune else []
     return [lines[0], *(f"  {line}" for line in lines[1:])]
 
 
@@ -318,6 +319,13 @@ def test_words(test: DecidingTest) -> str:
         TestKind.VALVE: "in manual, steps of co of {size:.3g} up, up, down, down, each held {hold_s:.3g} s, decide",
     }[test.kind]
     return f"{what.format(size=test.size, hold_s=test.hold_s)} with {_odds(test.decides)}"
+
+
+def command_for(test: DecidingTest) -> str:
+    """The command that makes a test. CONFIG : the configuration of the loop's controller."""
+    if test.kind is TestKind.VALVE:
+        return f"retuner experiment valve --step {test.size:.3g}"
+    return f"retuner experiment setpoint CONFIG --amplitude {test.size:.3g} --hold {test.hold_s:.3g}"
 
 
 def evidence_of(found: DiagnosedRecord) -> list[str]:

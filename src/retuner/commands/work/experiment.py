@@ -11,6 +11,7 @@ from typing import NamedTuple
 from rich.console import Console
 
 from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.explanations.deciding_test import TestKind
 from retuner.adaptive.rules.registry import rule_named
 from retuner.commands.options import on_bus
 from retuner.commands.recorded.plot_option import check_plot
@@ -52,6 +53,7 @@ class ExperimentSignal(NamedTuple):
     bias: float = 0.0
     hysteresis: float | None = None
     kc0: float | None = None
+    hold_s: float = 0.0
 
 
 def step(options: StepOptions) -> int:
@@ -61,8 +63,35 @@ def step(options: StepOptions) -> int:
 
 def setpoint(options: SetpointOptions) -> int:
     """A step of the setpoint; the exit status."""
+    amplitude, hold_s = options.amplitude, options.hold
+    if options.from_diagnosis is not None:
+        if amplitude is not None or hold_s:
+            raise UserError("--from-diagnosis has amplitude and hold: leave out --amplitude and --hold")
+        amplitude, hold_s = proposed(options.from_diagnosis)
+    if hold_s and (options.kc0 is not None or options.file is not None):
+        raise UserError("--hold: the test runs under the active gains; leave out --kc0 and --from")
     question = question_for(Kind.SETPOINT, options, options.kc0)
-    return _test(Kind.SETPOINT, options, question, ExperimentSignal(options.amplitude, kc0=options.kc0))
+    return _test(Kind.SETPOINT, options, question, ExperimentSignal(amplitude, kc0=options.kc0, hold_s=hold_s))
+
+
+def proposed(path: Path) -> tuple[float, float]:
+    """Size and hold of the setpoint test that a diagnosis proposes. path : what `retuner diagnose --json` printed.
+
+    Raises
+    ------
+    UserError
+        It cannot be read, or proposes no such test.
+    """
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))["next"]
+        kind, size, hold_s = told["kind"], float(told["size"]), float(told["hold_s"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise UserError(
+            f"--from-diagnosis {path}: no test in it; give what `retuner diagnose --json` printed"
+        ) from None
+    if kind != TestKind.SETPOINT:
+        raise UserError(f"--from-diagnosis {path}: it proposes a {kind} test: retuner experiment valve --step {size:g}")
+    return size, hold_s
 
 
 def relay(options: RelayOptions) -> int:
@@ -195,12 +224,13 @@ def plan_for(config: Config, kind: Kind, options: OnDemandOptions, shape: Experi
             deviation=_or(options.deviation, DEFAULT_DEVIATION * span),
             co_low=loop.co_min_pct,
             co_high=loop.co_max_pct,
-            time_s=_or(options.time, DEFAULT_SAMPLES * dt),
+            time_s=_or(options.time, DEFAULT_SAMPLES * dt + 2 * shape.hold_s),
             rest_time_s=_or(options.rest, REST_WAIT_SAMPLES * dt),
             cycles=shape.cycles,
             bias=shape.bias,
             hysteresis=shape.hysteresis,
             kc0=shape.kc0,
+            hold_s=shape.hold_s,
         )
 
 

@@ -58,10 +58,17 @@ class StepOptions(OnDemandOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetpointOptions(OnDemandOptions):
-    """Setpoint step under proportional control. Methods: fit, two-step; --rule setpoint-overshoot needs no model."""
+    """Setpoint step under proportional control, or with --hold out and back under the active gains, for `diagnose`.
+
+    Methods: fit, two-step; --rule setpoint-overshoot needs no model.
+    """
 
     amplitude: Annotated[float | None, typer.Option(help="Step of sp, pv units; default 5 % of the range.")] = None
     kc0: Annotated[float | None, typer.Option(help="Proportional gain of the test; default the active one.")] = None
+    hold: Annotated[float, typer.Option(help="Out for so long and back, s, under the active gains.")] = 0.0
+    from_diagnosis: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The test that `retuner diagnose --json` proposed.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
