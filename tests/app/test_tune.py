@@ -155,6 +155,7 @@ def test_the_table_of_all_rules(capsys: Capture) -> None:
         "Kc",
         "tau_I",
         "tau_D",
+        "tau_c",
         "Ms",
         "GM",
         "PM",
@@ -165,7 +166,7 @@ def test_the_table_of_all_rules(capsys: Capture) -> None:
         "load",
     ]
     simc = next(line for line in lines if line.startswith("simc "))
-    assert simc.split()[:9] == ["simc", "pi", "series", "-2.5", "16", "0", "1.70", "2.963", "46.9"]
+    assert simc.split()[:10] == ["simc", "pi", "series", "-2.5", "16", "0", "2", "1.70", "2.963", "46.9"]
     assert any(line.startswith("not applicable: itae-load") for line in lines)
 
 

@@ -24,7 +24,7 @@ from retuner.verbosity import busy
 
 app = typer.Typer(add_completion=False)
 
-HEADINGS = ("rule", "kind", "form", "Kc", "tau_I", "tau_D", "Ms", "GM", "PM", "J", "IAE sp", "IAE load")
+HEADINGS = ("rule", "kind", "form", "Kc", "tau_I", "tau_D", "tau_c", "Ms", "GM", "PM", "J", "IAE sp", "IAE load")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,7 +241,13 @@ def _cells(row: RuleRow) -> tuple[str, ...]:
     assert isinstance(gains, dict)
     assert isinstance(parallel, dict)
     kc = _short(gains["kc"]) if gains["kc"] else f"Ki {_short(parallel['ki'])}"
-    first = (row.result.tuning.rule, str(row.result.kind), row.result.form, kc, *map(_short, _times(gains)))
+    first = (
+        row.result.tuning.rule,
+        str(row.result.kind),
+        row.result.form,
+        kc,
+        *map(_short, (*_times(gains), row.result.tuning.tau_c_s)),
+    )
     if m is None or not m.stable:
         return (*first, "UNSTABLE", "-", "-", "-", "-", "-")
     robustness = (f"{m.ms:.2f}", _short(m.gm), f"{m.pm_deg:.1f}")
