@@ -52,17 +52,14 @@ class PidGains:
         if min(self.kp, self.ki, self.kd) < 0 < max(self.kp, self.ki, self.kd):
             raise ValueError(f"kp = {self.kp}, ki = {self.ki}, kd = {self.kd} have different signs; all act one way")
 
+    def __str__(self) -> str:
+        """The gains to three digits, without those that are zero, as in "kp 2, ki 0.1"."""
+        named = {"kp": self.kp, "ki": self.ki, "kd": self.kd}
+        return ", ".join(f"{name} {value:.3g}" for name, value in named.items() if value)
+
     @classmethod
     def from_parallel(cls, kp: float, ki: float = 0.0, kd: float = 0.0) -> "PidGains":
         """The gains of the parallel form, as they are: what simple-pid calls Kp, Ki and Kd.
-
-        Parameters
-        ----------
-        kp, ki, kd : as the class has them.
-
-        Returns
-        -------
-        PidGains
 
         Raises
         ------

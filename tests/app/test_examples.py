@@ -20,7 +20,7 @@ def test_one_sample_at_a_time_cures_the_loop() -> None:
         check=True,
     )
     assert "sluggish" in done.stdout
-    gains = done.stdout.split("kp=")[-1]
+    gains = done.stdout.split("kp ")[-1]
     assert 40 < float(gains.split(",")[0]) < 55  # SIMC for 0.1 e^-5s / (50 s + 1), sampled every second: 45
 
 

@@ -215,3 +215,9 @@ def test_gains_refuse(gains, what):
 def test_direction_of_action(gains):
     assert PidGains(*gains).direction == 1
     assert PidGains(*(-g for g in gains)).direction == -1
+
+
+def test_gains_are_printed_to_three_digits_and_represented_whole() -> None:
+    gains = PidGains(-2.168500043904018, 0.0, -0.25)
+    assert str(gains) == "kp -2.17, kd -0.25"
+    assert repr(gains) == "PidGains(kp=-2.168500043904018, ki=0.0, kd=-0.25)"
