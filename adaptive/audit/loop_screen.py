@@ -108,7 +108,7 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
     """
     n, parts = len(record.t_s), in_parts(record)
     usual_s, step, noise = parts.sample_time_s, quantum(parts.pv), (noise_sigma(parts.pv), noise_sigma(parts.co))
-    sums = record_sums(record, _measure(n, usual_s, noise[1]))
+    sums = record_sums(record, measure(n, usual_s, noise[1]))
     limits, days = [side for side in (sums.low, sums.high) if sums.limit(n, side)], sums.held_s / DAY_S
     swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
     traits = _traits(record, sums, noise, limits)
@@ -120,7 +120,7 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
         iae_per_day=sums.size / days,
         effort_per_day=sums.travel / days,
         reversals_per_day=sums.turns / days,
-        in_automatic=_in_automatic(n, sums, limits),
+        in_automatic=in_automatic(n, sums, limits),
         at_limits=traits.at_limit,
         loss_at_limits=sum(side.size for side in limits) / sums.size if sums.size > 0 else 0.0,
         one_sided=_one_sided(limits),
@@ -175,7 +175,7 @@ def joined_screen(screens: Sequence[LoopScreen]) -> LoopScreen:
     )
 
 
-def _measure(samples: int, usual_s: float, co_noise: float) -> Measure:
+def measure(samples: int, usual_s: float, co_noise: float) -> Measure:
     """What a record of so many samples is counted against."""
     shortest = max(STILL_STRETCH, min(STILL_LENGTH * samples, STILL_MOST))
     return Measure(GAP * usual_s, NOISE_OF_CO * co_noise, float(shortest), _width(samples))
@@ -209,7 +209,7 @@ def _idle(parts: Window) -> float | None:
     return idle_index(pv, co, direction, AVERAGED) if len(pv) > 2 * AVERAGED else None
 
 
-def _in_automatic(samples: int, sums: RecordSums, limits: Sequence[AtExtreme]) -> float:
+def in_automatic(samples: int, sums: RecordSums, limits: Sequence[AtExtreme]) -> float:
     """Share of the record without long stretches of constant co, those at a limit not counted."""
     still = sums.still - sum(side.samples - side.stretches for side in limits)
     return 1 - max(still, 0.0) / samples

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import signal
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -381,3 +382,23 @@ def test_the_list_as_a_table_has_a_row_a_loop_whatever_each_knows(tmp_path: Path
     assert table_of["screen_harris"] == [0.3, None, None]
     assert table_of["screen_gaps"] == [None, None, 2]
     assert table_of["reason"] == [None, "none", None]
+
+
+def test_a_plant_is_told_week_by_week_by_area(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    lines = ["time,FIC46001.SP,FIC46001.PV,FIC46001.OP,TI.SP,TI.PV,TI.OP"]
+    for i in range(3 * 7 * 144):
+        pv, co = 50 + rng.normal(), 40.0 if i >= 2 * 7 * 144 else 50 + 8 * rng.normal()
+        when = datetime(2026, 3, 2, tzinfo=UTC) + timedelta(minutes=10 * i)
+        lines.append(f"{when:%Y-%m-%d %H:%M},50,{pv:.3f},{co:.3f},50,{pv:.3f},{co:.3f}")
+    path = tmp_path / "both.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    rows = audit_task(Task(("FIC46001", "TI"), (path,)), AuditSettings(0))
+    write_results(tmp_path, rows, [], [])
+    told = json.loads((tmp_path / "audit.json").read_text(encoding="utf-8"))["over_time"]
+    assert [(one["area"], one["begin"], one["loops"], one["in_automatic"]) for one in told] == [
+        (area, begin, loops, share)
+        for area, loops in (("all", 2), ("46", 1))
+        for begin, share in (("2026-03-02", 1.0), ("2026-03-09", 1.0), ("2026-03-16", pytest.approx(0.0, abs=0.01)))
+    ]
+    assert all(part["days"] == 7 for part in told)

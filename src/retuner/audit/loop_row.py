@@ -6,7 +6,7 @@ with that of an earlier audit. A loop that fails is a row with the reason.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.audit.attainable import Foreseen, foreseen
-from retuner.adaptive.audit.loop_screen import LoopScreen, joined_screen, screen_loop
+from retuner.adaptive.audit.loop_screen import DAY_S, LoopScreen, joined_screen, screen_loop
+from retuner.adaptive.audit.over_time import MONDAY_S, NUMBERS, PartOfTime, joined_parts, over_time, period_of
 from retuner.adaptive.audit.tracks import damped_track, swing_track, trend_track
 from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, asks, loop_verdict, with_foreseen
 from retuner.adaptive.audit.windows import spread_over, stretches_of_interest
@@ -29,13 +30,15 @@ from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.report.what_if import of_diagnosis
 
-SCHEMA = 5
+SCHEMA = 6
 """Version of a row's keys."""
 OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
 """Causes by which a loop oscillates of itself."""
 DRAWN = 1_200
 """Points of a trend that are drawn: twice as many as a screen has columns, lowest and highest of each."""
 DRAWN_OF_A_STRETCH = 600
+FEWEST_PARTS = 2
+"""Days or weeks of a loop that are a course."""
 HALF = 0.5
 """No confidence is told of what is no likelier than not."""
 Row = dict[str, object]
@@ -140,6 +143,8 @@ class _Seen:
     begin_s: float | None = None
     end_s: float = 0.0
     tracks: Row = field(default_factory=dict)
+    period_s: float | None = None
+    course: list[PartOfTime] = field(default_factory=list)
 
     def add(self, record: LoopRecord, settings: AuditSettings) -> None:
         """Screen a record and diagnose its telling stretches; without a setpoint nothing can be diagnosed."""
@@ -148,7 +153,13 @@ class _Seen:
         screen = screen_loop(window, setpoint=known)
         if not self.screens:
             self.begin_s = record.begin_s
+            self.period_s = period_of(float(window.t_s[-1] - window.t_s[0]))
         later_s = record.begin_s - self.begin_s if record.begin_s is not None and self.begin_s is not None else 0.0
+        if self.period_s is not None:
+            first_s = float(window.t_s[0]) if record.begin_s is None else MONDAY_S - record.begin_s
+            swings = screen.swinging > 0
+            parts = over_time(window, self.period_s, first_s, setpoint=known, swings=swings)
+            self.course += [replace(part, begin_s=round(part.begin_s + later_s)) for part in parts]
         for stretch in stretches_of_interest(window, screen.period_s, settings.stretches if known else 0):
             found = diagnose_record(stretch)
             told = found.diagnosis
@@ -213,7 +224,21 @@ def _judged(tag: str, seen: _Seen, *, common_clock: bool) -> Row:
         "tracks": seen.tracks if common_clock else {},
         "stretches": [part.shown for part in seen.parts],
         "trend": _one_trend(seen.trends),
+        "over_time": _course(seen),
     }
+
+
+def _course(seen: _Seen) -> Row | None:
+    """How the loop ran part by part of its time, as lists; None where it has no course."""
+    parts = joined_parts(seen.course)
+    if seen.period_s is None or len(parts) < FEWEST_PARTS:
+        return None
+    told: Row = {
+        one.name: [None if math.isnan(value := getattr(part, one.name)) else float(f"{value:.4g}") for part in parts]
+        for one in NUMBERS
+    }
+    begins = [_moment(seen.begin_s, part.begin_s) or f"{part.begin_s / DAY_S:g} d" for part in parts]
+    return {"days": seen.period_s / DAY_S, "begin": [begin[:10] for begin in begins], **told}
 
 
 def _one_trend(trends: Sequence[tuple[float, Trend]]) -> Trend:

@@ -21,13 +21,14 @@ from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, Action
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit.catalogue import Catalogue
 from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault, smaller
+from retuner.audit.plant_course import AREA, PlantCourse
 from retuner.decision_page.html import palette
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 from retuner.report.what_if import page_script, panel_style
 
 TRACKS = "tracks"
-NOT_LISTED = frozenset({"trend", "stretches", "what_if", TRACKS})
+NOT_LISTED = frozenset({"trend", "stretches", "what_if", "over_time", TRACKS})
 """What is large of a row: its pictures, and what only the comparison of loops needs."""
 SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Cause.UNKNOWN, Cause.STICTION)})
 """Causes that a swing in step with a root's takes the place of."""
@@ -270,15 +271,17 @@ def write_results(
     before: Sequence[Row],
     refused: Sequence[tuple[Path, str]],
     sources: Sequence[Path] = (),
+    area: str = AREA,
 ) -> list[Row]:
     """Write the page, audit.json, and audit.parquet where pyarrow is installed; the ranked rows.
 
     Parameters
     ----------
     folder : of the audit. rows : of its loops. before : of an earlier audit. refused : files with the reason. sources :
-    what was audited.
+    what was audited. area : pattern of the area in a tag.
     """
-    listed, groups = ranked(_with_pictures(folder, rows), before)
+    course = PlantCourse(area)
+    listed, groups = ranked(_with_pictures(folder, rows, course), before)
     told = summary(listed, len(refused))
     document = {
         "schema": SCHEMA,
@@ -286,6 +289,7 @@ def write_results(
         "about": about(listed, sources),
         "rows": listed,
         "groups": [asdict(group) for group in groups],
+        "over_time": course.to_list(),
         "refused": [{"file": str(path), "reason": reason} for path, reason in refused],
     }
     write_whole(folder / "audit.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
@@ -298,14 +302,15 @@ def write_results(
     return listed
 
 
-def _with_pictures(folder: Path, rows: Iterable[Row]) -> Iterable[Row]:
-    """The rows, each written with its trends into a file of its own on the way.
+def _with_pictures(folder: Path, rows: Iterable[Row], course: PlantCourse) -> Iterable[Row]:
+    """The rows, each written with its trends into a file of its own on the way, its course into the plant's.
 
     A power cut may cost such a file, not the row: the same command writes it again.
     """
     (folder / "loops").mkdir(exist_ok=True)
     for number, row in enumerate(rows, start=1):
         row["file"] = f"{number}.js"
+        course.add(row)
         shown = {name: value for name, value in row.items() if name != TRACKS}
         (folder / "loops" / f"{number}.js").write_text(f"loop({_script(shown)});\n", encoding="utf-8")
         yield row

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from retuner.audit.catalogue import Catalogue, Task, catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row, is_fault
 from retuner.audit.planning import Pass, diagnosing, expected, screening
+from retuner.audit.plant_course import AREA
 from retuner.audit.result_store import ResultStore, rows_of
 from retuner.audit.results import mean_error, summary, write_joined, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine, processes
@@ -45,6 +46,7 @@ class AuditOptions(FormOptions):
     diagnose: Annotated[
         float, typer.Option(help="Share of the loops that is diagnosed, in percent: the worst by the screening.")
     ] = 100.0
+    area: Annotated[str, typer.Option(help="Area in a tag: its first group.", metavar="REGEX")] = AREA
     since: Annotated[Path | None, typer.Option(help="Folder of an earlier audit: what became worse?")] = None
     jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A dask cluster that does the work.")] = ""
@@ -65,12 +67,13 @@ def audit(options: AuditOptions) -> int:
     with user_input("--stretches"):
         settings = AuditSettings(options.stretches, form)
     _refuse_share(options.diagnose)
+    _refuse_pattern("--area", options.area)
     before = rows_of(options.since) if options.since is not None else []
     found = _catalogued(options, settings)
     with ResultStore(options.out) as store:
         write_joined(options.out / JOINED, found)
         stopped = _work(found, settings, options, store)
-        rows = write_results(options.out, store.rows(), before, found.refused, options.sources)
+        rows = write_results(options.out, store.rows(), before, found.refused, options.sources, options.area)
     _tell(rows, found, options)
     if stopped:
         left = len(found.tags) - len(rows)
@@ -86,13 +89,18 @@ def _refuse_share(percent: float) -> None:
         raise UserError(f"--diagnose {percent:g}: give 0 to 100 percent of the loops")
 
 
+def _refuse_pattern(option: str, text: str) -> None:
+    """Refuse what is no regular expression."""
+    try:
+        re.compile(text)
+    except re.error as error:
+        raise UserError(f"{option} {text}: {error}; give a regular expression") from error
+
+
 def _catalogued(options: AuditOptions, settings: AuditSettings) -> Catalogue:
     """The plant's loops."""
     files = files_of(options.sources)
-    try:
-        re.compile(options.tag_pattern)
-    except re.error as error:
-        raise UserError(f"--tag-pattern {options.tag_pattern}: {error}; give a regular expression") from error
+    _refuse_pattern("--tag-pattern", options.tag_pattern)
     found = catalogue(files, settings.form, options.tag_pattern)
     if not found.tasks:
         why = f"; {found.refused[0][1]}" if found.refused else ""
