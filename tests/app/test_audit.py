@@ -21,6 +21,7 @@ from retuner.cli import main
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError, read_recording
 from retuner.errors import UserError
+from retuner.schedule.controller_units import ControllerUnits
 
 DATA = Path(__file__).parent.parent / "data"
 VALVE = DATA / "plant" / "FIC20102_1016_12.csv"
@@ -402,3 +403,10 @@ def test_a_plant_is_told_week_by_week_by_area(tmp_path: Path) -> None:
         for begin, share in (("2026-03-02", 1.0), ("2026-03-09", 1.0), ("2026-03-16", pytest.approx(0.0, abs=0.01)))
     ]
     assert all(part["days"] == 7 for part in told)
+
+
+def test_the_page_knows_whose_controllers_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_results(tmp_path, [row("A", 0.5)], [], [], controller=ControllerUnits.named("deltav-standard", pv_span=200.0))
+    assert '"controller": {"name": "deltav-standard", "span": 200.0}' in (tmp_path / "audit-data.js").read_text()
+    assert main(["audit", str(tmp_path), "--controller", "deltav-standard"]) == 2
+    assert "give --pv-span" in capsys.readouterr().err

@@ -317,7 +317,9 @@ def _settings(cure: RecordDiagnosis | None) -> Row | None:
     if cure is None or cure.settings is None:
         return None
     told = cure.settings.to_dict()
-    return {name: told[name] for name in ("gains", "form", "margins")} | {"first_step": cure.aim is not None}
+    return {name: told[name] for name in ("gains", "form", "parallel", "margins")} | {
+        "first_step": cure.aim is not None
+    }
 
 
 def _what_if(cure: RecordDiagnosis | None, parts: Sequence[Part]) -> Row | None:

@@ -26,6 +26,7 @@ from retuner.decision_page.html import palette
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 from retuner.report.what_if import page_script, panel_style
+from retuner.schedule.controller_units import ControllerUnits
 
 TRACKS = "tracks"
 NOT_LISTED = frozenset({"trend", "stretches", "what_if", "over_time", TRACKS})
@@ -272,13 +273,15 @@ def write_results(
     refused: Sequence[tuple[Path, str]],
     sources: Sequence[Path] = (),
     area: str = AREA,
+    controller: ControllerUnits | None = None,
 ) -> list[Row]:
     """Write the page, audit.json, and audit.parquet where pyarrow is installed; the ranked rows.
 
     Parameters
     ----------
     folder : of the audit. rows : of its loops. before : of an earlier audit. refused : files with the reason. sources :
-    what was audited. area : pattern of the area in a tag.
+    what was audited. area : pattern of the area in a tag. controller :
+    whose settings the page shows, None for gain and seconds.
     """
     course = PlantCourse(area)
     listed, groups = ranked(_with_pictures(folder, rows, course), before)
@@ -294,6 +297,7 @@ def write_results(
     }
     write_whole(folder / "audit.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
     page = {**document, "rows": [_for_the_page(row, folder) for row in listed], "since": bool(before)}
+    page["controller"] = {"name": controller.name, "span": controller.pv_span} if controller is not None else None
     write_whole(folder / "audit-data.js", "const AUDIT = " + _script(page) + ";\n")
     template = files("retuner.templates").joinpath("audit.html").read_text(encoding="utf-8")
     whole = template.replace("/*STYLE*/", palette() + panel_style()).replace("/*WHAT-IF*/", page_script())

@@ -17,7 +17,7 @@ from retuner.audit.plant_course import AREA
 from retuner.audit.result_store import ResultStore, rows_of
 from retuner.audit.results import mean_error, summary, write_joined, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine, processes
-from retuner.commands.options import FormOptions, Json, signed_by
+from retuner.commands.options import Controller, FormOptions, Json, PvSpan, controller_units, signed_by
 from retuner.commands.recorded.record_form import record_form
 from retuner.errors import UserError, user_input
 from retuner.report.console import screen_console
@@ -47,6 +47,8 @@ class AuditOptions(FormOptions):
         float, typer.Option(help="Share of the loops that is diagnosed, in percent: the worst by the screening.")
     ] = 100.0
     area: Annotated[str, typer.Option(help="Area in a tag: its first group.", metavar="REGEX")] = AREA
+    controller: Controller = None
+    pv_span: PvSpan = None
     since: Annotated[Path | None, typer.Option(help="Folder of an earlier audit: what became worse?")] = None
     jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A dask cluster that does the work.")] = ""
@@ -68,12 +70,13 @@ def audit(options: AuditOptions) -> int:
         settings = AuditSettings(options.stretches, form)
     _refuse_share(options.diagnose)
     _refuse_pattern("--area", options.area)
+    units = controller_units(options.controller, options.pv_span, None)
     before = rows_of(options.since) if options.since is not None else []
     found = _catalogued(options, settings)
     with ResultStore(options.out) as store:
         write_joined(options.out / JOINED, found)
         stopped = _work(found, settings, options, store)
-        rows = write_results(options.out, store.rows(), before, found.refused, options.sources, options.area)
+        rows = write_results(options.out, store.rows(), before, found.refused, options.sources, options.area, units)
     _tell(rows, found, options)
     if stopped:
         left = len(found.tags) - len(rows)
