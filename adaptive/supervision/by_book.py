@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, dearer, shares
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
@@ -25,6 +26,7 @@ from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.border import borders_of
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
+from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Basis
@@ -85,7 +87,7 @@ ROUNDED = 0.99
 def by_all_samples(found: Findings) -> None:
     """What does the book of the region say, of all samples up to now?"""
     look, settings, record = found.question.look, found.settings.book, found.record
-    book = record.book
+    book, shown = record.book, shown_clearly(record.region_models.get(record.region), record.excitation, record.foreign)
     if look is not None:
         now_s, first_s = float(look.window.t_s[-1]), float(look.window.t_s[0])
         known = look.book or Book.begun(
@@ -93,11 +95,11 @@ def by_all_samples(found: Findings) -> None:
         )
         known = move(known, now_s - first_s, settings.hazard_s)
         book = found.book = update(known, look.window, grows=look.grows)
-    if book is not None:
+    if book is not None and not (look is None and shown):
         told = by_book(book, record.in_force, settings)
-        if found.verdict is not None and found.verdict.accepted:
+        if not shown and found.verdict is not None and found.verdict.accepted:
             _object(found, book, told, settings)
-        elif look is not None and _may_speak(found, look):
+        elif not shown and look is not None and _may_speak(found, look):
             _speak(found, look, book, told)
         found.all_samples = told.numbers
         if look is not None:
@@ -111,7 +113,7 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings) -
     verdict, record = found.verdict, found.record
     assert verdict is not None
     assert verdict.gains is not None
-    if record.table.lookup is not Lookup.HARD or not book.records or found.growth is not None or _shown_clearly(found):
+    if record.table.lookup is not Lookup.HARD or not book.records or found.growth is not None:
         return
     now, new, drawn = record.in_force, verdict.gains, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
@@ -139,7 +141,7 @@ def _may_speak(found: Findings, look: Look) -> bool:
         return False
     if found.question.alone and admitted(record, found.settings).ground in SPOILT:
         return False
-    return not (_shown_clearly(found) or one_tone(look.window))
+    return not one_tone(look.window)
 
 
 SPOILT = frozenset(
@@ -170,11 +172,9 @@ MOST_LIMITED = 0.02
 """Share of samples with the output at a limit up to which they show the loop."""
 
 
-def _shown_clearly(found: Findings) -> bool:
+def shown_clearly(known: RegionModel | None, excitation: Excitation, foreign: int) -> bool:
     """Whether clear setpoint steps have shown the process, and nothing speaks against that."""
-    record = found.record
-    known = record.region_models.get(record.region)
-    return known is not None and known.identifiable and record.excitation.clear > 0 and not record.foreign
+    return known is not None and known.identifiable and excitation.clear > 0 and not foreign
 
 
 def one_tone(window: Window) -> bool:

@@ -25,7 +25,7 @@ from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.by_book import look_after_s, look_of
+from retuner.adaptive.supervision.by_book import look_after_s, look_of, shown_clearly
 from retuner.adaptive.supervision.decision import (
     WRITES,
     Action,
@@ -206,6 +206,9 @@ class Retuner:
         if self.now_s < from_s + patience * after_s:
             return None
         self._alone_s = self.now_s + PATIENCE * after_s
+        known, rests_on = self.region_models.get(region), self.excitation.get(region, Excitation())
+        if not self.trials.busy and shown_clearly(known, rests_on, self.foreign.get(region, 0)):
+            return None  # not the book's case, and dear; the samples are kept until something speaks against the model
         return look_of(samples, self.books.get(region), gains, since_s, after_s, dt_s)
 
     @property

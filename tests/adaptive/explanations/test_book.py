@@ -11,6 +11,7 @@ from retuner import PidController, PidGains
 from retuner.adaptive.explanations.book import ODD, Book, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, dearer
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.supervision import pipeline, retuner
 from retuner.adaptive.supervision.by_book import one_tone
 from retuner.adaptive.supervision.decision import Action
 from retuner.schedule.pid import law, start, step
@@ -149,16 +150,24 @@ def watched(pid: PidController, seed: int, n: int, memory_at: int = 0) -> tuple[
     return told, pid
 
 
+@pytest.fixture
+def by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No stage but the book's: the others take seconds for each response to a load."""
+    monkeypatch.setattr(pipeline, "STAGES", tuple(stage for stage in pipeline.STAGES if stage.alone))
+
+
 def controller(times: float) -> PidController:
     return PidController(scaled(times), dt_s=1.0, pv_range=(0.0, 100.0), co_range=(-1e6, 1e6), mode="auto")
 
 
+@pytest.mark.usefixtures("by_itself")
 def test_a_loop_that_is_too_tight_is_calmed_without_a_setpoint_step() -> None:
     _, pid = watched(controller(2.7), 4, 2200)
     assert pid.gains.kp < 2.0 * GOOD.kp
     assert pid.gains.kp > 0.3 * GOOD.kp
 
 
+@pytest.mark.usefixtures("by_itself")
 def test_the_book_is_in_the_memory() -> None:
     whole, one = watched(controller(0.25), 4, 1800)
     parts, other = watched(controller(0.25), 4, 1800, memory_at=1300)
@@ -167,6 +176,15 @@ def test_the_book_is_in_the_memory() -> None:
     assert one.retuner.books[0].records
     assert any(json.loads(body).get("all_samples") for body in whole)
     assert all(json.loads(body)["action"] in set(Action) for body in whole)
+
+
+@pytest.mark.usefixtures("by_itself")
+def test_nothing_is_looked_at_where_clear_setpoint_steps_have_shown_the_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(retuner, "shown_clearly", lambda *_: True)
+    _, pid = watched(controller(2.7), 4, 2200)
+    assert not pid.retuner.books
 
 
 def test_one_lasting_tone_is_told_from_a_load_that_wanders() -> None:
