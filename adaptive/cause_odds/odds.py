@@ -254,11 +254,11 @@ def _under_steps(
     for window, found in open_ones:
         told = found.diagnosis
         tone = _one_tone(window, found, settings)
-        if told.cause == Cause.UNKNOWN and not tone:
-            continue
         if told.cause == Cause.UNKNOWN:
+            if not tone and not _tone_is_white(found, settings):
+                continue
             told = replace(told, cause=Cause.EXTERNAL, confidence=HALF)
-        weight = max(_weight_of_steps(found, walk, settings), tone)
+        weight = max(_weight_of_steps(told.cause, found, walk, settings), tone)
         shares = {cause: (1 - told.confidence) * p for cause, p in under_walk.items()}  # where steps are silent
         shares[told.cause] = shares.get(told.cause, 0.0) + told.confidence
         for cause in {*shares, *total}:
@@ -294,17 +294,29 @@ BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The fit that a verdict rests on; the loop by itself for all others."""
 
 
-def _weight_of_steps(found: Found, walk: Walk, settings: OddsSettings) -> float:
-    """Probability that loads are the steps, or the tone, of a verdict, against a load that wanders."""
-    fit = found.fits.get(BEHIND.get(found.diagnosis.cause, "linear"))
+def _tone_is_white(found: Found, settings: OddsSettings) -> bool:
+    """Whether a verdict of steps left open what one lasting tone explains to the noise, and likelier than the loop."""
+    fit = found.fits.get("external")
+    likelier = found.diagnosis.evidence.get("external_lead", 0.0) > 0.0
+    return fit is not None and likelier and _lasts(found) and _white(fit, settings)
+
+
+def _white(fit: Candidate, settings: OddsSettings) -> bool:
+    """Whether a fit with few load steps leaves noise alone: no load that wanders leaves that."""
+    noise = fit.fit.misfit.record.noise_std
+    return fit.colour.std <= settings.noise_left * noise and fit.fit.misfit.loads <= settings.few_loads
+
+
+def _weight_of_steps(cause: Cause, found: Found, walk: Walk, settings: OddsSettings) -> float:
+    """Probability that loads are the steps, or the tone, that a cause rests on, against a load that wanders."""
+    fit = found.fits.get(BEHIND.get(cause, "linear"))
     if fit is None:
-        return settings.tone_alone if found.diagnosis.cause == Cause.EXTERNAL else HALF
-    record = fit.fit.misfit.record
-    lead = len(record.pv) * (_per_sample(fit, len(record.pv), walk) - walk.best)
-    most = settings.tone_alone if found.diagnosis.cause == Cause.EXTERNAL else 1.0
-    white = fit.colour.std <= settings.noise_left * record.noise_std
-    if white and fit.fit.misfit.loads <= settings.few_loads:
-        lead = max(lead, 0.0)
+        return settings.tone_alone if cause == Cause.EXTERNAL else HALF
+    samples = len(fit.fit.misfit.record.pv)
+    lead = samples * (_per_sample(fit, samples, walk) - walk.best)
+    most = settings.tone_alone if cause == Cause.EXTERNAL else 1.0
+    if _white(fit, settings):
+        lead, most = max(lead, 0.0), 1.0
     return most / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
 
 

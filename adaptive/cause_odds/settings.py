@@ -27,8 +27,9 @@ class OddsSettings:
         records). stands : where it stands and a drifting load may do so too; 2 to 30, default 10.
     noise_left : what a fit with few_loads load steps or fewer may leave, in times the noise, and be at least as likely
         as not, however well a load that wanders does; 1 to 1.5, default 1.15. few_loads : 0 to 4, default 2.
-    tone_alone : probability, at the most, of a tone from outside beside a load that wanders; 0.5 to 0.95, default 0.6
-        (of 5 loops under real loads where it was likelier than any walk it was behind none).
+    tone_alone : probability, at the most, of a tone from outside beside a load that wanders, where it does not leave
+        the noise alone; 0.5 to 0.95, default 0.6 (of 5 loops under real loads where it was likelier than any walk it
+        was behind none).
     tone_from, tone_to : share of pv's variance in one lasting tone from which, and up to which, a record without a
         setpoint step is taken for that tone; 0.2 to 1, default 0.4 and 0.6 (loops near instability under real loads
         0 to 0.38 in 28 of 29, tones and narrow bands 0.41 to 1).
