@@ -5,8 +5,8 @@ class        in order (Ms up to 1.75, half of them calmer still), sluggish (Kc x
 load         a piece of the co of a real loop, stretched by 0.5 to 1.5, at the process input
 noise        0.2 to 6 % of pv's span; pv and co quantised in 7 of 10
 setpoint     real: a piece of a real one in 6 of 10; none; step4, step8: one step out and back of 4 or 8 times the
-             standard deviation that the load gives pv; bends: step8 in a loop in order whose process gain is 2.5 to 6
-             times larger at one end of pv than at the other
+             standard deviation that the load gives pv; bends: three steps of 4 one after another and back, in a loop
+             in order whose process gain is 2.5 to 6 times larger at one end of pv than at the other
 """
 
 import csv
@@ -21,7 +21,7 @@ import numpy as np
 from world.process import FloatArray, TrueProcess, drawn_process, margins, simc, simulated
 
 CLASSES = ("ok", "sluggish", "aggressive", "stiction")
-SETS = {"real": 0, "none": 1, "step4": 4, "step8": 8, "bends": 8}
+SETS = {"real": 0, "none": 1, "step4": 4, "step8": 8, "bends": 12}
 BENDS = "nonlinear"
 """The cause of every loop of the set bends."""
 SAMPLES, DT_S = 751, 10.0
@@ -114,7 +114,10 @@ def setpoint(
 ) -> FloatArray:
     """The setpoint of a set. std : of pv under the load."""
     sp = np.zeros(SAMPLES)
-    if SETS[kind] > 1:
+    if kind == "bends":
+        levels = np.repeat([0, 1, 2, 3, 2, 1, 0, 1], -(-SAMPLES // 8))[:SAMPLES]
+        sp = levels * 4.0 * std * (1 if rng.random() < 0.5 else -1)
+    elif SETS[kind] > 1:
         first = int(rng.integers(SAMPLES // 8, SAMPLES // 3))
         last = first + int(rng.integers(SAMPLES // 5, SAMPLES // 2))
         sp[first:last] = SETS[kind] * std * (1 if rng.random() < 0.5 else -1)
