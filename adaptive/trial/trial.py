@@ -61,13 +61,6 @@ class Trial:
         lost = said is not None and said.unstable_before and bool(self.old.ki)  # without ki none comes to rest
         return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, swings, lost)
 
-    def may_be_ours(self, gains: PidGains) -> bool:
-        """Whether gains in force may be a set that was promised and written: a person's comes without a promise.
-
-        True where nothing was ever changed here: then nobody is known to have set them since.
-        """
-        return self.new is None or (self.promise is not None and self.ran and gains == self.new)
-
     def with_earlier(self, gains: PidGains | None) -> "Trial":
         """The same with one more set that ran here."""
         if gains is None:
