@@ -188,7 +188,7 @@ def test_it_reads_well_in_eight_lines(tmp_path, capsys):
 def test_a_change_is_told_by_what_it_does(tmp_path, capsys):
     assert main(["diagnose", str(loop(tmp_path / "a.csv", kc=7.0)), "--co-min", "-50", "--co-max", "100"]) == 0
     line = next(one for one in capsys.readouterr().out.splitlines() if one.startswith("  with these"))
-    found = re.search(r"mean error (\d+) % .*overshoot (\d+) % > (\d+) %, settles in .* Ms (\S+) > (\S+)$", line)
+    found = re.search(r"mean error (\d+) % .*overshoot (\d+) % -> (\d+) %, settles in .* Ms (\S+) -> (\S+)$", line)
     assert found
     error, before, after = (int(found[i]) for i in (1, 2, 3))
     assert error < 90

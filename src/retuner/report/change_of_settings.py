@@ -55,7 +55,7 @@ def step_words(change: Change) -> str:
     until_s = settling_s(change.seen, change.recommended)
     each = [_StepFigures.of(change.seen, gains, until_s) for gains in sets]
     names = (("overshoot", "overshoot"), ("settling", "settles in"), ("ms", "Ms"))
-    return ", ".join(f"{title} {' > '.join(getattr(one, name) for one in each)}" for name, title in names)
+    return ", ".join(f"{title} {' -> '.join(getattr(one, name) for one in each)}" for name, title in names)
 
 
 @dataclass(frozen=True, slots=True)
