@@ -53,7 +53,7 @@ class SimulatedClock:
             dt_s is negative or not finite.
         """
         if not (math.isfinite(dt_s) and dt_s >= 0):
-            raise ValueError(f"dt_s = {dt_s}: time goes forward by a finite number of seconds")
+            raise ValueError(f"dt_s = {dt_s}: give a positive, finite number of seconds")
         self._now_s += dt_s
 
     def wait_until(self, t_s: float) -> None:

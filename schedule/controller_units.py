@@ -121,7 +121,7 @@ class ControllerUnits:
             vendor = ""
             dials, form = _of_units(name)
         if pv_span is None and told_of_spans(name):
-            raise ValueError(f"{name} is told of spans: give pv_span")
+            raise ValueError(f"{name} counts in percent of spans: give pv_span")
         if action is not None and action not in tuple(Acting):
             raise ValueError(f"action = {action!r} is unknown; use {' or '.join(Acting)}")
         acting = None if action is None else Acting(action)
@@ -169,11 +169,15 @@ class ControllerUnits:
             if not math.isfinite(value):
                 raise ValueError(f"{dial.key} = {value} is not a finite number")
         if self.action is not None and gain < 0:
-            raise ValueError(f"{self.dials[0].key} = {gain:g}: the action says the direction; give a positive number")
+            raise ValueError(
+                f"{self.dials[0].key} = {gain:g}: with an action gains have no sign; give a positive number"
+            )
         if derivative and self.dials[2] == NO_DERIVATIVE:
             raise ValueError(f"{self.controller} has no derivative action: leave {derivative:g} out")
         if integral is not None and integral <= 0 and self.dials[1].quantity in {Quantity.TN, Quantity.KI_TIME}:
-            raise ValueError(f"{self.dials[1].key} = {integral:g} must be positive; none at all is no integral action")
+            raise ValueError(
+                f"{self.dials[1].key} = {integral:g} must be positive; leave it out for no integral action"
+            )
         named = {str(dial.quantity): value for dial, value in zip(self.dials, values, strict=True)}
         return self._vendor(self.form).of(named)
 
@@ -186,7 +190,7 @@ class ControllerUnits:
             There is no proportional action, which only "parallel" can say; or a number is beyond what numbers hold.
         """
         if gains.kd and self.dials[2] == NO_DERIVATIVE:
-            raise ValueError(f"{self.controller} has no derivative action, and these gains have some; ask for kind pi")
+            raise ValueError(f"{self.controller} has no derivative action, but these gains do; use kind pi")
         try:
             form, found = self.form, self._vendor(self.form).numbers(gains)
         except ValueError:

@@ -264,7 +264,7 @@ class VendorUnits:
             (gains.kd, "derivative", DERIVATIVE),
         ):
             if value and not has.intersection(quantities):
-                raise ValueError(f"the controller has no number for {name} action, and this set has some")
+                raise ValueError(f"the controller has no number for {name} action, but this set uses it")
 
     def _shown(self, gains: PidGains) -> IdealGains | SeriesGains | None:
         """The set in the form that the controller's times are told of; None where it needs none."""
@@ -310,7 +310,7 @@ def _wanted(
 def _kept(gain: VendorGain, wanted: float | None) -> float:
     if wanted is None or (wanted == 0 and gain.off is not None):
         if gain.off is None:
-            raise ValueError("the set has no integral action, and no number says so; give `off`")
+            raise ValueError("the set has no integral action, and the controller has no number for that; give `off`")
         return gain.off
     number = gain.holds.nearest(wanted / gain.scale)
     if number == 0 and wanted and gain.quantity not in DERIVATIVE:

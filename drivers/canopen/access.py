@@ -261,7 +261,7 @@ class CanOpenAccess:
         for name, number in numbers.items():
             place = self._written.get(name)
             if place is None:
-                raise ValueError(f"the mapping says nothing of {name}")
+                raise ValueError(f"the mapping has no entry for {name}")
             variable = place.variable
             try:
                 value = holds(variable).nearest((number - place.offset) / place.scale)

@@ -76,7 +76,7 @@ def read_eds(path: Path, node: int) -> Dictionary:
             dictionary = canopen.import_od(text, node)
     except PARSING_ERRORS as error:
         told = " ".join(str(error).split())[:SHOWN]
-        raise ProfileError(f"{path}: is no usable EDS: {told or type(error).__name__}", ("eds",)) from None
+        raise ProfileError(f"{path}: cannot be used as an EDS: {told or type(error).__name__}", ("eds",)) from None
     if not len(dictionary):
         raise ProfileError(f"{path}: describes no object; is it an EDS?", ("eds",))
     return dictionary
@@ -110,7 +110,7 @@ class EdsFile:
         where = f"{self.source}: object {text_of(found)} ({found.name})"
         numeric = found.data_type in datatypes.NUMBER_TYPES
         if not numeric or len(found) > 8 * WIDEST:
-            raise ProfileError(f"{where} is no number of at most {WIDEST} bytes", (*key, "object"))
+            raise ProfileError(f"{where} is not a number of at most {WIDEST} bytes", (*key, "object"))
         if written and not found.writable:
             raise ProfileError(f"{where} cannot be written ({found.access_type})", (*key, "object"))
         if read and not found.readable:

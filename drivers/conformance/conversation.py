@@ -240,7 +240,7 @@ class Conversation:
             if self.reason(Kind.LEASE, self.lease()) is Reason.OK:
                 return
             self.counter(100)
-        raise NoAnswerError("the lease is not given; is another host there?")
+        raise NoAnswerError("the device does not grant the lease; is another host connected?")
 
     def fresh_seq(self) -> int:
         """A number newer than all that the device has seen."""

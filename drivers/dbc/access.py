@@ -291,7 +291,7 @@ class DbcAccess:
         for name, number in numbers.items():
             place = self._written.get(name)
             if place is None:
-                raise ValueError(f"the mapping says nothing of {name}")
+                raise ValueError(f"the mapping has no entry for {name}")
             value = (number - place.offset) / place.scale
             try:
                 value = place.holds().nearest(value)

@@ -202,7 +202,7 @@ def read_dbc_file(path: Path) -> Database:
     try:  # flaws of messages that nobody needs do no harm; DbcFile.layout looks at those that are needed
         database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except PARSING_ERRORS as error:
-        raise ProfileError(f"{path}: is no usable DBC: {' '.join(str(error).split())[:200]}", ("dbc",)) from None
+        raise ProfileError(f"{path}: cannot be used as a DBC: {' '.join(str(error).split())[:200]}", ("dbc",)) from None
     if not isinstance(database, Database) or not database.messages:
         raise ProfileError(f"{path}: describes no message; is it a DBC?", ("dbc",))
     return database

@@ -45,7 +45,7 @@ def decimal_mark(table: RawTable, places: Iterable[int], form: RecordForm) -> tu
         return ".", ()
     if all(THREE_AFTER.fullmatch(f) for f in commas):
         raise RecordingError(
-            f"{table.source}: {commas[0]} may be a thousand or a fraction; say --decimal , or --decimal ."
+            f"{table.source}: {commas[0]} may separate thousands or decimals; give --decimal , or --decimal ."
         )
     return ",", (Assumption("decimal comma", 'decimal = ","'),)
 
@@ -95,7 +95,7 @@ def numbers(table: RawTable, place: int, decimal: str, form: RecordForm) -> Floa
     column = table.columns[place]
     if isinstance(column, np.ndarray):
         if column.dtype.kind == "M":
-            raise RecordingError(f"{table.source}: {table.names[place]} holds times; a number is wanted")
+            raise RecordingError(f"{table.source}: {table.names[place]} holds times; name a column of numbers")
         values: FloatArray = column.astype(np.float64, copy=False)
         return values if all_finite(values) else np.where(np.isfinite(values), values, np.nan)
     missing = MISSING | {word.strip().lower() for word in form.bad}
@@ -148,4 +148,4 @@ def good(table: RawTable, place: int, form: RecordForm) -> np.ndarray:
         if opc.any():
             return opc
     shown, name = ", ".join(sorted(seen)[:6]), table.names[place]
-    raise RecordingError(f"{table.source}: quality {name} is {shown}; say --good with the one that is good")
+    raise RecordingError(f"{table.source}: quality {name} is {shown}; name the good value with --good")

@@ -110,7 +110,9 @@ def read_records(
     ]
     tags = {record.tag for record in found}
     if len(tags) > 1:
-        raise RecordingError(f"records of {len(tags)} loops: {_listed(sorted(tags))}; give those of one, or say --tag")
+        raise RecordingError(
+            f"records of {len(tags)} loops: {_listed(sorted(tags))}; give those of one loop, or name it: --tag"
+        )
     return found
 
 
@@ -362,7 +364,7 @@ def _chosen(loops: Mapping[str, Mapping[str, Trend]], form: RecordForm, table: R
         tag, trends = next(iter(whole.items()))
         return _Loop(tag, trends)
     if whole:
-        raise RecordingError(f"{table.source}: {len(whole)} loops in it; say --tag with one of {_listed(whole)}")
+        raise RecordingError(f"{table.source}: {len(whole)} loops in it; name one with --tag: {_listed(whole)}")
     roles = {role for trends in loops.values() for role in trends}
     missing, there = "co" if "pv" in roles else "pv", _listed(table.names)
     raise RecordingError(

@@ -82,10 +82,10 @@ def text_table(path: Path, text: str, assumed: tuple[Assumption, ...], form: Rec
     """The table of a text; assumed : what was found out of its encoding. Errors as read_text_table."""
     if "\0" in text:
         number = text[: text.index("\0")].count("\n") + 1
-        raise RecordingError(f"{path}:{number}: a NUL byte; this is no text file")
+        raise RecordingError(f"{path}:{number}: a NUL byte: not a text file")
     lines = [(i, line.lstrip("# ")) for i, line in enumerate(text.splitlines(), start=1) if line.strip("# ")]
     if not lines:
-        raise RecordingError(f"{path}: there is nothing in it; give a record with time, pv and co")
+        raise RecordingError(f"{path}: is empty; give a record with time, pv and co")
     delimiter = DELIMITERS.get(form.delimiter) or _delimiter([line for _, line in _sample(lines)])
     rows = [(number, _fields(path, number, line, delimiter)) for number, line in lines]
     rows = [(number, fields) for number, fields in rows if any(field.strip() for field in fields)]

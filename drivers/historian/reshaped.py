@@ -48,7 +48,7 @@ def annotated_table(source: str, text: str) -> RawTable:
         if filled:
             rows += _values(source, [(number, next(csv.reader([line]))) for number, line in block])
     if not rows:
-        raise RecordingError(f"{source}: annotated, and no value in it")
+        raise RecordingError(f"{source}: has annotations but no values")
     names = _short(sorted({name for _, _, name, _ in rows}))
     columns = ([r[0] for r in rows], [r[1] for r in rows], [names[r[2]] for r in rows])
     told = Assumption("annotated CSV of InfluxDB")

@@ -52,7 +52,7 @@ class Scaling:
         if not np.all(np.isfinite(ends)):
             raise ValueError(f"{ends}: give finite numbers")
         if self.raw_low == self.raw_high or self.low == self.high:
-            raise ValueError(f"{self.text()}: two ends are the same; a range has room between them")
+            raise ValueError(f"{self.text()}: the two ends are equal; give a range")
 
     @classmethod
     def of(cls, text: str) -> "Scaling":

@@ -211,7 +211,7 @@ def _stamps(
     if place is None:
         raise RecordingError(
             f'{table.source}: no column "t"; there is {", ".join(table.names[:12])}; name it as in --columns t=NAME, '
-            "or say --dt with the seconds between rows"
+            "or give --dt, the seconds between rows"
         )
     _refuse_repeated(table, place)
     if "t" not in form.columns:

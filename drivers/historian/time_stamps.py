@@ -146,13 +146,13 @@ def _of_usual_forms(texts: list[str], form: RecordForm, source: str, begins: Seq
                 "take the row out, or say --time-format"
             )
         raise RecordingError(
-            f"{source}: time {shown[:40]!a} is of no usual form; say --time-format as in %d.%m.%Y %H:%M:%S"
+            f"{source}: time {shown[:40]!a} has an unknown format; give --time-format, for example %d.%m.%Y %H:%M:%S"
         )
     (first, times), *others = _nearest_years(fitting).items()
     whole = quoted(_whole(first, texts[0]))
     for other, elsewhere in others:
         if not np.allclose(elsewhere - elsewhere[0], times - times[0], atol=1e-3, equal_nan=True):
-            raise RecordingError(f"{source}: {texts[0][:40]!a} may be {first} or {other}; say --time-format {whole}")
+            raise RecordingError(f"{source}: {texts[0][:40]!a} may be {first} or {other}; give --time-format {whole}")
     lettered = sorted({zone for text in texts if (zone := _letters(text))})
     if lettered:  # strptime knows no such zone, so there is no format to fix it with
         hours = ", ".join(f"{zone} as UTC{ZONES[zone]:+g} h" for zone in lettered)
@@ -300,7 +300,7 @@ def _timed(
         zoned = zoned or moment.tzinfo is not None
         found[i] = last = _seconds(moment, zone, last)
     if not zoned and any(_hour_comes_twice(piece) for piece in np.split(found, sorted(first))):
-        raise RecordingError(f"{source}: the clock goes back by an hour once; say --zone as in Europe/Berlin")
+        raise RecordingError(f"{source}: the clock goes back by one hour; give --zone, for example Europe/Berlin")
     return found
 
 

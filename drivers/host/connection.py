@@ -338,7 +338,9 @@ class CanDevice:
         """Start the two-phase write: see device.Device."""
         running, epoch = self._belief.running, self._belief.epoch
         if running is None or epoch is None or not self.connected:
-            raise WriteRefusedError(f"{self._where}: not connected, what runs is unknown; wait for LinkChanged(UP)")
+            raise WriteRefusedError(
+                f"{self._where}: not connected, so the active gains are unknown; wait for LinkChanged(UP)"
+            )
         if self._joiner.arrivals.state is Stream.INVALID and not back:
             raise WriteRefusedError(f"{self._where}: too many of the latest telemetry frames were wrong; wait")
         try:
@@ -364,7 +366,7 @@ class CanDevice:
         """Keep the running set: see device.Device."""
         running = self._belief.running
         if running is None:
-            raise WriteRefusedError(f"{self._where}: what runs is unknown, so it cannot be stored")
+            raise WriteRefusedError(f"{self._where}: the active gains are unknown, so they cannot be stored")
         self._command(lambda: self._requests.store(running.seq), now_s)
 
     def confirm(self, now_s: float) -> bool:

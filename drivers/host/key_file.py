@@ -50,7 +50,7 @@ def _private_text(path: Path) -> bytes:
             raise KeyFileError(f"key file {path}: belongs to user {about.st_uid}; it must be yours")
         if os.name == "posix" and about.st_mode & OTHERS:
             raise KeyFileError(
-                f"key file {path}: others may use it (mode {stat.S_IMODE(about.st_mode):o}); chmod 600 {path}"
+                f"key file {path}: others can read or write it (mode {stat.S_IMODE(about.st_mode):o}); chmod 600 {path}"
             )
         if about.st_size > LARGEST:
             raise KeyFileError(f"key file {path}: {about.st_size} bytes; a key has at most {LARGEST}")

@@ -99,7 +99,7 @@ class FmuModel:
         if found.type not in {*REAL, REAL_32}:
             raise PlantFaultError(f'= "{name}" is of type {found.type}; a loop needs a real number', key)
         if key == "input" and found.causality != "input":
-            raise PlantFaultError(f'= "{name}" is no input of the FMU but {found.causality}', key)
+            raise PlantFaultError(f'= "{name}" is not an input of the FMU but {found.causality}', key)
         return found
 
     def _initialise(self) -> None:
@@ -200,7 +200,7 @@ def _described(spec: ModelSpec) -> tuple[Any, str]:
     except FileNotFoundError:
         raise PlantFaultError(f'= "{spec.source}": there is no such file', "file") from None
     except Exception as error:  # noqa: BLE001  FMPy raises what its parts raise
-        raise PlantFaultError(f'= "{spec.source}" is no FMU that can be read: {error}', "file") from None
+        raise PlantFaultError(f'= "{spec.source}" cannot be read as an FMU: {error}', "file") from None
     if about.fmiVersion == "1.0":
         raise PlantFaultError(f'= "{spec.source}" is FMI 1.0; export it as FMI 2 or 3', "file")
     has = {CO_SIMULATION: about.coSimulation, MODEL_EXCHANGE: about.modelExchange}

@@ -43,7 +43,7 @@ def model_of(path: Path) -> LinearProcess:
     except (TypeError, ValueError) as error:
         raise PlantFaultError(f'= "{path}": {error}', "file") from None
     if model.zeta < 1:
-        raise PlantFaultError(f'= "{path}": a process that swings by itself; give it as state_space', "file")
+        raise PlantFaultError(f'= "{path}": the process oscillates by itself; give it as state_space', "file")
     return model.linear()
 
 
@@ -57,7 +57,7 @@ def load_of(process: LinearProcess, t_s: FloatArray, pv: FloatArray, co: FloatAr
     """
     dt_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else math.nan
     if len(t_s) < LEAST_ROWS or not dt_s > 0:
-        raise PlantFaultError(f"has {len(t_s)} rows, too few to tell its load", "record")
+        raise PlantFaultError(f"has {len(t_s)} rows, too few to separate its load", "record")
     even_s = np.arange(0.0, float(t_s[-1] - t_s[0]) + dt_s / 2, dt_s)
     pv, co = (np.interp(even_s, t_s - t_s[0], column) for column in (pv, co))
     plant = LinearPlant(process, start_co=float(co[0]), co_min=-math.inf, co_max=math.inf)

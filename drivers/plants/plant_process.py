@@ -84,7 +84,7 @@ class ModelInProcess:
             if self._clock.now_s() - self._asked_s >= self._patience_s:
                 self._end()
                 raise PlantFaultError(
-                    f"it hangs: a step has no answer within {self._patience_s:g} s of the machine's time (patience_s)"
+                    f"no answer to a step within {self._patience_s:g} s of the machine's time (patience_s)"
                 ) from None
             raise
         self._asked_s = None

@@ -129,5 +129,5 @@ def _takes(made: object, parameters: Mapping[str, object]) -> bool:
         for name, one in known.items():
             given = name in parameters or one.default is not one.empty or one.kind is one.VAR_POSITIONAL
             if not given:
-                raise PlantFaultError(f"has no {name}, which the class needs; add it", "parameters")
+                raise PlantFaultError(f"{name} is missing, and the class needs it", "parameters")
     return True

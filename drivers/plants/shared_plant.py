@@ -168,5 +168,5 @@ class PlantPort:
             The plant has moved.
         """
         if self.plant.t_s > 0:
-            raise ValueError(f"what holds pv = {pv} is not known of the model {self.settings.source}")
+            raise ValueError(f"the output that holds pv = {pv} is not known for the model {self.settings.source}")
         return self.settings.start_co

@@ -62,7 +62,7 @@ def any_way(old: Numbers, new: Numbers, back: bool) -> tuple[int, ...]:
     del old, new
     if back:
         return ()
-    raise WriteRefusedError("the set takes several messages, and nobody has proved the sets between")
+    raise WriteRefusedError("the set takes several messages, and the sets in between are not proved")
 
 
 def anything(gains: PidGains) -> bool:
@@ -448,7 +448,7 @@ class ForeignDevice:
     def send_mode(self, *, auto: bool, co: float, now_s: float) -> None:
         """Refused: a foreign controller's modes are its own, and switching them may start a motor."""
         del auto, co, now_s
-        raise WriteRefusedError(f"{self.settings.where}: its mode is not switched from here; do it at the device")
+        raise WriteRefusedError(f"{self.settings.where}: retuner cannot switch its mode; switch it at the device")
 
     def send_load(self, load: float, now_s: float) -> None:
         """Disturb a simulated plant, percent of co: see device.Device."""
@@ -461,7 +461,7 @@ class ForeignDevice:
 
     def _put(self, numbers: Numbers, now_s: float) -> None:
         if not all(map(math.isfinite, numbers.values())):
-            raise WriteRefusedError(f"{self.settings.where}: {numbers} are no finite numbers")
+            raise WriteRefusedError(f"{self.settings.where}: {numbers} are not finite numbers")
         try:
             self._access.put(numbers)
         except ValueError as error:
@@ -471,7 +471,7 @@ class ForeignDevice:
     def store(self, now_s: float) -> None:
         """Refused: when and where a foreign controller stores is its own business."""
         del now_s
-        raise WriteRefusedError(f"{self.settings.where}: gains are not stored from here; do it at the device")
+        raise WriteRefusedError(f"{self.settings.where}: retuner cannot store its gains; store them at the device")
 
     def confirm(self, now_s: float) -> bool:
         """Nothing waits for a confirmation here."""

@@ -60,9 +60,9 @@ def read_dbc(text: str, source: str) -> Database:
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=True)
     except PARSING_ERRORS as error:
-        raise DbcError(f"{source}: is no usable DBC: {' '.join(str(error).split())[:200]}") from None
+        raise DbcError(f"{source}: cannot be used as a DBC: {' '.join(str(error).split())[:200]}") from None
     if not isinstance(database, Database):
-        raise DbcError(f"{source}: is no CAN database")
+        raise DbcError(f"{source}: is not a CAN database")
     return database
 
 
@@ -125,12 +125,12 @@ def plans_of(database: Database, source: str) -> dict[int, _Plan]:
     names = sorted(layout.name for layout in database.messages)
     if names != sorted(NAMES):
         odd = ", ".join(sorted(set(names) ^ set(NAMES))) or "twice the same"
-        raise DbcError(f"{source}: has not the frames of this protocol: {odd}")
+        raise DbcError(f"{source}: lacks the frames of this protocol: {odd}")
     plans = {}
     for layout in database.messages:
         node, command = divmod(layout.frame_id, 1 << COMMAND_BITS)
         if node != 1 or layout.is_extended_frame or command in plans:
-            raise DbcError(f"{source}: {layout.name}: id {layout.frame_id} is not that of a frame of node 1 of its own")
+            raise DbcError(f"{source}: {layout.name}: id {layout.frame_id} is not the id of a frame of node 1")
         plans[command] = _plan(layout, source)
     return plans
 
@@ -142,7 +142,7 @@ def _plan(layout: Layout, source: str) -> _Plan:
     names = [field.name for field in fields(make)]
     if set(by_field) - {CHECKSUM.lower()} != set(names) or len(by_field) != len(layout.signals):
         odd = ", ".join(sorted(set(by_field) ^ set(names)))
-        raise DbcError(f"{source}: {layout.name} has not the signals of this protocol: {odd}")
+        raise DbcError(f"{source}: {layout.name} lacks the signals of this protocol: {odd}")
     try:
         bits = BitLayout(layout, [by_field[name].name for name in names])
     except (ValueError, OverflowError) as error:  # the second: a limit with hundreds of digits

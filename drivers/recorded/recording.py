@@ -235,7 +235,7 @@ def _rows(path: Path) -> Iterator[tuple[int, str]]:
             for number, line in enumerate(stream, start=1):
                 text = line.rstrip("\r\n")
                 if "\0" in text:
-                    raise RecordingError(f"{path}:{number}: a NUL byte; this is no text file")
+                    raise RecordingError(f"{path}:{number}: a NUL byte: not a text file")
                 if text.strip():
                     yield number, text
     except UnicodeDecodeError as error:

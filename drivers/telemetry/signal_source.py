@@ -94,7 +94,7 @@ class ScheduleInputs:
             if name not in VARIABLES and (name or not i):
                 raise ValueError(f'variable = "{name}"; give "sp", "pv", "co" or "can"')
             if (name == CAN) != (i < len(self.signals) and self.signals[i] is not None):
-                raise ValueError(f'variable = "{name}": a "can" needs its signal, and nothing else has one')
+                raise ValueError(f'variable = "{name}": give a signal with "can", and only with it')
 
     @classmethod
     def of(cls, variable: "str | ScheduleInputs") -> "ScheduleInputs":

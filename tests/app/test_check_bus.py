@@ -45,4 +45,4 @@ def test_a_key_that_others_may_read_is_refused(tmp_path: Path, capsys: pytest.Ca
     key.write_text("00" * 32)
     key.chmod(0o644)
     assert main(["check", str(configured(tmp_path, "virtual", key))]) == 2
-    assert "others may use it" in capsys.readouterr().err
+    assert "others can read or write it" in capsys.readouterr().err

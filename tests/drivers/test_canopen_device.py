@@ -166,7 +166,7 @@ def test_without_anybodys_proof_no_set_of_several_messages_is_written() -> None:
     stage = Stage()
     stage.host.choose_way = any_way
     stage.run(5)
-    with pytest.raises(WriteRefusedError, match="nobody has proved the sets between"):
+    with pytest.raises(WriteRefusedError, match="the sets in between are not proved"):
         stage.host.begin_write(NEW, stage.now_s)
     assert stage.written() == []
 

@@ -166,7 +166,7 @@ def test_a_virtual_node_whose_eds_has_a_heartbeat_runs_by_its_samples(tmp_path: 
 
 
 WRONG = [
-    ("2004", "object 2004:0 (Name) is no number of at most 8 bytes"),
+    ("2004", "object 2004:0 (Name) is not a number of at most 8 bytes"),
     ("2001", "object 2001 has parts; name one: 2001:1 (Torque)"),
     ("2001:x", "object 2001 has no part 'x'"),
     ("7777", "no object '7777'; there is"),

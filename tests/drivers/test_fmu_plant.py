@@ -78,13 +78,13 @@ def test_communication_steps_may_be_shorter_than_a_sample(heater: ModelSpec) -> 
     ("change", "key", "text"),
     [
         ({"inputs": ("uu",)}, ("input",), "the nearest: u"),
-        ({"inputs": ("y",)}, ("input",), "is no input of the FMU but output"),
+        ({"inputs": ("y",)}, ("input",), "is not an input of the FMU but output"),
         ({"outputs": ("why",)}, ("output",), "the nearest: y"),
         ({"parameters": {"tua": 3.0}}, ("parameters", "tua"), "the nearest: tau"),
         ({"parameters": {"y": 3.0}}, ("parameters", "y"), "cannot be set"),
         ({"interface": "co_simulation"}, ("interface",), "has no co_simulation"),
         ({"source": "nowhere.fmu"}, ("file",), "there is no such file"),
-        ({"source": __file__}, ("file",), "is no FMU that can be read"),
+        ({"source": __file__}, ("file",), "cannot be read as an FMU"),
     ],
 )
 def test_what_is_wrong_is_told_by_name(

@@ -184,7 +184,7 @@ def test_values_of_bad_quality_are_left_out(written: Callable[..., Path], fine: 
 
 def test_a_quality_that_nobody_knows_is_asked_for(written: Callable[..., Path]) -> None:
     path = written(text("t,sp,pv,co,quality", T, SP, PV, CO, [i % 2 for i in range(N)]))
-    with pytest.raises(RecordingError, match="quality quality is 0, 1; say --good"):
+    with pytest.raises(RecordingError, match="quality quality is 0, 1; name the good value with --good"):
         read_loop_record([path])
     assert len(read_loop_record([path], RecordForm(good="1")).recording.t_s) == N // 2
 
@@ -242,7 +242,7 @@ def test_an_output_stored_by_exception_is_held(written: Callable[..., Path]) -> 
 
 def test_a_table_of_many_loops_asks_which(written: Callable[..., Path]) -> None:
     path = written(text("t,A.SP,A.PV,A.OP,B.SP,B.PV,B.OP", T, SP + 1, PV, CO, SP, PV, CO))
-    with pytest.raises(RecordingError, match="2 loops in it; say --tag with one of A, B"):
+    with pytest.raises(RecordingError, match="2 loops in it; name one with --tag: A, B"):
         read_loop_record([path])
     is_the_loop(read_loop_record([path], RecordForm(tag="b")))
     with pytest.raises(RecordingError, match='no loop "C"'):
@@ -284,7 +284,7 @@ CLOCK_BACK = "time,sp,pv,co\n" + "".join(
 
 def test_the_hour_that_comes_twice_needs_the_zone(written: Callable[..., Path]) -> None:
     path = written(CLOCK_BACK)
-    with pytest.raises(RecordingError, match="clock goes back by an hour once; say --zone"):
+    with pytest.raises(RecordingError, match="clock goes back by one hour; give --zone"):
         read_loop_record([path])
     read = read_loop_record([path], RecordForm(zone="Europe/Berlin"))
 
@@ -294,18 +294,18 @@ def test_the_hour_that_comes_twice_needs_the_zone(written: Callable[..., Path]) 
 @pytest.mark.parametrize(
     ("content", "form", "message"),
     [
-        ("", RecordForm(), "there is nothing in it"),
+        ("", RecordForm(), "is empty"),
         ("hello world\nthis is, no table\n", RecordForm(), "no row of numbers"),
         (text("", T, SP, PV, CO), RecordForm(), 'no column "pv"; there is 1, 2, 3, 4; name it as in --columns pv=NAME'),
-        (text("sp,pv,co", SP, PV, CO), RecordForm(), 'no column "t".* or say --dt'),
+        (text("sp,pv,co", SP, PV, CO), RecordForm(), 'no column "t".* or give --dt'),
         (text("t,sp,pv", T, SP, PV), RecordForm(), 'no column "co"'),
         (text("t,pv,pv,co", T, SP, PV, CO), RecordForm(), 'two columns are called "pv"'),
         (text("t,pv,co", [1, 2, 3, 4] * 15, PV, CO), RecordForm(), "sample 5: t = 1 follows 4; time must increase"),
-        (text("t;pv;co", T, ["1,100"] * N, ["7"] * N, sep=";"), RecordForm(), "may be a thousand or a fraction"),
+        (text("t;pv;co", T, ["1,100"] * N, ["7"] * N, sep=";"), RecordForm(), "may separate thousands or decimals"),
         (text("t;pv;co", T, comma(PV), CO, sep=";"), RecordForm(), "has a decimal comma, others a point"),
         (text("t,pv,co", T, PV, CO).replace("10.0,", "10.0,1,"), RecordForm(), ":3: 4 fields, other rows have 3"),
         (text("t,pv,co", T, PV, CO), RecordForm(columns={"pv": "x"}), 'no column "x"; there is t, pv, co'),
-        (text("t,pv,co", ["some day"] * N, PV, CO), RecordForm(), "is of no usual form; say --time-format"),
+        (text("t,pv,co", ["some day"] * N, PV, CO), RecordForm(), "has an unknown format; give --time-format"),
         (text("t,pv,co", stamps("%H:%M"), PV, CO), RecordForm(time_format="%H.%M"), "is not of the form %H.%M"),
     ],
 )
@@ -321,7 +321,7 @@ def test_what_is_no_record_or_may_be_two_is_refused_in_one_line(
 def test_a_day_that_may_be_a_month_is_asked_for_only_where_it_matters(written: Callable[..., Path]) -> None:
     night = datetime(2024, 3, 4, 23, 55)  # noqa: DTZ001  a plant's clock has no zone
     asked = written(text("Time,SP,PV,OP", stamps("%d/%m/%Y %H:%M:%S", night), SP, PV, CO))
-    with pytest.raises(RecordingError, match=r'may be %d/%m/%Y or %m/%d/%Y; say --time-format "%d/%m/%Y %H:%M:%S"'):
+    with pytest.raises(RecordingError, match=r'may be %d/%m/%Y or %m/%d/%Y; give --time-format "%d/%m/%Y %H:%M:%S"'):
         read_loop_record([asked])
     is_the_loop(read_loop_record([asked], RecordForm(time_format="%d/%m/%Y %H:%M:%S")))
     noon = datetime(2024, 3, 4, 12, 0)  # noqa: DTZ001  a plant's clock has no zone
@@ -441,8 +441,8 @@ STAMPED = stamps("%Y-%m-%d %H:%M:%S")
         (text("Time,SP,PV,OP", stamps("%Y-%m-%d %H:%M:%S,120"), SP, PV, CO), "4 names over rows of 5 fields"),
         (text("t,sp,pv,co", range(N), T, SP, PV, CO), "4 names over rows of 5 fields"),
         (text("F1.PV Time,F1.OP Time,F1.PV,F1.OP", STAMPED, OWN, PV, CO), "each signal has times of its own"),
-        (text("Time,SP,PV,OP", ["9999-12-31 24:00:00"] * N, SP, PV, CO), "is of no usual form"),
-        (text("Time,SP,PV,OP", stamps("%Y-%m-%dT%H:%M:%S+99:99"), SP, PV, CO), "is of no usual form"),
+        (text("Time,SP,PV,OP", ["9999-12-31 24:00:00"] * N, SP, PV, CO), "has an unknown format"),
+        (text("Time,SP,PV,OP", stamps("%Y-%m-%dT%H:%M:%S+99:99"), SP, PV, CO), "has an unknown format"),
         (text("Time,SP,PV,OP", [f"2024-03-14 24:{i:02d}:00" for i in range(N)], SP, PV, CO), "24:01:00' in row 2"),
         (text("t,sp,pv,co", [0, *[f"{i}e999" for i in range(1, N)]], SP, PV, CO), "at least 3 samples"),
         (text("Tag,t,Value", ["A.OP", "A.OUT", "A.PV"] * 20, T, PV), '"A.OP" and "A.OUT" may both be co of A'),

@@ -25,7 +25,7 @@ def test_a_private_file_of_hexadecimal_digits_is_a_key(tmp_path: Path, text: str
 
 @pytest.mark.parametrize("mode", [0o604, 0o640, 0o620, 0o602, 0o777, 0o644])
 def test_a_file_that_others_may_use_is_refused(tmp_path: Path, mode: int) -> None:
-    with pytest.raises(KeyFileError, match=rf"others may use it \(mode {mode:o}\); chmod 600"):
+    with pytest.raises(KeyFileError, match=rf"others can read or write it \(mode {mode:o}\); chmod 600"):
         read_key(key_file(tmp_path, mode=mode))
 
 

@@ -173,7 +173,7 @@ def test_what_it_stands_at_needs_no_place_for_a_setpoint(tmp_path: Path) -> None
     list(bench.run(5))
     bench.host.send_setpoint(100.0, bench.now_s)
     assert CommandDone("setpoint") in list(bench.run(1))
-    with pytest.raises(WriteRefusedError, match="says nothing of setpoint"):
+    with pytest.raises(WriteRefusedError, match="has no entry for setpoint"):
         bench.host.send_setpoint(120.0, bench.now_s)
 
 

@@ -71,7 +71,7 @@ def test_series_of_influx_are_told_apart_by_what_differs(written: Callable[[str]
         content += "".join(series(tag, n, v + (tag == "TIC7"), i) for i, (n, v) in enumerate(SIGNALS.items()))
 
     is_the_loop(written(content), RecordForm(tag="FIC101"))
-    with pytest.raises(RecordingError, match="2 loops in it; say --tag with one of FIC101, TIC7"):
+    with pytest.raises(RecordingError, match="2 loops in it; name one with --tag: FIC101, TIC7"):
         read_loop_record([written(content)])
 
 
@@ -88,7 +88,7 @@ def test_a_pivoted_table_of_influx(written: Callable[[str], Path]) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("#group,false\n#datatype,string\n", "annotated, and no value in it"),
+        ("#group,false\n#datatype,string\n", "has annotations but no values"),
         ("#datatype,long\n,table,_value\n,0,1\n", ":2: a table without _time"),
         (HEAD + ",,0,1\n", ":5: 4 fields, the head of its table has 9"),
     ],

@@ -57,7 +57,7 @@ def test_without_integral_action_the_number_that_says_so_is_kept() -> None:
     assert controller().numbers(PidGains(2.0, 0.0)) == {"xp": 250.0, "tn": 0.0, "tv": 0.0}
     assert controller().of({"xp": 250.0, "tn": 0.0, "tv": 0.0}) == PidGains(2.0, 0.0)
     plain = VendorUnits((VendorGain(Quantity.KP), VendorGain(Quantity.TN)))
-    with pytest.raises(ValueError, match="no integral action, and no number says so"):
+    with pytest.raises(ValueError, match="no integral action, and the controller has no number for that"):
         plain.numbers(PidGains(2.0, 0.0))
 
 
