@@ -169,15 +169,11 @@ class ControllerUnits:
             if not math.isfinite(value):
                 raise ValueError(f"{dial.key} = {value} is not a finite number")
         if self.action is not None and gain < 0:
-            raise ValueError(
-                f"{self.dials[0].key} = {gain:g}: with an action gains have no sign; give a positive number"
-            )
+            raise ValueError(f"{self.dials[0].key} = {gain:g}: with an action, give a positive number")
         if derivative and self.dials[2] == NO_DERIVATIVE:
             raise ValueError(f"{self.controller} has no derivative action: leave {derivative:g} out")
         if integral is not None and integral <= 0 and self.dials[1].quantity in {Quantity.TN, Quantity.KI_TIME}:
-            raise ValueError(
-                f"{self.dials[1].key} = {integral:g} must be positive; leave it out for no integral action"
-            )
+            raise ValueError(f"{self.dials[1].key} = {integral:g} must be positive; leave it out for none")
         named = {str(dial.quantity): value for dial, value in zip(self.dials, values, strict=True)}
         return self._vendor(self.form).of(named)
 

@@ -50,9 +50,7 @@ class PidGains:
         if not (self.kp or self.ki or self.kd):
             raise ValueError("kp, ki and kd are all zero: this controller would do nothing; give at least one gain")
         if min(self.kp, self.ki, self.kd) < 0 < max(self.kp, self.ki, self.kd):
-            raise ValueError(
-                f"kp = {self.kp}, ki = {self.ki}, kd = {self.kd} have different signs; give all the same sign"
-            )
+            raise ValueError(f"kp = {self.kp}, ki = {self.ki}, kd = {self.kd} have different signs; use one sign")
 
     def __str__(self) -> str:
         """The gains to three digits, without those that are zero, as in "kp 2, ki 0.1"."""

@@ -111,7 +111,7 @@ def read_records(
     tags = {record.tag for record in found}
     if len(tags) > 1:
         raise RecordingError(
-            f"records of {len(tags)} loops: {_listed(sorted(tags))}; give those of one loop, or name it: --tag"
+            f"records of {len(tags)} loops: {_listed(sorted(tags))}; give those of one, or name it: --tag"
         )
     return found
 

@@ -338,9 +338,7 @@ class CanDevice:
         """Start the two-phase write: see device.Device."""
         running, epoch = self._belief.running, self._belief.epoch
         if running is None or epoch is None or not self.connected:
-            raise WriteRefusedError(
-                f"{self._where}: not connected, so the active gains are unknown; wait for LinkChanged(UP)"
-            )
+            raise WriteRefusedError(f"{self._where}: not connected, active gains unknown; wait for LinkChanged(UP)")
         if self._joiner.arrivals.state is Stream.INVALID and not back:
             raise WriteRefusedError(f"{self._where}: too many of the latest telemetry frames were wrong; wait")
         try:

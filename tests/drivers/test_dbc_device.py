@@ -278,7 +278,7 @@ def test_commands_are_done_when_they_are_sent() -> None:
     for refused in (lambda: stage.host.send_load(3.0, stage.now_s), lambda: stage.host.store(stage.now_s)):
         with pytest.raises(WriteRefusedError):
             refused()
-    with pytest.raises(WriteRefusedError, match="do it at the device"):
+    with pytest.raises(WriteRefusedError, match="switch it at the device"):
         stage.host.send_mode(auto=False, co=0.0, now_s=stage.now_s)
 
 
