@@ -10,6 +10,9 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
+LARGEST = 1e30
+"""Largest magnitude of a number; the squares of larger ones leave the range of double precision in a fit."""
+
 
 class LoopMode(IntEnum):
     """Who moves the controller output: an operator (manual) or the controller (auto)."""
@@ -61,6 +64,14 @@ def all_finite(values: FloatArray) -> bool:
     return not len(values) or (math.isfinite(values.min()) and math.isfinite(values.max()))
 
 
+def _first_bad(name: str, values: FloatArray) -> str:
+    """Which of some values cannot be used, and why."""
+    bad = int(np.argmin(np.isfinite(values) & (np.abs(values) <= LARGEST)))
+    if not math.isfinite(values[bad]):
+        return f"{name}[{bad}] = {values[bad]} is not a finite number"
+    return f"sample {bad + 1}: {name} = {values[bad]:g} is beyond {LARGEST:g}; give the record in its engineering units"
+
+
 @dataclass(frozen=True, slots=True)
 class Window:
     """Consecutive samples as arrays of shape (n,): what a fit works on.
@@ -70,7 +81,8 @@ class Window:
     Raises
     ------
     ValueError
-        Shapes differ, fewer than three samples, a value is not finite, or time does not increase (the sample is named).
+        Shapes differ, fewer than three samples, a value is not finite or beyond LARGEST, or time does not increase (the
+        sample is named).
     """
 
     t_s: FloatArray
@@ -89,9 +101,8 @@ class Window:
             values: FloatArray = getattr(self, name)
             if values.shape != (n,):
                 raise ValueError(f"{name} has shape {values.shape}, t_s has ({n},)")
-            if not all_finite(values):
-                bad = int(np.flatnonzero(~np.isfinite(values))[0])
-                raise ValueError(f"{name}[{bad}] = {values[bad]} is not a finite number")
+            if not (values.min() >= -LARGEST and values.max() <= LARGEST):
+                raise ValueError(_first_bad(name, values))
         later = self.t_s[1:] > self.t_s[:-1]
         if not later.all():
             i = int(np.argmin(later))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive import shown
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import LARGEST, FloatArray
 from retuner.drivers.historian.assumption import Assumption, in_a_line, quoted
 from retuner.drivers.historian.frames import is_frame, table_of_frame
 from retuner.drivers.historian.parquet_tables import tables_of_parquet
@@ -26,7 +26,7 @@ from retuner.drivers.historian.row_order import Trend, joined
 from retuner.drivers.historian.scaling import scaled
 from retuner.drivers.historian.table_signals import BESIDE, TableSignals, signals_of
 from retuner.drivers.historian.tags import named
-from retuner.drivers.recorded.recording import LARGEST, Recording, RecordingError
+from retuner.drivers.recorded.recording import Recording, RecordingError
 
 FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
 TRAFFIC = (".blf", ".asc", ".mf4", ".log")

@@ -29,7 +29,7 @@ ROLE_OF = MappingProxyType({word: role for role, words in WORDS.items() for word
 APART = re.compile(r"[\s._/\\|:\-()\[\]]+")
 SEPARATORS = " ._/\\|:-()[]"
 """What may stand between a tag and its role."""
-UNIT = re.compile(r"[\[(]([^\])]*)[\])]\s*$")
+UNIT = re.compile(r"[\[(]([^\[()\]]*)[\])]\s*$")
 TIME_UNIT = MappingProxyType(
     {
         "ns": "ns", "us": "us", "ms": "ms", "msec": "ms", "s": "s", "sec": "s", "second": "s", "seconds": "s",

@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample
+from retuner.adaptive.signals.sample import LARGEST, FloatArray, LoopMode, LoopSample
 from retuner.drivers.recorded.bus_log_samples import Overhearing
 from retuner.drivers.recorded.frame_log import read_frames
 from retuner.drivers.recorded.recording import (
-    LARGEST,
     ROLES,
     Recording,
     RecordingError,

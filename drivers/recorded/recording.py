@@ -25,8 +25,6 @@ SIZE_MAX = 1 << 30
 """Largest file in bytes; a year at one sample a second is about as long."""
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+")
-LARGEST = 1e30
-"""Largest magnitude of a number; the squares of larger ones leave the range of double precision in a fit."""
 DEAD = 1e-9
 """A signal that varies by less than this share of its magnitude is constant; single precision resolves 1e-7."""
 
@@ -80,13 +78,6 @@ class Recording:
             object.__setattr__(self, "_window", Window(self.t_s, sp, self.pv, self.co))
         except ValueError as error:
             raise RecordingError(f"{self.source}: {error}") from error
-        for name, values in (("t", self.t_s), ("sp", self.sp), ("pv", self.pv), ("co", self.co)):
-            if values is not None and max(-values.min(), values.max()) > LARGEST:
-                i = int(np.argmax(np.abs(values)))
-                raise RecordingError(
-                    f"{self.source}: sample {i + 1}: {name} = {values[i]:g} is beyond {LARGEST:g}; "
-                    "give the record in its engineering units"
-                )
 
     def window(self) -> Window:
         """The whole record for a fit; where it has no setpoint, the first pv stands in."""

@@ -134,6 +134,18 @@ def test_a_field_of_digits_without_end_is_read_in_no_time(pattern: re.Pattern[st
     assert pattern.fullmatch("1" * 200_000 + "x") is None
 
 
+@pytest.mark.parametrize("big", [1e300, -1e31])
+@pytest.mark.parametrize("ask", [retuner.identify, retuner.diagnose])
+def test_a_number_whose_square_is_none_is_refused_by_name(ask: Any, big: float) -> None:
+    """It gave warnings of numpy, or an IndexError."""
+    t = np.arange(60.0)
+    pv = np.where(t == 7, big, np.sin(t))
+    with pytest.raises(
+        ValueError, match=r"sample 8: pv = .* is beyond 1e\+30; give the record in its engineering units"
+    ):
+        ask(t, np.zeros(60), pv, np.cos(t))
+
+
 SLOW = ProcessModel(ProcessType.FOPDT, 1.0, 100.0, 0.0, 2.0)
 
 
