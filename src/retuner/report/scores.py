@@ -3,7 +3,8 @@
 IAE is compared with the same run (same noise, same scenario) under fixed gains. Where the plant is simulated its true
 linear model is known at every operating point, and Ms is the largest over the setpoints visited in the region, with
 half a sampling interval of dead time added for the sampled controller; under the gains in force there, which with an
-interpolated table are no region's own.
+interpolated table are no region's own. A load under which the region was only left, in less than the dead time, is no
+operating point: nothing that the controller did came back in it.
 """
 
 import math
@@ -130,8 +131,11 @@ def _truths(
     for load in np.unique(loaded).tolist():
         rows = inside[loaded == load]
         visited = run["sp"][rows]
+        stayed_s = max(map(len, np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1))) * sample_time_s
         for pv in np.linspace(visited.min(), visited.max(), POINTS).tolist():
             process = linearise(pv, load) if load else linearise(pv)
+            if stayed_s <= process.theta_s < len(inside) * sample_time_s:
+                continue
             row = int(rows[np.argmin(np.abs(visited - pv))])
             x, x2 = (float(run[name][row]) if name in run else 0.0 for name in ("x", "x2"))
             found.append(Truth(process.seen_by_controller(sample_time_s), x, x2))
