@@ -4,7 +4,9 @@ A region that was never entered, or is only passed through, kept its gains until
 known of it by then, that response had to pay for them. Its process is known before, by responses that passed and along
 the curves through the other regions. So where a response changes nothing for its own region, the others are asked, the
 nearest first. Gains that are far from right on what is known there are proved on all that is left open, as any change,
-and go on trial when the loop comes. One region at a time; what is nearly right waits for responses of its own.
+and go on trial when the loop comes. So are gains that are over their limit where the region ends, which no response of
+its own has shown: a neighbour's tell of that, also while they are on trial themselves and the loop is away. One region
+at a time; what is nearly right waits for responses of its own.
 
 Nobody has watched that region. So the gains must be right on what the curves foretell and also on what the table does
 (region_model/by_table.py). How much a load that never rests moves pv there is worked out from how it does here
@@ -23,7 +25,7 @@ from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, predicted
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import change_request, promise_of, tuning_of
+from retuner.adaptive.supervision.guard_request import BETWEEN, change_request, promise_of, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit
 from retuner.adaptive.trial.batch_responses import Loop
@@ -49,7 +51,8 @@ def elsewhere(found: Findings) -> None:
     if learned.agreement not in {Agreement.FIRST, Agreement.AGREES} or found.tuning is None or not found.tuning.ready:
         return
     known = {**record.region_models, **found.beside, record.region: found.in_use}
-    for region in sorted(found.question.free, key=lambda at: record.table.regions.distance(record.region, at)):
+    asked = (*found.question.free, *found.question.away)
+    for region in sorted(asked, key=lambda at: record.table.regions.distance(record.region, at)):
         due = _due(found, region, known)
         if due is not None:
             found.elsewhere = {region: due}
@@ -80,7 +83,11 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Stag
     verdict = prove(_counted(request, known), settings.guard)
     place = (*centre_of(table.regions, region), 0.0)
     promised = promise_of(verdict, table, region, (place[0], place[1]), None, settings)
-    if promised is None or verdict.gains is None or not _far_off(found, region, verdict.allowed, verdict.gains):
+    if promised is None or verdict.gains is None:
+        return None
+    if BETWEEN not in wanted.diagnosis.evidence and (
+        region in found.question.away or not _far_off(found, region, verdict.allowed, verdict.gains)
+    ):
         return None
     return _result(model, wanted, verdict, replace(promised, wander=_wander(found, verdict)))
 

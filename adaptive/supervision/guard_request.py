@@ -132,7 +132,11 @@ def allowed_where_gains_run(
 
 
 BEYOND = 1.05
-"""Times the limit at a border above which a set is a cause: the neighbour's model moves from record to record."""
+"""Times the limit of a cause above which a set is one at a border: the neighbour's model moves with its records."""
+
+
+BETWEEN = "ms_between"
+"""Evidence that a set is over its limit on the way to a neighbour: the Ms there."""
 
 
 def choosable(
@@ -170,7 +174,7 @@ def tuning_of(
     found, process = propose(model, log, own, settings), log.model()
     known = allowed_where_gains_run(table, region_models, t_s, settings)
     borders = borders_of(table, region, {i: models for i, models in known.items() if i != region})
-    limit, high = (guard.ms_border, BEYOND * guard.ms_border) if hard else (guard.ms_nominal, settings.cause.ms_high)
+    limit, high = guard.ms_nominal, settings.cause.ms_high * (BEYOND if hard else 1.0)
     easier = eased(found.tuning.gains, borders, process, limit, dt_s, settings.filter_s)
     if easier == found.tuning.gains:
         return found
@@ -182,7 +186,7 @@ def tuning_of(
         return found
     seen = "the loop is unstable" if math.isinf(worst.ms) else over_words(worst.ms, high)
     words = f"{seen} on the way to region {worst.to}"
-    evidence = {**found.diagnosis.evidence, "ms_between": worst.ms}
+    evidence = {**found.diagnosis.evidence, BETWEEN: worst.ms}
     return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))
 
 

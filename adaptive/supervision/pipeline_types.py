@@ -171,8 +171,9 @@ class Question:
     """What a completed response asks; plain values, so that the answer may be worked out anywhere (`pipeline.decide`).
 
     sample_number : of the sample that raised it, counted by the retuner from 1. trial : where the region stood then.
-    free : the other regions that no trial, hold or mode keeps from a change. look : the samples that are due to be
-    looked at, None for none. alone : no response has completed, so nothing but that is asked.
+    free : the other regions that no trial, hold or mode keeps from a change. away : those whose trial waits until the
+    loop comes. look : the samples that are due to be looked at, None for none. alone : no response has completed, so
+    nothing but that is asked.
     """
 
     record: ResponseRecord
@@ -180,6 +181,7 @@ class Question:
     sample_number: int
     trial: Trial
     free: tuple[int, ...] = ()
+    away: tuple[int, ...] = ()
     look: Look | None = None
     alone: bool = False
 

@@ -169,8 +169,15 @@ class Retuner:
         due, self._due = self._due, {}
         step = self._step_on_trial(plain(sample)) if self.trials.busy else self._step(sample)
         for region, outcome in due.items() if step == NOTHING else ():
-            return Step(self._on_trial(region, self._decision(region, outcome)))
+            return Step(self._made_elsewhere(region, outcome))
         return step
+
+    def _made_elsewhere(self, region: int, outcome: StageResult) -> Decision:
+        """A change that is due where the loop is not; a trial that waits there ends first, as one without a word."""
+        ended = self.trials.away(region) and self.trials.event(region, TrialEvent.TIMED_OUT, self.now_s)
+        if ended and self.trials.phase(region) is TrialPhase.RESTORING:
+            return self._give_up({region: TrialEvent.TIMED_OUT})
+        return self._on_trial(region, self._decision(region, outcome))
 
     def _step(self, sample: LoopSample) -> Step:
         """A sample while nothing is on trial."""
@@ -430,8 +437,10 @@ class Retuner:
 
         alone : no response has completed, and this is looked at.
         """
-        others = (region for region in range(len(self.table.regions)) if region != seen.region)
-        free = tuple(at for at in others if self.trials.idle(at, self.now_s) and self.settings.mode_of(at) in WRITES)
+        others = [at for at in range(len(self.table.regions)) if self.settings.mode_of(at) in WRITES]
+        others = [at for at in others if at != seen.region]
+        free = tuple(at for at in others if self.trials.idle(at, self.now_s))
+        away = tuple(at for at in others if self.trials.away(at) and not self._person_decides(at))
         case = self._case(seen)
         if not news and passed_over(self._led, case, self.settings):
             self._led = self._led._replace(passed_over=self._led.passed_over + 1)
@@ -439,7 +448,7 @@ class Retuner:
         look = alone or (self._look() if seen.region == self.region else None)
         self._looked_s = self._looked_s if look is None else self.now_s
         trial = self.trials.of(seen.region)
-        return Question(case, self.settings, self.sample_number, trial, free, look, alone is not None)
+        return Question(case, self.settings, self.sample_number, trial, free, away, look, alone is not None)
 
     def _entered(self, question: Question, outcome: StageResult) -> Decision:
         """What the answer teaches is kept, a trial judged, and the decision made."""

@@ -131,6 +131,10 @@ class TrialSupervisor:
         self._time_over(region, t_s)
         return self.phase(region) is P.IDLE and not self.of(region).undos
 
+    def away(self, region: int) -> bool:
+        """Whether a change there is on trial and was never refuted, and the loop is elsewhere."""
+        return self.phase(region) is P.AWAY and not self.of(region).undos
+
     def held_by_a_person(self, region: int, t_s: float) -> bool:
         """Whether the region's gains are a person's, and nothing but a proposal may follow now."""
         self._time_over(region, t_s)

@@ -63,7 +63,7 @@ def asked(*, there: PidGains, settings: RetunerSettings = OPENED, **about: Any) 
     response = Response(10.0, 59.0, (Peak(12.0, 5.0),), Ending.QUIET, sp_changed=True, band=0.1)
     models = about.get("models", {0: known(1.0), 1: known(1.0)})
     record = ResponseRecord(0, response, Window.of(samples), samples, table, commissioned, models)
-    found = Findings(Question(record, settings, 1, Trial(), about.get("free", (1, 2))))
+    found = Findings(Question(record, settings, 1, Trial(), about.get("free", (1, 2)), about.get("away", ())))
     learned: Any = SimpleNamespace(agreement=about.get("agreement", Agreement.AGREES))
     ready: Any = SimpleNamespace(ready=True)
     found.learned, found.tuning = learned, ready
@@ -104,6 +104,48 @@ def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: floa
 )
 def test_what_is_nearly_right_or_not_known_stays(about: dict[str, Any]) -> None:
     assert asked(**{"there": times(right(1.0), 0.25), **about}).elsewhere == {}
+
+
+def test_a_set_that_is_too_much_at_its_border_is_eased_though_it_is_right_in_the_middle() -> None:
+    """The neighbour's process was not known when it was tuned; also while it is on trial and the loop is away."""
+    models = {0: known(4.0), 1: known(4.0), 2: known(1.0)}
+    for about in ({}, {"free": (), "away": (2,)}):
+        due = asked(there=right(1.0), models=models, **about).elsewhere
+        assert list(due) == [2]
+        assert "on the way to region b" in due[2].reason
+        verdict = due[2].verdict
+        assert verdict is not None
+        assert verdict.gains is not None
+        assert verdict.gains.kp < 0.9 * right(1.0).kp
+    alike = {region: known(1.0) for region in range(3)}
+    assert asked(there=right(1.0), models=alike).elsewhere == {}
+    assert asked(there=times(right(1.0), 0.25), models=alike, free=(), away=(2,)).elsewhere == {}, "its trial goes on"
+
+
+def test_a_trial_that_waits_for_the_loop_ends_before_a_safer_change_there() -> None:
+    bench = made(scaled(0.25, 0.25))
+    bench.run(400)
+    retuner, samples = bench.retuner, bench.samples(2000, 1.0, 0.0, 10.0)
+    question = next(step.question for step in map(retuner.step, samples) if step.question is not None)
+    found = decide(question)
+    assert found.verdict is not None
+    assert found.verdict.gains is not None
+    calm = replace(found, verdict=None, promise=None, code="ok", elsewhere={1: found})
+    retuner.enter(question, calm, retuner.sample_number)
+    first = retuner.step(next(samples)).decision
+    assert first is not None
+    assert first.gains_after is not None
+    retuner.committed(1, first.gains_after)
+    retuner.step(next(samples))
+    assert retuner.trials.away(1)
+    safer = replace(found, verdict=replace(found.verdict, gains=times(first.gains_after, 0.8)))
+    retuner._due = {1: safer}
+    second = retuner.step(next(samples)).decision
+    assert second is not None
+    assert second.action is Action.COMMIT
+    assert second.gains_after == times(first.gains_after, 0.8)
+    assert retuner.trials.of(1).old == first.gains_after
+    assert scaled(0.25, 0.25) in retuner.trials.of(1).sets.earlier, "the way back still knows the set before both"
 
 
 @pytest.mark.parametrize("other", [PidGains(1.0, 0.05), PidGains(-4.0, -0.01), PidGains(0.3, 0.0)])
