@@ -35,12 +35,16 @@ class Cells:
     edges2: tuple[float, ...]
     sets: tuple[PidGains, ...]
 
+    def part(self, x: float, x2: float | None) -> int:
+        """The set in whose cell a place lies."""
+        i = sum(x >= edge for edge in self.edges[1:-1])
+        return i * (len(self.edges2) - 1) + sum(x2 is not None and x2 >= edge for edge in self.edges2[1:-1])
+
     def gains_at(self, x: float, x2: float) -> PidGains:
         """In force there, without hysteresis."""
-        columns = len(self.edges2) - 1
         if self.lookup is Lookup.HARD:
-            i, j = (sum(v >= edge for edge in e[1:-1]) for v, e in ((x, self.edges), (x2, self.edges2)))
-            return self.sets[i * columns + j]
+            return self.sets[self.part(x, x2)]
+        columns = len(self.edges2) - 1
         i, share = _between(self.edges, x)
         j, share2 = _between(self.edges2, x2)
         across = [

@@ -54,6 +54,7 @@ class Design:
     variable : that it follows. places : along it. layout : the sets; None where nothing is known well enough.
     hysteresis, min_stay_s, filter_s : of the lookup. candidates : the variables that were weighed. reason : in words.
     crossings : steps over the range in motion. second : a second variable that it follows, "" for none.
+    aim : sets that those of layout lead to, once the next record confirms them; None where these are final.
     """
 
     variable: str
@@ -67,6 +68,7 @@ class Design:
     crossings: tuple[Crossing, ...] = ()
     second: str = ""
     second_hysteresis: float = 0.0
+    aim: Layout | Cells | None = None
 
 
 def design(
@@ -197,15 +199,15 @@ def _designed(
     if layout is None:
         return replace(none, reason=f"more than {MOST_SETS} sets would be needed")
     sets = len(layout.sets)
-    return replace(
+    made = replace(
         none,
         layout=layout,
         hysteresis=_hysteresis(chosen.one, layout.lookup, layout.edges),
         min_stay_s=max(p.model.theta_s for p in places if p.known) if sets > 1 else 0.0,
         reason=_counted(sets, str(layout.lookup), places, limits.j, j_limit),
-        crossings=_crossings(chosen, places, layout, windows) if sets > 1 else (),
         second_hysteresis=_second_hysteresis(chosen.two, layout),
     )
+    return replace(made, crossings=crossings_of(made, windows))
 
 
 def _counted(sets: int, lookup: str, places: Sequence[Place], wanted: float, affordable: float) -> str:
@@ -219,23 +221,18 @@ def _counted(sets: int, lookup: str, places: Sequence[Place], wanted: float, aff
     return how + slower * (affordable > wanted)
 
 
-def _crossings(
-    chosen: _Chosen, places: Sequence[Place], layout: Layout | Cells, windows: Sequence[Window]
-) -> tuple[Crossing, ...]:
-    """The loop in motion along the first variable; in the middle of a second one."""
-    if chosen.one.name not in {"sp", "pv"}:
+def crossings_of(found: Design, windows: Sequence[Window]) -> tuple[Crossing, ...]:
+    """The loop in motion along the first variable; in the middle of a second one. None with one set."""
+    layout, variable = found.layout, found.variable
+    if variable not in {"sp", "pv"} or layout is None or len(layout.sets) == 1:
         return ()
     largest = max(float(np.max(np.abs(np.diff(window.sp)))) for window in windows)
     if isinstance(layout, Layout):
-        return tuple(crossings(chosen.curves, places, layout.gains_at, (chosen.one.name,), largest))
-    axis = chosen.curves.form.second
-    middle = places[COUNT // 2].x2
-    assert axis is not None
+        return tuple(crossings(found.curves, found.places, layout.gains_at, (variable,), largest))
+    middle = found.places[COUNT // 2].x2
     assert middle is not None
-    row = [place for place in places if place.x2 == middle]
-    return tuple(
-        crossings(chosen.curves, row, lambda x: layout.gains_at(x, middle), (chosen.one.name,), largest, middle)
-    )
+    row = [place for place in found.places if place.x2 == middle]
+    return tuple(crossings(found.curves, row, lambda x: layout.gains_at(x, middle), (variable,), largest, middle))
 
 
 def _second_hysteresis(two: Candidate | None, layout: Layout | Cells) -> float:

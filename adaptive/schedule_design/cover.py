@@ -35,11 +35,15 @@ class Layout:
     sets: tuple[PidGains, ...]
     room: tuple[float, ...] = ()
 
+    def part(self, x: float, x2: float | None = None) -> int:
+        """The set in whose part x lies. x2 : there is no second variable."""
+        del x2
+        return sum(x >= edge for edge in self.edges[1:-1])
+
     def gains_at(self, x: float) -> PidGains:
         """In force at x, without hysteresis."""
         if self.lookup is Lookup.HARD:
-            part = sum(x >= edge for edge in self.edges[1:-1])
-            return self.sets[part]
+            return self.sets[self.part(x)]
         knots = [(a + b) / 2 for a, b in pairwise(self.edges)]
         if x <= knots[0] or len(knots) == 1:
             return self.sets[0]

@@ -3,7 +3,7 @@
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import cast
 
@@ -15,6 +15,7 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.schedule_choice.candidates import OWN, Candidate, follows_loop, silent
 from retuner.adaptive.schedule_choice.cells import COUNT, Cells
 from retuner.adaptive.schedule_choice.design import Design, design
+from retuner.adaptive.schedule_choice.first_sets import first_sets
 from retuner.adaptive.schedule_choice.next_experiment import NextExperiment, next_experiment
 from retuner.adaptive.schedule_design.cover import Layout
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
@@ -76,7 +77,9 @@ class ScheduleDesign:
     design : curves, places, sets and the evidence of each candidate variable. table : the gain table, None where
     nothing is known well enough. in_force : the gains while the records were made, where they are known. limits : that
     were demanded. records : that it was found from. co_range : limits of the output, where they are known.
-    visited : the variable at each of their samples. print shows it as the command does, a notebook with its picture.
+    visited : the variable at each of their samples. aim : the table that this one leads to once the next record
+    confirms it, where the records do not carry it at once (schedule_choice/first_sets.py). print shows it as the
+    command does, a notebook with its picture.
     """
 
     design: Design
@@ -86,6 +89,7 @@ class ScheduleDesign:
     records: tuple[Window, ...] = ()
     co_range: tuple[float | None, float | None] = (None, None)
     visited: FloatArray = field(default_factory=lambda: np.zeros(0))
+    aim: GainTable | None = None
 
     def __repr__(self) -> str:
         sets = 0 if self.table is None else len(self.table.gains)
@@ -145,15 +149,17 @@ class ScheduleDesign:
             raise ValueError(f"the schedule follows {self.variable} and {self.second}: give a value of each")
         return layout.gains_at(x, x2)
 
-    def before_at(self, x: float) -> PidGains | None:
-        """The gains that were in force at x, where they are known."""
+    def before_at(self, x: float, x2: float | None = None) -> PidGains | None:
+        """The gains that were in force at x (and x2), where they are known."""
         if isinstance(self.in_force, RecordedGains):
             return self.in_force.near(x, self.visited)
         if not isinstance(self.in_force, GainTable):
             return self.in_force
-        table = self.in_force
-        one = table.regions.second is None and not self.second
-        return table.at(bisect_right(table.regions.bounds, x), x) if one else None
+        regions, values = self.in_force.regions, (x, x2) if self.second and x2 is not None else (x,)
+        if len(regions.axes) != len(values):
+            return None
+        cell = tuple(bisect_right(axis.bounds, value) for axis, value in zip(regions.axes, values, strict=True))
+        return self.in_force.at(regions.region_at(cell), *values)
 
     @property
     def next_experiment(self) -> NextExperiment:
@@ -173,8 +179,8 @@ class ScheduleDesign:
         return self.design.layout
 
     def to_dict(self) -> dict[str, object]:
-        """Keys schema, variable, second, reason, candidates, lookup, regions, hysteresis, min_stay_s, crossings,
-        at_limits, next_experiment, places.
+        """Keys schema, variable, second, reason, candidates, lookup, regions, aim, hysteresis, min_stay_s,
+        crossings, at_limits, next_experiment, places.
         """
         return {
             "schema": SCHEMA,
@@ -195,6 +201,7 @@ class ScheduleDesign:
             "hysteresis": self.design.hysteresis,
             "min_stay_s": self.design.min_stay_s,
             "regions": [] if self.table is None else _regions_dict(self.table),
+            "aim": None if self.aim is None else _regions_dict(self.aim),
             "crossings": [crossing.to_dict() for crossing in self.design.crossings],
             "at_limits": self.at_limits,
             "next_experiment": self.next_experiment.to_dict(),
@@ -275,7 +282,7 @@ def design_schedule(
         element.
     ms_limit : largest Ms at any place on any model that the records allow. j_limit : largest J over that of a place's
         own settings. lookup : "hard", "interpolated" or "auto". name, unit : of the loop and of the variable.
-    gains : in force while the records were made, for comparison only; left
+    gains : in force while the records were made: no set goes farther from them than the records carry at once; left
         out, they are read off the records where these show them. progress : told each stage and the share done.
 
     Returns
@@ -297,10 +304,17 @@ def design_schedule(
     limits = DesignLimits(ms_limit, j_limit)
     found = design(windows, candidates, limits, lookup, (low, high), progress)
     before = gains if gains is not None else _read_off(windows, co_min, co_max)
-    visited = np.concatenate(next(one.values for one in candidates if one.name == found.variable))
+    named = {one.name: np.concatenate(one.values) for one in candidates}
+    visited = named[found.variable]
     if isinstance(before, RecordedGains) and len(before.kp) != len(visited):
         raise ValueError(f"active gains at {len(before.kp)} samples, the records have {len(visited)}")
-    return ScheduleDesign(found, table_of(found, name, unit), before, limits, windows, (co_min, co_max), visited)
+    made = ScheduleDesign(found, table_of(found, name, unit), before, limits, windows, (co_min, co_max), visited)
+    first = first_sets(found, windows, [named[n] for n in (found.variable, found.second) if n], made.before_at)
+    if first is found:
+        return made
+    assert first.aim is not None
+    aim = table_of(replace(first, layout=first.aim), name, unit)
+    return replace(made, design=first, table=table_of(first, name, unit), aim=aim)
 
 
 def _read_off(windows: Sequence[Window], co_min: float | None, co_max: float | None) -> PidGains | None:

@@ -12,6 +12,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 from retuner.schedule_report.drawing import SHOWS, schedule_figure
 from retuner.schedule_report.sentences import (
+    aim_sentence,
     experiment_sentence,
     limit_sentence,
     motion_sentences,
@@ -35,6 +36,7 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
             "muted",
         ),
         *([] if found.table is None else [_sets(found.table)]),
+        *(paragraph(told) for told in (aim_sentence(found),) if told),
         "<h2>In motion</h2>",
         *(paragraph(told) for told in (push_sentence(found), limit_sentence(found)) if told),
         *(paragraph(sentence) for sentence in motion_sentences(found)),

@@ -6,6 +6,7 @@ import numpy as np
 
 from retuner.adaptive.schedule_choice.crossing import Crossing
 from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.decision_page.shown_units import chosen_units
 from retuner.schedule.axis import CAN
 from retuner.scheduling import ScheduleDesign
 
@@ -142,6 +143,18 @@ def message_sentence(found: ScheduleDesign) -> str:
         f"Put the bus message that carries {' and '.join(signals)} in place of FILL_IN: "
         "until then retuner check refuses the section."
     )
+
+
+def aim_sentence(found: ScheduleDesign) -> str:
+    """The sets that these lead to; empty where these are final."""
+    if found.aim is None:
+        return ""
+    units = chosen_units()
+    told = [
+        f"{name} {units.short(g)}" if units else f"{name} Kc {g.kp:.4g} tau_I {g.kp / g.ki:.4g} s"
+        for name, g in zip(found.aim.regions.names, found.aim.gains, strict=True)
+    ]
+    return f"Final sets, once the next record confirms: {'; '.join(told)}."
 
 
 TOLD_AT_LIMITS = 0.02

@@ -33,6 +33,7 @@ from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import PERCENT, from_toml, to_toml
 from retuner.schedule.table import GainTable
 from retuner.schedule_report.sentences import (
+    aim_sentence,
     experiment_sentence,
     limit_sentence,
     message_sentence,
@@ -244,7 +245,7 @@ def described(found: ScheduleDesign) -> list[str]:
     lines = [f"{along}: {found.reason}", *(told for told in (variable_sentence(found),) if told), *_place_lines(found)]
     if found.table is not None:
         lines += ["", schedule_section(found.table).rstrip()]
-    doubts = [told for told in (push_sentence(found), limit_sentence(found)) if told]
+    doubts = [told for told in (aim_sentence(found), push_sentence(found), limit_sentence(found)) if told]
     last = [told for told in (message_sentence(found),) if told]
     return [*lines, "", *doubts, *motion_sentences(found), experiment_sentence(found), *last]
 
