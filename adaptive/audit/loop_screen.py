@@ -32,6 +32,7 @@ from retuner.adaptive.indexes.condition import (
     Traits,
     condition_of,
     escapes,
+    runs_by_itself,
 )
 from retuner.adaptive.indexes.recording_quality import quantum
 from retuner.adaptive.indexes.setpoint_responses import idle_index
@@ -235,6 +236,7 @@ def _traits(record: Window, sums: RecordSums, noise: tuple[float, float], limits
         pv_moves=sums.pv_slow > of_noise * noise[0],
         co_moves=sums.co_slow > of_noise * noise[1],
         escapes=lambda: escapes(record),
+        runs=lambda: runs_by_itself(record),
     )
 
 

@@ -198,7 +198,16 @@ def diagnose_window(
     """
     settings = settings or DiagnosisSettings()
     found = _as_recorded(window, _diagnosed(window, gains, (co_min, co_max), settings, direction), settings)
-    return replace(found, diagnosis=counted(found.diagnosis))
+    return replace(found, diagnosis=_with_period(counted(found.diagnosis)))
+
+
+def _with_period(told: Diagnosis) -> Diagnosis:
+    """The sentence of a swing with the period that was seen, where it does not stand in it."""
+    period_s = told.evidence.get("period_s")
+    weighed = "linear_left" in told.evidence and told.cause in {Cause.STICTION, Cause.EXTERNAL, Cause.UNKNOWN}
+    if period_s is None or not weighed or " period " in told.reason:
+        return told
+    return replace(told, reason=f"{told.reason}; the oscillation has a period of {period_s:.3g} s")
 
 
 def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> Found:

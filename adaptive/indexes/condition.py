@@ -95,6 +95,7 @@ class Traits:
     dead_pv, dead_co : the signal is constant. still : share of samples in long stretches of constant co. at_limit :
     share of samples with co at a limit. sp_moving, offset : as in RecordCondition. pv_moves, co_moves : slowly, more
     than noise does. escapes : co goes one way, or the setpoint asks for more than noise; asked where pv does not move.
+    runs : co goes one way by itself; asked where pv stays far from its setpoint.
     """
 
     dead_pv: bool
@@ -106,6 +107,7 @@ class Traits:
     pv_moves: bool
     co_moves: bool
     escapes: Callable[[], bool]
+    runs: Callable[[], bool]
 
 
 def record_condition(
@@ -124,7 +126,7 @@ def record_condition(
     moving = float(np.mean(np.diff(window.sp) != 0))
     traits = Traits(
         _dead(window.pv), _dead(window.co), still, at_limit_share, moving, offset,
-        _slow_movement(window.pv), _slow_movement(window.co), lambda: escapes(window),
+        _slow_movement(window.pv), _slow_movement(window.co), lambda: escapes(window), lambda: runs_by_itself(window),
     )  # fmt: skip
     return condition_of(traits, oscillates=oscillates)
 
@@ -148,13 +150,22 @@ def _condition(traits: Traits) -> Condition:
     if not traits.pv_moves and traits.sp_moving < MOVING_SHARE:
         return Condition.NO_RESPONSE if traits.co_moves and traits.escapes() else Condition.QUIET
     if traits.offset > OFFSET_RATIO and traits.at_limit < STILL_SHARE:
-        return Condition.NOT_CONTROLLING
+        return Condition.NO_RESPONSE if traits.co_moves and traits.runs() else Condition.NOT_CONTROLLING
     return Condition.MOVING_SETPOINT if traits.sp_moving > MOVING_SHARE else Condition.NORMAL
 
 
 def escapes(window: Window) -> bool:
     """Whether co goes one way all the time, or the setpoint asks for more than noise: a pv would answer."""
     return _escapes(window) or _asked(window)
+
+
+def runs_by_itself(window: Window) -> bool:
+    """Whether co goes one way and not as the error does, so that it is integral action that moves it."""
+    return _escapes(window) and abs(float(np.corrcoef(window.co, window.sp - window.pv)[0, 1])) < PROPORTIONAL
+
+
+PROPORTIONAL = 0.97
+"""Correlation of co with the error from which co is proportional to it."""
 
 
 def one_sided(window: Window) -> float | None:

@@ -3,12 +3,15 @@
     share = samples with co at a limit / all samples
 
 Where the limits are not given they are recognised: co stands exactly at the extreme of the record for a stretch of
-samples, and not only once, while elsewhere it moves. A controller that stands still anyway shows no limit.
+samples, and not only once, while elsewhere it moves. A controller that stands still anyway shows no limit. Nor does a
+hand that holds co: at a limit the error pushes outwards, or comes back once at the end, wound up; in manual it goes as
+it likes, and co does not follow.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -18,6 +21,12 @@ STRETCH = 5
 """Samples in a row at the extreme value that make a limit recognised."""
 MOVING = 0.3
 """Share of the other samples in which co must change for a recognised limit."""
+
+
+BACK = 0.75
+"""Share of the samples at an extreme in which the error pushes inwards, from which a hand must hold co there."""
+CROSSINGS = 6.0
+"""Times a long stretch in which the error changes its sign, from which the same is so: a wound-up one does so once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +43,11 @@ class AtLimits:
         return int(self.low > 0) + int(self.high > 0)
 
 
-def at_limits(co: FloatArray, co_min: float | None = None, co_max: float | None = None) -> AtLimits:
-    """Time at the limits; co of shape (n,), limits in co units (None: recognise it)."""
+def at_limits(
+    co: FloatArray, co_min: float | None = None, co_max: float | None = None, error: FloatArray | None = None
+) -> AtLimits:
+    """Time at the limits; co of shape (n,), limits in co units (None: recognise it). error : sp - pv, tells a hand."""
+    outwards = None if error is None else error * _acts(co, error)
     span = float(np.ptp(co))
     shares = []
     for limit, sign in ((co_min, -1.0), (co_max, 1.0)):
@@ -44,14 +56,27 @@ def at_limits(co: FloatArray, co_min: float | None = None, co_max: float | None 
             reach = TOLERANCE * span
             shares.append(float(np.mean(x >= sign * limit - reach)))
         else:
-            shares.append(_recognised(x))
+            shares.append(_recognised(x, None if outwards is None else sign * outwards))
     return AtLimits(shares[0], shares[1], co_min is not None or co_max is not None)
 
 
-def _recognised(x: FloatArray) -> float:
+def _acts(co: FloatArray, error: FloatArray) -> float:
+    """Which way the controller acts: the sign with which co follows the error in most samples; 0 for neither."""
+    return float(np.sign(np.sum(np.sign(np.diff(co) * np.diff(error)))))
+
+
+def _held(top: npt.NDArray[np.bool_], long: npt.NDArray[np.bool_], push: FloatArray) -> bool:
+    """Whether a hand holds co at its extreme. push : of the error, outwards where it is positive."""
+    crossings = int(np.count_nonzero(np.diff(np.sign(push[long]))))
+    return float(np.mean(push[top] < 0)) > BACK or crossings > CROSSINGS * max(len(runs(long)), 1)
+
+
+def _recognised(x: FloatArray, push: FloatArray | None) -> float:
     """Share of samples at the upper extreme where it looks like a limit, else 0."""
     top = x == np.max(x)
     lengths = runs(top)
+    if push is not None and _held(top, _long(top), push):
+        return 0.0
     changes = int(np.count_nonzero(np.diff(x)))
     long = int(np.sum(lengths >= STRETCH))
     return (
@@ -59,6 +84,15 @@ def _recognised(x: FloatArray) -> float:
         if is_limit(len(x), changes, int(np.sum(lengths)), len(lengths), long, int(np.max(lengths)))
         else 0.0
     )
+
+
+def _long(true: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Of the true samples those in runs of STRETCH and more."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
+    found = np.zeros_like(true)
+    for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        found[start:end] = end - start >= STRETCH
+    return found
 
 
 def runs(true: np.ndarray) -> np.ndarray:

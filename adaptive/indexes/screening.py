@@ -77,7 +77,7 @@ def screen(
     co_min, co_max : limits of co where known; else they are recognised when co stands at them. in_auto : see
         record_condition.
     """
-    limits = at_limits(window.co, co_min, co_max)
+    limits = at_limits(window.co, co_min, co_max, window.sp - window.pv)
     wave = _oscillation(window)
     lasting = wave is not None and wave.lasting
     state = record_condition(window, limits.low + limits.high, oscillates=lasting, in_auto=in_auto)

@@ -43,6 +43,46 @@ def test_limits_are_recognised_but_not_where_co_only_stands_still(wave):
     assert at_limits(np.ones(100)).hit == 0
 
 
+def closed(rng, *, hand=lambda _: False, high=100.0, wound_up=False, n=900):
+    """A tank of 100 s at 10 s under PI, setpoint to and fro, a load that wanders; a hand holds co at 40.38."""
+    y, integral, load, past, rows = 50.0, 50.0, 0.0, [50.0] * 3, []
+    for i in range(n):
+        load += 0.5 * rng.normal()
+        sp, pv = (50.0, 58.0)[(i // 150) % 2], y + 0.05 * rng.normal()
+        wished = 2.0 * (sp - pv) + integral + 0.1 * (sp - pv)
+        if hand(i):
+            co = integral = 40.38
+        else:
+            co = min(wished, high)
+            integral += 0.1 * (sp - pv) if wound_up or co == wished else 0.0
+        past.append(co)
+        y += (1 - math.exp(-0.1)) * (past[-3] + 0.1 * load - y)
+        rows.append((sp, pv, co))
+    sp, pv, co = np.array(rows).T
+    return window(pv, co, sp)
+
+
+@pytest.mark.parametrize("hand", [lambda i: i > 450, lambda i: (i // 150) % 2 == 1])
+def test_co_that_a_hand_holds_is_at_no_limit(rng, hand):
+    """It was called saturation: the controller output is at a limit for 50 % of the record."""
+    assert screen(closed(rng, hand=hand), None).limits.hit == 0
+
+
+@pytest.mark.parametrize("wound_up", [False, True])
+def test_a_limit_is_one_though_the_error_comes_back_before_co_does(rng, wound_up):
+    assert screen(closed(rng, high=56.0, wound_up=wound_up), None).limits.high > 0.3
+
+
+def test_co_that_runs_by_its_integral_is_no_lack_of_integral_action(rng):
+    """pv of a shut line lies at 0 beside a setpoint of 1 and wanders a little, co goes from 6 to 80."""
+    n = 900
+    pv, co = 0.001 * rng.normal(size=n) + 0.0003 * np.cumsum(rng.normal(size=n)), np.linspace(6.0, 80.0, n)
+    assert record_condition(window(pv, co, np.ones(n))).condition is Condition.NO_RESPONSE
+    slow = np.linspace(0.0, 0.1, n) + 0.001 * rng.normal(size=n)
+    far = window(slow, 50.0 + 20.0 * (1.0 - slow), np.ones(n))  # proportional action alone
+    assert record_condition(far).condition is Condition.NOT_CONTROLLING
+
+
 @given(st.floats(1e-3, 1e3), st.floats(-1e3, 1e3), st.integers(0, 5), st.sampled_from(["double", "single", "2 digits"]))
 @settings(max_examples=examples(60))
 def test_the_step_of_a_converter_is_found(wave, step, level, seed, written):
