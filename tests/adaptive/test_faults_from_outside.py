@@ -15,6 +15,7 @@ import retuner
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.diagnosis.diagnose import _of_setpoint, diagnose_window
 from retuner.adaptive.diagnosis.first_step import MOST_AT_ONCE, MOST_OF_A_RECORD, first_step
+from retuner.adaptive.diagnosis.one_tone import one_tone
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.indexes.setpoint_responses import setpoint_responses
@@ -144,6 +145,34 @@ def test_a_number_whose_square_is_none_is_refused_by_name(ask: Any, big: float) 
         ValueError, match=r"sample 8: pv = .* is beyond 1e\+30; give the record in its engineering units"
     ):
         ask(t, np.zeros(60), pv, np.cos(t))
+
+
+def swung(size: float, sp: float = 50.0, n: int = 600) -> Arrays:
+    """A tank of gain 1 and 100 s, every 10 s, under Kc 1, tau_I 100 s, and a tone of 700 s at its input."""
+    rng, y, integral, past, rows = np.random.default_rng(7), 50.0, 50.0, [50.0] * 3, []
+    for i in range(n):
+        wanted, pv = sp if i > n // 2 else 50.0, y + 0.01 * rng.normal()
+        integral += 0.1 * (wanted - pv)
+        rows.append((10.0 * i, wanted, pv, wanted - pv + integral))
+        past.append(rows[-1][3])
+        tone = size * math.sin(2 * math.pi * 10.0 * i / 700.0)
+        y += (1 - math.exp(-0.1)) * (past[-3] + tone - y)
+    t, setpoint, value, output = np.array(rows).T
+    return t, setpoint, value, output
+
+
+def test_a_record_whose_whole_excitation_is_a_tone_identifies_nothing() -> None:
+    """co follows pv by the controller's law alone: the "process" was its inverse, and settings came with it."""
+    found = retuner.identify(*swung(3.0, n=300))
+    assert found.settings is None
+    assert "all that moves pv is an oscillation of 69" in found.estimate.reason
+
+
+@pytest.mark.parametrize(("size", "sp", "more"), [(3.0, 55.0, 0.0), (3.0, 50.0, 3.0), (0.0, 50.0, 1.0)])
+def test_what_moves_by_more_than_a_tone_is_no_tone(size: float, sp: float, more: float) -> None:
+    t, setpoint, pv, co = swung(size, sp)
+    walk = more * np.cumsum(np.random.default_rng(1).normal(size=len(t))) / math.sqrt(len(t))
+    assert one_tone(Window(t, setpoint, pv + walk, co)) is None
 
 
 SLOW = ProcessModel(ProcessType.FOPDT, 1.0, 100.0, 0.0, 2.0)
