@@ -21,7 +21,6 @@ from retuner.adaptive.diagnosis.cause import (
     tuning_cause,
     with_second_lag,
 )
-from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.rival_fits import moves_pv
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
@@ -29,6 +28,7 @@ from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
+from retuner.adaptive.identification.first_step import first_step
 from retuner.adaptive.identification.identify import FEWEST_SAMPLES_IN_THETA, TWO_WAYS, Fits, FitSettings, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
 from retuner.adaptive.indexes.condition import one_sided

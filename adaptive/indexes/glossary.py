@@ -55,8 +55,6 @@ GLOSSARY: dict[str, Entry] = {
     "roundness": Entry("pv over co, unlike an ellipse", "index", "ellipse 0, parallelogram 0.2 to 0.45, noise 1", ""),
     "jump_share": Entry("jumps of pv beyond those of co", "share", "above 0.1: jumps", ""),
     "flat_share": Entry("travel of co while pv is still", "share", "near 1: pv does not follow", ""),
-    "non_gaussianity": Entry("non-Gaussianity of the error", "index", "above 0.001: not Gaussian", "Choudhury 2004"),
-    "nonlinearity": Entry("total bicoherence of the error", "index", "large: not linear", "Choudhury 2008"),
     "noise_share": Entry("noise in pv", "share", "of its variance", ""),
     "quantum_pv": Entry("resolution of pv", "pv", "0: none seen", ""),
     "quantum_co": Entry("resolution of co", "co", "0: none seen", ""),

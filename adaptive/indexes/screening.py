@@ -11,7 +11,6 @@ from types import MappingProxyType
 import numpy as np
 
 from retuner.adaptive.indexes.autocovariance import Regularity, decay_ratio, iae_detection, regularity, running_mean
-from retuner.adaptive.indexes.bicoherence import bicoherence, thinned
 from retuner.adaptive.indexes.condition import RecordCondition, record_condition
 from retuner.adaptive.indexes.half_wave import half_wave_shape
 from retuner.adaptive.indexes.harmonics import phase_deg, refined_frequency, tones
@@ -161,9 +160,6 @@ def _movement(window: Window, gains: PidGains | None, wave: Regularity | None) -
         found["idle_index"] = idle_index(window.pv, window.co, gains.direction, width)
     if wave is not None:
         found |= {"regularity": wave.regularity, "cycles": wave.cycles, "strength": wave.strength}
-    higher = bicoherence(thinned(e, wave.period if wave is not None else 1.0))
-    if higher is not None:
-        found |= {"non_gaussianity": higher.ngi, "nonlinearity": higher.total}
     return found
 
 

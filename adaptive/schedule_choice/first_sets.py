@@ -1,8 +1,8 @@
 """How far a schedule may go at once: each set no farther than what was asked of the records where it is in force.
 
-The door of a single loop's settings (diagnosis/first_step.py), set by set: of the setpoint and load steps that happened
-in its part, and against the gains in force there. A set is held to the place of its part where it goes farthest; one
-that is mixed with its neighbours, to its own knot.
+The door of a single loop's settings (identification/first_step.py), set by set: of the setpoint and load steps that
+happened in its part, and against the gains in force there. A set is held to the place of its part where it goes
+farthest; one that is mixed with its neighbours, to its own knot.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.first_step import FirstStep, first_step
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.identification.first_step import FirstStep, first_step
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.schedule_choice.cells import Cells

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from retuner.adaptive import shown
-from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.one_tone import one_tone
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing_verdict
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.by_region import FEWEST_SAMPLES, by_region, identify_region
 from retuner.adaptive.identification.estimate import ModelEstimate
+from retuner.adaptive.identification.first_step import first_step
 from retuner.adaptive.identification.identify import FROM_MOTION, FitSettings, identify_manual, identify_window
 from retuner.adaptive.identification.in_parts import identify_parts
 from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTuning, robust_simc
@@ -51,7 +51,7 @@ class Identification:
     Attributes
     ----------
     aim : where one event asks for far more gain than is in force, the settings are a first step only
-        (diagnosis/first_step.py), and these are what they lead to.
+        (identification/first_step.py), and these are what they lead to.
     step_reason : why; empty where there is no aim.
     record : what it was found from, for the picture; None where it was not kept.
     """

@@ -31,7 +31,7 @@ class RecordDiagnosis:
     Attributes
     ----------
     fits : explanations of pv by name ("linear", "external", "stuck"), on the samples that were fitted.
-    aim : where the settings are a first step only (diagnosis/first_step.py), those that they lead to.
+    aim : where the settings are a first step only (identification/first_step.py), those that they lead to.
     record : what it was told from, for the picture; None where it was not kept.
     active : the settings in force, as given or as read off the record; None where neither is known.
     co_limits : lowest and highest co as given.

@@ -14,9 +14,9 @@ from test_diagnose import DT, GOOD, loop, times
 import retuner
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.diagnosis.diagnose import _of_setpoint, diagnose_window
-from retuner.adaptive.diagnosis.first_step import MOST_AT_ONCE, MOST_OF_A_RECORD, first_step
 from retuner.adaptive.diagnosis.one_tone import one_tone
 from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.first_step import MOST_AT_ONCE, MOST_OF_A_RECORD, first_step
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.indexes.setpoint_responses import setpoint_responses
 from retuner.adaptive.loop.margins import sensitivity_peak

@@ -11,9 +11,9 @@ from test_diagnose import DT, GOOD, loop, times, to_and_fro
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
-from retuner.adaptive.diagnosis.first_step import MOST_AT_ONCE, first_step
 from retuner.adaptive.diagnosis.stretches import SAMPLES_A_CYCLE, over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found
+from retuner.adaptive.identification.first_step import MOST_AT_ONCE, first_step
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.indexes.doubtful_units import doubtful_units
 from retuner.adaptive.loop.margins import sensitivity_peak

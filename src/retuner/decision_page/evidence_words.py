@@ -43,7 +43,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
                     "phase_deg", "amplitude_pv", "amplitude_co"),
     "setpoint and load responses": ("setpoint_steps", "overshoot", "damping", "idle_index"),
     "valve or sinusoid": ("triangle_co", "triangle_pv", "relay_pv", "tone_share", "distortion", "horch_drho",
-                      "yamashita_rho1", "jump_share", "flat_share", "stick_band", "nonlinearity"),
+                      "yamashita_rho1", "jump_share", "flat_share", "stick_band"),
     "limits and recording": ("at_low_limit", "at_high_limit", "still_share", "offset", "noise_share", "quantum_pv",
                              "quantum_co", "compression_pv"),
 }  # fmt: skip

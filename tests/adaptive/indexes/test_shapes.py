@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from retuner.adaptive.indexes.bicoherence import bicoherence, thinned
 from retuner.adaptive.indexes.half_wave import half_wave_shape
 from retuner.adaptive.indexes.harmonics import phase_deg, refined_frequency, tones
 from retuner.adaptive.indexes.jumps import flat_share, jump_share
@@ -99,28 +98,6 @@ def test_horch_odd_and_even(wave):
     tone = cross_correlation(-wave("sine"), wave("sine"))
     assert tone == pytest.approx((0.0, 0.0), abs=0.02)
     assert cross_correlation(np.zeros(100), wave("sine", n=100)) is None
-
-
-def test_bicoherence_of_noise_waves_and_a_square_law(rng, wave):
-    gaussian = [bicoherence(rng.normal(size=1000)) for _ in range(20)]
-    assert sum(g is not None and g.nonlinear for g in gaussian) <= 1
-    x = rng.normal(size=4000)
-    linear = np.convolve(x, np.exp(-np.arange(30) / 5), "valid")
-    through = bicoherence(linear + 0.3 * linear**2)
-    plain = bicoherence(linear)
-    assert through is not None
-    assert plain is not None
-    assert through.nonlinear
-    assert not plain.nonlinear
-    assert through.total > 3 * plain.total
-    saw = bicoherence(thinned(wave("saw") + 0.1 * rng.normal(size=1000), PERIOD))
-    square = bicoherence(thinned(wave("square") + 0.1 * rng.normal(size=1000), PERIOD))
-    assert saw is not None
-    assert square is not None
-    assert saw.total > 50
-    assert square.total < 1  # equal halves have no even harmonics, hence no bicoherence
-    assert bicoherence(np.ones(1000)) is None
-    assert bicoherence(x[:200]) is None
 
 
 def test_ellipse_of_two_sines_and_of_a_square_wave_over_a_triangle(rng, wave):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retuner.adaptive.diagnosis.first_step import MOST_AT_ONCE, MOST_OF_A_RECORD
+from retuner.adaptive.identification.first_step import MOST_AT_ONCE, MOST_OF_A_RECORD
 from retuner.adaptive.schedule_choice.design import Design
 from retuner.adaptive.schedule_choice.first_sets import first_sets
 from retuner.adaptive.schedule_design.cover import Layout
