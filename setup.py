@@ -41,7 +41,7 @@ else:
 packages += FOLDERS_OF_DATA
 
 STABLE = "0x030B0000"
-ENGINE = ("modes", "lanes", "misfit", "refine", "screen", "search", "steps", "valves", "walk")
+ENGINE = ("closed", "modes", "lanes", "misfit", "refine", "screen", "search", "steps", "valves", "walk")
 flags = ["/O2", "/std:c11"] if sys.platform == "win32" else ["-std=c11", "-O3", "-ffp-contract=off"]
 engine = Extension(
     "retuner.adaptive.fit._engine",

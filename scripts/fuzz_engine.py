@@ -226,6 +226,22 @@ def call_move_steps(random: Random) -> list[Any]:
     return [*given, rows, random.randint(0, 15), random.randint(0, 3)]
 
 
+def call_closed(random: Random) -> list[Any]:
+    """Proper arguments of closed."""
+    lanes, states, points = random.randint(1, 3), random.randint(1, 4), random.randint(0, 40)
+    each = array("d")
+    for _ in range(lanes):
+        each.extend((*numbers(random, 7), float(random.randint(0, 50)), random.random()))
+    return [*(numbers(random, lanes * states * k) for k in (states, 1, 1, 1)), each, 1e12,
+            zeros(lanes * points), zeros(lanes * points)]  # fmt: skip
+
+
+def call_held(random: Random) -> list[Any]:
+    """Proper arguments of held."""
+    given = [random.uniform(-1, 1) for _ in range(13)] + [float(random.randint(0, 60)), 10.0]
+    return [array("d", given), zeros(random.randint(0, 50))]
+
+
 CALLS: dict[str, Callable[[Random], list[Any]]] = {
     name.removeprefix("call_"): make for name, make in list(globals().items()) if name.startswith("call_")
 }

@@ -16,6 +16,7 @@ from itertools import product
 
 import numpy as np
 
+from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -168,6 +169,9 @@ def _answer(process: Runaway, law: SampledLaw, n: int) -> FloatArray:
     a, a_old, a_new = _moved(slow, dt, early)
     b, b_old, b_new = _moved(fast, dt, early)
     size, follow = process.k / (1 - slow * process.tau_s), dt / (law.filter_s + dt)
+    if (engine := compiled()) is not None:
+        controller = (follow, dt, g.kp, g.ki, g.kd, law.b)
+        return np.asarray(engine.held((a, a_old, a_new, b, b_old, b_new, size, *controller, whole, LOST), n))
     pv, out, past = [math.nan] * n, [0.0] * (n + whole + 2), whole + 1
     x = y = integral = rate = last = 0.0
     for i in range(n):

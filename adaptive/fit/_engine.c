@@ -23,6 +23,7 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
+#include "engine_c/closed.h"
 #include "engine_c/refine.h"
 #include "engine_c/screen.h"
 #include "engine_c/search.h"
@@ -30,7 +31,7 @@
 #include "engine_c/valves.h"
 #include "engine_c/walk.h"
 
-#define VERSION "7"
+#define VERSION "8"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -655,6 +656,65 @@ static PyObject *py_move_steps(PyObject *self, PyObject *args) {
     return left < 0 ? PyErr_NoMemory(), ended(call, NULL) : ended(call, PyFloat_FromDouble(left));
 }
 
+/* closed(phi, gamma, c, x, numbers, most, e, u): see Closed. */
+static PyObject *py_closed(PyObject *self, PyObject *args) {
+    (void)self;
+    static const char *const NAMES[] = {"phi", "gamma", "c", "x", "numbers"};
+    PyObject *from[8];
+    Call *call = begun(args, from, 8);
+    if (!call)
+        return NULL;
+    View *v = call->views;
+    double most = PyFloat_AsDouble(from[5]);
+    if (PyErr_Occurred())
+        return ended(call, NULL);
+    for (int i = 0; i < 5; i++)
+        if (finite_view(from[i], &v[i], NAMES[i], 0))
+            return ended(call, NULL);
+    Py_ssize_t lanes = v[4].n / LANE, states = lanes ? v[1].n / lanes : 0;
+    if (lanes < 1 || states < 1 || states > MOST_STATES || !(most > 0))
+        return refuse("closed: too few lanes, too many states, or a limit that is none"), ended(call, NULL);
+    if (sized(&v[0], lanes * states * states, NAMES[0]) || sized(&v[4], lanes * LANE, NAMES[4]))
+        return ended(call, NULL);
+    for (int i = 1; i < 4; i++)
+        if (sized(&v[i], lanes * states, NAMES[i]))
+            return ended(call, NULL);
+    for (Py_ssize_t i = 0; i < lanes; i++)
+        if (!(v[4].x[i * LANE + WHOLE] >= 0 && v[4].x[i * LANE + WHOLE] <= 1e9))
+            return refuse("numbers: a delay is outside its range"), ended(call, NULL);
+    if (view(from[6], &v[5], "e", 1) || view(from[7], &v[6], "u", 1) || v[5].n % lanes || sized(&v[6], v[5].n, "u"))
+        return PyErr_Occurred() ? ended(call, NULL) : (refuse("e: as many points for each lane"), ended(call, NULL));
+    Closed l = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, lanes, states, v[5].n / lanes, most, v[5].x, v[6].x};
+    Py_BEGIN_ALLOW_THREADS
+    for (Py_ssize_t i = 0; i < lanes; i++)
+        lane_answer(&l, i);
+    Py_END_ALLOW_THREADS
+    return ended(call, Py_NewRef(Py_None));
+}
+
+/* held(numbers, pv) -> samples of pv that were written: see held_answer. */
+static PyObject *py_held(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *from[2];
+    Call *call = begun(args, from, 2);
+    if (!call)
+        return NULL;
+    View *v = call->views;
+    if (view(from[0], &v[0], "numbers", 0) || sized(&v[0], HELD, "numbers") || view(from[1], &v[1], "pv", 1))
+        return ended(call, NULL);
+    if (!(v[0].x[LATE] >= 0 && v[0].x[LATE] <= 1e7))
+        return refuse("numbers: a delay is outside its range"), ended(call, NULL);
+    double *u = calloc((size_t)v[1].n + (size_t)v[0].x[LATE] + 2, sizeof *u);
+    Py_ssize_t count = 0;
+    if (u) {
+        Py_BEGIN_ALLOW_THREADS
+        count = held_answer(v[0].x, v[1].n, u, v[1].x);
+        Py_END_ALLOW_THREADS
+        free(u);
+    }
+    return u ? ended(call, PyLong_FromSsize_t(count)) : (PyErr_NoMemory(), ended(call, NULL));
+}
+
 static PyMethodDef METHODS[] = {
     {"refine", py_refine, METH_VARARGS, NULL},     {"costs", py_costs, METH_VARARGS, NULL},
     {"project", py_project, METH_VARARGS, NULL},   {"jacobian", py_jacobian, METH_VARARGS, NULL},
@@ -664,6 +724,7 @@ static PyMethodDef METHODS[] = {
     {"screen", py_screen, METH_VARARGS, NULL},     {"walk", py_walk, METH_VARARGS, NULL},
     {"mix", py_mix, METH_VARARGS, NULL},           {"steps", py_steps, METH_VARARGS, NULL},
     {"move_steps", py_move_steps, METH_VARARGS, NULL},
+    {"closed", py_closed, METH_VARARGS, NULL},     {"held", py_held, METH_VARARGS, NULL},
     {NULL, NULL, 0, NULL},
 };
 

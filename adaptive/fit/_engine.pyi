@@ -118,3 +118,15 @@ def steps(pv: Numbers, response: Numbers, rest: Numbers, unique: float, rows: Nu
 def move_steps(
     pv: Numbers, response: Numbers, rest: Numbers, unique: float, rows: Numbers, reach: int, passes: int, /
 ) -> float: ...
+def closed(
+    phi: Numbers,
+    gamma: Numbers,
+    c: Numbers,
+    x: Numbers,
+    numbers: Numbers,
+    most: float,
+    e: Numbers,
+    u: Numbers,
+    /,
+) -> None: ...
+def held(numbers: Numbers, pv: Numbers, /) -> int: ...

@@ -241,3 +241,23 @@ def steps_moved(
     pv, response, columns = (np.ascontiguousarray(x) for x in (pv, response, rest.T))
     left = _engine.move_steps(pv, response, columns, unique, rows, reach, passes)
     return rows.astype(int).tolist(), left
+
+
+def closed(
+    spaces: tuple[FloatArray, FloatArray, FloatArray, FloatArray], each: FloatArray, most: float, points: int
+) -> tuple[FloatArray, FloatArray]:
+    """Errors and outputs of many loops, shape (points, lanes). spaces : Phi (states, states, lanes), Gamma, C and the
+    first states (states, lanes). each : kp, ki, kd, follow, b, setpoint, load, whole and part of the delay, (lanes, 9).
+    most : u at most.
+    """
+    e, u = (np.empty((len(each), points)) for _ in range(2))
+    phi, gamma, c, x = (np.ascontiguousarray(np.moveaxis(part, -1, 0)) for part in spaces)
+    _engine.closed(phi, gamma, c, x, np.ascontiguousarray(each), most, e, u)
+    return e.T, u.T
+
+
+def held(numbers: Sequence[float], n: int) -> FloatArray:
+    """pv at n samples of a loop whose process may run away; not finite from where it has. numbers : as in closed.h."""
+    pv = np.full(n, math.nan)
+    _engine.held(array("d", numbers), pv)
+    return pv

@@ -8,7 +8,9 @@ from itertools import permutations
 import numpy as np
 import pytest
 from effort import sized
+from scipy.linalg import expm
 
+from retuner.adaptive.diagnosis.runaway_process import Runaway, _answer
 from retuner.adaptive.diagnosis.slipping_valve import _greedy
 from retuner.adaptive.fit import engine
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
@@ -20,11 +22,14 @@ from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import judged
 from retuner.adaptive.identification.corners import _ramps
 from retuner.adaptive.identification.loads import linear_gains
-from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.loop.sampled import SampledLaw
+from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.trial.batch_responses import Loop, Upset, _exponentials, traces
 from retuner.adaptive.valve.plateaus import as_steps
 from retuner.adaptive.valve.sticking_valve import Nodes, _grid, _moved, _through, _travel, valve_costs
 from retuner.adaptive.valve.stuck_valve import StuckValve
+from retuner.schedule.gains import PidGains
 
 compiled = pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
 POINTS = sized(250, 250, 1000)
@@ -232,3 +237,33 @@ def test_steps_of_a_signal_are_found_alike(seed: int) -> None:
     assert c.criterion == pytest.approx(other.criterion, rel=CLOSE)
     assert [rows for _, rows in c_greedy] == [rows for _, rows in other_greedy]
     assert [left for left, _ in c_greedy] == pytest.approx([left for left, _ in other_greedy], rel=CLOSE)
+
+
+def test_closed_loops_answer_alike() -> None:
+    loops = [
+        Loop(LinearProcess(2.0, (10.0, 3.0), theta_s=theta), PidGains(kp, kp / 12, kp / 2), b=0.5)
+        for theta in (0.0, 2.0, 5.3)
+        for kp in (0.3, 1.0, 8.0)
+    ]
+    upsets = [Upset(setpoint=1.0), Upset(load_step=1.0), Upset(pulse=1.0)]
+    held = [Runaway(0.2, pole, 4.0, theta) for pole in (0.05, 0.0, -0.02, -0.3) for theta in (0.0, 3.0, 4.7)]
+    law = SampledLaw(PidGains(0.4, 0.02, 0.1), 1.0, 0.7, 2.0)
+    found = []
+    for name in ("c", "numpy"):
+        with engine.using(name):
+            responses = [trace for each in traces(loops, upsets) for trace in each]
+            found.append(
+                ([(trace.e, trace.u) for trace in responses], [_answer(process, law, 300) for process in held])
+            )
+    for c, other in zip(*found, strict=True):
+        np.testing.assert_allclose(c, other, rtol=1e-12, atol=1e-12)
+    assert np.isnan(found[0][1]).any()  # one of them has run away
+
+
+def test_exponentials_of_matrices_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(1)
+    drawn = rng.normal(size=(20, 4, 4))
+    stiff = np.diag([-1.0, -3e3, -0.1, 0.0]) + np.triu(np.ones((4, 4)), 1)
+    for a in (drawn, drawn / 1e3, stiff[None], np.zeros((2, 3, 3))):
+        np.testing.assert_allclose(_exponentials(a), expm(a), rtol=1e-10, atol=1e-12)
+    assert np.isnan(_exponentials(np.full((1, 2, 2), np.inf))).all()
