@@ -181,9 +181,8 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
     found = []
     for (i, j, _), weight in zip(drawn.index, drawn.weights, strict=True):
         shape, dead = shapes()[i], DEAD_TIMES[j] + 0.5
-        own = 8.0 * (dead + shape.second) if shape.integrates else min(
-            shape.lag + shape.second / 2, 8.0 * (dead + shape.second / 2)
-        )  # fmt: skip
+        second = shape.second if shape.integrates else shape.second / 2
+        own = min(shape.lag + second, 8.0 * (dead + second))
         found += [own * book.dt_s] * max(round(float(weight) * PER_PROCESS), 1)
     return np.array(found)
 

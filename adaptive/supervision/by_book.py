@@ -144,19 +144,10 @@ def _may_speak(found: Findings, look: Look) -> bool:
     return not one_tone(look.window)
 
 
-SPOILT = frozenset(
-    {
-        Ground.MANUAL,
-        Ground.OUT_OF_RANGE,
-        Ground.PV_STUCK,
-        Ground.PV_CLIPPED,
-        Ground.LOST_SAMPLES,
-        Ground.IRREGULAR,
-        Ground.REPEATED,
-        Ground.LEFT_REGION,
-        Ground.SATURATED,
-    }
-)
+SPOILT = frozenset({
+    Ground.MANUAL, Ground.OUT_OF_RANGE, Ground.PV_STUCK, Ground.PV_CLIPPED, Ground.LOST_SAMPLES, Ground.IRREGULAR,
+    Ground.REPEATED, Ground.LEFT_REGION, Ground.SATURATED,
+})  # fmt: skip
 """What is wrong with a record of which nothing follows; of a response the pipeline has said so by then."""
 
 
