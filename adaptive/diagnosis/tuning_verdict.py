@@ -374,7 +374,7 @@ def _not_brought_back(window: Window) -> str:
     side = "above" if float(np.mean(window.pv - window.sp)) > 0 else "below"
     return (
         f". pv stays {side} its setpoint for {share:.0%} of the record while co goes one way, "
-        f"from {window.co[0]:.4g} to {window.co[-1]:.4g}. The integral is slow for it, or the valve hardly acts"
+        f"from {window.co[0]:.4g} to {window.co[-1]:.4g}. The integral action is slow, or the valve has little effect"
     )
 
 

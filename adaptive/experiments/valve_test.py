@@ -97,7 +97,7 @@ def read_valve_test(window: Window) -> ValveReading:
     moves = np.abs(np.diff(u))
     step = float(np.median(moves[moves > 0]))
     if not np.ptp(y) > 0:
-        raise ValueError("pv stands still in the whole record: the valve does not move, or pv is not its answer")
+        raise ValueError("pv does not move in the whole record: the valve is stuck, or pv does not depend on it")
     bands, resolutions = np.meshgrid(BANDS * step, RESOLUTIONS * step, indexing="ij")
     fits = [_fit(valve_positions(u, d, r), y) for d, r in zip(bands.ravel(), resolutions.ravel(), strict=True)]
     weight = -0.5 * (len(y) - 1) * np.log(np.maximum(fits, 1e-300))
@@ -136,7 +136,7 @@ def _holds(co: FloatArray) -> list[int]:
     """Where co begins to stand."""
     moves = np.abs(np.diff(co))
     if not np.any(moves > 0):
-        raise ValueError("co stands still in the whole record: this is no valve test")
+        raise ValueError("co does not move in the whole record: not a valve test")
     least = SAME * float(np.median(moves[moves > np.max(moves) / 50]))
     return [0, *(np.flatnonzero(moves > least) + 1).tolist()]
 

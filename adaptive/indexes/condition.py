@@ -61,7 +61,7 @@ SENTENCES = {
     Condition.DEAD_PV: "pv does not change in the whole record: a dead signal",
     Condition.DEAD_CO: "co does not change in the whole record: manual, or a dead signal",
     Condition.NO_RESPONSE: "co moves and pv does not respond to it",
-    Condition.MANUAL: "co stands still for most of the record: the loop is in manual",
+    Condition.MANUAL: "co does not move for most of the record: the loop is in manual",
     Condition.NOT_CONTROLLING: "pv stays far from its setpoint with co inside its range: no integral action, or "
     "another controller has the valve",
     Condition.MOVING_SETPOINT: "the setpoint moves all the time: the inner loop of a cascade",

@@ -66,7 +66,7 @@ class NudgeInput(StrEnum):
 
     TOO_SMALL = "the allowed bump would be lost in the noise"
     DUE = "nothing has shown the process recently"
-    PUT_OFF = "the loop is no longer at rest or no longer free"
+    PUT_OFF = "the loop is not at rest, or something else is in progress"
     BEGUN = "nobody objected"
     TAKEN = "the controller has taken it"
     NOT_TAKEN = "the controller has not taken it"

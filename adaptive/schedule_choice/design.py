@@ -121,7 +121,7 @@ def _able(candidates: Sequence[Candidate], span: tuple[float | None, float | Non
     able = [c for c in candidates if c.span()[1] - c.span()[0] > LEAST_TRAVEL * c.noise()]
     still = ", ".join(c.name for c in candidates if c not in able)
     if not able:
-        raise ValueError(f"{still}: does not move in the records beyond its noise; nothing can be told over it")
+        raise ValueError(f"{still}: moves no more than its noise in these records, so nothing can be scheduled over it")
     if candidates[0] not in able and span != (None, None):
         raise ValueError(
             f"{candidates[0].name}: does not move in the records beyond its noise, and low and high are its ends; "

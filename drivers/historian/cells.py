@@ -120,7 +120,7 @@ def _number(table: RawTable, place: int, row: int, text: str, decimal: str, miss
         return float(plain)
     if SYSTEM_STATE.fullmatch(text):
         return np.nan
-    why = f" is no number; if it stands for a missing value say --bad {quoted(text[:40])}"
+    why = f" is not a number; if it marks a missing value, give --bad {quoted(text[:40])}"
     if decimal == "." and COMMA.fullmatch(text):
         why = " has a decimal comma, others a point; write one of them"
     raise RecordingError(f"{table.source}{table.places[row]}: {table.names[place]} = {text[:40]!a}{why}")

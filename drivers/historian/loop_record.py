@@ -342,7 +342,7 @@ def _one_after_the_other(role: str, pieces: list[Trend], source: str) -> Trend:
     for a, b in pairwise(pieces):
         if b.t_s[0] <= a.t_s[-1]:
             raise RecordingError(
-                f"{source}: {role} is there twice at the same time; give one file for it, or --columns"
+                f"{source}: {role} has two values at the same time; give one file for it, or --columns"
             )
     return Trend(
         np.concatenate([p.t_s for p in pieces]),

@@ -212,7 +212,7 @@ def window_of(
     """
     if isinstance(t, LoopRecord | str | PathLike) or is_frame(t):
         if not (sp is None and pv is None and co is None):
-            raise ValueError("a record has sp, pv and co of its own; give either it or arrays")
+            raise ValueError("a record brings its own sp, pv and co; give a record or arrays")
         return (t if isinstance(t, LoopRecord) else read(t)).recording.window()
     if sp is None or pv is None or co is None:
         raise ValueError("give t, sp, pv and co, or a record of retuner.read")

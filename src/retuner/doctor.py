@@ -87,7 +87,7 @@ def _installed() -> Finding:
     wrong = [text for text in map(_shortfall, _required(None)) if text]
     if wrong:
         return Finding("retuner", Level.BROKEN, "; ".join(wrong), "pip install --upgrade retuner")
-    return Finding("retuner", Level.OK, f"version {version('retuner')}; every package that it needs is there")
+    return Finding("retuner", Level.OK, f"version {version('retuner')}; all its packages are installed")
 
 
 def _required(extra: str | None) -> list[str]:

@@ -133,4 +133,4 @@ def test_a_full_disk_ends_the_watching_and_not_the_session(tmp_path: Path, monke
     for sample in samples[3:]:
         publisher.sample(sample)
     assert len(told) == 1
-    assert "No space left on device; the session goes on" in told[0]
+    assert "No space left on device; the session continues" in told[0]

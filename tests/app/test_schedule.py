@@ -175,7 +175,7 @@ def test_which_variable_is_told_with_how_far_the_others_are_behind() -> None:
     found = SimpleNamespace(variable="pv", second="", design=SimpleNamespace(candidates=weighed))
     told = variable_sentence(cast("ScheduleDesign", found))
     assert "flow by 3 nats" in told
-    assert "hardly separate these" in told
+    assert "barely distinguish these" in told
     found.design.candidates = weighed[:1]
     assert variable_sentence(cast("ScheduleDesign", found)) == ""
 

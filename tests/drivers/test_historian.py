@@ -164,7 +164,7 @@ def test_missing_values_are_left_out_and_counted(written: Callable[..., Path]) -
     for row, word in ((5, "Bad"), (9, ""), (12, "[-11059] No Good Data For Calculation"), (13, "NULL"), (20, "Kaputt")):
         pv[row] = word
     path = written(text("t,sp,pv,co", T, SP, pv, CO))
-    with pytest.raises(RecordingError, match=r"a.csv:22: pv = 'Kaputt' is no number; .* say --bad"):
+    with pytest.raises(RecordingError, match=r"a.csv:22: pv = 'Kaputt' is not a number; .* give --bad"):
         read_loop_record([path])
     read = read_loop_record([path], RecordForm(bad=("kaputt",)))
 
@@ -263,7 +263,7 @@ def test_a_record_in_pieces_is_put_together(tmp_path: Path, written: Callable[..
         written(text("t,sp,pv,co", T[part], SP[part], PV[part], CO[part]), f"day{i}.csv")
     is_the_loop(read_loop_record([tmp_path]))
     written(text("t,sp,pv,co", T[:3], SP[:3], PV[:3], CO[:3]), "again.csv")
-    with pytest.raises(RecordingError, match="is there twice at the same time"):
+    with pytest.raises(RecordingError, match="has two values at the same time"):
         read_loop_record([tmp_path])
 
 

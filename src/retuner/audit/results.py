@@ -239,7 +239,7 @@ def summary(rows: Sequence[Row], refused: int) -> str:
     told += [f"{untold} {'shows' if untold == 1 else 'show'} too little to judge; each says what would help"] * bool(
         untold
     )
-    told += [f"{screened} {'was' if screened == 1 else 'were'} screened only; nothing stands out"] * bool(screened)
+    told += [f"{screened} {'was' if screened == 1 else 'were'} screened only; nothing conspicuous"] * bool(screened)
     told += [f"{again} {'is' if again == 1 else 'are'} another loop's record again"] * bool(again)
     told += [f"{broken} could not be judged"] * bool(broken)
     told += [f"{refused} {'file is' if refused == 1 else 'files are'} no record"] * bool(refused)

@@ -141,7 +141,7 @@ class AdaptationConfig(Section):
         low=1,
         high=10000,
         default=50.0,
-        source="in the loop's own time; by itself time says nothing of a change",
+        source="in the loop's own time; time alone is no verdict on a change",
     )
     edit_hold_s: float = setting(
         "Gains that an operator has set stay for this long, while changes are only proposed; doubled each time that an "

@@ -88,4 +88,4 @@ class Publisher:
     def _give_up(self, why: str) -> None:
         """Watching from outside ends; the session goes on."""
         self.close()
-        self._say(f"{self._path}: {why}; the session goes on, but nobody can watch it from outside")
+        self._say(f"{self._path}: {why}; the session continues, but cannot be watched from outside")

@@ -74,7 +74,7 @@ def variable_sentence(found: ScheduleDesign) -> str:
     behind = [f"{e.variable} by {max(mine.log_likelihood - e.log_likelihood, 0.0):.0f} nats" for e in others]
     sure = mine.log_likelihood - others[0].log_likelihood > HARDLY
     told = f"The evidence favours {name}; behind it: {', '.join(behind)}."
-    return told + " The records hardly separate these: name the one you mean." * (not sure)
+    return told + " The records barely distinguish these: name the one you want." * (not sure)
 
 
 def motion_sentences(found: ScheduleDesign) -> list[str]:

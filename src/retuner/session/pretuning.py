@@ -107,7 +107,7 @@ class Pretuning:
         if conductor.cause is not None and not conductor.touched:
             raise UserError(f"pretune: {conductor.text}; nothing was changed")
         if conductor.cause is not None:
-            self._say(f"pretune aborted: {conductor.text}; {conductor.phase.value}; the run goes on without it")
+            self._say(f"pretune aborted: {conductor.text}; {conductor.phase.value}; the run continues without it")
             return
         self._samples = conductor.excited
         self._say(

@@ -47,7 +47,7 @@ def _moves(step: float) -> list[str]:
             told.append((1, move * step))
     moves = ", ".join(f"{count} x {move:+g}" if count > 1 else f"{move:+g}" for count, move in told)
     return [
-        "in manual, from where co stands; hold each until pv has settled, or four times what it takes to half of that:",
+        "in manual, steps of co; wait after each until pv settles (four times the time to half of its change):",
         f"  {moves}",
         "record time, co and pv, and evaluate: retuner experiment valve --from FILE",
     ]
