@@ -409,7 +409,7 @@ def _judge(
     if explained < settings.explained_limit:
         return (
             False,
-            f"the model explains {explained:.0%} of pv's variance; at least {settings.explained_limit:.0%} needed",
+            f"the model explains {explained:.0%} of pv's variance; {settings.explained_limit:.0%} is the least",
         )
     reach_s = math.inf if _settled(before, log, record.sample_time_s, settings) else record.span_s
     open_ = left_open(log, around, record.sample_time_s, reach_s, settings)
