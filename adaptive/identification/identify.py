@@ -407,10 +407,7 @@ def _judge(
     before : what was known. A dead time that is not short beside the record must have been known before.
     """
     if explained < settings.explained_limit:
-        return (
-            False,
-            f"the model explains {explained:.0%} of pv's variance; {settings.explained_limit:.0%} is the least",
-        )
+        return False, f"the model explains {explained:.0%} of pv's variance (at least {settings.explained_limit:.0%})"
     reach_s = math.inf if _settled(before, log, record.sample_time_s, settings) else record.span_s
     open_ = left_open(log, around, record.sample_time_s, reach_s, settings)
     dead_s = without_second_lag(log.model()).theta_s
