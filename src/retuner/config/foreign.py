@@ -41,9 +41,7 @@ class AskConfig(Section):
 
 
 def _asked() -> Any:  # noqa: ANN401  as setting
-    return setting(
-        "The data frame that asks for it; absent: the device sends it unasked", unit="-", default=None, source="none"
-    )
+    return setting("The data frame that asks for it; absent: sent unasked", unit="-", default=None, source="none")
 
 
 class SignalConfig(Section):

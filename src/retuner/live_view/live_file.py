@@ -71,9 +71,7 @@ class LiveWriter:
 
     def __init__(self, path: Path, head: Mapping[str, object]) -> None:
         if not hasattr(os, "pwrite"):
-            raise OSError(
-                errno.ENOSYS, "this system cannot write inside a file, so the session cannot be watched from outside"
-            )
+            raise OSError(errno.ENOSYS, "this system cannot write inside a file: no watching from outside")
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         self.trouble = ""
         self._counts = [0] * RINGS
