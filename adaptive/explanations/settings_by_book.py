@@ -13,6 +13,7 @@ comes back by itself looks like a process that does.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -28,43 +29,37 @@ from retuner.adaptive.explanations.settings_by_odds import (
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
+_MS = 1.1, 3.5
+"""Every limit of Ms lies between these: they follow a person's own (supervision/settings.py)."""
+
 
 @dataclass(frozen=True, slots=True)
 class BookSettings:
-    """Settings.
+    """When something follows from all samples. Costs are logarithms of the integrated error; what a set costs: cost."""
 
-    hazard_s : mean time after which a process is another one; a day to a year, default 30 days (fouling, wear).
-    drawn : processes that stand for the weights; 100 to 1000, default 300.
-    worth : how much cheaper a change must be expected to be, in logarithms of the integrated error; 0.1 to 0.7, default
-        0.25. price of a wrong one: see bad_share.
-    ms_high : Ms above which a loop has too little robustness; 1.8 to 2.5, default 2. ms_good : up to which it may have
-        more action; 1.5 to 1.8, default 1.7. ms_bad : Ms that no more than bad_share of the processes may give a change
-        to more action; 1.8 to 2.2, default 1.9. bad_share : 0.05 to 0.4, default 0.1. unstable_share : and this share
-        may be unstable; 0 to 0.05, default 0.02.
-    less_odds : probability of too little robustness from which less action follows; 0.5 to 0.9, default 0.85.
-    sure_odds : from which it does at the first look; 0.9 to 0.99, default 0.95. more_odds : probability of room from
-        which more action follows; 0.5 to 0.9, default 0.85. room : how many times as much of all actions a loop must
-        bear for that; 1.5 to 3, default 1.8.
-    cost : what a set costs on a process; Ms up to 1.68 costs nothing (1.5 to 1.8).
-    """
-
-    hazard_s: float = 30 * 86400.0
-    drawn: int = 300
-    worth: float = 0.25
-    ms_high: float = 2.0
-    ms_good: float = 1.7
-    ms_bad: float = 1.9
-    bad_share: float = 0.1
-    unstable_share: float = 0.02
-    less_odds: float = 0.85
-    sure_odds: float = 0.95
-    more_odds: float = 0.85
-    room: float = 1.8
+    hazard_s: Annotated[
+        float, Setting("Mean time after which a process is another one", 86400.0, 3.2e7, "s", "fouling, wear")
+    ] = 30 * 86400.0
+    drawn: Annotated[int, Setting("Processes that stand for the weights", 100, 1000)] = 300
+    worth: Annotated[float, Setting("How much cheaper a change must be expected to be", 0.1, 0.7)] = 0.25
+    ms_high: Annotated[float, Setting("Ms above which a loop has too little robustness", *_MS)] = 2.0
+    ms_good: Annotated[float, Setting("Ms up to which a loop may have more action", *_MS)] = 1.7
+    ms_bad: Annotated[float, Setting("Ms that bad_share of the processes may exceed after more action", *_MS)] = 1.9
+    bad_share: Annotated[float, Setting("Share of the odds that may come out badly", 0.05, 0.4)] = 0.1
+    unstable_share: Annotated[float, Setting("Share of the odds that may be unstable", 0.0, 0.05)] = 0.02
+    less_odds: Annotated[float, Setting("Odds of ms_high from which less action follows", 0.5, 0.9)] = 0.85
+    sure_odds: Annotated[float, Setting("Odds from which it does at the first look", 0.9, 0.99)] = 0.95
+    more_odds: Annotated[float, Setting("Odds of room from which more action follows", 0.5, 0.9)] = 0.85
+    room: Annotated[float, Setting("Times as much of all actions that a loop with room bears", 1.5, 3.0)] = 1.8
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68))
+
+    def __post_init__(self) -> None:
+        require_in_range(self, "book")
 
 
 LESS, LONGER = (0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25), (1.0, 1.5, 2.0, 4.0)

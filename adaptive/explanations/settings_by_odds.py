@@ -14,6 +14,7 @@ integral action in force: one record shows a process a few times, and the next r
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -31,37 +32,31 @@ from retuner.adaptive.explanations.tuning_odds import TuningOdds
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 
 
 @dataclass(frozen=True, slots=True)
 class WorthSettings:
-    """When settings are given.
+    """When settings are given. Costs are logarithms of the integrated error. SIMC's own Ms is 1.59 to 1.70."""
 
-    worth : how much cheaper they must be expected to be, in logarithms of the integrated error; 0.1 to 0.7, default
-        0.25.
-    ms_bad : Ms that no more than bad_share of the odds may give them; 1.7 to 2.2, default 1.8. bad_share : 0.02 to 0.2,
-        default 0.1. unstable_share : and this share may be unstable; 0 to 0.05, default 0.01.
-    ms_calm : Ms up to which robustness costs nothing; 1.4 to 1.8, default 1.6 (SIMC's own is 1.59 to 1.70).
-    risk : what Ms over it costs, per logarithm; 2 to 10, default 5. unstable : cost of an unstable loop; default 8.
-    most_at_once : factor on gain and on integral action that a record carries; 1.5 to 4, default 3 (first_step.py).
-        least_at_once : and on the gain towards less; 0.1 to 0.5, default 0.25.
-    processes : likeliest processes that sets are weighed on; default 250. rules : of them have settings tried;
-        default 8.
-    """
+    worth: Annotated[float, Setting("How much cheaper settings must be expected to be", 0.1, 0.7)] = 0.25
+    ms_bad: Annotated[float, Setting("Ms that no more than bad_share of the odds may have", 1.1, 3.5)] = 1.8
+    bad_share: Annotated[float, Setting("Share of the odds that may come out badly", 0.02, 0.2)] = 0.1
+    unstable_share: Annotated[float, Setting("Share of the odds that may be unstable", 0.0, 0.05)] = 0.01
+    ms_calm: Annotated[float, Setting("Ms up to which robustness costs nothing", 1.1, 3.5)] = 1.6
+    risk: Annotated[float, Setting("Cost of Ms over it, per logarithm", 2.0, 10.0)] = 5.0
+    unstable: Annotated[float, Setting("Cost of an unstable loop", 2.0, 20.0)] = 8.0
+    most_at_once: Annotated[
+        float, Setting("Factor on gain and integral action that a record carries", 1.5, 4.0, source="first_step.py")
+    ] = 3.0
+    least_at_once: Annotated[float, Setting("The same on the gain towards less", 0.1, 0.5)] = 0.25
+    processes: Annotated[int, Setting("Likeliest processes that sets are weighed on", 50, 1000)] = 250
+    rules: Annotated[int, Setting("Likeliest processes whose settings are tried", 1, 50)] = 8
 
-    worth: float = 0.25
-    ms_bad: float = 1.8
-    bad_share: float = 0.1
-    unstable_share: float = 0.01
-    ms_calm: float = 1.6
-    risk: float = 5.0
-    unstable: float = 8.0
-    most_at_once: float = 3.0
-    least_at_once: float = 0.25
-    processes: int = 250
-    rules: int = 8
+    def __post_init__(self) -> None:
+        require_in_range(self, "settings by odds")
 
 
 TAU_CS = (1.0, 1.5, 2.5, 4.0)

@@ -10,10 +10,14 @@ import pytest
 from retuner import PidController, PidGains
 from retuner.adaptive.explanations.book import ODD, Book, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, dearer
+from retuner.adaptive.explanations.settings_by_odds import WorthSettings
+from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.setting import declared
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.supervision import pipeline, retuner
 from retuner.adaptive.supervision.by_book import one_tone
 from retuner.adaptive.supervision.decision import Action
+from retuner.adaptive.supervision.settings import RetunerSettings, demanded
 from retuner.schedule.pid import law, start, step
 
 K, LAG, DEAD = 2.0, 20.0, 4
@@ -199,3 +203,17 @@ def test_a_cut_of_a_robust_loop_costs_its_speed_and_one_of_a_tight_loop_saves() 
     for times, costs in ((1.0, True), (2.6, False)):
         drawn = after(scaled(times), 3).drawn(SETTINGS.drawn)
         assert (dearer(drawn, scaled(times), scaled(0.3 * times), SETTINGS) > 0) is costs
+
+
+@pytest.mark.parametrize("settings", [BookSettings, WorthSettings])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 1e9])
+def test_a_setting_outside_its_range_is_refused_by_name(settings: type, value: float) -> None:
+    for one in declared(settings):
+        with pytest.raises(ValueError, match=f"{one.name} = "):
+            settings(**{one.name: value})
+
+
+@pytest.mark.parametrize(("nominal", "worst"), [(1.2, 1.2), (3.0, 5.0)])
+def test_the_book_follows_every_demand_of_robustness_that_a_person_may_make(nominal: float, worst: float) -> None:
+    asked = RetunerSettings(1.0, 100.0, guard=GuardSettings(ms_nominal=nominal, ms_worst=worst))
+    assert demanded(asked).book.ms_high == pytest.approx(2.0 * nominal / 1.75)
