@@ -7,6 +7,7 @@ from types import TracebackType
 import numpy as np
 
 from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import FloatArray
 from retuner.config.messages import key_name
 from retuner.config.model import Config
 from retuner.config.plants import (
@@ -34,6 +35,7 @@ from retuner.drivers.plants.python_model import find_object
 from retuner.drivers.plants.recorded_load import LoadedPlant, RecordedLoad, RecordedLoads
 from retuner.drivers.plants.shared_plant import PlantPort, PortSettings, SharedPlant
 from retuner.drivers.plants.state_space import StateSpaceModel, matrices_of
+from retuner.drivers.plants.stepped import SteppedPlant, rests_of
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError
 
@@ -91,6 +93,24 @@ def known_plant(config: Config) -> KnownPlant | None:
     except PlantFaultError as fault:
         raise UnusablePlantError(0, config.loop.name, fault) from None
     return made if loads is None else LoadedPlant(made, loads)
+
+
+def stepped_plant(config: Config, configs: Sequence[Config], sp: FloatArray, co: FloatArray) -> SteppedPlant | None:
+    """What steps on a copy tell of somebody else's plant; None of ours, which is known, and of a run without rest.
+
+    configs : all loops of the bench, which a shared plant needs. sp, co : of the run.
+    """
+    plant = config.device.plant if config.device else None
+    rests = rests_of(sp, co)
+    if not isinstance(plant, ModelConfig) or not rests:
+        return None
+
+    def begin() -> tuple[PlantPort, Callable[[], None]]:
+        users = [one for one in configs if plant.shared and _shares(one, plant.shared)] or [config]
+        model = _Model(users, lambda _: None, None)
+        return model.port(config, plant.model_copy(update={"noise": 0.0, "loads": ()})), model.close
+
+    return SteppedPlant(begin, rests, config.loop.sample_time_s)
 
 
 OurConfig = OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig | IdentifiedPlantConfig

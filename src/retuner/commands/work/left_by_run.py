@@ -83,7 +83,7 @@ def _leave_loop(
     folder = loop_folder(job.folder, loop.name if job.config.several else "")
     columns = loop.trend.columns()
     fixed_columns = fixed.trend.columns() if fixed is not None and fixed.trend.rows else None
-    scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns)
+    scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns, job.config.loops)
     job.unwritten.write(folder / GAINS, to_toml(loop.table))
     advice, kind = advice_of(loop, other), config.output.trend
     with job.unwritten.trying():

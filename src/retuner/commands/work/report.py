@@ -1,18 +1,22 @@
 """retuner report: the report of a recorded session made again, or the page of one of its decisions."""
 
 import json
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from retuner.config.bench_plants import known_plant
+from retuner.config.bench_plants import known_plant, stepped_plant
 from retuner.config.model import Config
 from retuner.decision_page.decision_view import view_of, what_came_of
 from retuner.decision_page.page import page
 from retuner.decision_page.row_values import Document, gains_of, number, part, parts, words
 from retuner.decision_page.shown_units import show_units_of
+from retuner.drivers.plants.model import PlantFaultError
+from retuner.drivers.plants.plant import KnownPlant
+from retuner.drivers.plants.stepped import SteppedPlant
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.ledger import Row
@@ -138,10 +142,34 @@ def _changes(recorded: RecordedSession, names: tuple[str, ...]) -> list[Row]:
 
 
 def scores_of(
-    config: Config, after: GainTable, commits: list[tuple[float, int]], columns: Columns, fixed: Columns | None = None
+    config: Config,
+    after: GainTable,
+    commits: list[tuple[float, int]],
+    columns: Columns,
+    fixed: Columns | None = None,
+    bench: Sequence[Config] = (),
 ) -> list[RegionScore]:
-    """Each region before and after, from the columns of a trend; fixed : those of the run with fixed gains."""
-    known = known_plant(config) if config.device and config.device.plant else None
+    """Each region before and after, from the columns of a trend; fixed : those of the run with fixed gains.
+
+    bench : configurations of all its loops, to step a copy of a plant that is not ours; without them its Ms stay open.
+    """
+    known: KnownPlant | SteppedPlant | None = None
+    if config.device and config.device.plant:
+        known = known_plant(config) or (stepped_plant(config, bench, columns["sp"], columns["co"]) if bench else None)
+    try:
+        return _scores(config, after, commits, columns, fixed, known)
+    except PlantFaultError:  # a copy that tells nothing takes nothing from the report
+        return _scores(config, after, commits, columns, fixed, None)
+
+
+def _scores(
+    config: Config,
+    after: GainTable,
+    commits: list[tuple[float, int]],
+    columns: Columns,
+    fixed: Columns | None,
+    known: KnownPlant | SteppedPlant | None,
+) -> list[RegionScore]:
     return region_scores(
         config.gain_table(),
         after,
@@ -181,6 +209,15 @@ def _summary(recorded: RecordedSession) -> Document:
 
 
 def _with_fixed(summary: Document, scores: list[RegionScore]) -> list[RegionScore]:
-    """The scores with the IAE of the run with fixed gains, which only the summary has kept."""
-    fixed = {words(one, "region"): number(one, "iae_fixed") for one in parts(summary, "scores")}
-    return [replace(score, iae_fixed=fixed.get(score.region)) for score in scores]
+    """The scores with what only the summary has kept: IAE with fixed gains, Ms of a plant that is not ours."""
+    kept = {words(one, "region"): one for one in parts(summary, "scores")}
+    return [_as_kept(kept.get(score.region, {}), score) for score in scores]
+
+
+def _as_kept(kept: Document, score: RegionScore) -> RegionScore:
+    def ms(name: str, now: float | None) -> float | None:
+        unstable = kept.get(f"stable_{name}") is False
+        return now if now is not None else math.inf if unstable else number(kept, f"ms_{name}")
+
+    before, after = ms("before", score.ms_before), ms("after", score.ms_after)
+    return replace(score, iae_fixed=number(kept, "iae_fixed"), ms_before=before, ms_after=after)
