@@ -24,6 +24,6 @@ def test_the_gain_table_of_records_names_their_unit_of_co(tmp_path: Path) -> Non
         assert told in text.splitlines()[0]
     assert "percent" not in (tmp_path / "out" / "gains.toml").read_text(encoding="utf-8")
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "Nothing changes with it" not in report
-    assert "With pv change: slope gain k/tau (from " in report
+    assert "does not change with it" not in report
+    assert "The process changes with pv: slope gain k/tau (from " in report
     assert from_toml((tmp_path / "out" / "gains.toml").read_text(encoding="utf-8")).gains

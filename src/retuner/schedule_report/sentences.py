@@ -18,8 +18,8 @@ def why_sentence(found: ScheduleDesign) -> str:
     places = found.places
     known = sum(place.known for place in places)
     told = [(found.variable, changing_with(found)), (found.second, changing_with(found, second=True))]
-    what = " ".join(f"With {name} change: {', '.join(changes)}." for name, changes in told if changes)
-    what = what or "Nothing changes with it."
+    what = " ".join(f"The process changes with {name}: {', '.join(changes)}." for name, changes in told if changes)
+    what = what or "The process does not change with it."
     where = (
         ""
         if known == len(places)

@@ -428,7 +428,7 @@ class Loop {
     const figure = (name, value) => (name === "overshoot" && value !== null ? `${Math.round(100 * value)} %` : words(value, 3));
     const predicted = t.promise.map((p) => el("tr", {}, el("td", {}, `${upset[p.upset]}: ${names[p.name]}`),
       el("td", {}, `${figure(p.name, p.values[0])} (${figure(p.name, p.values[1])} to ${figure(p.name, p.values[2])})`), el("td", {}, figure(p.name, p.before))));
-    const seen = t.seen.length ? t.seen.map((o) => el("p", {}, el("b", {}, `${o.number} ${o.finding.replaceAll("_", " ")}: `), o.reason)) : el("p", { class: "muted" }, "No response has been judged yet.");
+    const seen = t.seen.length ? t.seen.map((o) => el("p", {}, el("b", {}, `${o.number}: `), o.reason || o.finding.replaceAll("_", " "))) : el("p", { class: "muted" }, "No response has been judged yet.");
     this.parts.trial.replaceChildren(el("section", { class: "panel" }, el("h2", {}, `Trial: decision ${t.decision}, ${t.region}`), el("p", {}, t.change),
       t.promise.length ? el("table", {}, head, predicted) : "", el("h2", {}, "Seen so far"), seen,
       this.doc.state.predicted ? el("p", { class: "muted" }, `Predicted: ${this.doc.state.predicted}`) : ""));
