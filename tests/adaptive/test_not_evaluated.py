@@ -6,7 +6,7 @@ import random
 
 import numpy as np
 import pytest
-from effort import examples
+from effort import examples, sized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_bench import Bench, scaled, table
@@ -182,7 +182,7 @@ def test_no_window_of_any_signals_raises(sp: str, pv: str, co: str, n: int, seed
     assert NOT_EVALUATED not in {d.code for d in told}
 
 
-@settings(max_examples=examples(40), deadline=None)
+@settings(max_examples=sized(5, 8, 400), deadline=None)
 @given(
     st.sampled_from([2.0, 5.0, 30.0]),
     st.sampled_from([1, 5, 12]),
