@@ -41,6 +41,8 @@ STANDS = "does not move while co moves"
 MS_MOST = 2.5
 STEP_SHARE = 0.05
 """A setpoint step of less than this share of pv's range shows nothing."""
+TOLD = 0.05
+"""A cause less probable than this is not printed."""
 START_LAGS, START_DELAYS = (0.5, 3.0, 20.0), (0.0, 1.0, 5.0)
 """Starts of the plain fit, in samples."""
 
@@ -59,6 +61,7 @@ class Row:
     retune: bool
     reason: str
     factor: float | None = None
+    odds: dict[str, float] = field(default_factory=dict)
     ms: list[float] = field(default_factory=list)
     seconds: float = 0.0
 
@@ -69,9 +72,10 @@ class Row:
 
     @property
     def told(self) -> str:
-        """Cause and confidence, with the change of gain where there is one."""
-        change = f", Kc x {self.factor:.2f}" if self.factor is not None else ""
-        return f"{self.cause} ({self.confidence:.0%}{change})"
+        """The two likeliest causes, with the change of gain where one is recommended."""
+        ranked = sorted(self.odds.items(), key=lambda pair: -pair[1])[:2] or [(self.cause, self.confidence)]
+        change = f"; Kc x {self.factor:.2f}" if self.factor is not None and self.retune else ""
+        return ", ".join(f"{cause} {odds:.0%}" for cause, odds in ranked if odds >= TOLD) + change
 
 
 def read(path: Path) -> Record:
@@ -108,6 +112,7 @@ def judge(entry: dict[str, str]) -> Row:
         said.retune,
         said.reason,
         changed,
+        dict(said.causes),
         [ms for g in given for ms in _held_to(g, found.estimate.log.model(), window)],
         time.process_time() - begun,
     )
