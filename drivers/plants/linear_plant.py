@@ -141,8 +141,8 @@ def _realise(process: LinearProcess) -> tuple[FloatArray, FloatArray, list[float
     lags = [*([math.inf] * process.integrators), *sorted((lag for lag in process.lags_s if lag > 0), reverse=True)]
     leads = sorted((lead for lead in process.leads_s if lead), key=abs, reverse=True)
     n = len(lags)
-    if len(leads) > n:
-        raise ValueError(f"{len(leads)} leads, {n} lags: not causal; add lags")
+    if len(leads) > n or process.quadratics:
+        raise ValueError(f"{len(leads)} leads, {n} lags: not causal, or a pair of poles that swings; add lags, no pair")
     a, b = np.zeros((n, n)), np.zeros(n)
     row, through = np.zeros(n), process.k  # what enters the next section: row x + through u
     for i, lag in enumerate(lags):

@@ -9,7 +9,7 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.plants.oven_plant import OvenPlant, OvenSettings
 from retuner.drivers.plants.plant import Plant
@@ -68,6 +68,9 @@ def test_linear_plant_clips_its_actuator_and_takes_load_at_its_input() -> None:
 
 
 def test_linear_plant_refuses_what_it_cannot_be() -> None:
+    swings = ProcessModel(ProcessType.SOPDT, 1.0, 5.0, 5.0, zeta=0.5).linear()
+    with pytest.raises(ValueError, match="a pair of poles that swings"):  # it was left out without a word
+        LinearPlant(swings)
     with pytest.raises(ValueError, match="not causal"):
         LinearPlant(LinearProcess(1.0, (1.0,), (2.0, 3.0)))
     plant = LinearPlant(LinearProcess(1.0, (4.0,), (), 3.0))

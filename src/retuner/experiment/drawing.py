@@ -4,15 +4,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.identification.fitted_curve import fitted_pv
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.decision_page.svg import MARK, settings
-from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.experiment.findings import Findings
 from retuner.report.plots import FIXED, PV, SP, time_axis
-
-EVEN = 0.05
-"""Sampling intervals that differ by more than this share of their median are not even enough to simulate over."""
+from retuner.report.record_plots import ExplainedCurve
 
 
 @settings("experiment")
@@ -30,9 +27,9 @@ def experiment_figure(
     x, x_unit = time_axis(window.t_s)
     top.plot(x, window.pv, color=PV, lw=1.1, label="pv")
     top.plot(x, window.sp, color=SP, lw=0.9, ls="--", label="sp")
-    fitted = _fitted(window, found.model) if found.model is not None else None
-    if fitted is not None:
-        top.plot(x, fitted, color=FIXED, lw=1.6, alpha=0.9, label="fitted model under the same co")
+    if found.model is not None and found.fit is not None:
+        curve = ExplainedCurve.of("fitted model under the same co", window, fitted_pv(window, found.fit.estimate))
+        top.plot(np.interp(curve.t_s, window.t_s, x), curve.pv, color=FIXED, lw=1.6, alpha=0.9, label=curve.name)
     _readings(top, x, window, found)
     _band(top, window, band)
     bottom.step(x, window.co, where="post", color=PV, lw=0.9)
@@ -64,14 +61,3 @@ def _band(axes: Axes, window: Window, band: tuple[float, float] | None) -> None:
     for limit in band or ():
         if float(np.min(window.pv)) - reach < limit < float(np.max(window.pv)) + reach:
             axes.axhline(limit, color=MARK, lw=0.8, ls=":")
-
-
-def _fitted(window: Window, model: ProcessModel) -> FloatArray | None:
-    """The model's pv under the recorded co, laid on the record by its mean; None where sampling is uneven."""
-    steps = np.diff(window.t_s)
-    dt = float(np.median(steps))
-    if float(np.max(np.abs(steps - dt))) > EVEN * dt:
-        return None
-    plant = LinearPlant(model.linear(), start_co=float(window.co[0]), co_min=-1e12, co_max=1e12)
-    pv = np.array([0.0, *(plant.step(co, 0.0, dt) for co in window.co[:-1].tolist())])
-    return np.asarray(pv + float(np.mean(window.pv - pv)), dtype=np.float64)
