@@ -28,7 +28,7 @@ from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
-from retuner.adaptive.identification.first_step import first_step
+from retuner.adaptive.identification.first_step import MOST_AT_ONCE, first_step
 from retuner.adaptive.identification.identify import FEWEST_SAMPLES_IN_THETA, TWO_WAYS, Fits, FitSettings, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
 from retuner.adaptive.indexes.condition import one_sided
@@ -36,6 +36,7 @@ from retuner.adaptive.indexes.harmonics import pure_tone_s
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.loop.margins import Margins, margins, sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -109,11 +110,15 @@ def _by_margins(loop: Loop, found: Found, oscillates: bool) -> Found:
     window, settings, estimate = loop.window, loop.settings, found.estimate
     assert estimate is not None
     spread = gain_spread(estimate.plausible, window.sample_time_s)
-    if not estimate.identifiable and spread > settings.spread_limit:
+    far = not estimate.identifiable and spread > settings.spread_limit
+    if far and not estimate.log.model().linear().integrators:
         return found
     tuning = robust_simc(estimate, window.sample_time_s, settings.robust)
     verdict = weighed(estimate, loop.gains, tuning, window.sample_time_s, settings.cause)
     verdict = replace(verdict, evidence=verdict.evidence | found.diagnosis.evidence)
+    if far:
+        slow = verdict.cause is Cause.SLOW_INTEGRATING and _doubt(verdict, loop, oscillates) is None
+        return (_slow_oscillation(loop, Found(verdict, estimate)) if slow else None) or found
     if verdict.cause in TUNING_CAUSES and estimate.explained < settings.fit.explained_limit:
         return Found(_hardly_explained(estimate, verdict), estimate)
     if verdict.cause not in TUNING_CAUSES:
@@ -216,6 +221,8 @@ def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
     estimate = found.estimate
     assert estimate is not None
     other = loop.fits.estimate()
+    if setpoint_changes(loop.window):
+        other = bounded(loop.window, other, FitSettings())
     between = apart(estimate.log.model(), other.log.model(), loop.window.sample_time_s)
     unsure = next((e.reason for e in (estimate, other) if not e.identifiable), "")
     if hidden_sigma(loop.window.pv):
@@ -226,11 +233,51 @@ def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
             return _torn(loop, found, other.log.model(), unsure)
     if not unsure:
         return _first_step(loop, found)
+    slow = _slow_oscillation(loop, found)
+    if slow is not None:
+        return slow
     # by a model that is not known, a loop is not called slow that overshoots: the loads that explain it are a cover
     covered = _overshoots(found.diagnosis.evidence, loop.settings) if found.diagnosis.cause is Cause.SLUGGISH else ""
     if covered and found.diagnosis.evidence["loads"]:
         return _torn(loop, found, other.log.model(), f"perhaps sluggish, by a model that needs load steps{covered}")
     return _open(found, unsure)
+
+
+def _slow_oscillation(loop: Loop, found: Found) -> Found | None:
+    """The cure of a slow swing of an integrating loop, which hangs on k' alone; None where it is none, or k' not known.
+
+    The factor on k' Kc tau_I that makes it DAMPED (rules/slow_oscillation.py) is shared by gain and integral time, the
+    gain growing no more than one event carries, and only as far as every model bears it with an interval more of dead
+    time.
+    """
+    estimate, now = found.estimate, loop.gains
+    assert estimate is not None
+    model, dt = estimate.log.model(), loop.window.sample_time_s
+    if found.diagnosis.cause is Cause.AGGRESSIVE or model.linear().integrators != 1 or not (now.kp and now.ki):
+        return None
+    other, product = loop.fits.estimate().log.model(), abs(model.k * now.kp * now.kp / now.ki)
+    unlike = other.linear().integrators != 1 or abs(math.log(other.k / model.k)) > 2 * SLOPE_KNOWN
+    unsure = unlike or estimate.log.std()["k"] > SLOPE_KNOWN * abs(model.k) or hidden_sigma(loop.window.pv) > 0
+    if unsure or product >= DAMPED or without_second_lag(model).theta_s >= FEWEST_SAMPLES_IN_THETA * dt:
+        return None
+    late = [replace(p.model, theta_s=p.model.theta_s + dt).seen_by_controller(dt) for p in estimate.plausible]
+    most = min(math.sqrt(DAMPED / product), MOST_AT_ONCE)
+    for factor in np.geomspace(most, 1.0, GAINS_TRIED).tolist():
+        new = PidGains(now.kp * factor, now.ki * product / DAMPED * factor**2, now.kd * factor)
+        peaks = [sensitivity_peak(one.linear(), new) for one in late]
+        if max(peaks) <= loop.settings.cause.ms_high:
+            told = (
+                f"a slow oscillation of an integrating loop by too little k' Kc tau_I: {product:.2g}, where {DAMPED:g} "
+                f"does not swing. The dead time, shorter than the {dt:.3g} s logging interval, hardly matters"
+            )
+            tuning = RobustTuning(Tuning("slow-oscillation", "series", new), peaks[0], max(peaks))
+            return replace(found, diagnosis=replace(found.diagnosis, reason=told), tuning=tuning)
+    return None
+
+
+DAMPED, SLOPE_KNOWN, GAINS_TRIED = 4.0, 0.1, 6
+"""k' Kc tau_I from which PI on an integrator does not swing; how well k' must be known, a standard deviation's share;
+gains that are tried between the largest and the old."""
 
 
 def _torn(loop: Loop, found: Found, other: ProcessModel, why: str) -> Found:
