@@ -125,7 +125,9 @@ def diagnose_records(
     known = gains or rough
     sign = known.direction if known is not None else direction
     tests = [w for w, f in zip(windows, each, strict=True) if _final(w, f) and _in_steps(w)]
-    walk = _walk([*(w for w, _ in open_ones), *tests], known, sign, settings) if sign else None
+    asked = [*(w for w, _ in open_ones), *tests]
+    walks = [w for one in ((sign,) if sign else (1, -1)) if (w := _walk(asked, known, one, settings)) is not None]
+    walk = min(walks, key=lambda w: w.valve, default=None)  # of either sign, where none is known
     if walk is None:
         return OddsFound(_alone(told, settings), record=at)
     odds = None
