@@ -23,9 +23,10 @@ from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import Found
-from retuner.adaptive.explanations.deciding_test import DecidingTest, deciding_test, valve_test
+from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
 from retuner.adaptive.explanations.process_grid import gain_unit, shapes
+from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.explanations.setpoint_overshoot import SeenOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import (
     Worthwhile,

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from retuner.adaptive.explanations.deciding_test import DecidingTest
+from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import asks_for_integral
 from retuner.adaptive.loop.margins import EDGE, Margins, margins, sensitivity_peak

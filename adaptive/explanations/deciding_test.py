@@ -13,11 +13,11 @@ where the odds come out at nine to one or more. In each class the processes near
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes
+from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, TuningOdds, class_of
 from retuner.adaptive.explanations.wandering_load import (
     T_SETPOINT,
@@ -42,32 +42,6 @@ RIVALS = 8
 SHORTEST, LONGEST = 30, 250
 """Samples that the step is held."""
 SETTLED = 0.05
-
-
-class TestKind(StrEnum):
-    """SETPOINT : a step of the setpoint out and back. VALVE : in manual, steps of co up, up, down and down."""
-
-    __test__ = False  # no class of tests, whatever its name begins with
-
-    SETPOINT = "setpoint"
-    VALVE = "valve"
-
-
-@dataclass(frozen=True, slots=True)
-class DecidingTest:
-    """A test to make. size : of each step, pv units, or co units for a valve.
-
-    hold_s : how long each step is held. decides : probability that the record of it leaves one cause at 90 %.
-    """
-
-    kind: TestKind
-    size: float
-    hold_s: float
-    decides: float
-
-    def to_dict(self) -> dict[str, object]:
-        """Keys kind, size, hold_s, decides."""
-        return {"kind": str(self.kind), "size": self.size, "hold_s": self.hold_s, "decides": self.decides}
 
 
 def deciding_test(odds: TuningOdds, record: Prepared, error_std: float) -> DecidingTest:

@@ -12,7 +12,7 @@ import pytest
 from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.enough_data import shortcomings
-from retuner.adaptive.explanations.deciding_test import DecidingTest, TestKind
+from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window

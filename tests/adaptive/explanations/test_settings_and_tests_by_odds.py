@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from drawn_loop import PRIOR, loop_record
 
-from retuner.adaptive.explanations.deciding_test import DecidingTest, TestKind, deciding_test, valve_test
+from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.process_grid import gain_unit
+from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.explanations.setpoint_overshoot import SeenOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings, halved, likely_processes, worthwhile
 from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, tuning_odds

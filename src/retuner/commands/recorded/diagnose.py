@@ -18,7 +18,7 @@ from retuner.adaptive.audit.loop_screen import LoopScreen, screen_loop
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.enough_data import shortcomings
-from retuner.adaptive.explanations.deciding_test import DecidingTest, TestKind
+from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma

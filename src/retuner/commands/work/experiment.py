@@ -11,7 +11,7 @@ from typing import NamedTuple
 from rich.console import Console
 
 from retuner.adaptive.experiments.plan import Kind, Plan
-from retuner.adaptive.explanations.deciding_test import TestKind
+from retuner.adaptive.explanations.proposed_test import TestKind
 from retuner.adaptive.rules.registry import rule_named
 from retuner.commands.options import on_bus
 from retuner.commands.recorded.plot_option import check_plot
