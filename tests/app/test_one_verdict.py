@@ -1,0 +1,64 @@
+"""diagnose, identify and audit ask one question of a record, and say one cause."""
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retuner import diagnosing
+from retuner.adaptive.cause_odds.odds import OddsFound, diagnose_records
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
+from retuner.adaptive.signals.sample import Window
+from retuner.audit.catalogue import Task
+from retuner.audit.loop_row import AuditSettings, audit_task
+from retuner.cli import main
+from retuner.schedule.gains import PidGains
+
+PLANT = Path(__file__).parent.parent / "data" / "plant"
+
+
+def tight(folder: Path) -> Path:
+    """A loop with four times the gain that it should have, under a load that wanders, with a setpoint step."""
+    rng, n = np.random.default_rng(2), 260
+    drift, sp = np.cumsum(rng.standard_normal(n)) * 0.1, np.where((np.arange(n) > 100) & (np.arange(n) < 180), 8.0, 0.0)
+    pole, total, y = math.exp(-1 / 20.0), 0.0, 0.0
+    pv, co = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        y = pole * y + (1 - pole) * ((co[i - 5] if i > 4 else 0.0) + drift[i])
+        pv[i] = y + 0.02 * rng.standard_normal()
+        total += 4.2 / 20.0 * (sp[i] - pv[i])
+        co[i] = 4.2 * (sp[i] - pv[i]) + total
+    path = folder / "tight.csv"
+    np.savetxt(path, np.column_stack([np.arange(n), sp, pv, co]), delimiter=",", header="t,sp,pv,co", comments="")
+    return path
+
+
+@pytest.mark.parametrize("name", ["tight", "FIC20102_1016_12.csv"])
+def test_diagnose_identify_and_audit_say_one_cause_of_a_record(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tight(tmp_path) if name == "tight" else PLANT / name
+    answers: dict[object, OddsFound] = {}
+
+    def asked(windows: Sequence[Window], gains: PidGains | None, *limits: float | None, **named: object) -> OddsFound:
+        """The same, computed once for each question that is put."""
+        question = (tuple(w.pv.tobytes() + w.co.tobytes() for w in windows), gains, limits, str(sorted(named.items())))
+        if question not in answers:
+            answers[question] = diagnose_records(windows, gains, *limits, **named)  # type: ignore[arg-type]
+        return answers[question]
+
+    monkeypatch.setattr(diagnosing, "diagnose_records", asked)
+    told = diagnosing.diagnose(path).diagnosis
+    (row,) = audit_task(Task(("X",), (path,), separate=True), AuditSettings(4))
+    main(["identify", str(path), "--json"])
+    identified = json.loads(capsys.readouterr().out)
+
+    assert row["cause"] == told.cause
+    if identified["identifiable"] and told.cause not in {Cause.OK, *TUNING_CAUSES}:
+        assert identified["diagnosis"]["cause"] == told.cause
+    else:
+        assert identified["diagnosis"] is None
+    assert len(answers) == 1
