@@ -12,6 +12,7 @@ from retuner.adaptive.cause_odds.odds import diagnose_records
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.identification.estimate import ModelEstimate
+from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
@@ -126,9 +127,9 @@ def diagnose(
     Parameters
     ----------
     t, sp, pv, co : the record in automatic, see identify; or t is a list of records of one loop, all with the same
-        controller, from oldest to newest: each adds to the odds. gains : the controller in force; where it is not
-        given it is read off the record if the record shows it. co_min, co_max : limits of the controller output, co
-        units.
+        controller, from oldest to newest: each adds to the odds, and so does each day of a record of
+        several. gains : the controller in force; where it is not given it is read off the record if the record shows
+        it. co_min, co_max : limits of the controller output, co units.
 
     Returns
     -------
@@ -154,6 +155,7 @@ def diagnose(
         windows = [window_of(cast("Record", one), None, None, None) for one in t]
     else:
         windows = [window_of(cast("Times | Record", t), sp, pv, co)]
+    windows = [day for window in windows for day in days_of(window)]
     found = diagnose_windows(windows, gains=gains, co_min=co_min, co_max=co_max)
     return replace(found, record=windows[found.on])
 

@@ -18,7 +18,12 @@ from retuner.adaptive.audit.loop_screen import LoopScreen, screen_loop
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.enough_data import shortcomings
+<<<<<<< HEAD
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
+=======
+from retuner.adaptive.explanations.deciding_test import DecidingTest, TestKind
+from retuner.adaptive.indexes.days import days_of
+>>>>>>> 53c26efa (The days in one record are records: nights without samples or control are cut out of a diagnosis)
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
@@ -175,7 +180,7 @@ def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> Aimed:
 
 def _found(source: str, recordings: list[Recording], given: PidGains | None, options: RecordOptions) -> DiagnosedRecord:
     """The diagnosis with all that belongs to it."""
-    windows = [recording.window() for recording in recordings]
+    windows = [day for recording in recordings for day in days_of(recording.window())]
     result = diagnosing.diagnose_windows(windows, gains=given, co_min=options.co_min, co_max=options.co_max)
     window = windows[result.on]
     read_off = None

@@ -1,0 +1,52 @@
+"""A record of several days: nights without samples, or with a controller that is off, are no work of the loop."""
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.indexes.limits import at_limits
+from retuner.adaptive.signals.sample import Window
+
+GAP = 60.0
+"""Sampling intervals without a sample, from which the record goes on as another one."""
+NIGHT = 0.04
+"""Share of the record in which co stands still without a break, from which it is off."""
+OFF = 0.3
+"""Share of the record that it must be off in all; a shorter stand-still is a loop's own."""
+FEWEST_ROWS = 60
+"""Rows of a day at the least."""
+MOST_DAYS = 8
+"""Of more the newest tell."""
+
+
+def days_of(window: Window) -> list[Window]:
+    """The stretches in which a loop was at work, each a record of its own; the record itself where it is only one.
+
+    co that stands still at a limit is at work: the error pushes it there (limits.py).
+    """
+    n = len(window.t_s)
+    step = np.diff(window.t_s)
+    off = _off(window)
+    cut = np.zeros(n - 1, dtype=bool)
+    cut |= step > GAP * float(np.median(step))
+    if np.mean(off) >= OFF:
+        cut |= np.diff(off.astype(np.int8)) != 0
+    if not cut.any():
+        return [window]
+    edges = [0, *(np.flatnonzero(cut) + 1).tolist(), n]
+    parts = [slice(a, b) for a, b in pairwise(edges) if b - a >= FEWEST_ROWS]
+    days = [window.part(rows) for rows in parts if np.ptp(window.co[rows]) > 0 and np.ptp(window.pv[rows]) > 0]
+    return days[-MOST_DAYS:] if len(days) > 1 else [window]
+
+
+def _off(window: Window) -> npt.NDArray[np.bool_]:
+    """In which samples co stands still for long at what is no limit, shape (n,)."""
+    limits = at_limits(window.co, error=window.sp - window.pv)
+    ends = [float(f(window.co)) for share, f in ((limits.low, np.min), (limits.high, np.max)) if share > 0]
+    still = np.concatenate([[False], (np.diff(window.co) == 0) & ~np.isin(window.co[1:], ends), [False]])
+    starts, ends_at = np.flatnonzero(~still[:-1] & still[1:]), np.flatnonzero(still[:-1] & ~still[1:])
+    found = np.zeros(len(window.co), dtype=bool)
+    for a, b in zip(starts.tolist(), ends_at.tolist(), strict=True):
+        found[a : b + 1] = b - a >= max(NIGHT * len(window.co), FEWEST_ROWS)
+    return found
