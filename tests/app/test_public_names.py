@@ -80,7 +80,7 @@ def test_a_record_is_taken_as_it_was_read() -> None:
 
     assert np.array_equal(window_of(again).pv, window_of(read).pv)
     assert np.array_equal(window_of(again).t_s, window_of(read).t_s)
-    with pytest.raises(ValueError, match="has sp, pv and co of its own"):
+    with pytest.raises(ValueError, match="a record brings its own sp, pv and co"):
         window_of(read, [1.0], [1.0], [1.0])
     with pytest.raises(ValueError, match=r"or a record of retuner\.read"):
         window_of([1.0, 2.0])

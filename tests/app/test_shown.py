@@ -33,7 +33,7 @@ def test_a_frame_a_path_and_arrays_are_the_same_record() -> None:
     assert found[0].model == found[1].model is not None
     windows = [window_of(source) for source in (EXPORT, str(EXPORT), retuner.read(EXPORT))]
     assert all(np.array_equal(window.pv, windows[0].pv) for window in windows)
-    with pytest.raises(ValueError, match="has sp, pv and co of its own"):
+    with pytest.raises(ValueError, match="a record brings its own sp, pv and co"):
         retuner.identify(frame, arrays["sp"], arrays["pv"], arrays["co"])
 
 

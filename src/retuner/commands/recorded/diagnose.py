@@ -18,12 +18,8 @@ from retuner.adaptive.audit.loop_screen import LoopScreen, screen_loop
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.enough_data import shortcomings
-<<<<<<< HEAD
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
-=======
-from retuner.adaptive.explanations.deciding_test import DecidingTest, TestKind
 from retuner.adaptive.indexes.days import days_of
->>>>>>> 53c26efa (The days in one record are records: nights without samples or control are cut out of a diagnosis)
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
