@@ -407,9 +407,13 @@ def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
 
 def predicted(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> LogModel:
     """The process as it may be met at a later time: the prior of the next fit, and what the guard has to prove for."""
-    return predicted_all(region_model, t_s, settings)[0]
+    return _predicted(region_model.known[0], t_s - region_model.t_s, settings)
 
 
 def predicted_all(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> tuple[LogModel, ...]:
     """The same under every structure, the leading one first."""
-    return tuple(scattered(grown(k, t_s - region_model.t_s, settings).log, settings) for k in region_model.known)
+    return tuple(_predicted(known, t_s - region_model.t_s, settings) for known in region_model.known)
+
+
+def _predicted(known: StructureModel, elapsed_s: float, settings: TrackerSettings) -> LogModel:
+    return scattered(grown(known, elapsed_s, settings).log, settings)
