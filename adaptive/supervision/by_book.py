@@ -64,22 +64,30 @@ KEPT_LOOKS = 4
 
 
 def look_of(
-    samples: Sequence[LoopSample], book: Book | None, gains: PidGains, since_s: float, after_s: float, dt_s: float
+    samples: Sequence[LoopSample],
+    book: Book | None,
+    gains: PidGains,
+    since_s: float,
+    after_s: float,
+    dt_s: float,
+    on_trial: bool,
 ) -> Look | None:
-    """What is to be looked at; None where it is too little. since_s : since when the loop is in its region."""
+    """What is to be looked at; None where it is too little. since_s : since when the loop is in its region. on_trial :
+    a set is judged, and what it did meanwhile must be among it, however little.
+    """
     wanted = interval_s(gains, dt_s)
     if book is not None and (book.direction != gains.direction or not 1 / STRETCHED <= book.dt_s / wanted <= STRETCHED):
         book = None
     first_s = max(since_s, -math.inf if book is None else book.t_s)
     most = round(WHOLE / LOOK * after_s / dt_s)
     rows = [sample for sample in samples if sample.t_s > first_s][-most:]
-    if len(rows) * dt_s < after_s or len(rows) < FEWEST:
+    if len(rows) < FEWEST_ON_TRIAL or (not on_trial and (len(rows) < FEWEST or len(rows) * dt_s < after_s)):
         return None
     limited = sum(1 for sample in rows if sample.limited) / len(rows)
     return Look(book, Window.of(rows), grows=len(rows) < ROUNDED * most, limited=limited)
 
 
-FEWEST = 300
+FEWEST, FEWEST_ON_TRIAL = 300, 50
 """Samples of a look."""
 ROUNDED = 0.99
 

@@ -200,7 +200,7 @@ class Retuner:
         nothing = Response(*times, (), Ending.QUIET, bool(np.ptp(window.sp) > 0.0), self.band)
         return self._asked(Completed(region, nothing, self._finder.entered_s), alone=look)
 
-    def _look(self, patience: float = 1.0) -> Look | None:
+    def _look(self, patience: float = 1.0, *, on_trial: bool = False) -> Look | None:
         """What of all samples is due to be looked at; None for not yet. patience : so many times as long is waited."""
         region, samples, settings = self.region, self._finder.samples, self.settings
         if region is None or not samples or self.table.lookup is not Lookup.HARD:
@@ -210,13 +210,13 @@ class Retuner:
         after_s = look_after_s(gains, dt_s, settings.history)
         from_s = max(self._looked_s, samples[0].t_s, since_s)
         self._alone_s = from_s + PATIENCE * after_s
-        if self.now_s < from_s + patience * after_s:
+        if self.now_s < from_s + patience * after_s and not on_trial:
             return None
         self._alone_s = self.now_s + PATIENCE * after_s
         known, rests_on = self.region_models.get(region), self.excitation.get(region, Excitation())
         if not self.trials.busy and shown_clearly(known, rests_on, self.foreign.get(region, 0)):
             return None  # not the book's case, and dear; the samples are kept until something speaks against the model
-        return look_of(samples, self.books.get(region), gains, since_s, after_s, dt_s)
+        return look_of(samples, self.books.get(region), gains, since_s, after_s, dt_s, on_trial)
 
     @property
     def open_question(self) -> Question | None:
@@ -445,9 +445,10 @@ class Retuner:
         if not news and passed_over(self._led, case, self.settings):
             self._led = self._led._replace(passed_over=self._led.passed_over + 1)
             return None
-        look = alone or (self._look() if seen.region == self.region else None)
-        self._looked_s = self._looked_s if look is None else self.now_s
         trial = self.trials.of(seen.region)
+        on_trial = trial.phase is TrialPhase.TRIAL
+        look = alone or (self._look(on_trial=on_trial) if seen.region == self.region else None)
+        self._looked_s = self._looked_s if look is None else self.now_s
         return Question(case, self.settings, self.sample_number, trial, free, away, look, alone is not None)
 
     def _entered(self, question: Question, outcome: StageResult) -> Decision:

@@ -13,9 +13,9 @@ from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.setting import declared
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision import pipeline, retuner
-from retuner.adaptive.supervision.by_book import one_tone
+from retuner.adaptive.supervision.by_book import look_of, one_tone
 from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.settings import RetunerSettings, demanded
 from retuner.schedule.pid import law, start, step
@@ -189,6 +189,14 @@ def test_nothing_is_looked_at_where_clear_setpoint_steps_have_shown_the_process(
     monkeypatch.setattr(retuner, "shown_clearly", lambda *_: True)
     _, pid = watched(controller(2.7), 4, 2200)
     assert not pid.retuner.books
+
+
+@pytest.mark.parametrize(("count", "on_trial", "looks"), [(1000, False, True), (120, False, False), (120, True, True)])
+def test_what_a_loop_did_on_trial_is_looked_at_however_little(count: int, on_trial: bool, looks: bool) -> None:
+    rows = [LoopSample(float(i), 0.0, float(i % 7), float(i % 5)) for i in range(count)]
+    found = look_of(rows, None, GOOD, -math.inf, 500.0, 1.0, on_trial)
+    assert (found is not None) is looks
+    assert found is None or len(found.window.t_s) == count
 
 
 def test_one_lasting_tone_is_told_from_a_load_that_wanders() -> None:
