@@ -378,6 +378,10 @@ def _verdict(
     if cause == Cause.NONLINEAR:
         evidence, test = evidence | {"gain_ratio": walk.along.ratio}, None
     reason = _bends(walk.along) if cause == Cause.NONLINEAR else _reason(cause, odds, evidence, told)
+    window = next(w for w, f in open_ones if f is told)
+    if record_condition(window).condition == Condition.MOVING_SETPOINT:
+        evidence |= _follows(window)
+        reason += FOLLOWS.format(**evidence)
     settled = cause not in TUNING_CAUSES or worth is not None
     verdict = Diagnosis(cause, p, evidence, reason, settled, shares, test)
     kept = replace(told, diagnosis=verdict, tuning=None, aim=None)
@@ -468,6 +472,23 @@ WORDS = {
     Cause.SLUGGISH: "the loop could be much faster",
     Cause.STICTION: "a valve that sticks or has play explains the record best, under a load that wanders",
 }
+
+
+FOLLOWS = (
+    "; a slave of a cascade: pv follows its setpoint {follows_late_s:.3g} s late, error {tracking_error:.0%} of it"
+)
+
+
+def _follows(window: Window) -> dict[str, float]:
+    """How a slave tracks: the delay at which pv is most like its setpoint, and the error's share of its movement."""
+    sp, pv = window.sp, window.pv
+    apart = [float(np.std(pv[late:] - sp[: len(sp) - late])) for late in range(max(len(sp) // MOST_LATE, 1))]
+    error = float(np.std(sp - pv)) / max(float(np.std(sp)), LEAST_MOVED)
+    return {"follows_late_s": int(np.argmin(apart)) * window.sample_time_s, "tracking_error": error}
+
+
+MOST_LATE, LEAST_MOVED = 10, 1e-300
+"""Share of a record, one in so many, by which a slave may be late; a led setpoint moves at least so much."""
 
 
 def _bends(along: GainAlongPv) -> str:

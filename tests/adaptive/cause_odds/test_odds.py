@@ -163,3 +163,20 @@ def test_settings_that_make_no_sense_are_refused() -> None:
         OddsSettings(undecided=-1.0)
     with pytest.raises(ValueError, match="the probabilities of the causes sum to"):
         Diagnosis(Cause.OK, 0.5, {}, "", causes={"ok": 0.5})
+
+
+def test_a_slave_of_a_cascade_is_told_how_it_tracks_its_setpoint() -> None:
+    rng, n, dead = np.random.default_rng(7), 400, 4
+    sp = np.cumsum(rng.standard_normal(n))
+    pole, total, y = math.exp(-1 / 5.0), 0.0, 0.0
+    pv, co = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        y = pole * y + (1 - pole) * (co[i - dead - 1] if i > dead else 0.0)
+        pv[i] = y + 0.05 * rng.standard_normal()
+        total += 0.1 * (sp[i] - pv[i])
+        co[i] = 0.5 * (sp[i] - pv[i]) + total
+    found = diagnose_records([Window(np.arange(float(n)), sp, pv, co)], PidGains(0.5, 0.1)).found.diagnosis
+    assert found.cause == Cause.OK
+    assert dead <= found.evidence["follows_late_s"] <= 3 * dead
+    assert 0.0 < found.evidence["tracking_error"] < 1.0
+    assert "slave of a cascade" in found.reason
