@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rcParams
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray
@@ -76,7 +76,7 @@ def settings(name: str) -> Iterator[None]:
 def svg(figure: Figure, alt: str, *, tight: bool = False) -> str:
     """The drawing as an <svg> element that fills the width it is given; tight : cut or grown to what is drawn."""
     buffer, nothing = io.StringIO(), {"Date": None, "Creator": None, "Format": None, "Type": None}
-    with settings(alt):
+    with settings(rcParams["svg.hashsalt"] or alt):  # the name of who draws on a page, else its own
         figure.savefig(buffer, format="svg", metadata=nothing, bbox_inches="tight" if tight else None)
     text = _METADATA.sub("", _HEAD.sub("", buffer.getvalue()))
     text = _COLOUR.sub(lambda found: f"var(--{TONES[found[0]]})", text)
