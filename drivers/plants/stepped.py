@@ -89,8 +89,8 @@ class SteppedPlant:
         pv = np.array([*lead, *moved], dtype=np.float64)
         given = np.full(len(pv), co, dtype=np.float64)
         given[LEAD - 1 :] += step  # held from the last sample of the lead on
-        window = Window(np.arange(float(len(pv))) * self._dt_s, np.full(len(pv), pv[0]), pv, given)
         try:
+            window = Window(np.arange(float(len(pv))) * self._dt_s, np.full(len(pv), pv[0]), pv, given)
             found = identify_manual(window)
         except ValueError as error:
             raise PlantFaultError(f"a step of its copy tells no process: {error}") from None

@@ -62,6 +62,22 @@ def test_a_copy_that_does_not_answer_is_no_process() -> None:
     assert closed == ["one"]
 
 
+def test_a_copy_that_dies_is_a_fault_and_no_traceback() -> None:
+    class Dies:
+        readings = (50.0,)
+
+        def step(self, inputs: object, dt_s: float) -> tuple[float]:  # noqa: ARG002  the protocol has them
+            raise PlantFaultError("its process was killed by SIGKILL")
+
+        def close(self) -> None: ...
+
+    def begin() -> tuple[PlantPort, Callable[[], None]]:
+        return SharedPlant(Dies(), [0.0], lambda _: None).port(PortSettings("test")), lambda: None
+
+    with pytest.raises(PlantFaultError, match="not a finite number"):
+        SteppedPlant(begin, {50.0: 40.0}, 1.0).linearise(50.0)
+
+
 def test_the_co_that_holds_each_setpoint_is_that_of_its_end() -> None:
     sp = np.repeat([10.0, 20.0, 10.0, 30.0], [100, 100, 40, 5])
     co = np.repeat([1.0, 5.0, 2.0, 7.0], [100, 100, 40, 5]) + np.linspace(0.0, 0.1, 245)
