@@ -182,7 +182,7 @@ def test_no_window_of_any_signals_raises(sp: str, pv: str, co: str, n: int, seed
     assert NOT_EVALUATED not in {d.code for d in told}
 
 
-@settings(max_examples=sized(5, 8, 400), deadline=None)
+@settings(max_examples=sized(3, 3, 400), deadline=None)
 @given(
     st.sampled_from([2.0, 5.0, 30.0]),
     st.sampled_from([1, 5, 12]),
