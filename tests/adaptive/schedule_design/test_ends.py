@@ -46,5 +46,5 @@ def test_ends_are_of_the_variable_that_is_named_first() -> None:
     assert _able([PV, STILL], (0.0, 100.0)) == [PV]
     with pytest.raises(ValueError, match=r"F: does not move.*low and high are its ends"):
         _able([STILL, PV], (0.0, 100.0))
-    with pytest.raises(ValueError, match="F: does not move"):
+    with pytest.raises(ValueError, match="F: moves no more than its noise"):
         _able([STILL], (None, None))
