@@ -44,8 +44,6 @@ TESTS = (
     "tests/app/test_verbosity.py",
 )
 """What touches numpy, scipy, filterpy, pydantic, typer, rich, python-can, cantools, pyarrow most; a minute of CPU."""
-
-
 LEFT_OUT = ("all", "fmu")
 """Extras that are not installed here by name: the sum of all, and what has a numpy of its own."""
 

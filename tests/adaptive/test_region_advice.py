@@ -84,7 +84,7 @@ def test_the_advised_settings_are_those_of_a_sampled_controller() -> None:
 
 @pytest.mark.uncounted
 def test_one_process_is_hardly_ever_taken_for_two() -> None:
-    """Regions of one process with about the scatter that is allowed: at alpha = 0.001 three of 500 at the very most."""
+    """One process with about the scatter that is allowed: at alpha = 0.001 fourteen of 5,000 at most."""
     count, most = sized((100, 1), (200, 1), (5000, 14))
     rng, wrong = random.Random(7), 0
     for _ in range(count):
