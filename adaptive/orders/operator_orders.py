@@ -1,5 +1,5 @@
-"""What people order, looked at once more before it is written: an approved proposal, the way back, a lock, a mode; and
-what they must not do at the controller: turn its action.
+"""What people order, looked at once more before it is written: a proposal, theirs or approved, the way back, a lock,
+a mode; and what they must not do at the controller: turn its action.
 
 An approved proposal is put to the guard again, with what is known now, and is written whole or not at all: what was
 approved is what was looked at. Where nothing is known of the region (the proposal is of the session before this one)
@@ -17,7 +17,7 @@ from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.guard_request import change_request, known_of
+from retuner.adaptive.supervision.guard_request import change_request, known_of, promise_of
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.expectation import Promise
@@ -39,7 +39,7 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
         There is no such region.
     """
     region = retuner.table.index(proposal.region)
-    verdict = _proof(retuner, region, proposal, t_s)
+    verdict = _proof(retuner, region, proposal.after, t_s)
     short, reason = proposal.digest[:8], _refusal(retuner, region, proposal, verdict)
     if reason:
         return retuner.ordered(region, StageResult("approval_refused", f"proposal {short} is not written: {reason}"))
@@ -48,6 +48,30 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
         "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by an operator", verdict=verdict
     )
     return retuner.ordered(region, outcome, proposal.after, promised)
+
+
+def propose(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decision:
+    """A person proposes gains: a proposal like the retuner's own where the guard proves them whole, or why not.
+
+    t_s : now. Nothing is written before the proposal is approved.
+    """
+    verdict = _proof(retuner, region, gains, t_s)
+    proved = None if verdict is None else verdict.gains
+    if gains.direction != retuner.table.gains_of(region).direction:
+        reason = "these gains have the opposite control action"
+    elif verdict is None:
+        reason = "the process of this region is not known yet"
+    elif proved is None:
+        reason = verdict.sentence
+    elif change_factor(proved, gains) > WHOLE:
+        reason = f"only a smaller change is proved now: kp {proved.kp:.4g}, ki {proved.ki:.4g}, kd {proved.kd:.4g}"
+    else:
+        promised = promise_of(verdict, retuner.table, region, retuner.scheduled, None, retuner.settings)
+        told = retuner.ordered(
+            region, StageResult("order_proposed", "an operator proposed these gains", verdict=verdict)
+        )
+        return replace(told, action=Action.ADVISE, gains_after=proved, promise=promised)
+    return retuner.ordered(region, StageResult("order_refused", f"proposal refused: {reason}", verdict=verdict))
 
 
 def approve_proposal(retuner: Retuner, decision: Decision, expires_after_s: float = 86400.0) -> Decision:
@@ -76,12 +100,12 @@ def approve_proposal(retuner: Retuner, decision: Decision, expires_after_s: floa
     return approve(retuner, proposal, retuner.now_s)
 
 
-def _proof(retuner: Retuner, region: int, proposal: Proposal, t_s: float) -> Verdict | None:
-    """The guard's word on the approved gains; None where nothing is known of the region."""
+def _proof(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Verdict | None:
+    """The guard's word on a person's gains; None where nothing is known of the region."""
     if region not in retuner.region_models:
         return None
     tables = (retuner.table, retuner.commissioned)
-    wanted = Tuning("approved", "parallel", proposal.after)
+    wanted = Tuning("approved", "parallel", gains)
     settings = retuner.settings
     return prove(change_request(wanted, region, tables, retuner.region_models, None, t_s, settings), settings.guard)
 

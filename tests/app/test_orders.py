@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.errors import UserError
+from retuner.schedule.gains import PidGains
 from retuner.session.orders import LARGEST, MOST_AT_ONCE, Order, OrderBox, OrderKind, put_order, read_order
 
 HASH = "0123456789abcdef" * 4
@@ -23,8 +24,10 @@ UNLOCK = Order(OrderKind.UNLOCK, "Ada", "2030-01-31T12:00:02Z", region="low")
 REJECT = Order(OrderKind.REJECT, "Ada", "2030-01-31T12:00:03Z", digest=HASH)
 HOLD = Order(OrderKind.MODE, "Ada", "2030-01-31T12:00:04Z", mode="off")
 
+PROPOSE = Order(OrderKind.PROPOSE, "Ada", "2030-01-31T12:00:05Z", region="low", gains=PidGains(2.0, 0.1))
 
-@pytest.mark.parametrize("order", [APPROVE, REVERT, UNLOCK, REJECT, HOLD])
+
+@pytest.mark.parametrize("order", [APPROVE, REVERT, UNLOCK, REJECT, HOLD, PROPOSE])
 def test_an_order_comes_back_as_it_was_given(tmp_path: Path, order: Order) -> None:
     path = put_order(tmp_path, order)
     assert read_order(path) == order
@@ -99,7 +102,7 @@ JSON = st.recursive(
 )
 
 
-@given(st.sampled_from([APPROVE, REVERT, UNLOCK]), st.sampled_from(sorted(APPROVE.to_dict())), JSON)
+@given(st.sampled_from([APPROVE, REVERT, UNLOCK, PROPOSE]), st.sampled_from(sorted(PROPOSE.to_dict())), JSON)
 def test_a_field_of_another_kind_is_refused_or_is_an_order_all_the_same(order: Order, name: str, value: Any) -> None:
     body = {**order.to_dict(), name: value}
     with suppress(ValueError):

@@ -21,7 +21,7 @@ from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed
 from retuner.session.order_queue import Before, OrderDesk, Shown
-from retuner.session.orders import Order, OrderBox, OrderKind, put_order
+from retuner.session.orders import REGIONAL, Order, OrderBox, OrderKind, put_order
 
 P = TrialPhase
 
@@ -43,10 +43,12 @@ class Desk(NamedTuple):
     def happens(self, event: TrialEvent) -> None:
         self.wire.trials.event(0, event, self.wire.clock.now_s())
 
-    def order(self, kind: OrderKind, digest: str = "", decision: int = 0, mode: str = "") -> dict[str, object]:
+    def order(
+        self, kind: OrderKind, digest: str = "", decision: int = 0, mode: str = "", gains: PidGains | None = None
+    ) -> dict[str, object]:
         """Give an order, and let it be taken; its last row."""
-        region = "low" if kind is OrderKind.UNLOCK else ""
-        put_order(self.folder, Order(kind, "Ada", "2030-01-31T12:00:00Z", "", digest, decision, region, mode))
+        region = "low" if kind in REGIONAL else ""
+        put_order(self.folder, Order(kind, "Ada", "2030-01-31T12:00:00Z", "", digest, decision, region, mode, gains))
         self.wire.run(60)
         return dict([body for row, body in self.wire.rows if row == "order"][-1])
 
@@ -58,6 +60,14 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
     session.orders = OrderDesk(OrderBox(tmp_path), session.retuner, wire._record, session.decisions, 1e6).take
     yield Desk(wire, tmp_path)
     wire.close()
+
+
+def test_a_persons_own_proposal_is_an_order_and_its_refusal_a_decision(desk: Desk) -> None:
+    told = desk.order(OrderKind.PROPOSE, gains=PidGains(2 * GOOD.kp, GOOD.ki))
+    assert (told["accepted"], told["gains"]) == (True, {"kp": 2 * GOOD.kp, "ki": GOOD.ki, "kd": 0.0})
+    decision = desk.wire.session.decisions[-1]
+    assert (decision.code, decision.action) == ("order_refused", Action.NONE)
+    assert "the process of this region is not known yet" in decision.reason
 
 
 def test_an_approval_of_another_change_does_not_release_the_one_that_waits(desk: Desk) -> None:

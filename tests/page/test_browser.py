@@ -81,6 +81,8 @@ def test_a_decision_opens_with_its_whole_reasoning_and_the_ledger_is_filtered(
 ) -> None:
     session.until_decided(1)
     seen = browsers()
+    seen.open(f"{server.address}#token={server.token}")
+    seen.sees("may act")
     seen.open(f"{server.address}#/loop/demo/1")
     seen.press("Show full reasoning")
     seen.wait(lambda: seen.driver.find_element(By.TAG_NAME, "iframe"), "the page of the decision does not open")
@@ -92,6 +94,12 @@ def test_a_decision_opens_with_its_whole_reasoning_and_the_ledger_is_filtered(
     seen.sees("What if: ")
     seen.sees("mean error of the record")
     seen.picture("tried")
+    seen.press("Propose")
+    seen.confirms("Ada")
+    session.step(400)
+    order = [row.body for row in session.ledger.rows() if row.kind == "order"][-1]
+    assert (order["order"], order["by"], order["accepted"]) == ("propose", "Ada", True)
+    assert "order_proposed" in [one.code for one in session.session.loops[0].decisions]
     search = seen.driver.find_element(By.CSS_SELECTOR, "input[type=search]")
     search.send_keys("advise low")
     seen.wait(

@@ -213,6 +213,10 @@ def test_an_act_goes_into_an_order_file_of_the_session(session: Session, served:
         assert served.client.post("/api/order", json={**order, **wrong}, headers=headers).status_code == 400
     assert served.client.post("/api/order", json={**order, "loop": "x/1"}, headers=headers).status_code == 404
     mode = {"loop": "demo/1", "order": "mode", "mode": "advise", "by": "Ada", "region": "nowhere"}
+    own = {"loop": "demo/1", "order": "propose", "region": "middle", "by": "Ada"}
+    for gains in (None, [1, 2, 3], {"kp": 1}, {"kp": 1, "ki": 0.1, "kd": "0"}, {"kp": 1, "ki": -1, "kd": 0}):
+        told = served.client.post("/api/order", json={**own, "gains": gains}, headers=headers)
+        assert (told.status_code, "k" in told.text) == (400, True), gains
     told = served.client.post("/api/order", json=mode, headers=headers)
     assert (told.status_code, "there is no region nowhere; there are" in told.text) == (404, True)
     assert len(list((session.folder / "orders").glob("*.json"))) == 1

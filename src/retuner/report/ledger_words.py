@@ -48,7 +48,7 @@ BY = {
     "action": "someone else", "lease": "another host", "conflict": "two controllers",
 }  # fmt: skip
 """Who stands behind a row, where it does not say so itself."""
-BY_ORDER = {"approved", "ordered_back"}
+BY_ORDER = {"approved", "order_proposed", "ordered_back"}
 """Codes of decisions that a person stands behind; the order before them says who."""
 HIDDEN = {
     "samples",

@@ -23,7 +23,7 @@ from retuner.serve.access import LASTS_S, Access
 from retuner.serve.gate import PAGE_POLICY, Gate
 from retuner.serve.hub import Hub
 from retuner.serve.runs import WatchedLoop, WatchedSession
-from retuner.session.orders import Order, OrderKind, put_order
+from retuner.session.orders import Order, OrderKind, proposed_gains, put_order
 from retuner.session.outputs import REPORT
 
 LARGEST = 4096
@@ -278,6 +278,7 @@ def _order_of(body: dict[str, Any]) -> Order:
             decision,
             _text(body, "region"),
             _text(body, "mode"),
+            proposed_gains(body.get("gains")),
         )
     except ValueError as error:
         raise NotTakenError(400, str(error)) from None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from retuner.adaptive.nudge.planner import NudgePhase
-from retuner.adaptive.orders.operator_orders import accept, acts, approve, revert, set_mode, unlock
+from retuner.adaptive.orders.operator_orders import accept, acts, approve, propose, revert, set_mode, unlock
 from retuner.adaptive.orders.pending_proposal import Proposal
 from retuner.adaptive.orders.pretune import pretune
 from retuner.adaptive.signals.sample import Window
@@ -172,6 +172,8 @@ def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | 
             return approve(retuner, Proposal.from_dict(body["proposal"]), t_s)
         case "approve":
             accept(retuner, region, t_s)
+        case "propose":
+            return propose(retuner, region, gains_of(body["gains"]), t_s)
         case "revert":
             return revert(retuner, region, gains_of(body["gains"]), t_s)
         case "reject" if body["tried"]:

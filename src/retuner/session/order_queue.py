@@ -280,6 +280,8 @@ class OrderDesk:
         if order.kind is OrderKind.MODE:
             past = "it was meant for the session before this one" if before is not None else ""
             return {}, past or (self._no_such(order.region) if order.region else "")
+        if order.kind is OrderKind.PROPOSE:
+            return {}, self._closed(order.region)
         if order.kind is OrderKind.REVERT:
             change = self._change(order.decision, before)
             if change is None:

@@ -3,6 +3,7 @@
     approve : write a proposal, named by its hash          revert : back to the gains before a decision, in its region
     unlock  : let a locked-out region change again         reject : no to a proposal, or to what was tried and waits
     mode    : what may be done from now on, in a region or (without one) in all; off takes back what is on trial
+    propose : gains of one's own for a region, proved as any; they wait for approval
 
 A running session looks for them at its samples; without one, the next session into the same folder finds them. A taken
 file is moved to orders/taken/, one that is no order to orders/refused/: nothing that lies there can be taken again, and
@@ -23,6 +24,7 @@ from typing import Any, NamedTuple
 
 from retuner.errors import UserError
 from retuner.files import write_whole
+from retuner.schedule.gains import PidGains
 from retuner.session.outputs import ORDERS
 
 TAKEN, REFUSED = "taken", "refused"
@@ -52,10 +54,15 @@ class OrderKind(StrEnum):
     UNLOCK = "unlock"
     REJECT = "reject"
     MODE = "mode"
+    PROPOSE = "propose"
 
 
 HASHED = (OrderKind.APPROVE, OrderKind.REJECT)
 """Orders that name a decision by its hash."""
+REGIONAL = (OrderKind.UNLOCK, OrderKind.PROPOSE)
+"""Orders that need a region."""
+GAINS = ("kp", "ki", "kd")
+KINDS = {str: "text", int: "a whole number", dict: "kp, ki, kd"}
 MODES = ("off", "advise", "trial", "auto")
 
 
@@ -65,7 +72,7 @@ class Order:
 
     by : who. at : when, UTC, as 2030-01-31T12:00:00Z. note : why, may be empty. digest : of the decision that is
     approved or rejected. decision : number of the one that is undone with all after it in its region. region : that is
-    unlocked, or gets another mode (empty: all). mode : off, advise, trial or auto.
+    unlocked, or gets another mode (empty: all). mode : off, advise, trial or auto. gains : that are proposed.
 
     Raises
     ------
@@ -81,6 +88,7 @@ class Order:
     decision: int = 0
     region: str = ""
     mode: str = ""
+    gains: PidGains | None = None
 
     def __post_init__(self) -> None:
         for name, text in (("by", self.by), ("note", self.note), ("region", self.region)):
@@ -96,8 +104,10 @@ class Order:
             raise ValueError(f"mode must be one of {', '.join(MODES)} in an order of a mode, and empty in any other")
         if not (self.kind is OrderKind.REVERT) <= self.decision <= MOST_DECISIONS:
             raise ValueError("decision must be the number of a decision, 1 or more")
-        if self.kind is OrderKind.UNLOCK and not self.region:
-            raise ValueError("region must name the region to unlock")
+        if self.kind in REGIONAL and not self.region:
+            raise ValueError(f"region must name the region to {self.kind}")
+        if (self.gains is not None) != (self.kind is OrderKind.PROPOSE):
+            raise ValueError("gains must be kp, ki, kd in an order that proposes them, and missing in any other")
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
@@ -110,6 +120,7 @@ class Order:
             "decision": self.decision,
             "region": self.region,
             **({"mode": self.mode} if self.mode else {}),
+            **({"gains": {name: getattr(self.gains, name) for name in GAINS}} if self.gains else {}),
         }
 
     @classmethod
@@ -124,11 +135,13 @@ class Order:
         known = {"order": str, "by": str, "at": str, "note": str, "digest": str, "decision": int, "region": str}
         if body.get("order") == OrderKind.MODE:
             known["mode"] = str
+        if body.get("order") == OrderKind.PROPOSE:
+            known["gains"] = dict
         if set(body) != set(known):
             raise ValueError(f"fields must be {', '.join(known)}")
         for name, kind in known.items():
             if type(body[name]) is not kind:
-                raise ValueError(f"{name} must be {'text' if kind is str else 'a whole number'}")
+                raise ValueError(f"{name} must be {KINDS[kind]}")
         if body["order"] not in tuple(OrderKind):
             raise ValueError(f"order must be {', '.join(OrderKind)}")
         return cls(
@@ -140,7 +153,27 @@ class Order:
             body["decision"],
             body["region"],
             body.get("mode", ""),
+            proposed_gains(body.get("gains")),
         )
+
+
+def proposed_gains(body: object) -> PidGains | None:
+    """The gains of an order: an object with kp, ki and kd; None where there is none.
+
+    Raises
+    ------
+    ValueError
+        It is something else, or no gains.
+    """
+    if body is None:
+        return None
+    named = body if isinstance(body, dict) else {}
+    values = [named.get(name) for name in GAINS]
+    if len(named) != len(GAINS) or any(type(value) not in {int, float} for value in values):
+        raise ValueError("gains must be kp, ki and kd, each a number")
+    with contextlib.suppress(OverflowError):
+        return PidGains(*(float(value) for value in values if value is not None))
+    raise ValueError("gains must be finite numbers")
 
 
 def put_order(session: Path, order: Order) -> Path:

@@ -14,7 +14,7 @@ from rig import BAD, GOOD, PROMISE, Rig
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.orders.operator_orders import accept, approve, revert, unlock
+from retuner.adaptive.orders.operator_orders import accept, approve, propose, revert, unlock
 from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
@@ -72,6 +72,29 @@ def test_an_approved_proposal_is_written_as_it_was_and_on_trial() -> None:
     assert bench.retuner.trials.phase(0) is P.TRIAL
     assert bench.retuner.trials.of(0).old == SLOW
     assert approve(bench.retuner, again, bench.t_s).code == "approval_refused"
+
+
+def test_a_persons_own_gains_are_proposed_where_the_guard_proves_them_whole() -> None:
+    bench = Bench(taught=True)
+    own = PidGains(SLOW.kp * 1.2, SLOW.ki * 1.2)
+    decision = propose(bench.retuner, 0, own, bench.t_s)
+    assert (decision.action, decision.code, decision.gains_after) == (Action.ADVISE, "order_proposed", own)
+    offered = Proposal.of(decision)
+    assert offered is not None
+    assert bench.retuner.table.gains[0] == SLOW
+    written = approve(bench.retuner, offered, bench.t_s)
+    assert (written.action, written.gains_after) == (Action.COMMIT, own)
+
+
+@pytest.mark.parametrize(
+    ("factor", "taught", "told"),
+    [(1.2, False, "not known yet"), (3.9, True, "smaller change is proved now: kp"), (-1.0, True, "opposite")],
+)
+def test_a_persons_own_gains_are_refused_with_the_reason(factor: float, taught: bool, told: str) -> None:
+    bench = Bench(taught=taught)
+    decision = propose(bench.retuner, 0, PidGains(SLOW.kp * factor, SLOW.ki * factor), bench.t_s)
+    assert (decision.action, decision.code, decision.gains_after) == (Action.NONE, "order_refused", None)
+    assert told in decision.reason
 
 
 def test_a_proposal_of_an_earlier_session_is_held_to_the_limits_per_change() -> None:

@@ -460,7 +460,11 @@ class Loop {
     if (!found || state.page !== this) return;
     const place = this.parts.tried;
     place.replaceChildren(el("div", { class: "bar" }, el("h2", {}, "What other settings would do"), el("button", { type: "button", onclick: () => place.replaceChildren() }, "Close")));
-    for (const { region, what } of found.panels) window.whatIf(place, what, { name: region, controller: found.controller, span: found.span, sets: ["proposed", "active"] });
+    const orders = !this.doc.ended && !state.readOnly;
+    for (const { region, what } of found.panels) {
+      const propose = orders ? ([kp, ki, kd], words) => this.act(`Propose ${words} for ${region}?`, "The guard checks them; what it accepts waits for approval above, and nothing is written before.", { order: "propose", region, gains: { kp, ki, kd } }) : null;
+      window.whatIf(place, what, { name: region, propose, controller: found.controller, span: found.span, sets: ["proposed", "active"] });
+    }
     if (!found.panels.length) place.append(el("p", { class: "muted" }, "Of no region is the process known yet."));
     place.scrollIntoView({ block: "nearest" });
   }
