@@ -8,7 +8,7 @@ DEV    := $(VENV)/.installed-dev
 unexport PYTHONDONTWRITEBYTECODE # every process would compile all that it imports: five seconds for `retuner run`
 PIP    := $(BIN)/python -m pip install --no-compile --disable-pip-version-check
 
-.PHONY: demo test lint docs lowest release bench nightly clean
+.PHONY: demo test coverage lint docs lowest release bench nightly clean
 
 demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN, with a report
 	$(BIN)/retuner run examples/oven.toml --out runs/demo --serve
@@ -16,6 +16,12 @@ demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN,
 test: $(DEV)  ## set up and pass the tests, on all cores; PYTEST='-k pid' and the like are handed on
 	$(BIN)/python scripts/link_typing.py
 	$(BIN)/python -P -m pytest -q -n auto --maxprocesses 4 --dist worksteal $(PYTEST)
+
+COVERED := 95 # percent of lines and branches
+coverage: $(DEV)  ## all tests at the effort of CI with the lines and branches that they run; half an hour
+	$(BIN)/python scripts/link_typing.py
+	RETUNER_TESTS=ci $(BIN)/python -P -m pytest -q -n auto --maxprocesses 4 --dist worksteal \
+	    --cov --cov-report=term:skip-covered --cov-fail-under=$(COVERED) $(PYTEST)
 
 lint: $(DEV)  ## ruff and mypy --strict
 	$(BIN)/python scripts/link_typing.py

@@ -4,6 +4,7 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -73,13 +74,18 @@ DECIDING = ("guard", "trial", "choice", "without_model", "supervision", "orders"
 EDGE = {"to_dict", "gains_dict", "_seen_out"}  # functions that write the plain form
 
 
+@cache  # several tests ask for the nodes of every file
+def nodes(source: str) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(ast.parse(source)))
+
+
 def files(*tops: str) -> list[Path]:
     return [path for top in tops for path in sorted((ROOT / TOP[top]).rglob("*.py"))]
 
 
-def imported(tree: ast.AST) -> Iterator[str]:
+def imported(source: str) -> Iterator[str]:
     """Full dotted names; of `from a.b import c` both a.b and a.b.c, because c may be a module."""
-    for node in ast.walk(tree):
+    for node in nodes(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -88,6 +94,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+@cache
 def modules() -> dict[str, Path]:
     """Every module of the product, by its name below `retuner.`."""
     found = {}
@@ -107,7 +114,7 @@ def package(module: str) -> str:
 
 def ours(source: str, known: Collection[str]) -> Iterator[str]:
     """Modules of the product that a source imports, by their names below `retuner.`."""
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(source):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom):
             below = (node.module or "").removeprefix("retuner").removeprefix(".")
@@ -132,17 +139,16 @@ def cycles(graph: Mapping[str, Collection[str]]) -> set[str]:
 
 
 def wrong_way(top: str, source: str) -> list[str]:
-    ours = [name for name in imported(ast.parse(source)) if name.split(".")[0] in {"retuner", *TOP}]
+    ours = [name for name in imported(source) if name.split(".")[0] in {"retuner", *TOP}]
     allowed = MAY_IMPORT[top]
     return [name for name in ours if name.split(".")[0] != "retuner" or [*name.split("."), ""][1] not in allowed]
 
 
 def impure(source: str) -> list[str]:
-    tree = ast.parse(source)
     found = [
-        name for name in imported(tree) if name.split(".")[0] not in PURE_MAY_IMPORT or "random" in name.split(".")
+        name for name in imported(source) if name.split(".")[0] not in PURE_MAY_IMPORT or "random" in name.split(".")
     ]
-    for node in ast.walk(tree):
+    for node in nodes(source):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in IMPURE_NAMES:
             found.append(node.func.id)
         if isinstance(node, ast.Attribute) and node.attr in IMPURE_ATTRIBUTES:
@@ -157,7 +163,7 @@ def impure(source: str) -> list[str]:
 def numbers_by_name(source: str) -> list[str]:
     """Fields, arguments, results and variables that are dicts of numbers by name, those of the EDGE apart."""
     found = []
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(source):
         notes: list[tuple[str, ast.expr | None]] = []
         if isinstance(node, ast.AnnAssign | ast.arg):
             notes.append((ast.unparse(node.target) if isinstance(node, ast.AnnAssign) else node.arg, node.annotation))
@@ -179,6 +185,13 @@ def code_lines(function: ast.AST) -> int:
     return len(lines)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def no_nodes_left() -> Iterator[None]:
+    """A million nodes would make every later collection of garbage in this process slow."""
+    yield
+    nodes.cache_clear()
+
+
 @pytest.mark.parametrize("top", MAY_IMPORT)
 def test_imports_run_one_way(top: str) -> None:
     checked = files(top)
@@ -186,6 +199,7 @@ def test_imports_run_one_way(top: str) -> None:
     assert {str(path.relative_to(ROOT)): wrong for path in checked if (wrong := wrong_way(top, path.read_text()))} == {}
 
 
+@cache
 def import_graph() -> dict[str, set[str]]:
     """Which modules each module imports."""
     known = modules()
@@ -194,6 +208,8 @@ def import_graph() -> dict[str, set[str]]:
 
 def for_types_only(source: str) -> str:
     """The source without what stands under `if TYPE_CHECKING`: no program imports that."""
+    if "TYPE_CHECKING" not in source:
+        return source
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
@@ -275,7 +291,7 @@ def test_functions_stay_small() -> None:
     long = {
         f"{path.relative_to(ROOT)}:{node.name}": lines
         for path in files(*TOP)
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in nodes(path.read_text())
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and (lines := code_lines(node)) > LONGEST_FUNCTION
     }
     assert long == {}
