@@ -102,9 +102,15 @@ def runaway_process(window: Window, law: SampledLaw) -> Runaway | None:
         part = pv[: round(share * len(pv))]
         if len(part) < FEWEST:
             return None
-        fit = _Fit(part, law)
-        cost, x, std = min((fit.refined(start) for start in _starts(fit)), key=lambda one: one[0])
-        if math.sqrt(cost / len(part)) <= EXPLAINED * noise:  # else a load may have come since
+        fit, most = _Fit(part, law), len(part) * (EXPLAINED * noise) ** 2
+        best = (math.inf, np.empty(0), math.inf)
+        for start in _starts(fit):
+            cost, x, std = fit.refined(start)
+            if cost <= most and x[3] > SIGMAS * std:  # one that does not run away explains it
+                return None
+            best = min(best, (cost, x, std), key=lambda one: one[0])
+        cost, x, std = best
+        if cost <= most:  # else a load may have come since
             shown = fit.process(x)
             return replace(shown, theta_s=shown.theta_s + law.dt_s / 2) if x[3] + SIGMAS * std < 0 else None
     return None
@@ -222,7 +228,7 @@ class _Fit:
         from scipy.optimize import least_squares
 
         scale = np.array([1.0, 1.0, 1.0, abs(start[3])])
-        done = least_squares(self.left, start, x_scale=scale, max_nfev=MOST_TRIES)
+        done = least_squares(self.left, start, x_scale=scale, method="lm", max_nfev=MOST_TRIES)
         x, left = np.asarray(done.x, dtype=np.float64), np.asarray(done.fun, dtype=np.float64)
         slopes = np.asarray(done.jac, dtype=np.float64) * scale
         cost = float(left @ left)
@@ -237,7 +243,7 @@ class _Fit:
 
 FAR = 40.0
 """Largest logarithm of a parameter."""
-MOST_TRIES = 30
-"""Of one refinement."""
+MOST_TRIES = 150
+"""Evaluations of one refinement, those for its slopes among them."""
 TINY = 0.01
 """Least share that white noise has in a remainder."""
