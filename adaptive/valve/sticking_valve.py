@@ -328,10 +328,6 @@ def _projected(y: FloatArray, column: FloatArray, free: FloatArray) -> tuple[flo
 
 def _moved(record: Record, valve: StuckValve) -> FloatArray:
     """Position of the valve, counted from its first value."""
-    engine = compiled()
-    if engine is not None:
-        travelled: FloatArray = engine.valve_travel(valve.numbers(), record.co)
-        return travelled
     position = valve.position(record.co)
     return np.asarray(position - position[0], dtype=np.float64)
 

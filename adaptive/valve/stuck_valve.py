@@ -17,6 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
 
 
@@ -55,6 +56,9 @@ class StuckValve:
     def position(self, co: FloatArray) -> FloatArray:
         """Position of the valve for the controller output co, shape (n,)."""
         f_static, f_kinetic = (self.stick + self.jump) / 2, (self.stick - self.jump) / 2
+        if (engine := compiled()) is not None:
+            moved: FloatArray = engine.valve_travel(self.numbers(), co) + (co[0] + self.start * f_static)
+            return moved
         run = _kano if self.family == Family.KANO else _he
         return np.array(run(co.tolist(), f_static, f_kinetic, self.start * f_static))
 
