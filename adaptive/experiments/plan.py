@@ -5,6 +5,7 @@
                switched where pv leaves the reference by more than the hysteresis
     setpoint   sp = sp0 + amplitude under proportional control until pv has come to rest, or swings on; with a hold
                under the gains in force: out for so long and back for as long, whatever else moves pv
+    valve      co in manual by one move after the other, each held as long (valve_test.py)
 
 The hysteresis is three standard deviations of the noise seen at rest unless it is given: noise alone then switches the
 relay about once in a thousand samples near the reference (Astrom & Hagglund 1995, section 3.6).
@@ -51,13 +52,18 @@ class Kind(StrEnum):
     STEP = "step"
     SETPOINT = "setpoint"
     RELAY = "relay"
+    VALVE = "valve"
+
+
+HELD = (Kind.SETPOINT, Kind.VALVE)
+"""Experiments that may hold what they do for a time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """Settings of an experiment on demand.
 
-    kind : which. amplitude : co percent for step and relay (negative: step down), pv units for setpoint.
+    kind : which. amplitude : co percent for step, relay and valve (negative: step down), pv units for setpoint.
     pv_low, pv_high : band that pv must not leave. deviation : how far from rest it may go, pv units.
     co_low, co_high : range of the output, percent. time_s : longest duration of the excitation.
     rest_samples : samples for which the loop is watched before anything is touched; 10 to 10000.
@@ -65,7 +71,8 @@ class Plan:
     cycles : full waves of the relay that count; the first is left out; 2 to 50.
     bias : asymmetry of the relay, 0 (symmetric) to 0.8. hysteresis : pv units, None from the noise.
     kc0 : proportional gain of the setpoint experiment, None for that in force. hold_s : how long the setpoint is out,
-    and then back, under the gains in force; 0: the experiment under proportional control.
+    and then back, under the gains in force; 0: the experiment under proportional control. For a valve: how long each
+    level is held. moves : of a valve test, in amplitudes; together 0.
 
     Raises
     ------
@@ -88,6 +95,7 @@ class Plan:
     kc0: float | None = None
     deviation: float = math.inf
     hold_s: float = 0.0
+    moves: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("amplitude", "pv_low", "pv_high", "time_s", "rest_time_s"):
@@ -113,8 +121,14 @@ class Plan:
             ("deviation", not self.deviation > 0),
             ("hysteresis", hysteresis is not None and not 0 <= hysteresis < math.inf),
             ("kc0", kc0 is not None and not 0 < abs(kc0) < math.inf),
-            ("hold_s", not 0 <= self.hold_s < math.inf or (self.hold_s > 0 and self.kind != Kind.SETPOINT)),
+            ("hold_s", not 0 <= self.hold_s < math.inf or (self.hold_s > 0 and self.kind not in HELD)),
+            ("moves", bool(self.moves) != (self.kind == Kind.VALVE) or sum(self.moves) != 0),
+            ("hold_s", self.kind == Kind.VALVE and self.hold_s == 0),
         )
+
+    def co_of_hold(self, hold: int) -> float:
+        """How far a valve test is from co at rest in its hold of this number, the first 0; percent."""
+        return self.amplitude * sum(self.moves[: hold + 1])
 
     def about(self, pv_rest: float) -> "Plan":
         """The plan with its band no wider than the deviation from this pv."""
@@ -127,6 +141,9 @@ class Plan:
         """Lowest and highest output of the experiment about co0."""
         if self.kind == Kind.STEP:
             return min(co0, co0 + self.amplitude), max(co0, co0 + self.amplitude)
+        if self.kind == Kind.VALVE:
+            levels = [co0 + self.co_of_hold(hold) for hold in range(len(self.moves))]
+            return min(levels), max(levels)
         if self.kind == Kind.RELAY:
             return co0 - (1 - self.bias) * self.amplitude, co0 + (1 + self.bias) * self.amplitude
         return co0, co0
@@ -153,14 +170,15 @@ def at_rest(plan: Plan, samples: list[LoopSample]) -> Rest | None:
     sigma = noise_sigma(pv)
     moved = abs(float(np.polyfit(np.linspace(-0.5, 0.5, n), pv, 1)[0]))
     band = min(plan.pv_high - plan.pv_low, 2 * plan.deviation)
-    if not plan.hold_s and moved > max(REST_DRIFT * band, TREND_STD * sigma * math.sqrt(12 / n)):
+    waits = not plan.hold_s or plan.kind == Kind.VALVE
+    if waits and moved > max(REST_DRIFT * band, TREND_STD * sigma * math.sqrt(12 / n)):
         return None
     hysteresis = HYSTERESIS_STD * sigma if plan.hysteresis is None else plan.hysteresis
     return Rest(float(np.mean(pv)), float(np.mean([s.co for s in watched])), sigma, hysteresis)
 
 
 class RelayState(NamedTuple):
-    """The relay: whether it stands at its upper level, and how often it has switched."""
+    """The relay: whether it stands at its upper level, and how often it has switched; of a valve test, the hold."""
 
     high: bool
     switches: int
@@ -189,7 +207,7 @@ def enough(plan: Plan, samples: list[LoopSample], rest: Rest, relay: RelayState)
     if plan.kind == Kind.RELAY:
         return relay.switches >= 2 * plan.cycles + 3
     if plan.hold_s:
-        return bool(samples) and samples[-1].t_s - samples[0].t_s >= 2 * plan.hold_s
+        return bool(samples) and samples[-1].t_s - samples[0].t_s >= (len(plan.moves) or 2) * plan.hold_s
     pv = np.array([s.pv for s in samples])
     if len(pv) < SHORTEST_WATCH:
         return False

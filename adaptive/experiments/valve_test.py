@@ -24,6 +24,8 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 
 STAIRCASE = (8, *(1,) * 4, *(-1,) * 8, -4, *(-1,) * 4, *(1,) * 8, -4)
 """Moves of a valve test in small steps; the last leads back to where it began."""
+SHORT = (1, 1, -1, -1)
+"""Moves of the test that a diagnosis proposes: whether pv follows at all."""
 BANDS = np.arange(0.0, 8.01, 0.5)
 """Dead bands that are tried, in small steps."""
 RESOLUTIONS = np.array([0.0, *np.arange(1.25, 4.01, 0.25)])

@@ -69,7 +69,11 @@ def test_from_a_file_to_the_finding(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "dead band  1 of co" in told
     assert main(["experiment", "valve", "--step", "0.5"]) == 0
     assert "+4, 4 x +0.5, 8 x -0.5, -2, 4 x -0.5, 8 x +0.5, -2" in capsys.readouterr().out
+    assert main(["experiment", "valve", "--step", "0.5", "--short"]) == 0
+    assert "2 x +0.5, 2 x -0.5" in capsys.readouterr().out
     assert main(["experiment", "valve", "--step", "50"]) == 2
+    assert main(["experiment", "valve", "loop.toml"]) == 2
+    assert "--hold: missing" in capsys.readouterr().err
 
 
 def test_what_is_no_valve_test_is_refused() -> None:

@@ -356,7 +356,7 @@ def test_the_proposed_test_is_a_command_that_can_be_run(tmp_path: Path) -> None:
     file.write_text(json.dumps({"next": told.to_dict()}), encoding="utf-8")
     assert proposed(file) == (float(command[5]), float(command[7]))
     file.write_text(json.dumps({"next": replace(told, kind=TestKind.VALVE).to_dict()}), encoding="utf-8")
-    with pytest.raises(UserError, match=r"retuner experiment valve --step 4\.4"):
+    with pytest.raises(UserError, match=r"retuner experiment valve CONFIG --step 4\.4 --hold 1020 --short"):
         proposed(file)
     file.write_text(json.dumps({"next": None}), encoding="utf-8")
     with pytest.raises(UserError, match="no test in it"):

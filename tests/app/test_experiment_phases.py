@@ -8,6 +8,7 @@ import pytest
 
 from retuner.adaptive.experiments.phases import TRANSITIONS, AbortCause, Happening, Phase, after
 from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.experiments.valve_test import SHORT
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import SimulatedClock
@@ -28,6 +29,9 @@ GAINS = PidGains(2.0, 0.25, 0.5)
 PLANS = {
     Kind.STEP: Plan(Kind.STEP, 10.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=200.0),
     Kind.RELAY: Plan(Kind.RELAY, 10.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=400.0, bias=0.2),
+    Kind.VALVE: Plan(
+        Kind.VALVE, 2.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=200.0, hold_s=20.0, moves=SHORT
+    ),
     Kind.SETPOINT: Plan(Kind.SETPOINT, 2.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=200.0, kc0=3.0),
 }
 LIVING = [phase for phase in Phase if not phase.over]
@@ -303,6 +307,22 @@ def test_a_held_setpoint_goes_out_and_back_under_the_active_gains(lab: Callable[
     assert {s.sp for s in excited} == {50.0, 52.0}
     with pytest.raises(ValueError, match="hold_s"):
         replace(PLANS[Kind.STEP], hold_s=20.0)
+
+
+def test_a_valve_test_plays_its_moves_in_manual_and_goes_back(lab: Callable[..., Lab]) -> None:
+    plan = replace(PLANS[Kind.VALVE], amplitude=1.0)
+    bench = lab(plan)
+    bench.over()
+    assert bench.conductor.cause is None
+    assert bench.as_before()
+    co = [round(s.co - 40.0, 3) for s in bench.conductor.excited]
+    played = [level for level, _ in itertools.groupby(co)]
+    assert played == [0.0, 1.0, 2.0, 1.0, 0.0]
+    assert [co.count(level) for level in (1.0, 2.0)] == [pytest.approx(80, abs=4), pytest.approx(40, abs=2)]
+    assert {s.mode for s in bench.conductor.excited[plan.rest_samples :]} == {0}
+    for wrong in ({"moves": ()}, {"moves": (1, 1)}, {"hold_s": 0.0}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            replace(plan, **wrong)
 
 
 def test_a_setpoint_that_another_moves_during_a_hold_ends_it(lab: Callable[..., Lab]) -> None:

@@ -69,10 +69,14 @@ def ultimate(options: UltimateOptions) -> int:
     return work.ultimate(options)
 
 
-@app.command("valve", epilog="Example: retuner experiment valve; retuner experiment valve --from valve.csv")
+@app.command(
+    "valve",
+    epilog="Examples: retuner experiment valve examples/oven.toml --step 0.5 --hold 120; "
+    "retuner experiment valve --from valve.csv",
+)
 @signed_by(ValveOptions)
 def valve(options: ValveOptions) -> int:
-    """A valve test by hand; the exit status."""
+    """A valve test on a controller or by hand; the exit status."""
     from retuner.commands.work.valve_test import valve as work
 
     return work(options)

@@ -13,6 +13,7 @@ from retuner.adaptive.experiments import relay, setpoint, step
 from retuner.adaptive.experiments.plan import Kind
 from retuner.adaptive.experiments.relay import RelayCycle, relay_cycle
 from retuner.adaptive.experiments.sustained import swing
+from retuner.adaptive.experiments.valve_test import ValveReading
 from retuner.adaptive.loop.margins import margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.registry import rule_named
@@ -35,6 +36,8 @@ METHODS = {
 """Methods of each experiment by name."""
 OVERSHOOT_RULE = "setpoint-overshoot"
 """The direct settings of the setpoint experiment, as a rule."""
+LIKELY = 0.9
+"""Odds from which a fault of a valve is named first."""
 ULTIMATE_RULES = (("zn-ultimate", "pi"), ("zn-ultimate", "pid"))
 """Rules from Ku and Pu that are shown beside the chosen settings."""
 
@@ -313,3 +316,26 @@ def described(found: Findings, *, settings: bool = True) -> list[str]:
         head = "settings" if offer is found.chosen else "for comparison"
         lines += [f"{head}, {name}:", *(f"  {line}" for line in tuning_lines(offer))]
     return lines
+
+
+def valve_described(found: ValveReading) -> list[str]:
+    """What a valve test says, in lines."""
+    lines = [f"SOUND ({_odds(found.sound)}): the valve follows steps of {found.step:.3g}"]
+    if found.sound < 1.0 - LIKELY:
+        lines = ["THE VALVE DOES NOT FOLLOW: see its positioner, packing and linkage"]
+    elif found.sound < LIKELY:
+        lines = [f"OPEN (sound {_odds(found.sound)}): repeat it with larger steps, or hold them longer"]
+    for name, value, ends, odds in (
+        ("dead band", found.dead_band, found.dead_band_range, found.dead_band_odds),
+        ("resolution", found.resolution, found.resolution_range, found.resolution_odds),
+    ):
+        least = f"below {found.step:.3g}, the step of the test" if name == "resolution" else "none"
+        seen = f"{value:.3g} of co ({ends[0]:.3g} to {ends[1]:.3g})" if odds > 1.0 - LIKELY else least
+        lines.append(f"  {name:<11}{seen}; {_odds(odds)} that there is one")
+    if found.stroke_s is not None:
+        lines.append(f"  {'stroke':<11}at most {found.stroke_s:.3g} s for the whole range")
+    return lines
+
+
+def _odds(p: float) -> str:
+    return "over 99 %" if p > 0.99 else "under 1 %" if p < 0.01 else f"{p:.0%}".replace("%", " %")

@@ -11,11 +11,12 @@ import typer
 
 from retuner.adaptive.experiments.phases import AbortCause, Phase
 from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.experiments.valve_test import FEWEST_HOLDS, read_valve_test
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.config import Config
 from retuner.drivers.device import Bench
-from retuner.errors import UserError
-from retuner.experiment.findings import Findings, Question, described, evaluate
+from retuner.errors import UserError, user_input
+from retuner.experiment.findings import Findings, Question, described, evaluate, valve_described
 from retuner.experiment.result import RECORD, ExperimentResult
 from retuner.experiment.runner import ExperimentRunner
 from retuner.experiment.settings_writer import SettingsWriter
@@ -88,6 +89,9 @@ class OnDemandExperiment:
             raise UserError(f"{OPTION_AT_FAULT[runner.cause]}: {runner.text}; nothing was changed")
         held = bool(runner.plan.hold_s)
         outcome.found = None if held else self._evaluate()
+        if len(runner.plan.moves) >= FEWEST_HOLDS and runner.cause is None:
+            with user_input("the record of the test"):
+                outcome.valve = read_valve_test(Window.of(runner.excited))
         with unstoppable():
             outcome.leave()
         self._tell()
@@ -153,10 +157,12 @@ class OnDemandExperiment:
         record = self._outcome.folder / RECORD
         state = runner.phase.value if runner.touched else "nothing was changed"
         self._screen.say(f"{ended}; {state}; {len(runner.excited)} samples in {record}")
-        nothing = "too little was recorded for a result"
-        if runner.plan.hold_s and runner.cause is None:
-            nothing = f"next: retuner diagnose FIRST {record}, with FIRST for the record that asked for this test"
-        lines = described(found, settings=not runner.cause) if found else [nothing]
+        nothing = ["too little was recorded for a result"]
+        if self._outcome.valve is not None:
+            nothing = valve_described(self._outcome.valve)
+        elif runner.plan.hold_s and runner.cause is None:
+            nothing = [f"next: retuner diagnose FIRST {record}, with FIRST for the record that asked for this test"]
+        lines = described(found, settings=not runner.cause) if found else nothing
         for line in lines:
             self._screen.say(line)
         if runner.phase is Phase.STRANDED:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from retuner.adaptive.experiments.phases import Phase
+from retuner.adaptive.experiments.valve_test import ValveReading
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.decision_page.svg import drawn
@@ -23,7 +24,8 @@ class ExperimentResult:
     """How an experiment went.
 
     loop, unit : name of the loop, unit of pv. folder : where it is left. runner : over. found : None when too little
-    was recorded. written : None when nothing was to be written, empty when the settings run, else why they do not.
+    was recorded. valve : what a valve test says. written : None when nothing was to be written, empty when the
+    settings run, else why they do not.
     """
 
     loop: str
@@ -31,6 +33,7 @@ class ExperimentResult:
     folder: Path
     runner: ExperimentRunner
     found: Findings | None = None
+    valve: ValveReading | None = None
     written: str | None = None
 
     @property
@@ -44,6 +47,7 @@ class ExperimentResult:
         before, rest = runner.before, runner.rest
         return {
             **(self.found.to_dict() if self.found else {"experiment": runner.plan.kind}),
+            **({"valve": self.valve.to_dict()} if self.valve else {}),
             "ended": {"phase": runner.phase.name.lower(), "cause": self.cause, "text": runner.text},
             "restored": runner.phase is Phase.RESTORED,
             "touched": runner.touched,

@@ -273,7 +273,9 @@ class ExperimentRunner:
             if plan.kind == Kind.RELAY:
                 self._relay = relay_step(self._relay, sample.pv, rest, before.gains.direction)
             since = self.samples[self.excited_from :]
-            if plan.hold_s:
+            if plan.kind == Kind.VALVE:
+                self._relay = RelayState(True, int((sample.t_s - since[0].t_s) // plan.hold_s))
+            elif plan.hold_s:
                 out = sample.t_s - since[0].t_s < plan.hold_s
                 if self._relay.high and not out:
                     self._following.expect()

@@ -55,6 +55,8 @@ def target(
     if phase is Phase.EXCITING:
         if setpoint:
             return Target(p_only(plan, before), before.sp + plan.amplitude * relay.high, LoopMode.AUTO)
+        if plan.kind == Kind.VALVE:
+            return Target(mode=LoopMode.MANUAL, co=rest.co + plan.co_of_hold(relay.switches))
         co = rest.co + plan.amplitude if plan.kind == Kind.STEP else relay_output(plan, relay, rest)
         return Target(mode=LoopMode.MANUAL, co=co)
     if phase is Phase.PARKING and parking and not setpoint:

@@ -325,7 +325,7 @@ def test_words(test: DecidingTest) -> str:
 def command_for(test: DecidingTest) -> str:
     """The command that makes a test. CONFIG : the configuration of the loop's controller."""
     if test.kind is TestKind.VALVE:
-        return f"retuner experiment valve --step {test.size:.3g}"
+        return f"retuner experiment valve CONFIG --step {test.size:.3g} --hold {test.hold_s:.3g} --short"
     return f"retuner experiment setpoint CONFIG --amplitude {test.size:.3g} --hold {test.hold_s:.3g}"
 
 

@@ -17,6 +17,7 @@ from retuner.commands.options import on_bus
 from retuner.commands.recorded.plot_option import check_plot
 from retuner.commands.recorded.record_form import read_record, tell_assumed
 from retuner.commands.work.experiment_options import (
+    ControllerOptions,
     OnDemandOptions,
     RecordedOptions,
     RelayOptions,
@@ -54,6 +55,7 @@ class ExperimentSignal(NamedTuple):
     hysteresis: float | None = None
     kc0: float | None = None
     hold_s: float = 0.0
+    moves: tuple[int, ...] = ()
 
 
 def step(options: StepOptions) -> int:
@@ -90,7 +92,8 @@ def proposed(path: Path) -> tuple[float, float]:
             f"--from-diagnosis {path}: no test in it; give what `retuner diagnose --json` printed"
         ) from None
     if kind != TestKind.SETPOINT:
-        raise UserError(f"--from-diagnosis {path}: it proposes a {kind} test: retuner experiment valve --step {size:g}")
+        command = f"retuner experiment valve CONFIG --step {size:g} --hold {hold_s:g} --short"
+        raise UserError(f"--from-diagnosis {path}: it proposes a {kind} test: {command}")
     return size, hold_s
 
 
@@ -170,7 +173,7 @@ def question_for(
     return Question(experiment, method, rule, options.kind, kc, hysteresis or 0.0, from_rest=at_rest)
 
 
-def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Question, shape: ExperimentSignal) -> int:
+def on_demand(path: Path, kind: Kind, options: ControllerOptions, question: Question, shape: ExperimentSignal) -> int:
     """Conduct an experiment, evaluate it, and write the settings if they are confirmed; the exit status.
 
     Raises
@@ -178,6 +181,7 @@ def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Questi
     ConfigError, UserError, DeviceError
         The configuration, an option, the folder or the bus cannot be used; nothing was changed.
     """
+    yes = isinstance(options, OnDemandOptions) and options.yes
     config = on_bus(load_config(path, options.loop), options.interface, options.channel)
     in_process = config.bus.interface == "virtual"
     if in_process:
@@ -196,7 +200,7 @@ def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Questi
             )
             with place as bench:
                 return OnDemandExperiment(
-                    config, plan, question, folder, ledger, screen, bench, yes=options.yes, as_json=options.as_json
+                    config, plan, question, folder, ledger, screen, bench, yes=yes, as_json=options.as_json
                 ).run()
     except (DeviceError, UserError):
         if not (folder / RECORD).exists():  # nothing happened: leave no folder behind
@@ -204,7 +208,7 @@ def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Questi
         raise
 
 
-def plan_for(config: Config, kind: Kind, options: OnDemandOptions, shape: ExperimentSignal) -> Plan:
+def plan_for(config: Config, kind: Kind, options: ControllerOptions, shape: ExperimentSignal) -> Plan:
     """The plan that options and configuration make.
 
     Raises
@@ -224,13 +228,14 @@ def plan_for(config: Config, kind: Kind, options: OnDemandOptions, shape: Experi
             deviation=_or(options.deviation, DEFAULT_DEVIATION * span),
             co_low=loop.co_min_pct,
             co_high=loop.co_max_pct,
-            time_s=_or(options.time, DEFAULT_SAMPLES * dt + 2 * shape.hold_s),
+            time_s=_or(options.time, DEFAULT_SAMPLES * dt + (len(shape.moves) or 2) * shape.hold_s),
             rest_time_s=_or(options.rest, REST_WAIT_SAMPLES * dt),
             cycles=shape.cycles,
             bias=shape.bias,
             hysteresis=shape.hysteresis,
             kc0=shape.kc0,
             hold_s=shape.hold_s,
+            moves=shape.moves,
         )
 
 

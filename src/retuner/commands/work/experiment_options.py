@@ -25,9 +25,9 @@ class RecordedOptions(FormOptions):
     as_json: Json = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OnDemandOptions(RecordedOptions):
-    """A test on a controller, or a recorded one."""
+@dataclass(frozen=True, kw_only=True)
+class ControllerOptions:
+    """A test on a controller."""
 
     config: Annotated[
         Path | None, typer.Argument(metavar="[CONFIG]", help="Configuration (TOML): run the test on its controller.")
@@ -46,6 +46,13 @@ class OnDemandOptions(RecordedOptions):
     rest: Annotated[float | None, typer.Option("--rest", help="Longest wait for rest, s; default 300 samples.")] = None
     out: Annotated[Path | None, typer.Option(help="Folder for record, picture, ledger and bus log.")] = None
     loop: Loop = None
+    as_json: Json = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnDemandOptions(RecordedOptions, ControllerOptions):
+    """A test on a controller, or a recorded one."""
+
     yes: Annotated[bool, typer.Option("--yes", help="The settings are confirmed: write them.")] = False
 
 
@@ -91,11 +98,14 @@ class UltimateOptions(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ValveOptions(FormOptions):
+class ValveOptions(FormOptions, ControllerOptions):
     """Small steps of co up and down in manual: resolution, dead band and stroke of the valve, with their odds."""
 
     file: Annotated[
-        Path | None, typer.Option("--from", metavar="FILE", help="The recorded test; without it the moves are shown.")
+        Path | None, typer.Option("--from", metavar="FILE", help="Evaluate this record; alone: show the moves.")
     ] = None
-    step: Annotated[float, typer.Option(help="Small step of the moves that are shown, percent of co.")] = 0.5
-    as_json: Json = False
+    step: Annotated[float, typer.Option(help="Small step, percent of co.")] = 0.5
+    hold: Annotated[
+        float | None, typer.Option(help="Hold each for so long, s: four times the time to half of pv's change.")
+    ] = None
+    short: Annotated[bool, typer.Option("--short", help="Up, up, down, down only: for `diagnose`.")] = False
