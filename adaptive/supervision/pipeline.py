@@ -88,7 +88,8 @@ def decide(question: Question) -> StageResult:
                 due = found.end is None or stage.always
             if due:
                 stage.run(found)
-        return found.result()
+        result = found.result()
+        return question.after(result) if question.after else result
     except MemoryError:
         raise
     except Exception as error:  # noqa: BLE001  a record that breaks one stage must not end the supervision

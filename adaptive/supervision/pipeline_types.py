@@ -3,7 +3,7 @@ it, and the answer that is built from that.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
@@ -173,7 +173,7 @@ class Question:
     sample_number : of the sample that raised it, counted by the retuner from 1. trial : where the region stood then.
     free : the other regions that no trial, hold or mode keeps from a change. away : those whose trial waits until the
     loop comes. look : the samples that are due to be looked at, None for none. alone : no response has completed, so
-    nothing but that is asked.
+    nothing but that is asked. after : what loops on the same plant make of the answer; None for a loop by itself.
     """
 
     record: ResponseRecord
@@ -184,6 +184,7 @@ class Question:
     away: tuple[int, ...] = ()
     look: Look | None = None
     alone: bool = False
+    after: Callable[[StageResult], StageResult] | None = None
 
     @property
     def t_s(self) -> float:
@@ -293,6 +294,9 @@ def not_evaluated(where: str, error: BaseException) -> StageResult:
 
 MOST_TOLD = 200
 """Characters that are told of an error."""
+
+OTHER_LOOP = "other_loop"
+"""Code: another loop on the same plant moved, a known disturbance that is no verdict on this one."""
 
 PASSED_OVER = StageResult(
     "passed_over", "the previous response was still being evaluated: not used to update the model"
@@ -460,6 +464,15 @@ def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
     elif trial.phase == TrialPhase.IDLE:
         words = "a change in another region is being written"
     return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"no change now: {words}")
+
+
+NOT_SURVIVED = "not_survived"
+"""Code: the other loops on the plant do not survive the change."""
+
+
+def without_change(outcome: StageResult, reason: str) -> StageResult:
+    """What was learned, and no change."""
+    return replace(outcome, code=NOT_SURVIVED, reason=reason, verdict=None, basis=None, promise=None)
 
 
 # A setpoint that another loop leads. The slave of a cascade completes a response every few samples, and none of them

@@ -43,6 +43,7 @@ from retuner.adaptive.supervision.pipeline_types import (
     NOBODY,
     NOT_EVALUATED,
     NOTHING,
+    OTHER_LOOP,
     PASSED_OVER,
     Ended,
     Led,
@@ -113,6 +114,11 @@ class Retuner:
     def scheduled(self) -> tuple[float, float]:
         """The scheduling values in force, x and x2: filtered, and the last good ones while one is not known."""
         return self._finder.scheduled
+
+    @property
+    def samples(self) -> list[LoopSample]:
+        """Those that are kept, the newest last."""
+        return list(self._finder.samples)
 
     @property
     def phase(self) -> RecogniserPhase | None:
@@ -491,7 +497,8 @@ class Retuner:
     def _judge(self, case: ResponseRecord, outcome: StageResult) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""
         trial = self.trials.of(case.region)
-        if trial.phase != TrialPhase.TRIAL or (case.crossed and outcome.posterior is None):
+        unseen = outcome.code == OTHER_LOOP or (case.crossed and outcome.posterior is None)
+        if trial.phase != TrialPhase.TRIAL or unseen:
             return None
         if outcome.code in {Ground.SATURATED.name.lower(), NOT_EVALUATED}:
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)

@@ -25,6 +25,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.background import BackgroundRetuner
+from retuner.decisions.decider import Decider
 from retuner.schedule.axis import CAN
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PidLaw, PidState, StateTuple, change, law, start, step, track
@@ -285,6 +286,18 @@ class PidController:
         """Say what the retuner may do from now on; "off" takes back what is on trial."""
         back = operator_orders.set_mode(self._retuner, None, _mode(mode))
         return None if back is None else self._obey(back)
+
+    def decide_by(self, decider: Decider) -> None:
+        """Have decisions made elsewhere from now on: see `retuner.one_plant.controllers`.
+
+        Raises
+        ------
+        ValueError
+            They are made in the background.
+        """
+        if self._background is not None:
+            raise ValueError("background = True: its decisions are made in another process already")
+        self._background = BackgroundRetuner(self._retuner, decider=decider)
 
     def close(self) -> Decision | None:
         """End the watching. Of a change that is still on trial the more robust set runs on, the tried or the old one.

@@ -12,6 +12,7 @@ HOMES = {
     "plants": "config.bench_plants",
     "another schedule": "adaptive.region_model.refinement",
     "pretune": "session.pretuning",
+    "one plant": "one_plant.joining",
     "page": "serve.beside",
     "live view": "live_view.watching",
     "what a run leaves": "commands.work.left_by_run",

@@ -20,8 +20,8 @@ MAY_IMPORT = {
 ORDER = (
     "schedule",
     *(f"adaptive.{name}" for name in (
-        "setting", "shown", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings",
-        "experiments",
+        "setting", "shown", "weighed", "signals", "process", "loop", "interaction", "rules", "indexes",
+        "controller_settings", "experiments",
         "fit", "identification", "valve", "explanations", "schedule_design", "schedule_choice", "region_model", "guard",
         "trial", "choice", "diagnosis", "cause_odds", "without_model",
         "supervision", "orders", "nudge", "audit",
@@ -34,8 +34,8 @@ ORDER = (
     )),
     "errors", "files", "stopping", "streams", "products", "verbosity", "templates", "conversions", "tuning", "api",
     "diagnosing", "scheduling", "config", "ledger", "decisions", "simulation", "pid_controller", "",
-    "decision_page", "report", "schedule_report", "experiment", "audit", "session", "live_view", "replay", "serve",
-    "gain_export", "doctor", "commands", "cli", "__main__",
+    "decision_page", "report", "schedule_report", "experiment", "audit", "session", "one_plant", "live_view", "replay",
+    "serve", "gain_export", "doctor", "commands", "cli", "__main__",
 )
 """Every package in the order of the house, lowest first, below `retuner.`; a file on a floor of packages counts as one,
 and "" is what `import retuner` gives. A package imports only from itself and from those before it."""

@@ -58,6 +58,14 @@ class LoopConfig(Section):
         source="controller",
     )
 
+    plant: str = setting(
+        "Plant that the loop shares with others of the session, by a name: they are retuned with regard to each other; "
+        "empty: its own",
+        unit="-",
+        text=(0, 64),
+        default="",
+        source="the user",
+    )
     controller: str | None = setting(
         'How gains are shown: "yokogawa", "kc-s", "pb-rpm" and so on (docs/coming-from.md); absent: as the first '
         "region has them",

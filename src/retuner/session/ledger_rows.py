@@ -13,6 +13,7 @@ from retuner.adaptive.orders.pretune import pretune
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pipeline import decide
+from retuner.adaptive.supervision.pipeline_types import NOT_SURVIVED, without_change
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import Answer, without_decision
@@ -156,8 +157,11 @@ def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
     question = retuner.open_question
     if question is None or question.sample_number != body["asked"]:
         raise ValueError(f"it answers a question of sample {body['asked']}, which is not open")
-    trouble = str(body["reason"])
-    answer = without_decision(str(body["code"]), trouble) if trouble else Answer(decide(question))
+    trouble, code = str(body["reason"]), str(body["code"])
+    if trouble and code == NOT_SURVIVED:
+        answer = Answer(without_change(decide(question), trouble))
+    else:
+        answer = without_decision(code, trouble) if trouble else Answer(decide(question))
     return retuner.enter(question, answer.result, retuner.sample_number)
 
 

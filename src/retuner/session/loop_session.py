@@ -19,7 +19,7 @@ from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.adaptive.supervision.pipeline import WRONG_WAY
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
-from retuner.decisions.decider import DecideHere, Decider
+from retuner.decisions.decider import LATE, LOST, DecideHere, Decider
 from retuner.drivers.bus.link_faults import HOLDING, FaultNews
 from retuner.drivers.device import (
     CommandDone,
@@ -298,7 +298,7 @@ class LoopSession:
             return
         body = {"asked": question.sample_number, "code": answer.result.code, "reason": answer.trouble}
         self._record("answer", self.writer.t_s, body)
-        if answer.trouble:
+        if answer.result.code in {LATE, LOST}:
             self._record("worker", self.writer.t_s, {"reason": answer.trouble})
         self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
 

@@ -329,6 +329,8 @@ class Run:
             loop.begin(buses.port(i), decider, speed, remember=remember)
             for i, (loop, decider) in enumerate(zip(self._loops, deciders, strict=True))
         ]
+        if self.config.several:
+            product("one plant").join(self.config.loops, loops)
         buses.keep_leases([loop.device for loop in loops])
         self.session = Session(loops, self.observer.said)
         return self.session

@@ -1,0 +1,151 @@
+"""Decides for a loop that is not alone on its plant.
+
+question -> on trial, and another loop's setpoint moved meanwhile?  yes: no verdict, nothing is learned
+         -> decided as ever, then put to the loops together (survival.py): a change that they do not survive is not made
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+from retuner.adaptive.interaction.together import Closed
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.pipeline_types import NOT_SURVIVED, OTHER_LOOP, Question
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
+from retuner.decisions.decider import Answer, Decider, without_decision
+from retuner.one_plant.survival import Among, on_one_clock
+from retuner.schedule.gains import PidGains
+
+MOVES_MOST = 4
+"""Moves of another setpoint during a response that are single ones; more, and it is led by a master all the time."""
+
+
+class OnePlant:
+    """The retuners of the loops on one plant, in a fixed order."""
+
+    def __init__(self, retuners: Sequence[Retuner]) -> None:
+        self.retuners = tuple(retuners)
+
+    def gains(self) -> tuple[PidGains, ...]:
+        """In force in each loop, or being written."""
+        return tuple(_gains(one) for one in self.retuners)
+
+    def moved_beside(self, own: int, question: Question) -> str:
+        """Which other loop's setpoint moved during the response of a question, in a sentence; empty for none.
+
+        A response to a load counts from the last move of the other loop on, as long as that loop has not come to rest.
+        """
+        response, now_s = question.record.response, question.t_s
+        for i, other in enumerate(self.retuners):
+            kept = other.samples
+            if i == own or not kept:
+                continue
+            off = now_s - kept[-1].t_s
+            off = off if abs(off) > 2 * self._dt_s else 0.0
+            begin = response.t_start_s - off
+            if not response.sp_changed:
+                begin = min(begin, _under_way_since(kept, begin, other.band))
+            moves = _moves(kept, begin, response.t_end_s - off)
+            if 0 < len(moves) <= MOVES_MOST:
+                return (
+                    f"{other.table.loop}, on the same plant, moved its setpoint at {moves[-1] + off:,.0f} s: a known "
+                    "disturbance, no verdict on this loop"
+                )
+        return ""
+
+    def among(self, own: int) -> Among | None:
+        """The loop among the others; None before all have a sample."""
+        samples = [one.samples for one in self.retuners]
+        if not all(samples):
+            return None
+        settings = [one.settings for one in self.retuners]
+        order = [own, *(i for i in range(len(samples)) if i != own)]  # the clock is that of the loop that asks
+        records = on_one_clock([samples[i] for i in order], self._dt_s)
+        return Among(
+            tuple(self.retuners[i].table.loop for i in order),
+            tuple(Closed(_gains(self.retuners[i]), settings[i].sample_time_s, settings[i].filter_s) for i in order),
+            records,
+            self._dt_s,
+            0,
+            settings[own].guard.ms_worst,
+        )
+
+    @property
+    def _dt_s(self) -> float:
+        """The longest sample time of the loops."""
+        return max(one.settings.sample_time_s for one in self.retuners)
+
+
+class DecideAmong:
+    """The Decider of a loop on a shared plant.
+
+    inner : makes the decisions. plant : with all its loops. own : index of this one.
+    """
+
+    def __init__(self, inner: Decider, plant: OnePlant, own: int) -> None:
+        self._inner, self._plant, self._own = inner, plant, own
+        self._asked = 0
+        self._others: tuple[PidGains, ...] = ()
+        self._waits: Answer | None = None
+
+    def ask(self, question: Question) -> None:
+        """See Decider."""
+        self._asked, self._others, self._waits = question.sample_number, self._other_gains(), None
+        on_trial = question.trial.phase in UNDECIDED and not question.alone
+        moved = self._plant.moved_beside(self._own, question) if on_trial else ""
+        if moved:
+            self._waits = without_decision(OTHER_LOOP, moved)
+            return
+        among = self._plant.among(self._own)
+        self._inner.ask(question if among is None else replace(question, after=among.answered))
+
+    def answer(self, sample_number: int) -> Answer | None:
+        """See Decider. What stands in place of a decision is not handed out at once: the question has a row first."""
+        if self._waits is None:
+            answer = self._inner.answer(sample_number)
+            self._waits = None if answer is None else self._in_place_of(answer)
+            if self._waits is None:
+                return answer
+        if sample_number == self._asked:
+            self._asked = 0
+            return None
+        waited, self._waits = self._waits, None
+        return waited
+
+    def _in_place_of(self, answer: Answer) -> Answer | None:
+        """What is entered for an answer that changes gains; None for itself."""
+        if answer.result.code == NOT_SURVIVED:
+            return Answer(answer.result, answer.result.reason)
+        verdict = answer.result.verdict
+        if verdict is None or not verdict.accepted or self._other_gains() == self._others:
+            return None
+        return without_decision(OTHER_LOOP, "another loop on the same plant has got other gains meanwhile")
+
+    def _other_gains(self) -> tuple[PidGains, ...]:
+        return tuple(gains for i, gains in enumerate(self._plant.gains()) if i != self._own)
+
+
+def _gains(one: Retuner) -> PidGains:
+    """In force where the loop is, or being written."""
+    region = one.region or 0
+    trial = one.trials.of(region)
+    if trial.phase is TrialPhase.WRITING and trial.new is not None:
+        return trial.new
+    return one.table.at(region, *one.scheduled)
+
+
+def _moves(kept: Sequence[LoopSample], begin_s: float, end_s: float) -> list[float]:
+    """Times at which the setpoint changed, between two times."""
+    return [b.t_s for a, b in pairwise(kept) if a.sp != b.sp and begin_s <= b.t_s <= end_s]
+
+
+def _under_way_since(kept: Sequence[LoopSample], at_s: float, band: float) -> float:
+    """Since when the error has stood outside the noise band, before a time; that time where it does not."""
+    since = at_s
+    for sample in reversed(kept):
+        if sample.t_s <= at_s:
+            if abs(sample.sp - sample.pv) <= band:
+                break
+            since = sample.t_s
+    return since

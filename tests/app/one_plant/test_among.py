@@ -1,0 +1,154 @@
+"""A loop that is not alone on its plant: what the others do is no verdict, and what they do not survive is not made."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from wood_berry import BLT, DT_S, records
+
+from retuner import PidController, PidGains
+from retuner.adaptive.guard import Verdict
+from retuner.adaptive.guard.ruling import Ruling
+from retuner.adaptive.interaction.together import Closed
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.pipeline_types import NOT_SURVIVED, OTHER_LOOP, StageResult
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.decisions.decider import Answer
+from retuner.one_plant.controllers import on_one_plant
+from retuner.one_plant.deciding import DecideAmong, OnePlant
+from retuner.one_plant.survival import Among, on_one_clock
+
+
+def wanted(gains: PidGains) -> StageResult:
+    """An answer that changes gains."""
+    verdict = Verdict(Ruling.ACCEPTED, gains, 1.0, 1.5, 1.6, 1.2, 60.0)
+    return StageResult("accepted", "proved", verdict=verdict)
+
+
+def among(moves: tuple[int, ...] = (0, 1, 0, 1)) -> Among:
+    """The first loop of Wood and Berry's column."""
+    closed = tuple(Closed(one, DT_S) for one in BLT)
+    return Among(("top", "bottom"), closed, tuple(records(0.01, moves)), DT_S, 0, 2.1)
+
+
+def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_learned_stays() -> None:
+    found = among().answered(wanted(PidGains(4 * BLT[0].kp, 4 * BLT[0].ki)))
+    assert found.verdict is None
+    assert found.code == NOT_SURVIVED
+    assert "bottom on the same plant: Ms of top" in found.reason
+    assert "limit 2.1" in found.reason
+
+
+def test_a_change_that_all_survive_is_made() -> None:
+    result = wanted(PidGains(1.3 * BLT[0].kp, 1.3 * BLT[0].ki))
+    assert among().answered(result) is result
+
+
+def test_what_is_not_known_of_the_plant_counts_nothing() -> None:
+    result = wanted(PidGains(4 * BLT[0].kp, 4 * BLT[0].ki))
+    assert among((0, 0)).answered(result) is result
+
+
+def test_records_of_controllers_that_count_from_different_times_are_put_on_one_clock() -> None:
+    first = [(float(i), 0.0, i / 10, 0.0) for i in range(50)]
+    late = [(1000.0 + i, 0.0, i / 10, 0.0) for i in range(50)]
+    for other in (late, first[:-1]):  # the second is a sample behind, as one that is asked in the middle of a sample
+        one, two = on_one_clock([first, other], 1.0)
+        assert len(one.pv) == len(two.pv)
+        assert two.pv[:-1] == pytest.approx(one.pv[:-1])
+
+
+def retuner(samples: list[LoopSample], name: str, gains: PidGains = BLT[0]) -> Any:
+    return SimpleNamespace(
+        samples=samples,
+        band=0.05,
+        region=0,
+        scheduled=(0.0, 0.0),
+        settings=SimpleNamespace(sample_time_s=1.0, filter_s=0.0, guard=SimpleNamespace(ms_worst=2.1)),
+        table=SimpleNamespace(loop=name, at=lambda *_: gains),
+        trials=SimpleNamespace(of=lambda _: SimpleNamespace(phase=TrialPhase.IDLE, new=None)),
+    )
+
+
+def pair(stepped_s: float, settles_s: float) -> OnePlant:
+    """Two loops; the setpoint of the second is stepped and its pv follows so many seconds later."""
+    quiet = [LoopSample(float(i), 0.0, 0.0, 0.0) for i in range(200)]
+    moved = [LoopSample(float(i), float(i >= stepped_s), float(i >= stepped_s + settles_s), 0.0) for i in range(200)]
+    return OnePlant([retuner(quiet, "one"), retuner(moved, "two")])
+
+
+def question(start_s: float, end_s: float, *, setpoint: bool = False, phase: TrialPhase = TrialPhase.TRIAL) -> Any:
+    response = SimpleNamespace(t_start_s=start_s, t_end_s=end_s, sp_changed=setpoint)
+    record, trial = SimpleNamespace(response=response), SimpleNamespace(phase=phase)
+    return SimpleNamespace(record=record, trial=trial, t_s=199.0, sample_number=200, alone=False)
+
+
+@pytest.mark.parametrize(
+    ("start_s", "end_s", "setpoint", "said"),
+    [
+        (105, 150, False, True),  # the other one is still under way
+        (125, 150, False, False),  # it has come to rest before
+        (90, 150, False, True),  # it moved in the middle
+        (20, 80, False, False),  # before
+        (105, 150, True, False),  # our own step, begun after the other's
+        (90, 150, True, True),
+    ],
+)
+def test_a_response_to_another_loops_move_is_no_verdict(
+    start_s: float, end_s: float, setpoint: bool, said: bool
+) -> None:
+    found = pair(100.0, 15.0).moved_beside(0, question(start_s, end_s, setpoint=setpoint))
+    assert ("two, on the same plant, moved its setpoint at 100 s" in found) == said
+
+
+class Inner:
+    """A decider with one answer at once."""
+
+    def __init__(self, result: StageResult) -> None:
+        self.result, self.asked = result, 0
+
+    def ask(self, _question: object) -> None:
+        self.asked += 1
+
+    def answer(self, _sample_number: int) -> Answer | None:
+        return Answer(self.result)
+
+
+def test_what_stands_in_place_of_a_decision_comes_after_the_questions_row() -> None:
+    inner = Inner(wanted(BLT[0]))
+    decider = DecideAmong(inner, pair(100.0, 15.0), 0)
+    decider.ask(question(105, 150))
+    assert decider.answer(200) is None
+    answer = decider.answer(200)
+    assert answer is not None
+    assert answer.result.code == OTHER_LOOP
+    assert answer.trouble
+    assert inner.asked == 0
+
+
+def test_a_change_proved_beside_gains_that_are_no_longer_in_force_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = pair(10.0, 5.0)
+    decider = DecideAmong(Inner(wanted(BLT[0])), plant, 0)
+    monkeypatch.setattr(plant, "among", lambda _own: None)
+    decider.ask(question(105, 150, phase=TrialPhase.IDLE))
+    answer = decider.answer(200)
+    assert answer is not None
+    assert answer.result.verdict is not None
+    decider.ask(question(105, 150, phase=TrialPhase.IDLE))
+    plant.retuners[1].table.at = lambda *_: PidGains(-1.0, -0.1)
+    assert decider.answer(200) is None
+    answer = decider.answer(200)
+    assert answer is not None
+    assert answer.result.verdict is None
+    assert "got other gains meanwhile" in answer.trouble
+
+
+def test_controllers_join_in_pairs_and_none_that_decides_elsewhere() -> None:
+    one = PidController(PidGains(1.0, 0.1), dt_s=1.0, pv_range=(0, 100))
+    with pytest.raises(ValueError, match="two controllers or more"):
+        on_one_plant(one)
+    other = PidController(PidGains(1.0, 0.1), dt_s=1.0, pv_range=(0, 100))
+    on_one_plant(one, other)
+    assert one.step(50.0, 40.0) == other.step(50.0, 40.0)
+    with pytest.raises(ValueError, match="in another process already"):
+        on_one_plant(one, other)
