@@ -245,6 +245,7 @@ class _Seen:
     inside: Callable[[LoopSample], bool] | None
     settings: AdmissionSettings
     pv_range: tuple[float, float]
+    ki: float
 
     @property
     def own(self) -> list[LoopSample]:
@@ -259,6 +260,7 @@ def admit(
     settings: AdmissionSettings,
     inside: Callable[[LoopSample], bool] | None = None,
     pv_range: tuple[float, float] = EVERYWHERE,
+    ki: float = math.inf,
 ) -> Admission:
     """Judge a response.
 
@@ -268,7 +270,7 @@ def admit(
     samples : what is kept, the newest last; the window was made of the last of them.
     response : what the recogniser found.
     inside : whether a sample lies in the response's region; None: there is only one.
-    pv_range : what the transmitter can say, pv units.
+    pv_range : what the transmitter can say, pv units. ki : of the controller, co units per pv unit and second.
 
     Raises
     ------
@@ -280,7 +282,7 @@ def admit(
         raise ValueError(f"a window of {n} samples cannot have been made of {len(samples)}")
     own = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
     kept = np.array([sample.pv for sample in samples])
-    seen = _Seen(window, list(samples)[-n:], kept, response, own, inside, settings, pv_range)
+    seen = _Seen(window, list(samples)[-n:], kept, response, own, inside, settings, pv_range, abs(ki))
     numbers = AdmissionNumbers()
     for rule in _RULES:
         counted = rule(seen)
@@ -351,8 +353,10 @@ def _telemetry(seen: _Seen) -> _Counted:
 
 def _repeated(seen: _Seen) -> float:
     """Share of the samples that repeat the one before although integral action must have moved co."""
-    band = seen.response.band
-    again = [a[1:4] == b[1:4] and not b.limited and abs(b.sp - b.pv) > band for a, b in pairwise(seen.samples)]
+    moves = np.abs(np.diff(seen.window.co))
+    count = float(np.min(moves[moves > 0], initial=math.inf))  # a converter's, where co is coarse
+    least = max(seen.response.band, count / (seen.ki * seen.window.sample_time_s) if seen.ki else math.inf)
+    again = [a[1:4] == b[1:4] and not b.limited and abs(b.sp - b.pv) > least for a, b in pairwise(seen.samples)]
     return sum(again) / len(again)
 
 

@@ -491,7 +491,8 @@ def admitted(record: ResponseRecord, settings: RetunerSettings) -> Admission:
     if record.table.lookup is Lookup.INTERPOLATED or record.crossed:
         rules = replace(rules, changes_most=len(record.samples))
     inside = None if record.crossed else inside_region(record.table.regions, record.region)
-    return admit(record.window, record.samples, record.response, rules, inside, settings.pv_range)
+    ki = record.in_force.ki
+    return admit(record.window, record.samples, record.response, rules, inside, settings.pv_range, ki)
 
 
 def passed_over(led: Led, record: ResponseRecord, settings: RetunerSettings) -> bool:

@@ -194,6 +194,13 @@ def test_a_coarse_measurement_is_no_repetition_as_long_as_co_moves() -> None:
     assert judged(samples).admitted
 
 
+def test_a_coarse_output_is_no_repetition_where_integral_action_moves_it_by_less_than_a_count() -> None:
+    still = [s._replace(pv=s.sp - 0.5, co=40.0 + 0.2 * (i // 10)) for i, s in enumerate(swing())]
+    for ki, ground in ((0.04, Ground.ADMITTED), (0.0, Ground.ADMITTED), (0.8, Ground.REPEATED)):
+        given = admit(Window.of(still), still, found(still), AdmissionSettings(), ki=ki)
+        assert given.ground is ground
+
+
 def test_a_window_that_was_not_made_of_these_samples_is_refused() -> None:
     samples = swing()
     with pytest.raises(ValueError, match="cannot have been made"):
