@@ -40,6 +40,14 @@ def days_of(window: Window) -> list[Window]:
     return days[-MOST_DAYS:] if len(days) > 1 else [window]
 
 
+def at_gaps(window: Window) -> list[slice]:
+    """The rows of a record between gaps in its time, none left out; all in one where a part of it would be short."""
+    step = np.diff(window.t_s)
+    edges = [0, *(np.flatnonzero(step > GAP * float(np.median(step))) + 1).tolist(), len(window.t_s)]
+    parts = [slice(a, b) for a, b in pairwise(edges)]
+    return parts if min(part.stop - part.start for part in parts) >= FEWEST_ROWS else [slice(0, len(window.t_s))]
+
+
 def _off(window: Window) -> npt.NDArray[np.bool_]:
     """In which samples co stands still for long at what is no limit, shape (n,)."""
     limits = at_limits(window.co, error=window.sp - window.pv)

@@ -1,5 +1,6 @@
 """`retuner.identify`: the process behind a record of arrays or of a file, as a frozen result."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -12,12 +13,13 @@ from retuner.adaptive.diagnosis.one_tone import one_tone
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing_verdict
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.identification.bound import bounded
-from retuner.adaptive.identification.by_region import FEWEST_SAMPLES, by_region, identify_region
+from retuner.adaptive.identification.by_region import FEWEST_SAMPLES, RegionRecord, by_region, identify_region
 from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.first_step import first_step
 from retuner.adaptive.identification.identify import FROM_MOTION, FitSettings, identify_manual, identify_window
 from retuner.adaptive.identification.in_parts import identify_parts
 from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTuning, robust_simc
+from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
@@ -233,6 +235,11 @@ def identify_record(
     sign = gains.direction if gains else None
     if open_loop:
         return _followed(window, identify_manual(window, sign), gains, open_loop)
+    days = days_of(window)
+    if len(days) > 1:
+        record = RegionRecord(-math.inf, math.inf, tuple(days))
+        if (told := identify_region(record, sign, FitSettings())) is not None:
+            return _followed(max(days, key=_length), told, gains, open_loop)
     found = _followed(window, identify_window(window, sign), gains, open_loop)
     joint = None if found.identifiable else identify_parts(window, sign)
     return found if joint is None else _followed(window, joint, gains, open_loop)

@@ -11,6 +11,7 @@ import numpy as np
 
 from retuner.adaptive import shown
 from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.adaptive.indexes.days import at_gaps
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.schedule_choice.candidates import OWN, Candidate, follows_loop, silent
 from retuner.adaptive.schedule_choice.cells import COUNT, Cells
@@ -295,12 +296,14 @@ def design_schedule(
     ValueError
         A record or a value cannot be used, or nothing moves; the message says which.
     """
-    windows = tuple(within(window, co_min, co_max) for window in windows_of(records))
+    whole = tuple(within(window, co_min, co_max) for window in windows_of(records))
     if lookup not in {AUTO, *Lookup}:
         raise ValueError(f"lookup = {lookup!r}: give {AUTO}, {' or '.join(Lookup)}")
     if low is not None and high is not None and not low < high:
         raise ValueError(f"low = {low:g} must be below high = {high:g}")
-    candidates = [_candidate(one, windows, values) for one in _names(by, values)]
+    rows = [at_gaps(window) for window in whole]
+    windows = tuple(window.part(part) for window, parts in zip(whole, rows, strict=True) for part in parts)
+    candidates = [_between_gaps(_candidate(one, whole, values), rows) for one in _names(by, values)]
     limits = DesignLimits(ms_limit, j_limit)
     found = design(windows, candidates, limits, lookup, (low, high), progress)
     before = gains if gains is not None else _read_off(windows, co_min, co_max)
@@ -358,6 +361,12 @@ def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequen
         if array.shape != window.t_s.shape or not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: give a finite value at each of the record's {len(window.t_s)} samples")
     return Candidate(name, tuple(arrays), follows=name not in OWN and follows_loop(windows, arrays))
+
+
+def _between_gaps(one: Candidate, rows: Sequence[Sequence[slice]]) -> Candidate:
+    """A variable at the samples of every part of the records."""
+    values = tuple(array[part] for array, parts in zip(one.values, rows, strict=True) for part in parts)
+    return replace(one, values=values)
 
 
 def table_of(found: Design, name: str, unit: str) -> GainTable | None:

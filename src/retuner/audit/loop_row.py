@@ -21,6 +21,7 @@ from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, 
 from retuner.adaptive.audit.windows import spread_over, stretches_of_interest
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.identification.robust_simc import RobustSettings, believed, robust_simc
+from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.audit.catalogue import ANY_FAULT, Task, told_fault
 from retuner.diagnosing import RecordDiagnosis, diagnose_record
@@ -160,7 +161,9 @@ class _Seen:
             swings = screen.swinging > 0
             parts = over_time(window, self.period_s, first_s, setpoint=known, swings=swings)
             self.course += [replace(part, begin_s=round(part.begin_s + later_s)) for part in parts]
-        for stretch in stretches_of_interest(window, screen.period_s, settings.stretches if known else 0):
+        days = days_of(window) if known else [window]
+        most = -(-settings.stretches // len(days)) if known else 0
+        for stretch in (one for day in days for one in stretches_of_interest(day, screen.period_s, most)):
             found = diagnose_record(stretch)
             told = found.diagnosis
             begin_s, end_s = float(stretch.t_s[0]) + later_s, float(stretch.t_s[-1]) + later_s

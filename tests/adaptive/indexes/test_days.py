@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retuner.adaptive.indexes.days import MOST_DAYS, days_of
+from retuner.adaptive.indexes.days import MOST_DAYS, at_gaps, days_of
 from retuner.adaptive.signals.sample import Window
 
 DAY, NIGHT = 200, 160
@@ -50,3 +50,12 @@ def test_one_day_and_one_quiet_spell_stay_one_record(rng: np.random.Generator) -
     held[50:70] = held[50]
     spell = Window(one.t_s, one.sp, one.pv, held)
     assert days_of(spell) == [spell]
+
+
+def test_gaps_cut_a_record_and_leave_nothing_out(rng: np.random.Generator) -> None:
+    assert at_gaps(record(rng, 3)) == [slice(0, DAY), slice(DAY, 2 * DAY), slice(2 * DAY, 3 * DAY)]
+    whole = record(rng, 2, off=0.0)
+    assert at_gaps(whole) == [slice(0, len(whole.t_s))]  # it stands still there: a test in manual does as well
+    short = whole.part(slice(0, DAY + 30))
+    late = Window(np.where(np.arange(DAY + 30) < DAY, short.t_s, short.t_s + 1e6), short.sp, short.pv, short.co)
+    assert at_gaps(late) == [slice(0, DAY + 30)]

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.signals.sample import Window
 from retuner.api import (
     NO_STRETCH,
@@ -27,7 +28,7 @@ from retuner.commands.recorded.recorded_loop import (
     require_length,
 )
 from retuner.decision_page.shown_units import chosen_units
-from retuner.diagnosing import diagnose_record
+from retuner.diagnosing import diagnose_windows
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import UserError, user_input
@@ -119,7 +120,8 @@ def _otherwise(window: Window, gains: PidGains | None, options: IdentifyOptions)
     """What diagnose says of the same record, where it does not call it a matter of tuning."""
     if options.open_loop:
         return None
-    told = diagnose_record(window, gains=gains, co_min=options.co_min, co_max=options.co_max).diagnosis
+    days = days_of(window)
+    told = diagnose_windows(days, gains=gains, co_min=options.co_min, co_max=options.co_max).diagnosis
     return None if told.cause in {Cause.OK, *TUNING_CAUSES} else told
 
 
@@ -177,7 +179,8 @@ def _picture(recording: Recording, found: Identification, options: RecordOptions
     from retuner.decision_page.svg import drawn
     from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure
 
-    window, estimate = recording.window(), found.estimate
+    estimate = found.estimate
+    window = recording.window() if options.open_loop else max(days_of(recording.window()), key=lambda day: len(day.t_s))
     title = f"{Path(recording.source).name}: " + ("identified" if estimate.identifiable else "not identifiable")
     model = ExplainedCurve.of("model", window, fitted_pv(window, estimate))
     picture = RecordPicture(
