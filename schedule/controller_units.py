@@ -25,7 +25,12 @@ from retuner.schedule.vendor_units import Quantity, VendorGain, VendorUnits
 
 
 class Acting(StrEnum):
-    """What the output does when pv rises: it falls (reverse, heating) or rises (direct, cooling)."""
+    """What the output does when pv rises.
+
+    Attributes
+    ----------
+    REVERSE : it falls, as in heating; kc is positive. DIRECT : it rises, as in cooling; kc is negative.
+    """
 
     REVERSE = "reverse"
     DIRECT = "direct"

@@ -29,7 +29,12 @@ LEAST_SHARE = 1e-12
 
 
 class Lookup(StrEnum):
-    """How the active gains follow from the table: the region's own, or a mean of the sets at the centres around."""
+    """How the active gains follow from the table.
+
+    Attributes
+    ----------
+    HARD : the region's own set. INTERPOLATED : a mean of the sets at the centres around.
+    """
 
     HARD = "hard"
     INTERPOLATED = "interpolated"

@@ -15,7 +15,12 @@ LARGEST = 1e30
 
 
 class LoopMode(IntEnum):
-    """Who moves the controller output: an operator (manual) or the controller (auto)."""
+    """Who moves the controller output.
+
+    Attributes
+    ----------
+    MANUAL : an operator. AUTO : the controller.
+    """
 
     MANUAL = 0
     AUTO = 1

@@ -48,7 +48,13 @@ WRITES = frozenset({Mode.AUTO, Mode.TRIAL})
 
 
 class Action(StrEnum):
-    """What follows from a decision: nothing, a proposal, gains to be written, earlier gains to be written again."""
+    """What follows from a decision.
+
+    Attributes
+    ----------
+    NONE : nothing. ADVISE : a proposal for an operator. COMMIT : gains to be written and put on trial.
+    RESTORE : earlier gains to be written again.
+    """
 
     NONE = "none"
     ADVISE = "advise"
