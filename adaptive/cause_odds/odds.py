@@ -470,7 +470,7 @@ WORDS = {
     Cause.AGGRESSIVE: "too much gain",
     Cause.SLOW_INTEGRATING: "too much integral action for this gain",
     Cause.SLUGGISH: "the loop could be much faster",
-    Cause.STICTION: "a valve that sticks or has play explains the record best, under a load that wanders",
+    Cause.STICTION: "a valve that sticks or has play explains the record best",
 }
 
 
@@ -511,7 +511,4 @@ def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float]
     most = "or more" if high >= MS_SHOWN else f"to {high:.2f}"
     overshoot = evidence.get("overshoot", 0.0)
     seen = f"; its setpoint responses overshoot by {overshoot:.0%}" if overshoot > OVERSHOOTS else ""
-    return (
-        f"{WORDS[cause]}: Ms {middle:.2f} ({low:.2f} {most}) with the active gains, on the processes that explain the "
-        f"record under a load that wanders{seen}"
-    )
+    return f"{WORDS[cause]}: Ms {middle:.2f} (90 % range {low:.2f} {most}) with the active gains{seen}"

@@ -163,9 +163,9 @@ def standing_verdict(found: Standing, evidence: Mapping[str, float]) -> Diagnosi
         )
         return Diagnosis(Cause.UNKNOWN, 0.7, evidence, reason)
     slips = ", ".join(f"{t:.5g}" for t in found.ends_s[:MOST_TOLD])
-    told = f"pv does not move while co moves ({seen})" + f", then steps towards co (at {slips} s)" * bool(slips)
+    told = f"pv does not move while co moves ({seen})" + f", then follows in steps (at {slips} s)" * bool(slips)
     if found.sticks:
-        return Diagnosis(Cause.STICTION, 0.8, evidence, f"{told}: a sticking valve, its stiction band varies")
+        return Diagnosis(Cause.STICTION, 0.8, evidence, f"{told}: a sticking valve with a varying stiction band")
     return Diagnosis(Cause.UNKNOWN, 0.6, evidence, f"{told}: a sticking valve, or a load that drifts with co")
 
 

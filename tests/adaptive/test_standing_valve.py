@@ -121,7 +121,7 @@ def test_only_steps_that_end_a_stand_are_told_after_it():
     found = stand_still(Window(*recorded("FIC31102_0628_1.csv")), None, SETTINGS)
     assert found is not None
     assert len(found.slips_s) == 3
-    assert "then steps towards co (at 5480, 7350 s)" in standing_verdict(found, {}).reason
+    assert "then follows in steps (at 5480, 7350 s)" in standing_verdict(found, {}).reason
     assert _ends([5.0, 30.0, 40.0], [Leg(10.0, 25.0, 0.5, 9.0), Leg(45.0, 60.0, 0.5, 9.0)]) == [30.0]
     assert "then" not in standing_verdict(replace(found, ends_s=()), {}).reason
 

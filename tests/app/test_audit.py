@@ -282,7 +282,7 @@ def test_a_folder_without_a_loop_and_an_audit_of_another_version_are_told(
 ) -> None:
     (tmp_path / "x.csv").write_text("nothing here\n", encoding="utf-8")
     assert main(["audit", str(tmp_path)]) == 2
-    assert "no loop in 1 files" in capsys.readouterr().err
+    assert "no loop found, none in its 1 file" in capsys.readouterr().err
     with ResultStore(tmp_path / "old") as store:
         store.keep([{**row("A", 1.0), "schema": 99}], "x")
     with pytest.raises(UserError, match="of schema 99"):

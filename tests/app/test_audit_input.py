@@ -93,7 +93,7 @@ def test_signals_of_other_rates_are_held_between_their_rows(tmp_path: Path, caps
 def test_an_empty_folder_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["audit", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     told = capsys.readouterr().err
-    assert f"{tmp_path}: no loop in 0 files" in told
+    assert f"{tmp_path}: no loop found, it has no files of records" in told
     assert told.count("\n") == 1
 
 

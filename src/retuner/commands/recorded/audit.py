@@ -107,7 +107,10 @@ def _catalogued(options: AuditOptions, settings: AuditSettings) -> Catalogue:
     found = catalogue(files, settings.form, options.tag_pattern)
     if not found.tasks:
         why = f"; {found.refused[0][1]}" if found.refused else ""
-        raise UserError(f"{options.sources[0]}: no loop in {len(files)} files{why}")
+        there = f"none in its {len(files)} file{'s' * (len(files) != 1)}" if files else "it has no files of records"
+        raise UserError(
+            f"{options.sources[0]}: no loop found, {there}{why}; give a folder of CSV, text or Parquet files"
+        )
     return found
 
 

@@ -310,23 +310,39 @@ def _next(found: DiagnosedRecord) -> list[str]:
         return ["set these, then diagnose the next record together with this one"]
     if told.next is not None:
         return [f"{test_words(told.next)}; diagnose its record together with this one"]
-    return _by_eye(found)
+    return _by_eye(found) or [WHAT_TO_DO[told.cause]] * (told.cause in WHAT_TO_DO)
+
+
+WHAT_TO_DO = {
+    Cause.STICTION: "have positioner, packing and linkage of the valve checked; `retuner experiment valve` measures it",
+    Cause.EXTERNAL: "find the source: another loop or machine that oscillates at this period",
+    Cause.SATURATION: "check the size of the actuator, and the load",
+    Cause.NOISE: "filter pv at most",
+    Cause.OK: "nothing to do",
+}
+"""What a person does about a cause that other gains do not cure."""
 
 
 def test_words(test: DecidingTest) -> str:
     """A test to make, in words."""
     what = {
-        TestKind.SETPOINT: "a setpoint step of {size:.3g} out and back, each held {hold_s:.3g} s, decides",
-        TestKind.VALVE: "in manual, steps of co of {size:.3g} up, up, down, down, each held {hold_s:.3g} s, decide",
+        TestKind.SETPOINT: "a setpoint step of {size:.3g}, {hold} out and {hold} back: it decides",
+        TestKind.VALVE: "in manual, steps of co of {size:.3g} up, up, down, down, each held {hold}: they decide",
     }[test.kind]
-    return f"{what.format(size=test.size, hold_s=test.hold_s)} with {_odds(test.decides)}"
+    hold = f"{test.hold_s / 60.0:.0f} min" if test.hold_s >= MINUTES_FROM_S else f"{test.hold_s:.3g} s"
+    return f"{what.format(size=test.size, hold=hold)} with {_odds(test.decides)} probability"
+
+
+MINUTES_FROM_S = 600.0
+"""Times from here on are told in minutes."""
 
 
 def command_for(test: DecidingTest) -> str:
     """The command that makes a test. CONFIG : the configuration of the loop's controller."""
+    hold = f"{float(f'{test.hold_s:.3g}'):g}"
     if test.kind is TestKind.VALVE:
-        return f"retuner experiment valve CONFIG --step {test.size:.3g} --hold {test.hold_s:.3g} --short"
-    return f"retuner experiment setpoint CONFIG --amplitude {test.size:.3g} --hold {test.hold_s:.3g}"
+        return f"retuner experiment valve CONFIG --step {test.size:.3g} --hold {hold} --short"
+    return f"retuner experiment setpoint CONFIG --amplitude {test.size:.3g} --hold {hold}"
 
 
 def evidence_of(found: DiagnosedRecord) -> list[str]:
