@@ -184,8 +184,8 @@ def _judged(found: Regression, window: Window, settings: LawSettings) -> Setting
     percent = f"{max(found.explained, 0.0):.1%}"
     if found.explained < settings.explained_limit:
         limit = f"{settings.explained_limit:.0%}"
-        why = "the controller has other inputs, or it saw another pv than the recorded one (filtered, compressed)"
-        return _refused(f"sp and pv explain {percent} of the movement of co, {limit} are needed: {why}", found)
+        why = "the controller has other inputs, or pv was filtered or compressed before it was recorded"
+        return _refused(f"sp and pv explain only {percent} of co's movement ({limit} needed): {why}", found)
     if not signs_agree(found.values):
         return _refused("the terms that explain co act in opposite directions: this is no PID law", found)
     values, std = _gains(found, window)

@@ -282,7 +282,8 @@ def _recommended_lines(found: DiagnosedRecord) -> list[str]:
         lines.append(f"{'then':<{NAME}}{settings_text(result.aim.tuning.gains)}, once the next record confirms")
     if result.room is not None and min(result.room) > 1.0:
         sure, likely = result.room
-        lines[0] += f"; Kc x {sure:.2g} is safe on every likely process, x {likely:.2g} on half of them"
+        half = f", {likely:.2g} times on half of them" if likely > sure else ""
+        lines[0] += f"; up to {sure:.2g} times the active gain is safe on every likely process{half}"
     if found.change is not None:
         lines.append(f"{'with these':<{NAME}}{change_words(found.change.found)}; {step_words(found.change)}")
     return lines
@@ -375,7 +376,9 @@ def _by_eye(found: DiagnosedRecord) -> list[str]:
 def _controller_lines(found: DiagnosedRecord) -> list[str]:
     """The settings in force in a line."""
     if found.gains is None:
-        return [f"{'active':<{NAME}}not known: {found.read_off.reason}"] if found.read_off is not None else []
+        why = found.read_off.reason if found.read_off is not None else ""
+        why = "" if why == found.result.diagnosis.reason else f": {why}; give them with --kc and --tau-i"
+        return [f"{'active':<{NAME}}not known{why}"] if found.read_off is not None else []
     shown = ", as the record shows" if found.read_off is not None else ""
     return [f"{'active':<{NAME}}{settings_text(found.gains)}{shown}"]
 
@@ -392,7 +395,7 @@ def _process_lines(found: DiagnosedRecord) -> list[str]:
         f"{name} {values[name]:.4g}{f' +- {std[name]:.2g}' if name in std else ''}{' s' if name != 'k' else ''}"
         for name in known
     )
-    among = f", the likeliest of {len(found.result.likely)}" if found.result.likely else ""
+    among = f", the most likely of {len(found.result.likely)}" if found.result.likely else ""
     return [f"{'process':<{NAME}}{model.type}, {', '.join(numbers)}{among}"]
 
 
