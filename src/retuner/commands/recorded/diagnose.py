@@ -311,7 +311,8 @@ def _next(found: DiagnosedRecord) -> list[str]:
         return ["set these, then diagnose the next record together with this one"]
     if told.next is not None:
         return [f"{test_words(told.next)}; diagnose its record together with this one"]
-    return _by_eye(found) or [WHAT_TO_DO[told.cause]] * (told.cause in WHAT_TO_DO)
+    cure = WHAT_TO_DO.get(told.cause)
+    return _by_eye(found) or ([cure] if cure is not None else [])
 
 
 WHAT_TO_DO = {
