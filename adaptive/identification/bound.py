@@ -56,8 +56,8 @@ def bounded(window: Window, estimate: ModelEstimate, settings: FitSettings) -> M
     if max(log.gain_uncertainty(dt), gain_spread(around, dt)) > settings.gain_std_limit:
         return estimate
     reason = (
-        f"{log.type} with a dead time too short to be seen: it counts as the sampling interval of {dt:.3g} s, which is "
-        f"its bound; quicker settings need at least {WANTED_SAMPLES_IN_THETA} samples in it"
+        f"{log.type}; the dead time is too short to be seen: taken as {dt:.3g} s, one sampling interval. For faster "
+        f"settings, sample at least {WANTED_SAMPLES_IN_THETA} times within it"
     )
     best = replace(estimate.best, log=log)
     alternatives = (best, *estimate.alternatives[1:])
