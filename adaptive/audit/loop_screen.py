@@ -34,6 +34,7 @@ from retuner.adaptive.indexes.condition import (
     escapes,
     runs_by_itself,
 )
+from retuner.adaptive.indexes.limits import runs
 from retuner.adaptive.indexes.recording_quality import quantum
 from retuner.adaptive.indexes.setpoint_responses import idle_index
 from retuner.adaptive.signals.noise import noise_sigma
@@ -109,7 +110,8 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
     """
     n, parts = len(record.t_s), in_parts(record)
     usual_s, step, noise = parts.sample_time_s, quantum(parts.pv), (noise_sigma(parts.pv), noise_sigma(parts.co))
-    sums = record_sums(record, measure(n, usual_s, noise[1]))
+    by = measure(n, usual_s, noise[1])
+    sums = record_sums(record, by)
     limits, days = [side for side in (sums.low, sums.high) if sums.limit(n, side)], sums.held_s / DAY_S
     swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
     traits = _traits(record, sums, noise, limits)
@@ -121,7 +123,7 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
         iae_per_day=sums.size / days,
         effort_per_day=sums.travel / days,
         reversals_per_day=sums.turns / days,
-        in_automatic=in_automatic(n, sums, limits),
+        in_automatic=in_automatic(record.co, by, sums, limits),
         at_limits=traits.at_limit,
         loss_at_limits=sum(side.size for side in limits) / sums.size if sums.size > 0 else 0.0,
         one_sided=_one_sided(limits),
@@ -210,10 +212,14 @@ def _idle(parts: Window) -> float | None:
     return idle_index(pv, co, direction, AVERAGED) if len(pv) > 2 * AVERAGED else None
 
 
-def in_automatic(samples: int, sums: RecordSums, limits: Sequence[AtExtreme]) -> float:
+def in_automatic(co: FloatArray, by: Measure, sums: RecordSums, limits: Sequence[AtExtreme]) -> float:
     """Share of the record without long stretches of constant co, those at a limit not counted."""
-    still = sums.still - sum(side.samples - side.stretches for side in limits)
-    return 1 - max(still, 0.0) / samples
+    still = sums.still
+    for side in limits if still else ():
+        value = sums.co_low if side is sums.low else sums.co_high
+        there = runs((np.diff(co) == 0) & (co[1:] == value))
+        still -= float(np.sum(there[there >= by.shortest]))
+    return 1 - max(still, 0.0) / len(co)
 
 
 def _one_sided(limits: Sequence[AtExtreme]) -> float:

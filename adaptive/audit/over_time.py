@@ -66,7 +66,8 @@ def over_time(
             continue
         part = slice(begin, end)
         window = Window(record.t_s[part], record.sp[part], record.pv[part], record.co[part])
-        sums = record_sums(window, measure(end - begin, window.sample_time_s, noise_sigma(window.co)))
+        by = measure(end - begin, window.sample_time_s, noise_sigma(window.co))
+        sums = record_sums(window, by)
         if sums.held_s < SHOWN * period_s:
             continue
         ends = ((sums.low, sums.co_low == lowest), (sums.high, sums.co_high == highest))
@@ -76,7 +77,7 @@ def over_time(
         yield PartOfTime(
             first_s + float(at[begin]) * period_s,
             sums.held_s,
-            in_automatic(end - begin, sums, limits),
+            in_automatic(window.co, by, sums, limits),
             sum(side.samples for side in limits) / (end - begin),
             sums.travel / days,
             sums.turns / days,

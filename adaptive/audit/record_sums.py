@@ -15,6 +15,8 @@ from retuner.adaptive.indexes.limits import STRETCH, is_limit, runs
 from retuner.adaptive.indexes.recording_quality import STRAIGHT
 from retuner.adaptive.signals.sample import FloatArray, Window
 
+ONE_SIDED = 0.5
+"""Share of its size that the error at a limit has to keep, where co is there once only."""
 LAGS = 20
 """Lags of the error's covariances (Desborough & Harris 1992 use 5 to 20)."""
 
@@ -87,7 +89,12 @@ class RecordSums:
     covariance: FloatArray
 
     def limit(self, samples: int, side: AtExtreme) -> bool:
-        """Whether one extreme of co is a limit; samples : of the record."""
+        """Whether one extreme of co is a limit; samples : of the record.
+
+        One long stretch in which the error goes to both sides is a hand's: a limit that binds leaves it on one.
+        """
+        if side.long == 1 and abs(side.error) < ONE_SIDED * side.size:
+            return False
         counts = (int(x) for x in (self.moves, side.samples, side.stretches, side.long, side.longest))
         return is_limit(samples, *counts)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from retuner.adaptive.audit.loop_screen import DAY_S
+from retuner.adaptive.audit.loop_screen import DAY_S, screen_loop
 from retuner.adaptive.audit.over_time import WEEK_S, joined_parts, over_time, period_of
 from retuner.adaptive.signals.sample import Window
 
@@ -20,6 +20,7 @@ def record() -> Window:
     pv, co = 50 + rng.normal(size=len(t_s)), 50 + 5 * np.sin(2 * math.pi * t_s / (DAY_S / 4))
     co[WEEK : 2 * WEEK] = 40.0
     co[2 * WEEK : 2 * WEEK + WEEK // 2] = 100.0
+    pv[2 * WEEK : 2 * WEEK + WEEK // 2] -= 3.0
     keep = np.arange(len(t_s)) < 3.6 * WEEK
     return Window(t_s[keep], np.full(keep.sum(), 50.0), pv[keep], co[keep])
 
@@ -34,6 +35,16 @@ def test_each_week_has_its_numbers() -> None:
     assert limit.at_limits == pytest.approx(0.5, abs=0.01)
     assert limit.in_automatic == pytest.approx(1.0, abs=0.01)
     assert short.span_s == pytest.approx(0.6 * WEEK_S, rel=0.01)
+
+
+def test_short_saturations_do_not_hide_a_week_in_manual() -> None:
+    whole = record()
+    co = whole.co.copy()
+    co[np.arange(len(co)) % 6 < 3] = 100.0  # half of the time, for half an hour each
+    co[WEEK : 2 * WEEK] = 40.0
+    screened = screen_loop(Window(whole.t_s, whole.sp, whole.pv, co))
+    assert screened.at_limits == pytest.approx(0.43, abs=0.02)
+    assert screened.in_automatic == pytest.approx(1 - WEEK / len(co), abs=0.01)
 
 
 def test_pieces_of_a_week_tell_what_the_week_tells() -> None:
