@@ -341,8 +341,8 @@ def first_order(cycle: RelayCycle, pv_rest: float, co_rest: float) -> ProcessMod
     share = ((h - high) + (low - low_end)) / ((h - eps) + (-eps - low_end))
     if not (0 < share < 1 and h > max(high, eps) and low_end < min(low, -eps)):
         raise ValueError(
-            "this limit cycle is not that of a first-order process with dead time (an integrating or a "
-            "strongly lagging one); use the fit"
+            "the process is not first order with dead time, by this limit cycle (integrating, or several lags): "
+            "use the fit"
         )
     theta_ratio = -math.log(share)
     rise, fall = math.log((h - low) / (h - eps)), math.log((high - low_end) / (-eps - low_end))

@@ -93,7 +93,7 @@ def read_valve_test(window: Window) -> ValveReading:
     ends = [*begins[1:], len(window.co)]
     kept = [(a, b) for a, b in zip(begins, ends, strict=True) if b - a >= FEWEST_SAMPLES]
     if len(kept) < FEWEST_HOLDS:
-        raise ValueError(f"co stands {len(kept)} times long enough; a valve test has {FEWEST_HOLDS} holds or more")
+        raise ValueError(f"not a valve test: co is held {len(kept)} times, {FEWEST_HOLDS} or more are needed")
     u = np.array([window.co[b - 1] for _, b in kept])
     y = np.array([float(np.mean(window.pv[b - max(round(LAST * (b - a)), 1) : b])) for a, b in kept])
     moves = np.abs(np.diff(u))

@@ -80,7 +80,7 @@ def test_what_is_no_valve_test_is_refused() -> None:
     t, still = np.arange(400.0), np.full(400, 50.0)
     with pytest.raises(ValueError, match="co does not move"):
         read_valve_test(Window(t, still, still, still))
-    with pytest.raises(ValueError, match="co stands 2 times"):
+    with pytest.raises(ValueError, match="co is held 2 times"):
         read_valve_test(Window(t, still, still + t, still + 5.0 * (t > 200)))
     window = record(0.0, 0.0, 1)
     with pytest.raises(ValueError, match="pv does not move"):

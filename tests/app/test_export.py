@@ -327,7 +327,7 @@ def test_a_set_without_the_form_takes_the_ideal_one(tmp_path: Path) -> None:
 
 WRONG = [
     ([], "--format: give one of c, st, dbc, csv"),
-    (["--format", "pdf"], "--format pdf: there is c, st, dbc, csv"),
+    (["--format", "pdf"], "--format pdf: give one of c, st, dbc, csv"),
     (["--into", "nowhere.toml"], "nowhere.toml: no such file"),
     (["--format", "c", "--out", "no/such/folder/x.h"], "cannot be written"),
     (["--format", "c", "--controller", "px4"], "--format c carries kp, ki and kd"),

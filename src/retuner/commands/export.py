@@ -48,7 +48,7 @@ def export(
     if not form and into is None and units is None:
         raise UserError(f"--format: give one of {', '.join(FORMATS)}, or --into and a configuration, or --controller")
     if form and form not in FORMATS:
-        raise UserError(f"--format {form}: there is {', '.join(FORMATS)}")
+        raise UserError(f"--format {form}: give one of {', '.join(FORMATS)}")
     if form and form != "csv" and units is not None:
         raise UserError(f"--controller: --format {form} carries kp, ki and kd; only csv has a controller's own numbers")
     if form and into is not None and out is not None and out.resolve() == into.resolve():
@@ -84,6 +84,8 @@ def _read(path: Path) -> GainTable:
         raise UserError(f"{path}: cannot be read: {error.strerror}; give the gains.toml of a run") from None
     if len(raw) > LARGEST:
         raise UserError(f"{path}: is larger than {LARGEST} bytes; is it a gain table?")
+    if b"\n[adaptation]" in raw:
+        raise UserError(f"{path}: is a configuration; give the gains.toml of a run")
     with user_input(str(path)):
         return from_toml(raw.decode("utf-8"))
 

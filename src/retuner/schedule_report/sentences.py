@@ -84,11 +84,11 @@ def motion_sentences(found: ScheduleDesign) -> list[str]:
     told = []
     for crossing in found.design.crossings:
         way = "up" if crossing.up else "down"
-        ratio = f"{crossing.iae_ratio:.2f} times" if math.isfinite(crossing.iae_ratio) else "without end"
+        ratio = f"{crossing.iae_ratio:.2f}" if math.isfinite(crossing.iae_ratio) else "without end"
         told.append(
-            f"A setpoint step {way} over {crossing.share:.0%} of the range, gains looked up by {crossing.variable}; "
-            f"IAE {ratio} that with each place's own gains, "
-            f"overshoot {crossing.overshoot:.0%} ({crossing.own_overshoot:.0%})" + _moving_words(crossing)
+            f"Simulated setpoint step {way} over {crossing.share:.0%} of the range, gains by {crossing.variable}: "
+            f"IAE {ratio} and overshoot {crossing.overshoot:.0%}, against 1 and {crossing.own_overshoot:.0%} with the "
+            "best gains at every point" + _moving_words(crossing)
         )
     return told
 
@@ -100,10 +100,10 @@ LONG_HOLD_S = 120.0  # from here on in minutes
 
 def _moving_words(crossing: Crossing) -> str:
     if not crossing.proper:
-        return ": WORSE in motion than at rest; ramp such steps."
+        return ". WORSE: ramp such steps."
     if crossing.own_overshoot > TOO_LARGE:
-        return ": the schedule does no harm, but such a step is too large for any gains here; ramp it."
-    return ": no worse in motion."
+        return ". The schedule does no harm, but such a step is too large for any gains here: ramp it."
+    return ". No worse."
 
 
 def experiment_sentence(found: ScheduleDesign) -> str:
