@@ -106,7 +106,7 @@ class ByBook:
         n = self.numbers
         most = "or more" if n.book_ms_high >= MS_SHOWN else f"to {n.book_ms_high:.2f}"
         odds = f"{n.book_high:.0%} probability that Ms is over its limit, {n.book_room:.0%} that there is room for more"
-        return f"by all samples, under a load that wanders, Ms {n.book_ms:.2f} ({n.book_ms_low:.2f} {most}); {odds}"
+        return f"from all samples, Ms {n.book_ms:.2f} ({n.book_ms_low:.2f} {most}); {odds}"
 
 
 MS_SHOWN = 20.0
