@@ -87,8 +87,8 @@ def motion_sentences(found: ScheduleDesign) -> list[str]:
         ratio = f"{crossing.iae_ratio:.2f}" if math.isfinite(crossing.iae_ratio) else "without end"
         told.append(
             f"Simulated setpoint step {way} over {crossing.share:.0%} of the range, gains by {crossing.variable}: "
-            f"IAE {ratio} and overshoot {crossing.overshoot:.0%}, against 1 and {crossing.own_overshoot:.0%} with the "
-            "best gains at every point" + _moving_words(crossing)
+            f"IAE {ratio}, overshoot {crossing.overshoot:.0%}. With the best gains at every point: IAE 1, overshoot "
+            f"{crossing.own_overshoot:.0%}" + _moving_words(crossing)
         )
     return told
 
