@@ -236,16 +236,24 @@ def _shapes(found: Found, settings: OddsSettings) -> float:
 def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: OddsSettings) -> dict[Cause, float]:
     """Odds under a load that wanders. shapes : what shapes and plateaus say for a valve, in all records."""
     linear = 1.0 - settings.stiction - settings.nonlinear
-    known, other = (min(weight * walk.valve, 500.0) for weight in (settings.valve_weight, settings.other_weight))
-    unlike = settings.other_valve * (1.0 - walk.moved)  # setpoint steps would show it
-    grid = math.log((1.0 - unlike) * math.exp(known) + unlike * math.exp(min(other, 0.0)))
-    evidence = shapes + (max(grid, 0.0) if shapes else grid)  # shapes see valves that no grid has
+    known, share = min(settings.valve_weight * walk.valve, 500.0), settings.other_valve
+    evidence = math.log(
+        (1.0 - share) * math.exp(known) + share * math.exp(min(settings.other_weight * walk.valve, 0.0))
+    )
+    if shapes:  # they see valves that are unlike the grid's
+        evidence = shapes + max(known, min(settings.other_weight * (walk.valve + UNLIKE), 0.0))
     stiction = settings.stiction / linear * math.exp(min(max(evidence, -50.0), 300.0))
-    nonlinear = settings.nonlinear / linear * math.exp(min(max(walk.along.log_bayes, -50.0), 300.0))
+    seen = walk.moved >= settings.moved  # by a setpoint: loads alone may bend a record as any valve does
+    along = min(walk.along.log_bayes, 0.0) + (settings.valve_weight * max(walk.along.log_bayes, 0.0) if seen else 0.0)
+    nonlinear = settings.nonlinear / linear * math.exp(min(max(along, -50.0), 300.0))
     whole = 1.0 + stiction + nonlinear
     rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
     found = {cause: p / whole for cause, p in rest.items()}
     return {Cause.STICTION: stiction / whole, Cause.NONLINEAR: nonlinear / whole, **found}
+
+
+UNLIKE = 2.0
+"""Logarithm of a factor against a valve that says nothing where shapes name one: valves of plants slip irregularly."""
 
 
 def _under_steps(
@@ -440,7 +448,8 @@ def _settings(
         return None
     if _calmer(found, odds):
         return found if less >= settings.less_odds else None
-    unseen = causes.get(Cause.STICTION, 0.0) > settings.most_valve  # behind a valve no process is seen
+    bends = causes.get(Cause.NONLINEAR, 0.0) > settings.nonlinear  # then more is too much elsewhere
+    unseen = bends or causes.get(Cause.STICTION, 0.0) > settings.most_valve  # behind a valve no process is seen
     return found if more >= settings.more_odds and not unseen else None
 
 

@@ -52,6 +52,20 @@ def test_a_linear_loop_is_not_told_so() -> None:
     assert weighed(tank(1.0)).log_bayes < -5.0
 
 
+def test_a_gain_that_loads_go_through_as_well_is_told() -> None:
+    rng, y, total = np.random.default_rng(2), 0.0, 0.0
+    load, sp = np.cumsum(rng.standard_normal(400)) * 0.05, np.repeat([0.0, 4.0, 8.0, 4.0], 100)
+    pv, co = np.zeros(400), np.zeros(400)
+    for i in range(400):
+        pv[i] = y
+        total += 0.02 * (sp[i] - y)
+        co[i] = sp[i] - y + total
+        y += 0.1 * math.exp(0.15 * (y - 4.0)) * (co[i] + load[i])
+    found = weighed(Window(np.arange(400.0), sp, pv, co))
+    assert found.log_bayes > 10.0
+    assert found.ratio > 1.0
+
+
 def test_two_records_of_either_range_tell_what_neither_does() -> None:
     low, high = tank(3.0, (20.0, 24.0, 20.0, 26.0)), tank(3.0, (48.0, 52.0, 48.0, 54.0))
     assert weighed(low).log_bayes < 0.0

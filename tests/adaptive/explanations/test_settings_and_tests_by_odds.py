@@ -84,20 +84,21 @@ def test_an_overshoot_under_large_loads_says_little() -> None:
     assert seen.classes == pytest.approx(odds.classes, abs=0.1)
 
 
-@pytest.mark.parametrize("sticks", [True, False])
-def test_a_valve_that_sticks_is_seen_under_a_load_and_a_free_one_is_not(sticks: bool) -> None:
+@pytest.mark.parametrize(("band", "step"), [(0.0, 0.0), (1.5, 0.0), (0.0, 3.0), (1.3, 3.0)])
+def test_a_valve_that_sticks_is_seen_under_a_load_and_a_free_one_is_not(band: float, step: float) -> None:
     gains, rng = PidGains(1.5, 0.075), np.random.default_rng(2)
     load, pole = np.cumsum(rng.standard_normal(700)) * 0.05, math.exp(-1 / 10.0)
     pv, co = np.zeros(700), np.zeros(700)
     y = total = valve = 0.0
     for i in range(700):
         pv[i] = y + 0.02 * rng.standard_normal()
-        total -= gains.ki * pv[i]
-        co[i] = -gains.kp * pv[i] + total
-        valve = co[i] if not sticks or abs(co[i] - valve) > 1.5 else valve
+        error = (step if 200 <= i < 450 else 0.0) - pv[i]
+        total += gains.ki * error
+        co[i] = gains.kp * error + total
+        valve = co[i] if abs(co[i] - valve) > band else valve
         y = pole * y + (1 - pole) * (valve + load[i])
     found = log_odds_of_valve(Prepared(pv - pv[0], co - co[0], 0.0, 1.0), 1)
-    assert (found > 1.0) if sticks else (found < 0.0)
+    assert (found > (10.0 if step else 1.0)) if band else (found < 0.0)
 
 
 def test_a_valve_that_never_moves_is_no_valve() -> None:
