@@ -207,7 +207,7 @@ def _with_period(told: Diagnosis) -> Diagnosis:
     weighed = "linear_left" in told.evidence and told.cause in {Cause.STICTION, Cause.EXTERNAL, Cause.UNKNOWN}
     if period_s is None or not weighed or " period " in told.reason:
         return told
-    return replace(told, reason=f"{told.reason}; the oscillation has a period of {float(f'{period_s:.3g}'):g} s")
+    return replace(told, reason=f"{told.reason}; it swings at about {float(f'{period_s:.3g}'):g} s")
 
 
 def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> Found:
