@@ -13,7 +13,8 @@ from retuner.adaptive.identification.identify import Fits, FitSettings, identify
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.api import _unless_pv_stands, identify, identify_record
-from retuner.commands.recorded.identify import _contradiction, described
+from retuner.commands.recorded.identify import described
+from retuner.commands.recorded.other_cause import contradiction
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.schedule.forms import SeriesGains
 
@@ -51,9 +52,9 @@ def test_a_model_of_a_valve_that_stands_is_not_believed(loop: Callable) -> None:
 
 def test_where_diagnosis_sees_another_cause_the_command_says_so() -> None:
     told = Diagnosis(Cause.STICTION, 0.8, {}, "a valve that sticks")
-    assert "STICTION" in _contradiction(told)[0]
-    assert _contradiction(None) == []
-    untold = " ".join(_contradiction(replace(told, cause=Cause.UNKNOWN)))
+    assert "STICTION" in contradiction(told)[0]
+    assert contradiction(None) == []
+    untold = " ".join(contradiction(replace(told, cause=Cause.UNKNOWN)))
     assert "look at the record" in untold
     assert "resolve this" not in untold  # nothing is named that could be resolved
 

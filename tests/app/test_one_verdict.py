@@ -1,9 +1,11 @@
-"""diagnose, identify and audit ask one question of a record, and say one cause."""
+"""diagnose, identify, schedule and audit ask one question of a record, and say one cause."""
 
 import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,10 +14,14 @@ from retuner import diagnosing
 from retuner.adaptive.cause_odds.odds import OddsFound, diagnose_records
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.signals.sample import Window
+from retuner.api import window_of
 from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, audit_task
 from retuner.cli import main
+from retuner.commands.recorded import schedule
 from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
+from retuner.scheduling import ScheduleDesign
 
 PLANT = Path(__file__).parent.parent / "data" / "plant"
 
@@ -37,7 +43,7 @@ def tight(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["tight", "FIC20102_1016_12.csv"])
-def test_diagnose_identify_and_audit_say_one_cause_of_a_record(
+def test_diagnose_identify_schedule_and_audit_say_one_cause_of_a_record(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tight(tmp_path) if name == "tight" else PLANT / name
@@ -55,10 +61,13 @@ def test_diagnose_identify_and_audit_say_one_cause_of_a_record(
     (row,) = audit_task(Task(("X",), (path,), separate=True), AuditSettings(4))
     main(["identify", str(path), "--json"])
     identified = json.loads(capsys.readouterr().out)
+    found = cast("ScheduleDesign", SimpleNamespace(table=GainTable))  # a design takes seconds, and asks nothing else
+    scheduled = schedule._other(found, [window_of(path)], schedule.ScheduleOptions(files=[path]))
 
     assert row["cause"] == told.cause
     if identified["identifiable"] and told.cause not in {Cause.OK, *TUNING_CAUSES}:
         assert identified["diagnosis"]["cause"] == told.cause
     else:
         assert identified["diagnosis"] is None
+    assert scheduled == (None if told.cause in {Cause.OK, Cause.NONLINEAR, *TUNING_CAUSES} else told)
     assert len(answers) == 1

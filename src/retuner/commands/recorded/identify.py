@@ -8,9 +8,7 @@ from typing import Annotated
 
 import typer
 
-from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.indexes.days import days_of
-from retuner.adaptive.signals.sample import Window
 from retuner.api import (
     NO_STRETCH,
     Identification,
@@ -19,6 +17,7 @@ from retuner.api import (
     identify_record,
 )
 from retuner.commands.options import signed_by
+from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_form import tell_assumed
 from retuner.commands.recorded.recorded_loop import (
     RecordOptions,
@@ -28,7 +27,6 @@ from retuner.commands.recorded.recorded_loop import (
     require_length,
 )
 from retuner.decision_page.shown_units import chosen_units
-from retuner.diagnosing import diagnose_windows
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import UserError, user_input
@@ -71,7 +69,8 @@ def identify(options: IdentifyOptions) -> int:
         found = identify_record(
             recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max
         )
-        other = None if found.settings is None else _otherwise(recording.window(), gains, options)
+        asked = found.settings is not None and not options.open_loop
+        other = other_cause([recording.window()], gains, options.co_min, options.co_max) if asked else None
     if options.plot is not None:
         write_whole(options.plot, _picture(recording, found, options))
     tell_assumed(read.assumed, options)
@@ -79,7 +78,7 @@ def identify(options: IdentifyOptions) -> int:
         said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in read.assumed]}
         sys.stdout.write(json.dumps(found.to_dict() | said, indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.write("\n".join([*described(found), *_contradiction(other)]) + "\n")
+        sys.stdout.write("\n".join([*described(found), *contradiction(other)]) + "\n")
     return 0 if found.estimate.identifiable else 1
 
 
@@ -114,30 +113,6 @@ def _region_lines(region: RegionIdentification, options: IdentifyOptions) -> lis
         return [f"{title}NOT identifiable: {NO_STRETCH}"]
     first, *lines = described(region.found)
     return [title + first, *lines]
-
-
-def _otherwise(window: Window, gains: PidGains | None, options: IdentifyOptions) -> Diagnosis | None:
-    """What diagnose says of the same record, where it does not call it a matter of tuning."""
-    if options.open_loop:
-        return None
-    days = days_of(window)
-    told = diagnose_windows(days, gains=gains, co_min=options.co_min, co_max=options.co_max).diagnosis
-    return None if told.cause in {Cause.OK, *TUNING_CAUSES} else told
-
-
-def _contradiction(other: Diagnosis | None) -> list[str]:
-    """That diagnosis sees more in the record than a process, so that nobody takes the settings for a cure."""
-    if other is None:
-        return []
-    if other.cause is Cause.UNKNOWN:
-        return [
-            f"but retuner diagnose cannot name the cause: {other.reason}",
-            "  it may not be the tuning: look at the record before you use the settings",
-        ]
-    return [
-        f"but retuner diagnose finds {str(other.cause).replace('_', ' ').upper()} in this record: {other.reason}",
-        "  new settings only help tuning: fix this first",
-    ]
 
 
 def process_lines(found: Identification) -> list[str]:

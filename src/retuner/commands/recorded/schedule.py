@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.sample import Window
 from retuner.commands.options import (
     ActionOption,
@@ -21,6 +22,7 @@ from retuner.commands.options import (
     controller_units,
     signed_by,
 )
+from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_form import read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length
 from retuner.decision_page.shown_units import chosen_units, show_units
@@ -124,9 +126,10 @@ def schedule(options: ScheduleOptions) -> int:
             progress=told_when_slow(),
         )
     assumed = tuple(dict.fromkeys(a for one in records for a in one.assumed))
-    written = _written(found, [one.recording.window() for one in records], options)
+    windows = [one.recording.window() for one in records]
+    written = _written(found, windows, options)
     tell_assumed(assumed, options)
-    _tell(found, assumed, written, options)
+    _tell(found, assumed, written, _other(found, windows, options), options)
     return 0 if found.table is not None else 1
 
 
@@ -227,15 +230,28 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
     return list(files)
 
 
+def _other(found: ScheduleDesign, windows: list[Window], options: ScheduleOptions) -> Diagnosis | None:
+    """What diagnose says of the records, where no gains cure it: a gain along pv is what a schedule is for."""
+    if found.table is None:
+        return None
+    told = other_cause(windows, None, options.co_min, options.co_max)
+    return None if told is None or told.cause in {Cause.NONLINEAR, Cause.UNKNOWN} else told
+
+
 def _tell(
-    found: ScheduleDesign, assumed: tuple[Assumption, ...], written: list[Path], options: ScheduleOptions
+    found: ScheduleDesign,
+    assumed: tuple[Assumption, ...],
+    written: list[Path],
+    other: Diagnosis | None,
+    options: ScheduleOptions,
 ) -> None:
     """The result on the screen."""
     if options.as_json:
-        document = found.to_dict() | {"assumed": [a.what for a in assumed], "files": [str(p) for p in written]}
+        said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
+        document = found.to_dict() | said | {"files": [str(p) for p in written]}
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
-    lines = described(found) + [f"{path} written" for path in written]
+    lines = [*described(found), *contradiction(other), *(f"{path} written" for path in written)]
     sys.stdout.write("\n".join(lines) + "\n")
 
 
