@@ -241,10 +241,10 @@ def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: Od
         (1.0 - share) * math.exp(known) + share * math.exp(min(settings.other_weight * walk.valve, 0.0))
     )
     if shapes:  # they see valves that are unlike the grid's
-        evidence = shapes + max(known, min(settings.other_weight * (walk.valve + UNLIKE), 0.0))
+        evidence = shapes + max(known, min(walk.valve + UNLIKE, 0.0))
     stiction = settings.stiction / linear * math.exp(min(max(evidence, -50.0), 300.0))
     seen = walk.moved >= settings.moved  # by a setpoint: loads alone may bend a record as any valve does
-    along = min(walk.along.log_bayes, 0.0) + (settings.valve_weight * max(walk.along.log_bayes, 0.0) if seen else 0.0)
+    along = min(walk.along.log_bayes, 0.0) + (settings.along_weight * max(walk.along.log_bayes, 0.0) if seen else 0.0)
     nonlinear = settings.nonlinear / linear * math.exp(min(max(along, -50.0), 300.0))
     whole = 1.0 + stiction + nonlinear
     rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
@@ -253,7 +253,7 @@ def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: Od
 
 
 UNLIKE = 2.0
-"""Logarithm of a factor against a valve that says nothing where shapes name one: valves of plants slip irregularly."""
+"""Logarithm of a factor against a valve up to which it says nothing where shapes name one: valves slip irregularly."""
 
 
 def _under_steps(
