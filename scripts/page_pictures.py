@@ -28,11 +28,11 @@ def main(folder: Path) -> None:
     """Run what is needed, and look at it."""
     if not (folder / "runs" / "demo" / "report.html").exists():
         _retuner(folder, "run", str(ROOT / "examples" / "oven.toml"), "--out", "runs/demo")
-    _retuner(folder, "report", "runs/demo", "--decision", "7", "--out", "decision.html")
-    _retuner(folder, "audit", str(ROOT / "examples" / "trends"), "--out", "audit")
+    _retuner(folder, "report", "runs/demo", "--decision", "9", "--out", "decision.html")
+    _retuner(ROOT, "audit", "examples/trends", "--out", str(folder / "audit"))
     with _served(folder):
         _picture("page", f"http://127.0.0.1:{PORT}/#/loop/demo/1", (1280, 860), "The live page of a loop")
-    _picture("decision", (folder / "decision.html").as_uri(), (1000, 2400), "The page of a decision")
+    _picture("decision", (folder / "decision.html").as_uri(), (1000, 2900), "The page of a decision")
     _picture("audit", (folder / "audit" / "index.html").as_uri(), (1180, 700), "The page of an audit")
 
 

@@ -71,7 +71,7 @@ def test_ten_thousand_rows_are_sorted_filtered_and_opened(plant: Path, browsers:
     assert len(rows_in_sight(seen)) < 100
     seen.sees("notes.txt: no row of numbers")
     seen.sees("Nothing was written to any controller")
-    seen.sees("of it may go, by the Harris index")
+    seen.sees("avoidable (Harris index)")
     small = "return document.querySelector('#first canvas').toDataURL().length"
     assert seen.driver.execute_script(small) > 1_000
 
@@ -95,7 +95,7 @@ def test_ten_thousand_rows_are_sorted_filtered_and_opened(plant: Path, browsers:
     seen.sees("1 of 10000 loops")
     seen.driver.execute_script("document.querySelector('#tall .row').click()")
     seen.sees(f"{SLOW}: sluggish")
-    seen.sees("of it may go, by simulation of the process that was identified")
+    seen.sees("avoidable (simulated on the identified process")
     seen.sees("by simulation with these settings")
     seen.sees("less over the plausible models")
     assert seen.errors() == []

@@ -247,12 +247,12 @@ def _known(body: Document) -> str:
 
 
 def _stood(body: Document) -> str:
-    """How the record stood to what was known; of the first one here that is what the other regions foretell."""
+    """How the record stood to what was known; of the first one here that is the prediction from the other regions."""
     surprise, estimate = words(body, "surprise"), part(body, "estimate")
     if surprise == "agrees" and words(body, "code").startswith("undo_"):
         return ""  # the loop has refuted what it agrees with
     if surprise == "agrees" and number(body, "records") == 1:
-        return "as the other regions foretell"
+        return "as predicted from the other regions"
     if surprise == "odd" and estimate.get("identifiable") is False:
         return "this record contradicts it, but does not settle a model by itself"
     return STOOD.get(surprise, "")
