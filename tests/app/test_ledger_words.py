@@ -103,7 +103,7 @@ def test_a_rollback_says_once_why() -> None:
 
 def test_a_record_that_agrees_with_no_other_of_its_region_agrees_with_the_other_regions() -> None:
     seen = {"estimate": {"model": MODEL}, "response": {"upset": "setpoint"}, "surprise": "agrees"}
-    assert tell(("decision", decision(1, "none", records=1, **seen)))[0].evidence.endswith("predicted from the other regions")
+    assert tell(("decision", decision(1, "none", records=1, **seen)))[0].evidence.endswith("from the other regions")
     assert tell(("decision", decision(1, "none", records=2, **seen)))[0].evidence.endswith("this record agrees")
 
 
