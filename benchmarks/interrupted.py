@@ -91,7 +91,9 @@ class Interrupted(Watching):
         self._wait -= 1
         if self._wait == 0 and self.retuner.trials.undecided:
             self.happened += 1
-            self._left = self._lasts()
+            # Samples for which it goes on, where that is no matter of the session
+            span = {"frozen": FROZEN, "limit": PUSHED}.get(self.kind, (IN_MANUAL, IN_MANUAL + 1))
+            self._left = int(self._rng.integers(*span))
             self._unseen = UNSEEN.get(self.kind, 0)
             if self.kind in TOLD:
                 return self._follow(self.retuner.abort(TOLD[self.kind]))
@@ -105,11 +107,6 @@ class Interrupted(Watching):
         if self.kind == "manual" and self._left > 0:
             sample = sample._replace(mode=LoopMode.MANUAL)
         return super().observe(sample)
-
-    def _lasts(self) -> int:
-        """Samples for which it goes on, where that is no matter of the session."""
-        span = {"frozen": FROZEN, "limit": PUSHED}.get(self.kind, (IN_MANUAL, IN_MANUAL + 1))
-        return int(self._rng.integers(*span))
 
     def sensor(self, pv: float) -> float:
         """What the transmitter says: pv, or what it said when it got stuck."""

@@ -54,14 +54,8 @@ def picture(row: Row, source: Path, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{Path(row.file).stem}.png"
     figure.savefig(path, dpi=80)
-    _with_few_colours(path)
-
-
-def _with_few_colours(path: Path) -> None:
-    """A smaller file: the colours of the lines and their shades towards white, and greys.
-
-    A palette chosen by the picture gives all of it to the greys of axes and loses the lines.
-    """
+    # A smaller file: the colours of the lines and their shades towards white, and greys. A palette chosen by the
+    # picture gives all of it to the greys of axes and loses the lines.
     from matplotlib.colors import to_rgb
     from PIL import Image
 

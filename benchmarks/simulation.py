@@ -37,12 +37,7 @@ def main() -> int:
     options = parser.parse_args()
     if min(options.seeds, options.steps, options.processes) < 1 or options.first_seed < 0:
         parser.error("--seeds, --steps and --processes must be 1 or more, --first-seed 0 or more")
-    broken = _real(options)
-    return int(broken or not _naive_fail())
-
-
-def _real(options: argparse.Namespace) -> bool:
-    """The protocol itself; whether a promise was broken."""
+    # The protocol itself; whether a promise was broken
     campaign = Campaign(
         options.first_seed, options.seeds, options.steps, options.state, device=options.device, hours=options.hours
     )
@@ -69,7 +64,8 @@ def _real(options: argparse.Namespace) -> bool:
     print(f"promises broken in {len(campaign.broken)} of {seeds} seeds")
     if campaign.before:
         print(f"{campaign.steps_of_all():,} steps with those of {len(campaign.before)} codes before this one")
-    return bool(campaign.broken)
+    broken = bool(campaign.broken)
+    return int(broken or not _naive_fail())
 
 
 def _naive_fail() -> bool:

@@ -13,14 +13,6 @@ def schedule_section(table: GainTable, loop: str = "") -> str:
 
     loop : its name where it is one of several; its section is then [loop.schedule], below its [[loop]].
     """
-    text = _section(table)
-    if not loop:
-        return text
-    below = text.replace("\n[[schedule.", "\n[[loop.schedule.").replace("[schedule]", "[loop.schedule]", 1)
-    return f"# Of the loop {json.dumps(loop)}: to stand below its [[loop]], before the next one.\n{below}"
-
-
-def _section(table: GainTable) -> str:
     axes = table.regions.axes
     simple = table.lookup is Lookup.HARD and len(axes) == 1 and axes[0].variable != CAN
     lines = ["[schedule]"]
@@ -31,7 +23,11 @@ def _section(table: GainTable) -> str:
     for i, (region, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
         cell = [] if len(axes) == 1 else [f"cell = [{', '.join(str(place + 1) for place in table.regions.cell(i))}]"]
         lines += ["", *_region_lines(region, gains), *cell]
-    return "\n".join(lines) + "\n"
+    text = "\n".join(lines) + "\n"
+    if not loop:
+        return text
+    below = text.replace("\n[[schedule.", "\n[[loop.schedule.").replace("[schedule]", "[loop.schedule]", 1)
+    return f"# Of the loop {json.dumps(loop)}: to stand below its [[loop]], before the next one.\n{below}"
 
 
 def _axis_lines(axis: Axis, *, simple: bool) -> list[str]:

@@ -111,7 +111,15 @@ class Regions:
         )
         axes = (first,) if self.second is None else (first, self.second)
         object.__setattr__(self, "axes", axes)
-        self._check_names()
+        # One printable name a region, all different
+        if len(self.names) != math.prod(self.shape):
+            bounds = " and ".join(str(len(axis.bounds)) for axis in self.axes)
+            raise ValueError(f"{bounds} bounds make {math.prod(self.shape)} regions, not {len(self.names)}")
+        for name in self.names:
+            if not name.isprintable():
+                raise ValueError(f"{name!r} has characters that cannot be printed on one line")
+        if not all(name.strip() for name in self.names) or len(set(self.names)) < len(self.names):
+            raise ValueError(f"names = {self.names} must be different and not empty")
 
     @classmethod
     def along(cls, names: tuple[str, ...], first: Axis, second: Axis | None = None) -> "Regions":
@@ -129,17 +137,6 @@ class Regions:
             first.signal,
             second,
         )
-
-    def _check_names(self) -> None:
-        """One printable name a region, all different."""
-        if len(self.names) != math.prod(self.shape):
-            bounds = " and ".join(str(len(axis.bounds)) for axis in self.axes)
-            raise ValueError(f"{bounds} bounds make {math.prod(self.shape)} regions, not {len(self.names)}")
-        for name in self.names:
-            if not name.isprintable():
-                raise ValueError(f"{name!r} has characters that cannot be printed on one line")
-        if not all(name.strip() for name in self.names) or len(set(self.names)) < len(self.names):
-            raise ValueError(f"names = {self.names} must be different and not empty")
 
     def __len__(self) -> int:
         return len(self.names)

@@ -215,7 +215,8 @@ class VendorUnits:
                 case Quantity.KP:
                     kc = value
                 case Quantity.XP:
-                    kc = _of_band(value, self.pv_span, self.co_span)
+                    # kc of a proportional band, which is its own inverse
+                    kc = proportional_band_pct(value, self.pv_span, self.co_span)
                 case Quantity.TN:
                     tau_i = None if off else value
                 case Quantity.REPEATS:
@@ -276,11 +277,6 @@ class VendorUnits:
 def _only(parallel: Mapping[str, float]) -> tuple[float, float]:
     """ki and kd of a controller without proportional action."""
     return parallel.get(Quantity.KI, 0.0), parallel.get(Quantity.KD, 0.0)
-
-
-def _of_band(band_pct: float, pv_span: float, co_span: float) -> float:
-    """kc of a proportional band, which is its own inverse."""
-    return proportional_band_pct(band_pct, pv_span, co_span)
 
 
 def _wanted(

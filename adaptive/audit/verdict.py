@@ -221,7 +221,14 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         sure = 1 - joined_confidence(best, stretches) if best is not None else max(s.confidence for s in calm)
         sure, count = min(sure, MOST_SURE), len(calm)
         return LoopVerdict(calm[-1].cause, sure, Action.NOTHING, calm[-1].reason, None, count, len(stretches), 0.0, 0.0)
-    return _unknown(screen, stretches)
+    # Nothing can be named; a loop that swings is worth a look all the same
+    swings = screen.swinging >= SWINGS
+    told_by_itself = Action.RECORD if stretches else Action.SCREENED
+    action = Action.LOOK if swings else told_by_itself if screen.setpoint else Action.EXPORT
+    reason = stretches[-1].reason if stretches else _of_screen(screen)
+    avoidable = error_share(screen.harris * screen.strength) if swings else 0.0
+    rank, basis = HALF * avoidable / EFFORT[action], Basis.HARRIS if swings else Basis.NONE
+    return LoopVerdict(Cause.UNKNOWN, HALF, action, reason, None, 0, len(stretches), avoidable, rank, basis)
 
 
 def asks(screen: LoopScreen) -> float:
@@ -291,17 +298,6 @@ def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdi
     rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
     basis = Basis.HARRIS
     return LoopVerdict(cause, sure, action, clearest.reason, since, seen, len(stretches), avoidable, rank, basis)
-
-
-def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
-    """Nothing can be named; a loop that swings is worth a look all the same."""
-    swings = screen.swinging >= SWINGS
-    told_by_itself = Action.RECORD if stretches else Action.SCREENED
-    action = Action.LOOK if swings else told_by_itself if screen.setpoint else Action.EXPORT
-    reason = stretches[-1].reason if stretches else _of_screen(screen)
-    avoidable = error_share(screen.harris * screen.strength) if swings else 0.0
-    rank, basis = HALF * avoidable / EFFORT[action], Basis.HARRIS if swings else Basis.NONE
-    return LoopVerdict(Cause.UNKNOWN, HALF, action, reason, None, 0, len(stretches), avoidable, rank, basis)
 
 
 def _of_screen(screen: LoopScreen) -> str:

@@ -72,22 +72,24 @@ def best_structure(window: Window, usable: BoolArray, largest_lag: int) -> Regre
     for start in (replace(plain, derivative="pv"), replace(plain, derivative="error"), replace(plain, pv_filter_s=1.0)):
         if start.derivative != "error" or np.ptp(window.sp) > 0:
             rich = _filter_found(window, usable, start, levels=chosen.levels)
-            if _plausible(rich, window) and _better(rich, chosen, window):
+            # Whether all gains act one way, and a derivative is more than a shift in time between pv and co.
+            # Behind a filter that is slower than itself it is none: a slow one makes a proportional term of it.
+            slowest = max(LEAST_DERIVATIVE * window.sample_time_s, rich.structure.tau_f_s)
+            least = slowest * abs(rich.values.get("kp", 0.0))
+            if (signs_agree(rich.values) and abs(rich.values.get("kd", math.inf)) > least) and _better(
+                rich, chosen, window
+            ):
                 chosen = rich
-    return _leaner(chosen, window)
-
-
-def _leaner(found: Regression, window: Window) -> Regression:
-    """Without P or I where the record shows that there is none: not significant, and small even at three sigma."""
-    kp, ki = (abs(found.values[name]) for name in ("kp", "ki"))
-    kp_most, ki_most = kp + SIGNIFICANT * found.std["kp"], ki + SIGNIFICANT * found.std["ki"]
+    # Without P or I where the record shows that there is none: not significant, and small even at three sigma
+    kp, ki = (abs(chosen.values[name]) for name in ("kp", "ki"))
+    kp_most, ki_most = kp + SIGNIFICANT * chosen.std["kp"], ki + SIGNIFICANT * chosen.std["ki"]
     dt, span = window.sample_time_s, float(window.t_s[-1] - window.t_s[0])
-    simple = found.structure
+    simple = chosen.structure
     if kp > NO_INTEGRAL * span * ki_most and (ki_most > 2 * ki or ki * span < NOTHING * kp):
         simple = replace(simple, integral=False)
     elif NO_PROPORTIONAL * ki * dt > kp_most and (kp_most > 2 * kp or kp < NOTHING * ki * dt):
         simple = replace(simple, proportional=False)
-    return found if simple is found.structure else fit_on(window, simple, found.kept, levels=found.levels)
+    return chosen if simple is chosen.structure else fit_on(window, simple, chosen.kept, levels=chosen.levels)
 
 
 def fit_on(
@@ -163,16 +165,6 @@ def _filter_found(window: Window, usable: BoolArray, start: Structure, *, levels
 def _doubt(found: Regression) -> float:
     """Standard deviation of kp as a share of it, what is not explained included."""
     return math.hypot(found.spread("kp"), found.unexplained)
-
-
-def _plausible(found: Regression, window: Window) -> bool:
-    """Whether all gains act one way, and a derivative is more than a shift in time between pv and co.
-
-    Behind a filter that is slower than itself it is none: a slow one makes a proportional term of it.
-    """
-    slowest = max(LEAST_DERIVATIVE * window.sample_time_s, found.structure.tau_f_s)
-    least = slowest * abs(found.values.get("kp", 0.0))
-    return signs_agree(found.values) and abs(found.values.get("kd", math.inf)) > least
 
 
 def signs_agree(values: dict[str, float]) -> bool:

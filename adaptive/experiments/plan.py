@@ -212,7 +212,15 @@ def enough(plan: Plan, samples: list[LoopSample], rest: Rest, relay: RelayState)
     if len(pv) < SHORTEST_WATCH:
         return False
     if plan.kind == Kind.SETPOINT:
-        turns = _turned(pv - rest.pv, rest.sigma)
+        # How often a signal has turned back by more than the noise
+        y = pv - rest.pv
+        turns, extreme, rising = 0, float(y[0]), True
+        clear = max(2 * TREND_STD * rest.sigma, TURN_SHARE * float(np.ptp(y)))
+        for value in y if float(y[-1]) > 0 else -y:
+            if (value > extreme) == rising:
+                extreme = float(value)
+            elif abs(float(value) - extreme) > clear:
+                turns, extreme, rising = turns + 1, float(value), not rising
         return turns >= TURNS or _come_to_rest(pv, rest, SWUNG_PART if turns >= SWUNG else SMOOTH_PART)
     room = plan.pv_high - rest.pv if pv[-1] > rest.pv else rest.pv - plan.pv_low
     far = abs(float(pv[-1]) - rest.pv) > ENOUGH_OF_BAND * room
@@ -228,18 +236,6 @@ def _come_to_rest(pv: FloatArray, rest: Rest, part: float) -> bool:
     trend = abs(float(np.polyfit(np.linspace(-0.5, 0.5, len(last)), last, 1)[0]))
     surely = trend + SURE_STD * rest.sigma * math.sqrt(12 / len(last))
     return surely < SETTLED_SHARE * moved and float(np.ptp(last)) < SWING_SHARE * moved + 2 * TREND_STD * rest.sigma
-
-
-def _turned(y: FloatArray, sigma: float) -> int:
-    """How often a signal has turned back by more than the noise."""
-    turns, extreme, rising = 0, float(y[0]), True
-    clear = max(2 * TREND_STD * sigma, TURN_SHARE * float(np.ptp(y)))
-    for value in y if float(y[-1]) > 0 else -y:
-        if (value > extreme) == rising:
-            extreme = float(value)
-        elif abs(float(value) - extreme) > clear:
-            turns, extreme, rising = turns + 1, float(value), not rising
-    return turns
 
 
 # Reading levels, crossings and peaks off a record that is noisy: what the graphical methods do with ruler and eye.

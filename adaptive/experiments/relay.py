@@ -135,16 +135,24 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     ValueError
         co is not a relay's, it switches too rarely, the hysteresis is negative, or the waves do not rise above it.
     """
-    _require_hysteresis(hysteresis)
+    if not (math.isfinite(hysteresis) and hysteresis >= 0):
+        raise ValueError(f"hysteresis = {hysteresis}: give 0 or a positive number of pv units")
     upper = _levels(window.co)
     waves = _waves(window, _full_waves(window.t_s, upper), hysteresis)
     co_high, co_low = float(np.median(window.co[upper])), float(np.median(window.co[~upper]))
     d = (co_high - co_low) / 2
     point = _fundamental(window, waves.spans)
     high_s, low_s = _half_waves(window.t_s, waves.spans, upper)
-    pv_mean, co_mean = _means(window, waves.spans)
+    # pv and co averaged over time, wave by wave
+    held = np.diff(window.t_s)
+    pv, co = (
+        float(np.mean([float(x[a:b] @ held[a:b] / np.sum(held[a:b])) for a, b in waves.spans]))
+        for x in ((window.pv + np.roll(window.pv, -1)) / 2, window.co)
+    )
+    pv_mean, co_mean = pv, co
+    # Ultimate gain by the describing function: relay of amplitude d, waves of amplitude a
     return RelayCycle(
-        ku=_ku(d, waves.amplitude, hysteresis),
+        ku=4 * d / (math.pi * math.sqrt(waves.amplitude * waves.amplitude - hysteresis * hysteresis)),
         pu_s=float(np.mean(waves.periods)),
         ku_std=float(np.std(4 * d / (math.pi * np.sqrt(waves.amplitudes**2 - hysteresis**2)))),
         pu_std_s=float(np.std(waves.periods)),
@@ -165,16 +173,6 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
         gain=abs(point),
         phase_deg=math.degrees(cmath.phase(point)) % 360 - 360,
     )
-
-
-def _require_hysteresis(hysteresis: float) -> None:
-    if not (math.isfinite(hysteresis) and hysteresis >= 0):
-        raise ValueError(f"hysteresis = {hysteresis}: give 0 or a positive number of pv units")
-
-
-def _ku(d: float, a: float, hysteresis: float) -> float:
-    """Ultimate gain by the describing function: relay of amplitude d, waves of amplitude a."""
-    return 4 * d / (math.pi * math.sqrt(a * a - hysteresis * hysteresis))
 
 
 def _full_waves(t_s: FloatArray, upper: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> list[tuple[int, int]]:
@@ -272,16 +270,6 @@ def _half_waves(
         found[first].append(float(t_s[switch] - t_s[a]))
         found[not first].append(float(t_s[b] - t_s[switch]))
     return float(np.mean(found[True])), float(np.mean(found[False]))
-
-
-def _means(window: Window, spans: list[tuple[int, int]]) -> tuple[float, float]:
-    """pv and co averaged over time, wave by wave."""
-    held = np.diff(window.t_s)
-    pv, co = (
-        float(np.mean([float(x[a:b] @ held[a:b] / np.sum(held[a:b])) for a, b in spans]))
-        for x in ((window.pv + np.roll(window.pv, -1)) / 2, window.co)
-    )
-    return pv, co
 
 
 def _fundamental(window: Window, waves: list[tuple[int, int]]) -> complex:

@@ -80,7 +80,15 @@ def step_response(window: Window, *, rest: bool = True) -> RecordedStep:
     ValueError
         co does not make exactly one step, pv was not recorded before it, hardly answers, or has not come to rest.
     """
-    i = _step_index(window.co)
+    # Index of the first sample with the new co
+    change = float(window.co[-1] - window.co[0])
+    if change == 0:
+        raise ValueError("co ends where it began: this record has no step; the fit takes any move")
+    near_old = np.abs(window.co - window.co[0]) <= SAME_LEVEL * abs(change)
+    near_new = np.abs(window.co - window.co[-1]) <= SAME_LEVEL * abs(change)
+    i = int(np.argmax(~near_old))
+    if i < 1 or not (np.all(near_old[:i]) and np.all(near_new[i:])):
+        raise ValueError("co makes more than one step; the graphical methods need exactly one, the fit takes any move")
     a = float(np.mean(window.co[i:]) - np.mean(window.co[:i]))
     sigma = noise_sigma(window.pv)
     # what pv reads at the step's own sample it owes to the output before it
@@ -102,19 +110,6 @@ def step_response(window: Window, *, rest: bool = True) -> RecordedStep:
     t = window.t_s[i:] - window.t_s[i]
     pv, left = smoothed(window.pv[i:], b)
     return RecordedStep(float(window.t_s[i]), a, b, before, after, t, pv, sigma, left)
-
-
-def _step_index(co: FloatArray) -> int:
-    """Index of the first sample with the new co."""
-    change = float(co[-1] - co[0])
-    if change == 0:
-        raise ValueError("co ends where it began: this record has no step; the fit takes any move")
-    near_old = np.abs(co - co[0]) <= SAME_LEVEL * abs(change)
-    near_new = np.abs(co - co[-1]) <= SAME_LEVEL * abs(change)
-    i = int(np.argmax(~near_old))
-    if i < 1 or not (np.all(near_old[:i]) and np.all(near_new[i:])):
-        raise ValueError("co makes more than one step; the graphical methods need exactly one, the fit takes any move")
-    return i
 
 
 def model_by(method: StepMethod, response: RecordedStep) -> ProcessModel:

@@ -77,7 +77,8 @@ def swing(window: Window) -> Swing:
     ValueError
         pv does not swing, or for fewer than three periods.
     """
-    level = _middle(window.pv)
+    # The level about which pv swings: the mean of the last half, where a start has died out
+    level = float(np.mean(window.pv[len(window.pv) // 2 :]))
     times, spans = _upward(window.t_s, window.pv - level)
     periods = np.diff(np.array(times))
     heights = np.array([float(np.ptp(window.pv[a:b])) / 2 for a, b in spans])
@@ -91,11 +92,6 @@ def swing(window: Window) -> Swing:
         )
     decay = float((heights[-1] / heights[0]) ** (1 / (len(heights) - 1)))
     return Swing(float(np.mean(periods)), float(np.std(periods)), float(np.mean(heights)), decay, len(periods))
-
-
-def _middle(pv: FloatArray) -> float:
-    """The level about which pv swings: the mean of the last half, where a start has died out."""
-    return float(np.mean(pv[len(pv) // 2 :]))
 
 
 def _upward(t_s: FloatArray, y: FloatArray) -> tuple[list[float], list[tuple[int, int]]]:

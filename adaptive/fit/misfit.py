@@ -348,7 +348,10 @@ def changes_of(misfit: "Misfit", at: "Projection") -> list[FloatArray]:
     p, d = at.p, SIZE[misfit.type]
     dynamics = told_apart(dynamics_at(misfit.type, p))
     late = late_modes(dynamics, misfit.record.clock, misfit.input, math.exp(p[THETA]))
-    found = [at.moved, _by_theta(misfit, at, dynamics, late)]
+    theta = math.exp(at.p[THETA])
+    moved = misfit.lagged(at.p, held_by_theta(dynamics, late, theta))
+    changes = list(_late_by_theta(misfit, dynamics, theta))
+    found = [at.moved, (misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(misfit, at, changes))]
     if misfit.type in LAG:
         found.append(_by_dynamics(misfit, at, dynamics, late, By.LAG))
     if misfit.type in SECOND:
@@ -393,14 +396,6 @@ def _summed(misfit: "Misfit", at: "Projection", changes: list[Change]) -> FloatA
             size, rise = abs(column[peak]), change[peak] / column[peak]
             found += at.c[place] * (change - rise * column) / size
     return found
-
-
-def _by_theta(misfit: "Misfit", at: "Projection", dynamics: Dynamics, late: list[LateMode]) -> FloatArray:
-    """By ln theta."""
-    theta = math.exp(at.p[THETA])
-    moved = misfit.lagged(at.p, held_by_theta(dynamics, late, theta))
-    changes = list(_late_by_theta(misfit, dynamics, theta))
-    return misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(misfit, at, changes)
 
 
 def _late_by_theta(misfit: "Misfit", dynamics: Dynamics, theta: float) -> Iterator[Change]:

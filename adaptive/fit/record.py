@@ -63,6 +63,13 @@ class Record:
         resolution = max(quantum_sigma(window.pv), hidden, LEAST_NOISE * pv_range)
         noise = max(noise_sigma(window.pv), resolution, window.noise_std)
         dt = window.sample_time_s
+        # Where the longest gaps end, in order
+        lengths = np.diff(t)
+        longest = np.argsort(-lengths, kind="stable")[:MOST_GAPS]
+        # Travel of pv in the first samples beyond its noise, as a share of its range, and somewhat more
+        m = min(max(START_SAMPLES, len(window.pv) // START_SHARE), len(window.pv))
+        travel = abs(float(np.median(window.pv[m - 3 : m]) - np.median(window.pv[:3]))) - 2 * noise
+        share = travel / (float(np.ptp(window.pv)) or 1.0)
         return cls(
             np.ascontiguousarray(window.pv),
             window.co - window.co[0],
@@ -73,8 +80,8 @@ class Record:
             resolution,
             pv_range,
             float(np.ptp(window.co)),
-            _gaps(t, dt),
-            _motion(window.pv, noise),
+            tuple(float(t[i + 1]) for i in sorted(longest.tolist()) if lengths[i] > GAP * dt),
+            (min(MOTION_REACH * share, 1.0) if share > LEAST_MOTION else 0.0),
             rests=rests,
             logged_s=logged_s,
         )
@@ -83,18 +90,3 @@ class Record:
     def t_s(self) -> FloatArray:
         """Sampling instants from zero, shape (n,)."""
         return self.clock.t_s
-
-
-def _motion(pv: FloatArray, noise_std: float) -> float:
-    """Travel of pv in the first samples beyond its noise, as a share of its range, and somewhat more."""
-    m = min(max(START_SAMPLES, len(pv) // START_SHARE), len(pv))
-    travel = abs(float(np.median(pv[m - 3 : m]) - np.median(pv[:3]))) - 2 * noise_std
-    share = travel / (float(np.ptp(pv)) or 1.0)
-    return min(MOTION_REACH * share, 1.0) if share > LEAST_MOTION else 0.0
-
-
-def _gaps(t_s: FloatArray, dt_s: float) -> tuple[float, ...]:
-    """Where the longest gaps end, in order."""
-    lengths = np.diff(t_s)
-    longest = np.argsort(-lengths, kind="stable")[:MOST_GAPS]
-    return tuple(float(t_s[i + 1]) for i in sorted(longest.tolist()) if lengths[i] > GAP * dt_s)

@@ -156,7 +156,8 @@ def _condition(traits: Traits) -> Condition:
 
 def escapes(window: Window) -> bool:
     """Whether co goes one way all the time, or the setpoint asks for more than noise: a pv would answer."""
-    return _escapes(window) or _asked(window)
+    # Whether the setpoint asked for a movement that stands out of pv's noise
+    return _escapes(window) or (float(np.ptp(window.sp)) > ASKED_SIGMAS * noise_sigma(window.pv))
 
 
 def runs_by_itself(window: Window) -> bool:
@@ -201,11 +202,6 @@ def _slow_movement(x: FloatArray) -> bool:
     means = running_mean(x, width)[width // 2 :: width]
     noise = noise_sigma(x) / math.sqrt(width)
     return float(np.std(means)) > NOISE_RATIO * noise
-
-
-def _asked(window: Window) -> bool:
-    """Whether the setpoint asked for a movement that stands out of pv's noise."""
-    return float(np.ptp(window.sp)) > ASKED_SIGMAS * noise_sigma(window.pv)
 
 
 def _escapes(window: Window) -> bool:

@@ -47,7 +47,8 @@ def at_limits(
     co: FloatArray, co_min: float | None = None, co_max: float | None = None, error: FloatArray | None = None
 ) -> AtLimits:
     """Time at the limits; co of shape (n,), limits in co units (None: recognise it). error : sp - pv, tells a hand."""
-    outwards = None if error is None else error * _acts(co, error)
+    # Which way the controller acts: the sign with which co follows the error in most samples; 0 for neither
+    outwards = None if error is None else error * float(np.sign(np.sum(np.sign(np.diff(co) * np.diff(error)))))
     span = float(np.ptp(co))
     shares = []
     for limit, sign in ((co_min, -1.0), (co_max, 1.0)):
@@ -58,11 +59,6 @@ def at_limits(
         else:
             shares.append(_recognised(x, None if outwards is None else sign * outwards))
     return AtLimits(shares[0], shares[1], co_min is not None or co_max is not None)
-
-
-def _acts(co: FloatArray, error: FloatArray) -> float:
-    """Which way the controller acts: the sign with which co follows the error in most samples; 0 for neither."""
-    return float(np.sign(np.sum(np.sign(np.diff(co) * np.diff(error)))))
 
 
 def _held(top: npt.NDArray[np.bool_], long: npt.NDArray[np.bool_], push: FloatArray) -> bool:

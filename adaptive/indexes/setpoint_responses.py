@@ -46,7 +46,16 @@ class SetpointResponses:
 def setpoint_responses(sp: FloatArray, pv: FloatArray) -> SetpointResponses | None:
     """Read the responses of a record, shapes (n,); None when there is no readable setpoint step."""
     sigma = noise_sigma(pv)
-    changes = _steps(sp)
+    # First and last row of each step: rows of one direction that follow within RAMP rows are one step, as
+    # historians interpolate it
+    moves = np.diff(sp)
+    changes: list[tuple[int, int]] = []
+    for row in (np.flatnonzero(moves) + 1).tolist():
+        joined = changes and row - changes[-1][1] <= RAMP_GAP and row - changes[-1][0] < RAMP
+        if joined and moves[row - 1] * moves[changes[-1][0] - 1] > 0:
+            changes[-1] = (changes[-1][0], row)
+        else:
+            changes.append((row, row))
     if not changes or len(changes) > max(MOST_STEPS * len(sp), 1.0):
         return None
     read = []
@@ -62,21 +71,6 @@ def setpoint_responses(sp: FloatArray, pv: FloatArray) -> SetpointResponses | No
     damped = [d for _, d, _ in read if d is not None]
     overshoot, size = (float(np.median([one[i] for one in read])) for i in (0, 2))
     return SetpointResponses(len(read), overshoot, float(np.median(damped)) if damped else None, size)
-
-
-def _steps(sp: FloatArray) -> list[tuple[int, int]]:
-    """First and last row of each step: rows of one direction that follow within RAMP rows are one step, as historians
-    interpolate it.
-    """
-    moves = np.diff(sp)
-    found: list[tuple[int, int]] = []
-    for row in (np.flatnonzero(moves) + 1).tolist():
-        joined = found and row - found[-1][1] <= RAMP_GAP and row - found[-1][0] < RAMP
-        if joined and moves[row - 1] * moves[found[-1][0] - 1] > 0:
-            found[-1] = (found[-1][0], row)
-        else:
-            found.append((row, row))
-    return found
 
 
 def _cut_short(e: FloatArray) -> bool:

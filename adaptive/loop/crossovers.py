@@ -173,11 +173,7 @@ def is_stable(loop: OpenLoop, crossovers: list[float]) -> bool:
         above = not above
     if not above:
         return turns == 0
-    return _ends_right(loop, crossovers, turns)
-
-
-def _ends_right(loop: OpenLoop, crossovers: list[float], turns: int) -> bool:
-    """The same for a loop without dead time whose gain stays above 1 for ever."""
+    # The same for a loop without dead time whose gain stays above 1 for ever
     end = loop.phase_at(FAR * max((*crossovers, *loop.corners())))
     expected = -min(loop.excess, 0) * math.pi / 2
     return round((end - expected) / (math.pi / 2)) + 4 * turns == 0

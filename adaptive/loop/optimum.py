@@ -121,7 +121,13 @@ def optimal_pi(process: LinearProcess, ms: float, aim: Aim = Aim.BOTH) -> Optimu
     ValueError
         ms is not above 1, or no controller reaches it on this process.
     """
-    _check(process, ms)
+    # Refuse an Ms that no loop has, and a process without a limit of stability, whose best gain is infinite
+    turn = len(process.lags_s) + 2 * len(process.quadratics) + process.integrators - len(process.leads_s)
+    turn += 2 * sum(1 for lead in process.leads_s if lead < 0)
+    if not process.theta_s and turn <= 2:
+        raise ValueError("theta = 0: nothing limits the gain of this process, so no controller is best; give theta")
+    if not 1 < ms < math.inf:
+        raise ValueError(f"ms = {ms} must be more than 1 and finite; 1.59 is the usual demand")
     best, sign = references(process) if aim == Aim.BOTH else None, math.copysign(1.0, process.k)
 
     def judged(log_tau_i: float) -> Optimum | None:
@@ -186,16 +192,6 @@ def _range(process: LinearProcess) -> tuple[float, float]:
     longest = sum(times) or 1.0
     shortest = process.theta_s or min((x for x in times if x > 0), default=1.0)
     return math.log(0.1 * shortest), math.log((40.0 if process.integrators else 4.0) * longest)
-
-
-def _check(process: LinearProcess, ms: float) -> None:
-    """Refuse an Ms that no loop has, and a process without a limit of stability, whose best gain is infinite."""
-    turn = len(process.lags_s) + 2 * len(process.quadratics) + process.integrators - len(process.leads_s)
-    turn += 2 * sum(1 for lead in process.leads_s if lead < 0)
-    if not process.theta_s and turn <= 2:
-        raise ValueError("theta = 0: nothing limits the gain of this process, so no controller is best; give theta")
-    if not 1 < ms < math.inf:
-        raise ValueError(f"ms = {ms} must be more than 1 and finite; 1.59 is the usual demand")
 
 
 @lru_cache(maxsize=64)

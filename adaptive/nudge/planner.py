@@ -195,11 +195,20 @@ class NudgePlanner:
         self._since_s = min(self._since_s, sample.t_s)
         moved = sample.sp != self._sp
         self._sp = sample.sp
-        self._count(sample, around)
+        # Whether a sample is outside the noise band; what the evidence itself has left is passed over
+        assert self._quiet_since_s is not None
+        half_s = self.settings.after_h * SECONDS_PER_HOUR / 2
+        self._rested = self._rested or around.at_rest or sample.t_s - self._quiet_since_s > half_s
+        if self._rested:
+            self._seen += 1
+            self._outside += abs(sample.sp - sample.pv) > around.band
+            self._squares += (sample.sp - sample.pv) ** 2
         if self.phase is NudgePhase.WATCHING:
             if moved:
                 self.evidence(sample.t_s)
-            if not self._has_waited(sample.t_s):
+            # Whether nothing has shown the process for long enough
+            assert self._quiet_since_s is not None
+            if not (sample.t_s - self._quiet_since_s >= self.settings.after_h * SECONDS_PER_HOUR):
                 return None
             return self._announced(sample, around) if self._is_due(sample, around) else self._too_small(sample, around)
         cause = self._cause(sample, around)
@@ -222,11 +231,6 @@ class NudgePlanner:
             return None
         self._sent_s = t_s
         return asked
-
-    def _has_waited(self, t_s: float) -> bool:
-        """Whether nothing has shown the process for long enough."""
-        assert self._quiet_since_s is not None
-        return t_s - self._quiet_since_s >= self.settings.after_h * SECONDS_PER_HOUR
 
     def _is_due(self, sample: LoopSample, around: LoopAround) -> bool:
         """Whether a bump may be announced now, by its budgets and by how the loop stands."""
@@ -255,16 +259,6 @@ class NudgePlanner:
         calm = near and (around.at_rest or self.restless)
         ready = sample.mode == LoopMode.AUTO and not sample.limited and self.settings.is_time(around.hour)
         return bool(around.wanted) and large and calm and ready
-
-    def _count(self, sample: LoopSample, around: LoopAround) -> None:
-        """Whether a sample is outside the noise band; what the evidence itself has left is passed over."""
-        assert self._quiet_since_s is not None
-        half_s = self.settings.after_h * SECONDS_PER_HOUR / 2
-        self._rested = self._rested or around.at_rest or sample.t_s - self._quiet_since_s > half_s
-        if self._rested:
-            self._seen += 1
-            self._outside += abs(sample.sp - sample.pv) > around.band
-            self._squares += (sample.sp - sample.pv) ** 2
 
     @property
     def restless(self) -> bool:
@@ -348,24 +342,21 @@ class NudgePlanner:
         if sample.t_s - self.made[-1] > self.settings.longest_s:
             return NudgeInput.TOO_LONG
         if self._holds:
-            return self._to_and_fro(sample, since, around.reset_s)
+            # Whether it is time for the other side, or to go back; the first setpoint tells how long each is held
+            if abs(sample.sp - sample.pv) >= self.size / 2:
+                self._near_s = math.inf
+            elif math.isinf(self._near_s):
+                self._near_s = since
+            longest = min(self.settings.longest_s, MOST_SAMPLES * self._dt_s) / sum(HOLDS)
+            if math.isinf(self._half_s) and since - self._near_s >= STAYS_SAMPLES * self._dt_s:
+                half_s = max(self._near_s, self._half[1] if self._half[0] == sample.revision else 0.0)
+                self._half = sample.revision, half_s
+                self._half_s = min(max(half_s, RESET_SHARE * around.reset_s, STAYS_SAMPLES * self._dt_s), longest)
+            hold_s = max(self._holds[0] * min(self._half_s, longest), STANDS * self._dt_s)
+            if since < hold_s - self._dt_s / 2:
+                return None
+            return NudgeInput.NEXT if len(self._holds) > 1 else NudgeInput.AT_REST
         return NudgeInput.AT_REST if around.at_rest and since > SHORTEST_SAMPLES * self._dt_s else None
-
-    def _to_and_fro(self, sample: LoopSample, since: float, reset_s: float) -> NudgeInput | None:
-        """Whether it is time for the other side, or to go back; the first setpoint tells how long each is held."""
-        if abs(sample.sp - sample.pv) >= self.size / 2:
-            self._near_s = math.inf
-        elif math.isinf(self._near_s):
-            self._near_s = since
-        longest = min(self.settings.longest_s, MOST_SAMPLES * self._dt_s) / sum(HOLDS)
-        if math.isinf(self._half_s) and since - self._near_s >= STAYS_SAMPLES * self._dt_s:
-            half_s = max(self._near_s, self._half[1] if self._half[0] == sample.revision else 0.0)
-            self._half = sample.revision, half_s
-            self._half_s = min(max(half_s, RESET_SHARE * reset_s, STAYS_SAMPLES * self._dt_s), longest)
-        hold_s = max(self._holds[0] * min(self._half_s, longest), STANDS * self._dt_s)
-        if since < hold_s - self._dt_s / 2:
-            return None
-        return NudgeInput.NEXT if len(self._holds) > 1 else NudgeInput.AT_REST
 
     def _taken(self, cause: NudgeInput, t_s: float) -> NudgeNews | None:
         new = COURSE.get((self.phase, cause))

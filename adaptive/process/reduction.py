@@ -188,7 +188,20 @@ def reduce(process: LinearProcess, order: int = 1, leads: Leads = Leads.AUTO) ->
         remedy = "give order 2" if process.integrators == 2 else "there is no rule for them"
         raise ValueError(f"{process.integrators} integrators do not fit into order {order}; {remedy}")
     parts = _parts(process, leads)
-    found = _settled(parts, order)
+    # The effective dead time that agrees with itself; see the head of this file for which one, if there are more
+    if not parts.leads_s:
+        found = _half(parts, order, parts.theta_s)
+    else:
+        finite = sum(lag for lag in parts.lags_s if math.isfinite(lag))
+        subtracted = _half(replace(parts, leads_s=[]), order, 0.0).theta_s - sum(parts.leads_s)
+        found = _iterated(parts, order, max(subtracted, parts.theta_s))
+        if found.theta_s <= SETTLED * finite:
+            found = _iterated(parts, order, abs(parts.theta_s) + 2 * finite + sum(parts.leads_s))
+    if found.theta_s < 0:
+        raise ValueError(
+            f"the effective dead time would be {found.theta_s:g} s: the numerator time constants are too "
+            'large to be subtracted; use rules T1 to T3 (leads = "rules")'
+        )
     steps = [*parts.steps, *(s.text() for s in found.settings), *_half_text(parts, found, order)]
     return Reduction(_model(found), tuple(steps))
 
@@ -241,24 +254,6 @@ def _lags_of_pair(c1: float, c2: float) -> tuple[float, float]:
     return c1 / 2, c1 / 2
 
 
-def _settled(parts: _Parts, order: int) -> _Half:
-    """The effective dead time that agrees with itself; see the head of this file for which one, if there are more."""
-    if not parts.leads_s:
-        found = _half(parts, order, parts.theta_s)
-    else:
-        finite = sum(lag for lag in parts.lags_s if math.isfinite(lag))
-        subtracted = _half(replace(parts, leads_s=[]), order, 0.0).theta_s - sum(parts.leads_s)
-        found = _iterated(parts, order, max(subtracted, parts.theta_s))
-        if found.theta_s <= SETTLED * finite:
-            found = _iterated(parts, order, abs(parts.theta_s) + 2 * finite + sum(parts.leads_s))
-    if found.theta_s < 0:
-        raise ValueError(
-            f"the effective dead time would be {found.theta_s:g} s: the numerator time constants are too "
-            'large to be subtracted; use rules T1 to T3 (leads = "rules")'
-        )
-    return found
-
-
 def _iterated(parts: _Parts, order: int, guess_s: float) -> _Half:
     """From one guess of the effective dead time to one that agrees with itself: more dead time leaves more lag."""
     found = _half(parts, order, guess_s)
@@ -282,15 +277,11 @@ def _half(parts: _Parts, order: int, theta_s: float) -> _Half:
         settings.append(setting)
     retained, neglected = lags[:order], lags[order:]
     theta = parts.theta_s + sum(neglected)
-    if neglected and not _whole(retained, settings):
+    # Whether the largest neglected lag counts in full: a purely integrating result after T3, see the head
+    if neglected and not (all(math.isinf(lag) for lag in retained) and any(s.rest_s for s in settings)):
         theta -= neglected[0] / 2
         retained[-1] += neglected[0] / 2
     return _Half(k, retained, theta, tuple(settings))
-
-
-def _whole(retained_s: list[float], settings: list[LeadOverLag]) -> bool:
-    """Whether the largest neglected lag counts in full: a purely integrating result after T3, see the head."""
-    return all(math.isinf(lag) for lag in retained_s) and any(s.rest_s for s in settings)
 
 
 def _half_text(parts: _Parts, found: _Half, order: int) -> list[str]:

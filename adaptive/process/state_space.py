@@ -35,7 +35,23 @@ def state_space(process: LinearProcess, unit_s: float) -> StateSpace:
     a, b, c, d = np.zeros((n, n)), np.zeros(n), np.zeros(n), 1.0
     first = 0
     for rates, zeros in sections:
-        c, d = _append(a, b, c, d, first, rates, zeros)
+        # Drive a section from the signal c x + d v; the row and number of its output
+        last = first + len(rates) - 2
+        if last > first:
+            a[first, last] = 1.0
+        a[last] += c / rates[-1]
+        b[last] = d / rates[-1]
+        for j, rate in enumerate(rates[:-1]):
+            a[last, first + j] -= rate / rates[-1]
+        powers = np.array([1.0, sum(zeros), zeros[0] * zeros[1] if len(zeros) == 2 else 0.0])
+        row, number = np.zeros(len(b)), 0.0
+        row[first] = 1.0
+        for order in range(1, len(zeros) + 1):
+            if order == len(rates) - 1:  # the highest derivative is the right hand side itself
+                row, number = row + powers[order] * a[last], number + powers[order] * b[last]
+            else:
+                row[first + order] += powers[order]
+        c, d = row, number
         first += len(rates) - 1
     gain = process.k * unit_s**process.integrators
     return StateSpace(a, b, gain * c, gain * d)
@@ -58,25 +74,3 @@ def _sections(process: LinearProcess, unit_s: float) -> list[Section]:
     if zeros:
         raise ValueError("the process has more zeros than poles: its response to a step is not a function; add lags")
     return sections
-
-
-def _append(
-    a: FloatArray, b: FloatArray, c: FloatArray, d: float, i: int, rates: tuple[float, ...], zeros: list[float]
-) -> tuple[FloatArray, float]:
-    """Drive a section from the signal c x + d v; the row and number of its output."""
-    last = i + len(rates) - 2
-    if last > i:
-        a[i, last] = 1.0
-    a[last] += c / rates[-1]
-    b[last] = d / rates[-1]
-    for j, rate in enumerate(rates[:-1]):
-        a[last, i + j] -= rate / rates[-1]
-    powers = np.array([1.0, sum(zeros), zeros[0] * zeros[1] if len(zeros) == 2 else 0.0])
-    row, number = np.zeros(len(b)), 0.0
-    row[i] = 1.0
-    for order in range(1, len(zeros) + 1):
-        if order == len(rates) - 1:  # the highest derivative is the right hand side itself
-            row, number = row + powers[order] * a[last], number + powers[order] * b[last]
-        else:
-            row[i + order] += powers[order]
-    return row, number

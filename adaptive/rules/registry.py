@@ -79,29 +79,23 @@ def settings(
         if not math.isfinite(value):
             raise ValueError(f"{label} = {value} is not a finite number")
     try:
-        return _worked_out(rule, kind, model, reading, asked)
+        # The rule's answer, with a note when a model had to be simplified for it
+        if rule.from_oscillation is not None:
+            return rule.from_oscillation(reading_for(rule, model, reading), kind)
+        assert rule.from_model is not None
+        if reading is not None:
+            raise ValueError(f"rule {rule.name} works from a model, not from a gain and a period; leave these out")
+        if model is None:
+            raise ValueError(f"rule {rule.name} works from a model; give its type, k, tau1, tau2, theta")
+        fitted, notes = fitted_to(rule, model)
+        found = rule.from_model(fitted, kind, asked)
+        if model.zeta < 1:
+            notes = (*notes, f"this process swings (zeta = {model.zeta:g}) and rules know real lags only: look at Ms")
+        return replace(found, notes=(*found.notes, *notes))
     except (OverflowError, ZeroDivisionError):
         raise ValueError(
             f"rule {rule.name}: these numbers are beyond what can be computed; check their units"
         ) from None
-
-
-def _worked_out(
-    rule: Rule, kind: ControllerKind, model: ProcessModel | None, reading: Oscillation | None, wishes: Wishes
-) -> Tuning:
-    """The rule's answer, with a note when a model had to be simplified for it."""
-    if rule.from_oscillation is not None:
-        return rule.from_oscillation(reading_for(rule, model, reading), kind)
-    assert rule.from_model is not None
-    if reading is not None:
-        raise ValueError(f"rule {rule.name} works from a model, not from a gain and a period; leave these out")
-    if model is None:
-        raise ValueError(f"rule {rule.name} works from a model; give its type, k, tau1, tau2, theta")
-    fitted, notes = fitted_to(rule, model)
-    found = rule.from_model(fitted, kind, wishes)
-    if model.zeta < 1:
-        notes = (*notes, f"this process swings (zeta = {model.zeta:g}) and rules know real lags only: look at Ms")
-    return replace(found, notes=(*found.notes, *notes))
 
 
 def reading_for(rule: Rule, model: ProcessModel | None, reading: Oscillation | None) -> Oscillation:

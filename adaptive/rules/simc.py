@@ -57,11 +57,7 @@ def simc(
         raise ValueError(f"tau_c + theta = {span} s must be positive and finite; give a larger tau_c")
     if not 0 < c < math.inf:
         raise ValueError(f"c = {c} must be positive and finite; the default is 4")
-    return _settings(model, tau_c_s, span, c)
-
-
-def _settings(model: ProcessModel, tau_c_s: float, span: float, c: float) -> Tuning:
-    """The table at the head of this file; span = tau_c + theta."""
+    # The table at the head of this file; span = tau_c + theta
     if model.type == ProcessType.DELAY:
         return Tuning("simc", "parallel", PidGains(0.0, 1 / (model.k * span)), tau_c_s)
     if model.type == ProcessType.DOUBLE_INTEGRATING:

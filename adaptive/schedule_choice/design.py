@@ -305,7 +305,15 @@ def _at_rest(found: Curves) -> str:
 
 def _unexplained(found: Curves) -> str:
     """Why the curves explain the records only with the help of loads that no plant has; empty where they do."""
-    loads, stretches = _loads_that_count(found), len(found.joint.stretches)
+    # Load steps that move pv by more than a form leaves unexplained
+    counted = 0
+    for stretch, rows, sizes in zip(found.joint.stretches, found.joint.loads, found.now.sizes, strict=True):
+        x2 = None if stretch.x2 is None else np.array([float(np.mean(stretch.x2))])
+        ln = found.ln(np.array([float(np.mean(stretch.x))]), x2)[0]
+        gain = math.exp(ln[0] + ln[2])
+        nets = np.asarray(sizes[: len(rows)]).reshape(-1, 2).sum(axis=1)  # each enters between two rows
+        counted += int(np.sum(np.abs(nets) * gain > SMALL_LOAD * float(np.ptp(stretch.pv))))
+    loads, stretches = counted, len(found.joint.stretches)
     if loads <= LOADS_A_STRETCH * stretches:
         return ""
     return (
@@ -316,18 +324,6 @@ def _unexplained(found: Curves) -> str:
 
 SMALL_LOAD = 0.03
 """Share of a stretch's travel by which a load must move pv at rest to count: less mends what a form leaves."""
-
-
-def _loads_that_count(found: Curves) -> int:
-    """Load steps that move pv by more than a form leaves unexplained."""
-    counted = 0
-    for stretch, rows, sizes in zip(found.joint.stretches, found.joint.loads, found.now.sizes, strict=True):
-        x2 = None if stretch.x2 is None else np.array([float(np.mean(stretch.x2))])
-        ln = found.ln(np.array([float(np.mean(stretch.x))]), x2)[0]
-        gain = math.exp(ln[0] + ln[2])
-        nets = np.asarray(sizes[: len(rows)]).reshape(-1, 2).sum(axis=1)  # each enters between two rows
-        counted += int(np.sum(np.abs(nets) * gain > SMALL_LOAD * float(np.ptp(stretch.pv))))
-    return counted
 
 
 DIFFERS = 0.5

@@ -106,7 +106,12 @@ def response(local: Local, arriving: FloatArray, h_s: FloatArray, start: FloatAr
         tau = np.exp(_between(local.tau))
         decay = np.exp(-h / tau)
         held = tau * (1 - decay)
-    return _run(kick, decay, np.exp(_between(local.b)) * held, start)
+    # The two recursions of q and y
+    gain = np.exp(_between(local.b)) * held
+    q = recursion(decay[:-1], kick[1:], kick[0] if start is None else kick[0] + start)
+    y = np.zeros((len(kick) + 1, *kick.shape[1:]))
+    np.cumsum(q * gain, axis=0, out=y[1:])
+    return y
 
 
 def _filled(several: Sequence[FloatArray], rows: int) -> FloatArray:
@@ -146,14 +151,6 @@ def drifted(batch: Batch, local: Local, ln_k: FloatArray) -> FloatArray:
 
 def _between(rows: FloatArray) -> FloatArray:
     return np.asarray((rows[:-1] + rows[1:]) / 2, dtype=np.float64)
-
-
-def _run(kick: FloatArray, decay: FloatArray, gain: FloatArray, start: FloatArray | None) -> FloatArray:
-    """The two recursions of q and y."""
-    q = recursion(decay[:-1], kick[1:], kick[0] if start is None else kick[0] + start)
-    y = np.zeros((len(kick) + 1, *kick.shape[1:]))
-    np.cumsum(q * gain, axis=0, out=y[1:])
-    return y
 
 
 def _lagged(tau2: FloatArray, held: FloatArray, h: FloatArray) -> FloatArray:

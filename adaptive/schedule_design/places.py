@@ -103,15 +103,12 @@ class Place:
             return False
         if any(sensitivity_peak(process, gains) > limit for process in self.processes):  # the first is enough
             return False
-        return self._j_near(gains) <= limits.j
-
-    def _j_near(self, gains: PidGains) -> float:
-        """J of these gains in steps of ROUNDED, asked once: what a search over thousands of sets can pay for."""
+        # J of these gains in steps of ROUNDED, asked once: what a search over thousands of sets can pay for
         near = PidGains(*(_rounded(gain) for gain in (gains.kp, gains.ki, gains.kd)))
         if near not in self._j:
             setpoint, load = iae(self.model, near, self.sample_time_s) if self._stable(near) else (math.inf, math.inf)
             self._j[near] = 0.5 * (setpoint / self.iae[0] + load / self.iae[1])
-        return self._j[near]
+        return self._j[near] <= limits.j
 
     def _stable(self, gains: PidGains) -> bool:
         return math.isfinite(sensitivity_peak(self.processes[0], gains))

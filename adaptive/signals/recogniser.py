@@ -194,7 +194,25 @@ def step(
     if phase == state.phase and event == Event.NONE:
         return _follow(state, t_s, e, band, inside_s)
     if event == Event.START or (event == Event.SETPOINT and state.phase == RecogniserPhase.SETTLE):
-        return _upset(law, state, event, t_s, sp, e, band, stepped=_stepped(state, sp, band, own))
+        # An upset begins: a load, or a setpoint step, which may be small for the noise
+        stepped = _stepped(state, sp, band, own)
+        moved = stepped or abs(sp - state.sp) > band
+        small = stepped and abs(sp - state.sp) < SMALL_STEP * band
+        left = (state.until_s < math.inf or state.event == Event.GROWN) and not moved
+        return state._replace(
+            phase=RecogniserPhase.LOCATE_1,
+            started=stepped or abs(e) > START_BANDS * band,
+            since_s=t_s,
+            inside_s=_OUTSIDE,
+            sp=sp,
+            sp_changed=moved or (left and state.sp_changed),
+            until_s=state.until_s if left else math.inf,
+            t_start_s=t_s,
+            t_peak_s=t_s,
+            e_peak=e,
+            event=event,
+            awaited_s=t_s + law.wait_s if small else -math.inf,
+        )
     return _move(state, RecogniserPhase(phase), event, t_s, sp, e)
 
 
@@ -318,7 +336,19 @@ def _move(
 ) -> RecogniserState:
     """Enter a phase: what is remembered belongs to the event that leads there."""
     if phase == RecogniserPhase.ADAPT:
-        return _end(state, event, t_s, e)
+        # The response is over; an extreme in VERIFY n is a peak. The setpoint stays the old one: SETTLE takes the
+        # new. What is left of it is nothing at rest, the tail of one that only crept back, and the last extreme
+        # of a swing.
+        verified = {Event.CROSS: 3, Event.GROWN: 2}.get(event, (state.phase + 1) // 2)
+        ended = state._replace(
+            phase=RecogniserPhase.ADAPT, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event
+        )
+        if state.phase == RecogniserPhase.VERIFY_1:
+            left = 0.0 if event == Event.QUIET else e
+            return ended._replace(t1_s=state.t_peak_s, e1=state.e_peak, e_peak=left)
+        if state.phase == RecogniserPhase.VERIFY_2 or event == Event.GROWN:
+            return ended._replace(t2_s=state.t_peak_s, e2=state.e_peak)
+        return ended
     if phase == RecogniserPhase.SETTLE:
         kept = Event.GROWN if state.event == Event.GROWN else event
         return state._replace(
@@ -327,66 +357,16 @@ def _move(
     if state.phase == RecogniserPhase.SETTLE:
         return begin(t_s, sp)._replace(phase=phase)
     if event == Event.CROSS:
-        return _pass_peak(state, phase, t_s, e)
+        # The error is on the other side: the extreme was a peak, and the next one is followed from here
+        moved = state._replace(
+            phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=Event.CROSS, e_near=math.inf
+        )
+        if phase == RecogniserPhase.LOCATE_2:
+            return moved._replace(t1_s=state.t_peak_s, e1=state.e_peak)
+        return moved._replace(t2_s=state.t_peak_s, e2=state.e_peak)
     if event == Event.NEW_MAX:
         return state._replace(phase=phase, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=event, e_near=math.inf)
     return state._replace(phase=phase, event=event, e_near=math.inf)
-
-
-def _upset(
-    law: RecogniserLaw,
-    state: RecogniserState,
-    event: Event,
-    t_s: float,
-    sp: float,
-    e: float,
-    band: float,
-    *,
-    stepped: bool,
-) -> RecogniserState:
-    """An upset begins: a load, or a setpoint step, which may be small for the noise."""
-    moved = stepped or abs(sp - state.sp) > band
-    small = stepped and abs(sp - state.sp) < SMALL_STEP * band
-    left = (state.until_s < math.inf or state.event == Event.GROWN) and not moved
-    return state._replace(
-        phase=RecogniserPhase.LOCATE_1,
-        started=stepped or abs(e) > START_BANDS * band,
-        since_s=t_s,
-        inside_s=_OUTSIDE,
-        sp=sp,
-        sp_changed=moved or (left and state.sp_changed),
-        until_s=state.until_s if left else math.inf,
-        t_start_s=t_s,
-        t_peak_s=t_s,
-        e_peak=e,
-        event=event,
-        awaited_s=t_s + law.wait_s if small else -math.inf,
-    )
-
-
-def _end(state: RecogniserState, event: Event, t_s: float, e: float) -> RecogniserState:
-    """The response is over; an extreme in VERIFY n is a peak. The setpoint stays the old one: SETTLE takes the new.
-
-    What is left of it is nothing at rest, the tail of one that only crept back, and the last extreme of a swing.
-    """
-    verified = {Event.CROSS: 3, Event.GROWN: 2}.get(event, (state.phase + 1) // 2)
-    ended = state._replace(phase=RecogniserPhase.ADAPT, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event)
-    if state.phase == RecogniserPhase.VERIFY_1:
-        left = 0.0 if event == Event.QUIET else e
-        return ended._replace(t1_s=state.t_peak_s, e1=state.e_peak, e_peak=left)
-    if state.phase == RecogniserPhase.VERIFY_2 or event == Event.GROWN:
-        return ended._replace(t2_s=state.t_peak_s, e2=state.e_peak)
-    return ended
-
-
-def _pass_peak(state: RecogniserState, phase: RecogniserPhase, t_s: float, e: float) -> RecogniserState:
-    """The error is on the other side: the extreme was a peak, and the next one is followed from here."""
-    moved = state._replace(
-        phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=Event.CROSS, e_near=math.inf
-    )
-    if phase == RecogniserPhase.LOCATE_2:
-        return moved._replace(t1_s=state.t_peak_s, e1=state.e_peak)
-    return moved._replace(t2_s=state.t_peak_s, e2=state.e_peak)
 
 
 _ENDINGS = {

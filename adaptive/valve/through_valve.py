@@ -173,7 +173,13 @@ def _grid(co_range: float) -> Iterator[StuckValve]:
 
 def _by_nodes(record: Record, sign: int, valves: list[StuckValve], linear: list[Candidate]) -> Iterator[Sticking]:
     """The best of each valley with one lag or two."""
-    nodes = _nodes(record, linear)
+    # Lags and dead times round those of the linear explanations
+    models = [model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in linear[:LINEAR]]
+    theta = float(np.exp(np.mean([math.log(without_second_lag(model).theta_s) for model in models])))
+    lags = [min(factor * theta, record.span_s) for factor in LAGS]
+    pairs = [(lag, 0.0) for lag in lags] + [(lag, SECOND_LAG * theta) for lag in lags[1:]]
+    rows = slice(0, None, -(-len(record.pv) // MOST_ROWS))
+    nodes = Nodes.made(record, rows, pairs, [factor * theta for factor in THETAS])
     left, gain = explained(record, sign, valves, nodes)
     node = np.argmin(left, axis=1)
     for i in valleys(valves, np.min(left, axis=1)):
@@ -196,13 +202,3 @@ def _bare(misfit: Misfit, type_: ProcessType) -> Misfit:
         misfit, type=type_, loads=0, corners=0, sigma=misfit.record.noise_std, ar=(), ramp=False, rounded=False,
         harmonics=0, most_order=WHITE,
     )  # fmt: skip
-
-
-def _nodes(record: Record, linear: list[Candidate]) -> Nodes:
-    """Lags and dead times round those of the linear explanations."""
-    models = [model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in linear[:LINEAR]]
-    theta = float(np.exp(np.mean([math.log(without_second_lag(model).theta_s) for model in models])))
-    lags = [min(factor * theta, record.span_s) for factor in LAGS]
-    pairs = [(lag, 0.0) for lag in lags] + [(lag, SECOND_LAG * theta) for lag in lags[1:]]
-    rows = slice(0, None, -(-len(record.pv) // MOST_ROWS))
-    return Nodes.made(record, rows, pairs, [factor * theta for factor in THETAS])

@@ -81,21 +81,17 @@ def pattern_numbers(response: Response, window: Window) -> PatternNumbers:
     """
     during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
     height = float(np.max(np.abs(window.sp - window.pv)[during], initial=0.0))
+    # None without one
+    overshoot, period_s = response.overshoot, response.period_s
     return PatternNumbers(
         peaks=float(len(response.peaks)),
         height_bands=height / response.band,
         limited_share=_limited_share(window, during, response.band),
-        second=_second_peak(response),
+        second=(None if overshoot is None or period_s is None else SecondPeak(overshoot, period_s)),
         third=_third_peak(response),
         tenth_s=_tenth_s(response, window) if response.sp_changed else None,
         after_load=None if response.sp_changed else _of_load(response, window),
     )
-
-
-def _second_peak(response: Response) -> SecondPeak | None:
-    """None without one."""
-    overshoot, period_s = response.overshoot, response.period_s
-    return None if overshoot is None or period_s is None else SecondPeak(overshoot, period_s)
 
 
 def _third_peak(response: Response) -> ThirdPeak | None:

@@ -168,14 +168,11 @@ def _reading(
     if zeta >= settings.damped:
         return _Read(SlowReading.DAMPED, SlowNumbers(swing, damping))
     printed = slow_oscillation(swing.period_s, gains.kp / gains.ki).factor
-    return _Read(SlowReading.APPLIES, SlowNumbers(swing, damping, _cure(1 / zeta**2, printed, locks)))
-
-
-def _cure(factor: float, printed: float, locks: Locks) -> SlowCure:
-    """How Kc and tau_I share the factor on their product."""
+    # How Kc and tau_I share the factor on their product
+    factor = 1 / zeta**2
     kc = 1.0 if locks.kc else factor if locks.tau_i else math.sqrt(factor)
     tau_i = 1.0 if locks.tau_i else factor if locks.kc else math.sqrt(factor)
-    return SlowCure(factor, printed, kc, tau_i)
+    return _Read(SlowReading.APPLIES, SlowNumbers(swing, damping, SlowCure(factor, printed, kc, tau_i)))
 
 
 def zeta_of(ratio: float) -> float:

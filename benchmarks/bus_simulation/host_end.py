@@ -140,25 +140,19 @@ class HostEnd:
             for event in events:
                 self.side.tells(event)
                 self._event(event)
-            self._note_number()
-            self._keep()
+            # A write whose lease ran out goes on under another number
+            seq = self.device.write_seq if self.device is not None else None
+            if self.order is not None and seq not in {None, self.order.seq}:
+                self.order = self.order._replace(seq=seq)
+                self.truth.ordered(self.order)
+            # Now and then what has been written is confirmed, and then stored
+            if self.order is None and isinstance(self.last_outcome, WriteDone) and self._random() < KEEPS:
+                with suppress(WriteRefusedError):
+                    self.device.confirm(self.now_s) if self._random() < 0.5 else self.device.store(self.now_s)
             if self.order is None and not self.calm and self._random() < self._eager:
                 self.begin(self._choose())
         except (CrashError, DeviceError):
             self.die()
-
-    def _keep(self) -> None:
-        """Now and then what has been written is confirmed, and then stored."""
-        if self.order is None and isinstance(self.last_outcome, WriteDone) and self._random() < KEEPS:
-            with suppress(WriteRefusedError):
-                self.device.confirm(self.now_s) if self._random() < 0.5 else self.device.store(self.now_s)
-
-    def _note_number(self) -> None:
-        """A write whose lease ran out goes on under another number."""
-        seq = self.device.write_seq if self.device is not None else None
-        if self.order is not None and seq not in {None, self.order.seq}:
-            self.order = self.order._replace(seq=seq)
-            self.truth.ordered(self.order)
 
     def die(self) -> None:
         """The process is gone, whatever it was about."""

@@ -46,7 +46,12 @@ class NaiveWorld:
             if number % UPDATE_EVERY == 0:
                 self._order(number)
             for message in self._bus.ways["device"].take():
-                self._apply(message)
+                # What arrives is what runs
+                data = bytes(message.data)
+                if self._per_gain and len(data) == 5 and data[0] < 2:
+                    (self._running[data[0]],) = struct.unpack("<f", data[1:])
+                elif not self._per_gain and len(data) == 8:
+                    self._running = list(struct.unpack("<ff", data))
             self._bus.ways["host"].take()
             self._check()
         self.counts["steps"] = steps
@@ -60,14 +65,6 @@ class NaiveWorld:
         frames = [(KP_ID, b"\0" + wire[:4]), (KP_ID, b"\1" + wire[4:])] if self._per_gain else [(BOTH_ID, wire)]
         for id_, data in frames:
             self._bus.send("host", can.Message(arbitration_id=id_, is_extended_id=False, data=data))
-
-    def _apply(self, message: can.Message) -> None:
-        """What arrives is what runs."""
-        data = bytes(message.data)
-        if self._per_gain and len(data) == 5 and data[0] < 2:
-            (self._running[data[0]],) = struct.unpack("<f", data[1:])
-        elif not self._per_gain and len(data) == 8:
-            self._running = list(struct.unpack("<ff", data))
 
     def _check(self) -> None:
         """The invariants, by the names that they have in truth.py."""

@@ -34,16 +34,12 @@ def half_rule(process: LinearProcess, order: int = 1) -> ProcessModel:
             lags = [*lags[: kept - 1], lags[kept - 1] + neglected / 2]
     lags = lags[:kept]
     if process.integrators:
-        return _integrating(process.k, lags, theta)
+        if lags:
+            return ProcessModel(ProcessType.INTEGRATING_LAG, process.k, 0.0, lags[0], theta)
+        return ProcessModel(ProcessType.INTEGRATING, process.k, 0.0, 0.0, theta)
     tau1, tau2 = (*lags, 0.0)[:2]
     tau1, tau2 = max(tau1, tau2), min(tau1, tau2)
     return ProcessModel(ProcessType.SOPDT if tau2 else ProcessType.FOPDT, process.k, tau1, tau2, theta)
-
-
-def _integrating(k: float, lags: list[float], theta: float) -> ProcessModel:
-    if lags:
-        return ProcessModel(ProcessType.INTEGRATING_LAG, k, 0.0, lags[0], theta)
-    return ProcessModel(ProcessType.INTEGRATING, k, 0.0, 0.0, theta)
 
 
 def later(model: ProcessModel, delay_s: float) -> ProcessModel:

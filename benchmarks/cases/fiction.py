@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cases.case import DiagnosisCase, FloatArray
+from cases.case import DiagnosisCase
 from cases.making import Plan, event_steps, labelled, record_length, scaled_record, settings, valve_record
 from cases.processes import log_uniform
 from cases.setting import Loop, draw_loop
@@ -78,20 +78,17 @@ def standing_valve(rng: np.random.Generator, *, stepped: bool) -> DiagnosisCase 
     swing = abs(loop.process.k) * band
     plan = Plan(sp, walk - walk[0], np.zeros(n), log_uniform(rng, 0.002, 0.02))
     record = valve_record(rng, loop, gains, plan, valve, swing)
-    stands = _stands(np.array(watched[-1].positions[-n:]))
+    # Lengths of the stretches in which a valve stood, in samples; moves in one go count as one slip
+    positions = np.array(watched[-1].positions[-n:])
+    still = np.diff(positions) == 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    stands = (edges[1::2] - edges[::2]).tolist() or [0]
     if not SLIPS[0] <= len(stands) - 1 <= SLIPS[1]:
         return None
     if max(stands) * loop.dt_s < STANDS * gains.kp / gains.ki or np.ptp(record.co) > 1.8 * loop.room:
         return None
     group = "stuck and stepped" if stepped else "band anew"
     return labelled(loop, gains, record, group, set(STICKS), group, band=band, slips=len(stands) - 1)
-
-
-def _stands(positions: FloatArray) -> list[int]:
-    """Lengths of the stretches in which a valve stood, in samples; moves in one go count as one slip."""
-    still = np.diff(positions) == 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    return (edges[1::2] - edges[::2]).tolist() or [0]
 
 
 def fast_triangle(rng: np.random.Generator) -> DiagnosisCase | None:

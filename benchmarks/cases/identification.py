@@ -187,7 +187,17 @@ def _record(
     sensor = _quantiser(response * size * log_uniform(rng, 0.005, 0.05)) if group == "quantised" else None
     controller = Controller(gains, tau_f, low, high)
     record = run(loop.process, controller, h_s, upsets, co0=loop.co0, pv0=pv0, acts=acts, sensor=sensor)
-    record = _cut(rng, group, record, lead_in)
+    # What the historian keeps: the part after the lead-in, without samples lost; time from where it likes
+    keep = np.arange(len(record.t)) >= lead_in
+    if group == "irregular time":
+        keep &= rng.uniform(size=len(keep)) > 0.02
+        for _ in range(int(rng.integers(1, 3))):
+            start = int(rng.integers(len(keep)))
+            keep[start : start + int(rng.integers(2, 12))] = False
+        keep[:2] = True
+    t = record.t[keep]
+    origin = t[0] - float(rng.choice([0.0, 0.0, 1.0e5])) * float(np.median(np.diff(t)))
+    record = Record(t - origin, record.sp[keep], record.pv[keep], record.co[keep])
     note = {"loads": float(len(shape.loads))}
     for i, (at, load) in enumerate(shape.loads):
         note |= {f"load_at{i}": at, f"load{i}": load * size}
@@ -276,20 +286,6 @@ def _irregular(rng: np.random.Generator, n: int, fine: int) -> FloatArray:
     late = rng.integers(-(fine // 4), fine // 4 + 1, n)
     late[0] = 0
     return np.asarray(np.clip(np.arange(n) * fine + late, 0, n * fine - 1))
-
-
-def _cut(rng: np.random.Generator, group: str, record: Record, lead_in: int) -> Record:
-    """What the historian keeps: the part after the lead-in, without samples lost; time from where it likes."""
-    keep = np.arange(len(record.t)) >= lead_in
-    if group == "irregular time":
-        keep &= rng.uniform(size=len(keep)) > 0.02
-        for _ in range(int(rng.integers(1, 3))):
-            start = int(rng.integers(len(keep)))
-            keep[start : start + int(rng.integers(2, 12))] = False
-        keep[:2] = True
-    t = record.t[keep]
-    origin = t[0] - float(rng.choice([0.0, 0.0, 1.0e5])) * float(np.median(np.diff(t)))
-    return Record(t - origin, record.sp[keep], record.pv[keep], record.co[keep])
 
 
 def _quantiser(quantum: float):  # noqa: ANN202

@@ -45,21 +45,7 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 def draw(rng: np.random.Generator, family: str) -> LinearProcess:
     """One process of a family, with its time scale, units and sign drawn too."""
-    lags, leads, quadratics, theta, integrators = _shape(rng, family)
-    scale = 10 ** rng.uniform(*DECADES_OF_TIME)
-    k = float(rng.choice([-1.0, 1.0])) * 10 ** rng.uniform(*DECADES_OF_GAIN) / scale**integrators
-    return LinearProcess(
-        k,
-        tuple(x * scale for x in lags),
-        tuple(x * scale for x in leads),
-        theta * scale,
-        integrators,
-        tuple((c1 * scale, c2 * scale**2) for c1, c2 in quadratics),
-    )
-
-
-def _shape(rng: np.random.Generator, family: str) -> Shape:
-    """Time constants with an effective dead time of the order of one."""
+    # Time constants with an effective dead time of the order of one
     simple = {
         "first": lambda: ((log_uniform(rng, 0.3, 50.0),), (), (), 1.0, 0),
         "second": lambda: (_two_lags(rng), (), (), 1.0, 0),
@@ -70,7 +56,17 @@ def _shape(rng: np.random.Generator, family: str) -> Shape:
         "lag-series": lambda: (tuple(log_uniform(rng, 0.1, 5.0) for _ in range(rng.integers(3, 7))), (), (), 0.2, 0),
         "inverse": lambda: ((1.0, 1.0, 1.0), (-float(rng.uniform(0.1, 1.1)),), (), 0.0, 0),
     }
-    return simple[family]() if family in simple else _more(rng, family)
+    lags, leads, quadratics, theta, integrators = simple[family]() if family in simple else _more(rng, family)
+    scale = 10 ** rng.uniform(*DECADES_OF_TIME)
+    k = float(rng.choice([-1.0, 1.0])) * 10 ** rng.uniform(*DECADES_OF_GAIN) / scale**integrators
+    return LinearProcess(
+        k,
+        tuple(x * scale for x in lags),
+        tuple(x * scale for x in leads),
+        theta * scale,
+        integrators,
+        tuple((c1 * scale, c2 * scale**2) for c1, c2 in quadratics),
+    )
 
 
 def _more(rng: np.random.Generator, family: str) -> Shape:

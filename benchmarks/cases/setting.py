@@ -52,7 +52,9 @@ def draw_loop(rng: np.random.Generator, family: str, per_theta: tuple[float, flo
     process = draw(rng, family)
     theta = half_rule(process).theta_s
     dt = theta / log_uniform(rng, *per_theta)
-    return _loop(rng, family, process, theta, dt)
+    low, high = RANGES[int(rng.integers(len(RANGES)))]
+    co0 = low + float(rng.uniform(0.3, 0.7)) * (high - low)
+    return Loop(family, process, theta, dt, low, high, co0, best_pi(process, dt), best_pid(process, dt))
 
 
 def resampled(loop: Loop, dt_s: float) -> Loop:
@@ -69,12 +71,6 @@ def resampled(loop: Loop, dt_s: float) -> Loop:
         best_pi(process, dt_s),
         best_pid(process, dt_s),
     )
-
-
-def _loop(rng: np.random.Generator, family: str, process: LinearProcess, theta: float, dt: float) -> Loop:
-    low, high = RANGES[int(rng.integers(len(RANGES)))]
-    co0 = low + float(rng.uniform(0.3, 0.7)) * (high - low)
-    return Loop(family, process, theta, dt, low, high, co0, best_pi(process, dt), best_pid(process, dt))
 
 
 def scaled(gains: PidGains, kc: float, tau_i: float) -> PidGains:

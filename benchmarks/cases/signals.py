@@ -53,11 +53,6 @@ def oscillation(rng: np.random.Generator, n: int, period: float, shape: str, jit
     lengths = period * np.exp(jitter * rng.standard_normal(cycles)) if jitter else np.full(cycles, period)
     edges = np.concatenate([[0.0], np.cumsum(lengths)]) - float(rng.uniform(0, 1)) * period
     phase = np.interp(np.arange(n), edges, np.arange(cycles + 1)) % 1.0
-    return _shaped(rng, phase, shape, period)
-
-
-def _shaped(rng: np.random.Generator, phase: FloatArray, shape: str, period: float) -> FloatArray:
-    """The wave over its phase in 0..1."""
     if shape == "sine":
         return np.sin(2 * np.pi * phase)
     if shape == "triangle":

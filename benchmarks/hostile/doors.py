@@ -85,24 +85,21 @@ class Doors:
         self.wire.incoming.append(message)
         self.frames += 1
         if self.frames % STEP_EVERY == 0:
-            self._sample()
-
-    def _sample(self) -> None:
-        self.wire.incoming += self.device.step()
-        self.seen.extend(self.wire.incoming[-3:])
-        self.samples += 1
-        try:
-            self.host.poll(SAMPLE_S * self.samples)
-        except DeviceError as error:  # allowed before the first connection only; a forged identity may say so
-            if self.connected:
-                self.wrong.append(f"the host gave up after it had connected: {error}")
-        sent, self.wire.outgoing = self.wire.outgoing, []
-        self.seen.extend(sent)
-        for frame in sent:
-            self.wire.incoming += self.device.receive(frame)
-        self.connected += self.host.connected
-        if self.device.running.gains != FIRST:
-            self.wrong.append(f"sample {self.samples}: gains that nobody ordered run: {self.device.running}")
+            self.wire.incoming += self.device.step()
+            self.seen.extend(self.wire.incoming[-3:])
+            self.samples += 1
+            try:
+                self.host.poll(SAMPLE_S * self.samples)
+            except DeviceError as error:  # allowed before the first connection only; a forged identity may say so
+                if self.connected:
+                    self.wrong.append(f"the host gave up after it had connected: {error}")
+            sent, self.wire.outgoing = self.wire.outgoing, []
+            self.seen.extend(sent)
+            for frame in sent:
+                self.wire.incoming += self.device.receive(frame)
+            self.connected += self.host.connected
+            if self.device.running.gains != FIRST:
+                self.wrong.append(f"sample {self.samples}: gains that nobody ordered run: {self.device.running}")
 
     def broken(self) -> list[str]:
         """What went wrong; also when the two never talked."""

@@ -16,30 +16,26 @@ def mutant(good: bytes, rng: random.Random) -> bytes:
     """One to four changes of a good input."""
     data = bytearray(good)
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        _change(data, rng)
+        at, length = rng.randrange(len(data) + 1), rng.choice((1, 1, 2, 4, 16, 64))
+        match rng.randrange(8):
+            case 0 if at < len(data):
+                data[at] ^= 1 << rng.randrange(8)
+            case 1:
+                data[at : at + length] = rng.randbytes(length)
+            case 2:
+                del data[at : at + length]
+            case 3:
+                data[at:at] = data[at : at + length]
+            case 4:
+                data[at:at] = rng.choice(PIECES)
+            case 5:
+                data[at : at + length] = rng.choice(PIECES)
+            case 6:
+                other = rng.randrange(len(data) + 1)
+                data[at:at] = data[other : other + length]
+            case _:
+                del data[at:]
     return bytes(data)
-
-
-def _change(data: bytearray, rng: random.Random) -> None:
-    at, length = rng.randrange(len(data) + 1), rng.choice((1, 1, 2, 4, 16, 64))
-    match rng.randrange(8):
-        case 0 if at < len(data):
-            data[at] ^= 1 << rng.randrange(8)
-        case 1:
-            data[at : at + length] = rng.randbytes(length)
-        case 2:
-            del data[at : at + length]
-        case 3:
-            data[at:at] = data[at : at + length]
-        case 4:
-            data[at:at] = rng.choice(PIECES)
-        case 5:
-            data[at : at + length] = rng.choice(PIECES)
-        case 6:
-            other = rng.randrange(len(data) + 1)
-            data[at:at] = data[other : other + length]
-        case _:
-            del data[at:]
 
 
 def cuts(good: bytes) -> Iterator[bytes]:

@@ -189,7 +189,15 @@ def drawn(kind: str, rng: np.random.Generator, lie: str) -> tuple[Loop, Injected
     for _ in range(TRIES):
         family = str(rng.choice([x for x in FAMILIES if x != "oscillatory"]))
         loop = draw_loop(rng, family, (SAMPLES_PER_THETA, SAMPLES_PER_THETA + 1e-9))
-        kc, tau_i = _factors(kind, rng)
+        # On Kc and tau_I
+        kc, tau_i = {
+            "gain": lambda: (log_uniform(rng, 2.5, 6.0), 1.0),
+            "integral": lambda: (1.0, 1 / log_uniform(rng, 4.0, 10.0)),
+            "both": lambda: (log_uniform(rng, 2.0, 4.0), 1 / log_uniform(rng, 2.0, 4.0)),
+            "sluggish": lambda: (1 / log_uniform(rng, 4.0, 10.0), 1.0),
+            "mild": lambda: (log_uniform(rng, 1.5, 2.0), 1.0),
+            "right": lambda: (1 / log_uniform(rng, 2.0, 4.0), 1.0),
+        }[kind]()
         model = half_rule(loop.process)
         if tau_i < 1 and not model.tau1_s:
             continue  # no wrong lag makes an integrating process ask for a short tau_I
@@ -202,18 +210,6 @@ def drawn(kind: str, rng: np.random.Generator, lie: str) -> tuple[Loop, Injected
                 return loop, Injected(loop.best, bad, Plausible(model, 0.0), loop.best)
             return loop, Injected(loop.best, bad, Plausible(_wrong(model, kc, tau_i), 0.0), bad)
     raise RuntimeError(f"no loop fits {kind} in {TRIES} draws")
-
-
-def _factors(kind: str, rng: np.random.Generator) -> tuple[float, float]:
-    """On Kc and tau_I."""
-    return {
-        "gain": lambda: (log_uniform(rng, 2.5, 6.0), 1.0),
-        "integral": lambda: (1.0, 1 / log_uniform(rng, 4.0, 10.0)),
-        "both": lambda: (log_uniform(rng, 2.0, 4.0), 1 / log_uniform(rng, 2.0, 4.0)),
-        "sluggish": lambda: (1 / log_uniform(rng, 4.0, 10.0), 1.0),
-        "mild": lambda: (log_uniform(rng, 1.5, 2.0), 1.0),
-        "right": lambda: (1 / log_uniform(rng, 2.0, 4.0), 1.0),
-    }[kind]()
 
 
 def _wrong(model: ProcessModel, kc: float, tau_i: float) -> ProcessModel:

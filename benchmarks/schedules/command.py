@@ -28,26 +28,22 @@ def main() -> int:
         rows: list[Row] = [row for file in options.files for row in rows_of(file)]
         whole = True
     else:
-        rows, whole = _run(options)
+        parts = PARTS if options.part == "all" else (options.part,)
+        modes = MODES if options.mode == "all" else (options.mode,)
+        some = tasks(
+            options.seed,
+            options.loops,
+            parts,
+            modes,
+            visits=options.visits,
+            places=options.places,
+            walk=options.walk,
+            rivals=not options.alone,
+        )
+        wanted = [task for task in some if options.only in task.subject][options.offset :: options.every]
+        rows, whole = stream(measure, wanted, spread, options.jobs, options.out, line if options.verbose else None)
     sys.stdout.write("\n".join(table(rows) if rows else ["no runs"]) + "\n")
     return 0 if rows and whole else 1
-
-
-def _run(options: argparse.Namespace) -> tuple[list[Row], bool]:
-    parts = PARTS if options.part == "all" else (options.part,)
-    modes = MODES if options.mode == "all" else (options.mode,)
-    some = tasks(
-        options.seed,
-        options.loops,
-        parts,
-        modes,
-        visits=options.visits,
-        places=options.places,
-        walk=options.walk,
-        rivals=not options.alone,
-    )
-    wanted = [task for task in some if options.only in task.subject][options.offset :: options.every]
-    return stream(measure, wanted, spread, options.jobs, options.out, line if options.verbose else None)
 
 
 def _parser() -> argparse.ArgumentParser:

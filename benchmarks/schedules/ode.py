@@ -146,17 +146,13 @@ class InMotion:
         self._inputs.append(co)
         for _ in range(f.parts):
             u = self._inputs[bisect_right(self._times, self._t - late + h / 2) - 1]
-            self._x = _runge_kutta(f.slope, self._x, u, w, h)
+            k1 = f.slope(self._x, u, w)
+            k2 = f.slope([a + h / 2 * b for a, b in zip(self._x, k1, strict=True)], u, w)
+            k3 = f.slope([a + h / 2 * b for a, b in zip(self._x, k2, strict=True)], u, w)
+            k4 = f.slope([a + h * b for a, b in zip(self._x, k3, strict=True)], u, w)
+            self._x = [a + h / 6 * (p + 2 * (q + r) + s) for a, p, q, r, s in zip(self._x, k1, k2, k3, k4, strict=True)]
             self._t += h
         if len(self._times) > 2 * TRIM:
             del self._times[:TRIM], self._inputs[:TRIM]
         self._y = float(f.output(self._x))
         return self._y
-
-
-def _runge_kutta(f: Callable[[State, float, float], Sequence[float]], x: State, u: float, w: float, h: float) -> State:
-    k1 = f(x, u, w)
-    k2 = f([a + h / 2 * b for a, b in zip(x, k1, strict=True)], u, w)
-    k3 = f([a + h / 2 * b for a, b in zip(x, k2, strict=True)], u, w)
-    k4 = f([a + h * b for a, b in zip(x, k3, strict=True)], u, w)
-    return [a + h / 6 * (p + 2 * (q + r) + s) for a, p, q, r, s in zip(x, k1, k2, k3, k4, strict=True)]

@@ -59,15 +59,11 @@ def poor_table(truth: Truth, rng: np.random.Generator) -> GainTable:
     bounds = tuple(low + (high - low) * i / REGIONS_IN_FORCE for i in range(1, REGIONS_IN_FORCE))
     sets = []
     for i in range(REGIONS_IN_FORCE):
-        mine = [j for x, j in zip(truth.places, truth.judges, strict=True) if _part(x, bounds) == i]
+        mine = [j for x, j in zip(truth.places, truth.judges, strict=True) if sum(x >= b for b in bounds) == i]
         least = min((j.best for j in mine), key=lambda g: abs(g.kp))
         kp, tau_i = least.kp * float(rng.uniform(0.4, 1.0)), least.kp / least.ki * float(rng.uniform(0.8, 1.6))
         sets.append(PidGains(kp, kp / tau_i))
     return GainTable("loop", regions_along(subject.by, low, bounds, high, (high - low) / 100), tuple(sets))
-
-
-def _part(x: float, bounds: tuple[float, ...]) -> int:
-    return sum(x >= b for b in bounds)
 
 
 def record(truth: Truth, in_force: Lookup, rng: np.random.Generator, visits: int, lag_s: float) -> Trace:

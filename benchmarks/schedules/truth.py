@@ -54,12 +54,6 @@ class Truth:
         best = self.best()
         if not all(self._ok(i, best[i]) for i in range(self.count)):
             return 0, 0
-        return self._steps(best), self._lines(best)
-
-    def _ok(self, i: int, gains: PidGains) -> bool:
-        return self.judges[i].of(gains).in_spec
-
-    def _steps(self, best: list[PidGains]) -> int:
         regions, begin = 0, 0
         while begin < self.count:
             ends = [begin]
@@ -71,7 +65,10 @@ class Truth:
                 if end <= begin:
                     break
             begin, regions = max(ends), regions + 1
-        return regions
+        return regions, self._lines(best)
+
+    def _ok(self, i: int, gains: PidGains) -> bool:
+        return self.judges[i].of(gains).in_spec
 
     def _lines(self, best: list[PidGains]) -> int:
         n = self.count

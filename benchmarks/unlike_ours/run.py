@@ -16,7 +16,7 @@ from unlike_ours.controllers import ByController, ByOwnLoop, Kept
 from unlike_ours.live import PlantLive
 from unlike_ours.stories import NAMES, draw
 from unlike_ours.story import DISTURBANCES, Event, Rng, Story
-from unlike_ours.truth import J_LIMIT, Found, Truth
+from unlike_ours.truth import J_LIMIT, Truth
 
 Row = dict[str, Any]
 NOTICED, NOTICED_J = 1.01, 1.02
@@ -163,6 +163,8 @@ def _judged(streamed: Streamed, kept: Kept) -> Row:
     old, new = (story.tuned(gains) for gains in (kept.before, kept.after))
     before, after = truth.of(old), truth.of(new)
     lost = truth.in_spec(old) and not truth.in_spec(new)
+    # J grew and is over its limit, and no Ms over its own was lowered by it
+    rescued = before.ms > truth.ms_limit and after.ms < before.ms
     return {
         "t": kept.t,
         "code": decision.code,
@@ -171,17 +173,11 @@ def _judged(streamed: Streamed, kept: Kept) -> Row:
         "promised": promised(str(decision)),
         "unstable": math.isinf(after.ms) and math.isfinite(before.ms),
         "ms_worse": after.ms > NOTICED * before.ms and after.ms > truth.ms_limit,
-        "j_worse": _j_worse(before, after, truth.ms_limit),
+        "j_worse": (after.j > max(NOTICED_J * before.j, J_LIMIT) and not rescued),
         "right_changed": truth.in_spec(old) and decision.action is Action.COMMIT,
         "right_lost": lost,
         "right_back": lost and decision.action is Action.RESTORE,
     }
-
-
-def _j_worse(before: Found, after: Found, ms_limit: float) -> bool:
-    """J grew and is over its limit, and no Ms over its own was lowered by it."""
-    rescued = before.ms > ms_limit and after.ms < before.ms
-    return after.j > max(NOTICED_J * before.j, J_LIMIT) and not rescued
 
 
 def _numbers(gains: PidGains) -> tuple[float, float, float]:

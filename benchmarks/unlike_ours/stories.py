@@ -133,7 +133,28 @@ def draw(name: str, seed: int, index: int) -> Story:
     unit = {"ms": 1e-3 * log(rng, 2, 50), "hours": 3600 * log(rng, 0.5, 4)}.get(name, log(rng, 0.5, 300))
     per_dead = {"few_samples": (2, 4), "many_samples": (30, 61)}.get(name, (4, 26))
     n = int(rng.integers(*per_dead))
-    story = _plant(rng, name, unit, n)
+    # Process, ranges and sampling; the rest is not known yet
+    if name in FLOWS:
+        pv_range, co_range = ((0.0, 100.0),) * 2 if name == "tank" else ((300.0, 370.0), (200.0, 400.0))
+        start = float(rng.uniform(25, 70) if name == "tank" else rng.uniform(325, 345))
+        plant: Linear | Curved | Flow = (tank if name == "tank" else exothermic)(unit * 10)
+    else:
+        low, span = float(rng.choice([0, 0, -1, 20, 300])), log(rng, 0.5, 2000)
+        pv_range, co_range = (low, low + span), CO_RANGES[int(rng.integers(4))]
+        start = low + span * float(rng.uniform(0.35, 0.65))
+        usual = lagging if rng.uniform() < 0.6 or name in {"valve_curve", "ph"} else MAKERS[str(rng.choice(PLAIN))]
+        base = MAKERS.get(name, usual)(rng).lagged(float(rng.uniform(0.1, 0.6)) if name == "valve_lag" else 0.0)
+        spans = (pv_range[1] - pv_range[0]) / (co_range[1] - co_range[0])
+        size = log(rng, 0.7, 2.5) * spans * float(rng.choice([1, 1, 1, -1]))
+        slow = base.slowed(unit)
+        plant = curved(name, rng, slow, pv_range, co_range) if name in {"valve_curve", "ph"} else slow.times(size)
+    local = plant if isinstance(plant, Linear) else plant.local(start)
+    dt = Truth(local, unit / n).scale / n
+    sub = max(1, min(4, round(12 / n)))
+    plant = rounded(plant, dt / sub)
+    truth = Truth(plant if isinstance(plant, Linear) else plant.local(start), dt)
+    gains = PidGains(truth.best.kp, truth.best.ki)
+    story = Story(name, plant, truth, dt, sub, pv_range, co_range, start, gains, white(0.0))
     step = 0.02 + 0.08 * float(rng.uniform())
     story.noise = _noise(rng, name, step * story.span)
     if name == "quantised":
@@ -148,37 +169,6 @@ def draw(name: str, seed: int, index: int) -> Story:
     if name == "two_loops":
         story.partner = _partner(rng, story, unit)
     return story
-
-
-def _plant(rng: Rng, name: str, unit: float, n: int) -> Story:
-    """Process, ranges and sampling; the rest is not known yet."""
-    if name in FLOWS:
-        pv_range, co_range = ((0.0, 100.0),) * 2 if name == "tank" else ((300.0, 370.0), (200.0, 400.0))
-        start = float(rng.uniform(25, 70) if name == "tank" else rng.uniform(325, 345))
-        plant: Linear | Curved | Flow = (tank if name == "tank" else exothermic)(unit * 10)
-    else:
-        low, span = float(rng.choice([0, 0, -1, 20, 300])), log(rng, 0.5, 2000)
-        pv_range, co_range = (low, low + span), CO_RANGES[int(rng.integers(4))]
-        start = low + span * float(rng.uniform(0.35, 0.65))
-        plant = _of_name(rng, name, unit, pv_range, co_range)
-    local = plant if isinstance(plant, Linear) else plant.local(start)
-    dt = Truth(local, unit / n).scale / n
-    sub = max(1, min(4, round(12 / n)))
-    plant = rounded(plant, dt / sub)
-    truth = Truth(plant if isinstance(plant, Linear) else plant.local(start), dt)
-    gains = PidGains(truth.best.kp, truth.best.ki)
-    return Story(name, plant, truth, dt, sub, pv_range, co_range, start, gains, white(0.0))
-
-
-def _of_name(
-    rng: Rng, name: str, unit: float, pv_range: tuple[float, float], co_range: tuple[float, float]
-) -> Linear | Curved:
-    usual = lagging if rng.uniform() < 0.6 or name in {"valve_curve", "ph"} else MAKERS[str(rng.choice(PLAIN))]
-    base = MAKERS.get(name, usual)(rng).lagged(float(rng.uniform(0.1, 0.6)) if name == "valve_lag" else 0.0)
-    spans = (pv_range[1] - pv_range[0]) / (co_range[1] - co_range[0])
-    size = log(rng, 0.7, 2.5) * spans * float(rng.choice([1, 1, 1, -1]))
-    slow = base.slowed(unit)
-    return curved(name, rng, slow, pv_range, co_range) if name in {"valve_curve", "ph"} else slow.times(size)
 
 
 def curved(name: str, rng: Rng, linear: Linear, pv_range: tuple[float, float], co_range: tuple[float, float]) -> Curved:

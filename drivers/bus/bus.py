@@ -125,7 +125,16 @@ class CanLink:
                 self._pause_s = self.settings.reopen_first_s
         elif self._heard and not self._silence_is_normal and self.state is LinkState.SILENT:
             self._fail(LinkFault.DEAF)
-        self._look_at_socket()
+        # Count what the kernel has dropped; now and then see whether the interface has gone without an error
+        lost = self._probe.drops()
+        if lost:
+            self.counters.overflows += lost
+            self.faults.note(LinkFault.OVERFLOW, lost)
+        now_s = self._clock.now_s()
+        if now_s >= self._probe_s:
+            self._probe_s = now_s + self.settings.reopen_first_s
+            if self._probe.is_unbound():
+                self._fail(LinkFault.INTERFACE_GONE)
         return messages
 
     def _receive(self, limit: int) -> list[can.Message]:
@@ -146,7 +155,12 @@ class CanLink:
                 garbage += 1
                 bus = self._after_garbage(garbage)
             elif message.is_error_frame:
-                self._take_error_frame(message)
+                self.counters.error_frames += 1
+                fault = fault_of_frame(message)
+                if fault is LinkFault.BUS_OFF:
+                    self._fail(fault)
+                else:
+                    self.faults.note(fault)
                 bus = self._bus
             elif not self._own or not self._take_echo(message):
                 messages.append(message)
@@ -204,18 +218,6 @@ class CanLink:
         self.counters.opened += 1
         self._heard = self._full = False
 
-    def _look_at_socket(self) -> None:
-        """Count what the kernel has dropped; now and then see whether the interface has gone without an error."""
-        lost = self._probe.drops()
-        if lost:
-            self.counters.overflows += lost
-            self.faults.note(LinkFault.OVERFLOW, lost)
-        now_s = self._clock.now_s()
-        if now_s >= self._probe_s:
-            self._probe_s = now_s + self.settings.reopen_first_s
-            if self._probe.is_unbound():
-                self._fail(LinkFault.INTERFACE_GONE)
-
     def _fail(self, fault: LinkFault) -> None:
         """Close the bus and wait with the next attempt."""
         self.counters.failures += 1
@@ -257,14 +259,6 @@ class CanLink:
         if garbage > self.settings.garbage_limit:
             self._fail(LinkFault.RECEIVE)
         return self._bus
-
-    def _take_error_frame(self, message: can.Message) -> None:
-        self.counters.error_frames += 1
-        fault = fault_of_frame(message)
-        if fault is LinkFault.BUS_OFF:
-            self._fail(fault)
-        else:
-            self.faults.note(fault)
 
     def _take_echo(self, message: can.Message) -> bool:
         """Whether this is a frame that we sent on udp_multicast, which hands each frame to its sender as well."""

@@ -56,23 +56,20 @@ class LinkReader:
     def _run(self) -> None:
         try:
             while not self._ending.is_set():
-                self._once()
+                # Wait for frames, or for the time to look after the leases; take all that are there
+                clock, link = self._clock, self._share.link
+                link.wait_until(clock.now_s() + 4 * self._pause_s)
+                with self._share.lock:
+                    frames = self._share.pump()
+                now_s = clock.now_s()
+                if now_s >= self._timers_s:
+                    self._timers_s = now_s + TIMER_PAUSES * self._pause_s
+                    for timer in self.timers:
+                        timer(now_s)
+                if frames:
+                    self._came.set()
+                self._ending.wait(clock.left_s(now_s + self._pause_s))
         except BaseException as defect:  # noqa: BLE001  told to the session, which ends with it
             self.defect = defect
             self._share.read_by_thread = False
             self._came.set()
-
-    def _once(self) -> None:
-        """Wait for frames, or for the time to look after the leases; take all that are there."""
-        clock, link = self._clock, self._share.link
-        link.wait_until(clock.now_s() + 4 * self._pause_s)
-        with self._share.lock:
-            frames = self._share.pump()
-        now_s = clock.now_s()
-        if now_s >= self._timers_s:
-            self._timers_s = now_s + TIMER_PAUSES * self._pause_s
-            for timer in self.timers:
-                timer(now_s)
-        if frames:
-            self._came.set()
-        self._ending.wait(clock.left_s(now_s + self._pause_s))

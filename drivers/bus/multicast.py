@@ -24,17 +24,14 @@ class GroupSocket(GeneralPurposeUdpMulticastBus):
         if sys.platform != "linux":
             return wide
         wide.close()
-        return self._narrow(address_family)
-
-    def _narrow(self, family: socket.AddressFamily) -> socket.socket:
-        sock = socket.socket(family, socket.SOCK_DGRAM)
+        sock = socket.socket(address_family, socket.SOCK_DGRAM)
         try:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
             if self.timestamp_nanosecond:
                 sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-            group = socket.inet_pton(family, self.group)
-            (self._join4 if family == socket.AF_INET else self._join6)(sock, group)
+            group = socket.inet_pton(address_family, self.group)
+            (self._join4 if address_family == socket.AF_INET else self._join6)(sock, group)
             sock.bind((self.group, self.port))
         except OSError:
             sock.close()

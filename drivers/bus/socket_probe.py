@@ -38,7 +38,11 @@ class SocketProbe:
             return
         with contextlib.suppress(OSError):
             self._socket = socket.socket(fileno=os.dup(fileno))
-            self._enlarge()
+            assert self._socket is not None
+            try:
+                self._socket.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, QUEUE_BYTES)
+            except OSError:
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
             self._counted = self._count()
 
     def drops(self) -> int:
@@ -61,13 +65,6 @@ class SocketProbe:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-
-    def _enlarge(self) -> None:
-        assert self._socket is not None
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, QUEUE_BYTES)
-        except OSError:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
 
     def _count(self) -> int:
         """The kernel's count of dropped frames; where there is none, what was counted so far."""

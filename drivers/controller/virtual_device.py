@@ -167,7 +167,9 @@ class VirtualDevice:
         frames += self._telemetry()
         if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
             frames += self._life_sign()
-        return [*self._measured_more(), *map(self._encode, frames)]
+        # What the plant measures beside pv, before the telemetry of its sample
+        aux: float | None = getattr(self.plant, "aux", None)  # of MeasuresMore; to ask isinstance a sample costs more
+        return [*([] if aux is None else [plant_message(self.settings.node, aux)]), *map(self._encode, frames)]
 
     def _regulate(self, dt: float) -> None:
         """The output of this sample: a fault before manual before automatic, which waits for a number."""
@@ -187,11 +189,6 @@ class VirtualDevice:
     def stored(self, *, done: bool) -> list[can.Message]:
         """A set that was to be kept is there (done), or could not be written; the answer to STORE."""
         return [self._encode(answer) for answer in _some(self.pages.stored(done=done))]
-
-    def _measured_more(self) -> list[can.Message]:
-        """What the plant measures beside pv, before the telemetry of its sample."""
-        aux: float | None = getattr(self.plant, "aux", None)  # of MeasuresMore; to ask isinstance a sample costs more
-        return [] if aux is None else [plant_message(self.settings.node, aux)]
 
     def receive(self, message: can.Message) -> list[can.Message]:
         """Take a frame from the bus; the frames that answer it. Anything whatsoever may come."""
@@ -217,7 +214,12 @@ class VirtualDevice:
             case Read():
                 return list(self.pages.read(frame))
             case Lease():
-                return [self._take_lease(frame)]
+                # Give, prolong or take back the lease; a page staged under one that ends is dropped
+                before = self.lease.owner
+                answer = self.lease.request(frame, self.epoch, self.sample)
+                if self.lease.owner != before:
+                    self.pages.drop_staged()
+                return [answer]
             case Abort():
                 return [self._fence(frame)]
             case Stage() | Commit() | Auth() | Confirm() | Store():
@@ -233,14 +235,6 @@ class VirtualDevice:
         answer = self.pages.abort(frame)
         if answer.reason is Reason.OK:
             self.code.renew()
-        return answer
-
-    def _take_lease(self, frame: Lease) -> Ack:
-        """Give, prolong or take back the lease; a page staged under one that ends is dropped."""
-        before = self.lease.owner
-        answer = self.lease.request(frame, self.epoch, self.sample)
-        if self.lease.owner != before:
-            self.pages.drop_staged()
         return answer
 
     def _change(self, frame: Stage | Commit | Auth | Confirm | Store) -> Ack | None:

@@ -160,7 +160,10 @@ class CanDevice:
                 self._contact.heard_s = now_s
                 self._take(frame, now_s)
             else:
-                self._on_foreign()
+                # Somebody else commands this controller
+                self.foreign_commands += 1
+                if self.foreign_commands.bit_count() == 1:
+                    self._events.append(ForeignHost(self.foreign_commands))
         self._notice_silence(now_s)
         if self._belief.conflict_news():
             self._events.append(DeviceConflict(self.settings.node))
@@ -185,12 +188,6 @@ class CanDevice:
             case frames.Ack():
                 event = self._requests.on_ack(frame, self._belief.epoch)
                 self._events += [event] if event is not None else []
-
-    def _on_foreign(self) -> None:
-        """Somebody else commands this controller."""
-        self.foreign_commands += 1
-        if self.foreign_commands.bit_count() == 1:
-            self._events.append(ForeignHost(self.foreign_commands))
 
     def _on_life_sign(self, sign: frames.Heartbeat | frames.Status) -> None:
         """Sample counter and epoch, or sequence numbers, as the device has them."""

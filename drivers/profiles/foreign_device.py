@@ -130,23 +130,23 @@ class ForeignDevice:
         self._contact.polled(now_s)
         self._now_s = now_s
         for _ in range(ROUNDS):
-            self._receive(now_s)
+            for message in self.link.receive_all():
+                self._tap.take(message)
+                for one in self._access.take(message):
+                    self._there = True
+                    self._take(one, now_s)
             self._notice_silence(now_s)
             self._connect(now_s)
             self._write_on(now_s)
             self._ask(now_s)
-            self._feed(now_s)
+            # Send the setpoint again, for a watchdog
+            if self._setpoint is not None and now_s >= self._feed_s:
+                self._feed_s = now_s + self.settings.feed_s
+                self._access.put({"setpoint": self._setpoint})
             if not self._send_due(now_s):
                 break
         events, self._events = self._events, []
         return events
-
-    def _receive(self, now_s: float) -> None:
-        for message in self.link.receive_all():
-            self._tap.take(message)
-            for one in self._access.take(message):
-                self._there = True
-                self._take(one, now_s)
 
     def _take(self, told: Told, now_s: float) -> None:
         """One thing that the controller has told."""
@@ -190,10 +190,7 @@ class ForeignDevice:
             self._fresh[name] = Value(value, now_s)
         if first and "pv" not in self._access.on_request:
             self._access.ask(self._access.on_request)
-        self._sample()
-
-    def _sample(self) -> None:
-        """The sample, once pv and co of about the same time are here and one is due."""
+        # The sample, once pv and co of about the same time are here and one is due
         if not self.connected or self.running is None or self._fresh.keys() < {"pv", "co"}:
             return
         pv, co = self._fresh["pv"], self._fresh["co"]
@@ -370,12 +367,6 @@ class ForeignDevice:
         if not recent:
             self._fresh.clear()
         return recent
-
-    def _feed(self, now_s: float) -> None:
-        """Send the setpoint again, for a watchdog."""
-        if self._setpoint is not None and now_s >= self._feed_s:
-            self._feed_s = now_s + self.settings.feed_s
-            self._access.put({"setpoint": self._setpoint})
 
     def _write_on(self, now_s: float) -> None:
         """What the write under way wants to send; after a silence it asks what runs, and only then is it connected."""

@@ -52,17 +52,14 @@ class SampleGrid:
             self._origin_s += FOLLOW * (places - number) * self._sample_time_s
         lost = number - self._last - 1
         self._last = number
-        self._count(lost)
-        return number * self._sample_time_s, lost
-
-    def _count(self, lost: int) -> None:
-        """Count what was due and what came since the sample with which the count began."""
+        # Count what was due and what came since the sample with which the count began
         if self._due >= LOOKED_AT or lost > PAUSE:
             self._due = self._taken = 0
         if lost <= PAUSE and self._seen:
             self._due += 1 + lost
             self._taken += 1
         self._seen = True
+        return number * self._sample_time_s, lost
 
     def half_lost(self) -> str:
         """Why half of all samples are lost, told once; "" while it is fewer, or not known yet."""

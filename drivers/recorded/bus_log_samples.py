@@ -83,27 +83,21 @@ class Overhearing:
             case frames.Heartbeat():
                 self._heartbeat(frame)
             case frames.Identity():
-                self._identity(frame)
+                # Who is there: the right device, or another one
+                if not mismatch(frame, self._sample_time_s):
+                    self._identified = True
+                    self._belief.identify()
             case frames.PageItem() | frames.PageEnd():
                 self._page(self._reader.take(frame), message.timestamp)
             case frames.Read() | frames.Stage() if not (self._as_host and message.is_rx):
-                self._question(frame)
+                # The host asks for a page, or begins to write
+                if isinstance(frame, frames.Read):
+                    self._reader.overheard(frame)
+                else:
+                    self._joiner.ordered = frame.seq
             case _:
                 pass
         return None
-
-    def _identity(self, identity: frames.Identity) -> None:
-        """Who is there: the right device, or another one."""
-        if not mismatch(identity, self._sample_time_s):
-            self._identified = True
-            self._belief.identify()
-
-    def _question(self, frame: frames.Read | frames.Stage) -> None:
-        """The host asks for a page, or begins to write."""
-        if isinstance(frame, frames.Read):
-            self._reader.overheard(frame)
-        else:
-            self._joiner.ordered = frame.seq
 
     def _telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> AssembledSample | None:
         if not self._connected:

@@ -53,7 +53,18 @@ def process_of(system: System, theta_s: float = 0.0) -> LinearProcess:
     if package == "scipy":
         return _of_scipy(system, theta_s)
     if package == "control":
-        return _of_control(system, theta_s)
+        # Zeros, poles, and the gain from the system's value at one real s
+        if not system.isctime():
+            raise ValueError(f"the system is sampled every {system.dt} s; give the continuous one")
+        if (system.ninputs, system.noutputs) != (1, 1):
+            raise ValueError(f"the system has {system.ninputs} inputs and {system.noutputs} outputs; give one channel")
+        zeros, poles = np.asarray(system.zeros()), np.asarray(system.poles())
+        sizes = np.abs(np.concatenate([zeros, poles]))
+        sizes = sizes[sizes > 0]
+        s = WHERE * float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0
+        value = complex(np.squeeze(system(s)))
+        gain = value * np.prod(s - poles) / np.prod(s - zeros)
+        return from_roots(zeros, poles, float(np.real(gain)), theta_s)
     raise TypeError(f"{type(system).__name__} is neither a scipy.signal nor a python-control system")
 
 
@@ -70,21 +81,6 @@ def _of_scipy(system: System, theta_s: float) -> LinearProcess:
     if gain.size != 1 or np.ndim(zpk.zeros) != 1:
         raise ValueError("the system has several inputs or outputs; give one channel")
     return from_roots(zpk.zeros, zpk.poles, float(gain[0]), theta_s)
-
-
-def _of_control(system: System, theta_s: float) -> LinearProcess:
-    """Zeros, poles, and the gain from the system's value at one real s."""
-    if not system.isctime():
-        raise ValueError(f"the system is sampled every {system.dt} s; give the continuous one")
-    if (system.ninputs, system.noutputs) != (1, 1):
-        raise ValueError(f"the system has {system.ninputs} inputs and {system.noutputs} outputs; give one channel")
-    zeros, poles = np.asarray(system.zeros()), np.asarray(system.poles())
-    sizes = np.abs(np.concatenate([zeros, poles]))
-    sizes = sizes[sizes > 0]
-    s = WHERE * float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0
-    value = complex(np.squeeze(system(s)))
-    gain = value * np.prod(s - poles) / np.prod(s - zeros)
-    return from_roots(zeros, poles, float(np.real(gain)), theta_s)
 
 
 def to_scipy(thing: Thing, pade_order: int = PADE_ORDER) -> "ScipyFunction":

@@ -58,10 +58,22 @@ def findings(folder: Path, *, adapters: bool = False) -> Iterator[Finding]:
     folder : where sessions are going to be kept. adapters : ask the drivers of CAN adapters too, which takes seconds
         and wakes hardware.
     """
-    yield _python()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    where = f"{platform.python_implementation()} {platform.python_version()} on {platform.system()}"
+    yield Finding("Python", Level.OK, f"{where}, {platform.machine()}, {cores} cores")
     yield _installed()
     yield _engine()
-    yield from _extras()
+    from importlib.metadata import metadata  # noqa: PLC0415  beside its use
+
+    for extra in metadata("retuner").get_all("Provides-Extra") or ():
+        needed = _required(extra)
+        if not needed:  # names other extras
+            continue
+        wrong = [text for text in map(_shortfall, needed) if text]
+        if wrong:
+            yield Finding(f"extra {extra}", Level.OPTIONAL, "; ".join(wrong), f'pip install "retuner[{extra}]"')
+        else:
+            yield Finding(f"extra {extra}", Level.OK, ", ".join(needed))
     yield _checked(
         "virtual bus",
         _virtual,
@@ -74,12 +86,6 @@ def findings(folder: Path, *, adapters: bool = False) -> Iterator[Finding]:
     yield _ledger(folder)
     yield _timer()
     yield _terminal()
-
-
-def _python() -> Finding:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    where = f"{platform.python_implementation()} {platform.python_version()} on {platform.system()}"
-    return Finding("Python", Level.OK, f"{where}, {platform.machine()}, {cores} cores")
 
 
 def _installed() -> Finding:
@@ -136,20 +142,6 @@ def _engine() -> Finding:
     return Finding(
         "engine of fits", Level.OPTIONAL, f"{engine_name()}: many times slower than the compiled one", remedy
     )
-
-
-def _extras() -> Iterator[Finding]:
-    from importlib.metadata import metadata  # noqa: PLC0415  beside its use
-
-    for extra in metadata("retuner").get_all("Provides-Extra") or ():
-        needed = _required(extra)
-        if not needed:  # names other extras
-            continue
-        wrong = [text for text in map(_shortfall, needed) if text]
-        if wrong:
-            yield Finding(f"extra {extra}", Level.OPTIONAL, "; ".join(wrong), f'pip install "retuner[{extra}]"')
-        else:
-            yield Finding(f"extra {extra}", Level.OK, ", ".join(needed))
 
 
 def _checked(name: str, check: Callable[[], str], remedy: str) -> Finding:

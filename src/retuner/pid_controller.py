@@ -352,7 +352,16 @@ class PidController:
         self, sp: float, pv: float, dt_s: float, x: tuple[float | None, float | None], manual_co: float | None
     ) -> _Place:
         """Where the loop stands after this sample; nothing is changed here but the law in force."""
-        xs, last = self._scheduled(sp, pv, x), self._place
+        # The values of the scheduling variables
+        co = self._law.co_min if self._place is None else self._place.pid[3]
+        known = {"sp": sp, "pv": pv, "co": co}
+        found = [0.0, 0.0]
+        for i, axis in enumerate(self._retuner.table.regions.axes):
+            given = x[i]
+            if given is None and axis.variable == CAN:
+                raise ValueError(f"the gains follow {axis.label}: give it as {('x', 'x2')[i]}")
+            found[i] = float(known[axis.variable] if given is None else given)
+        xs, last = (found[0], found[1]), self._place
         if last is None:
             t_s = self._begin_s
             region = enter(self._regions, xs[0], t_s, xs[1])
@@ -382,24 +391,6 @@ class PidController:
         gains = table.at(region.region, *at)
         same = (gains.kp, gains.ki, gains.kd) == (now.kp, now.ki, now.kd)
         return now if same else now.with_gains(gains)
-
-    def _scheduled(self, sp: float, pv: float, x: tuple[float | None, float | None]) -> tuple[float, float]:
-        """The values of the scheduling variables.
-
-        Raises
-        ------
-        ValueError
-            The table follows something that is not given.
-        """
-        co = self._law.co_min if self._place is None else self._place.pid[3]
-        known = {"sp": sp, "pv": pv, "co": co}
-        found = [0.0, 0.0]
-        for i, axis in enumerate(self._retuner.table.regions.axes):
-            given = x[i]
-            if given is None and axis.variable == CAN:
-                raise ValueError(f"the gains follow {axis.label}: give it as {('x', 'x2')[i]}")
-            found[i] = float(known[axis.variable] if given is None else given)
-        return found[0], found[1]
 
     def _obey(self, decision: Decision) -> Decision:
         """Do what a decision asks for: the next step works with what the table has then."""

@@ -132,7 +132,14 @@ def test_the_law_that_a_held_co_still_shows(kp: float, tau_i: float, sign: float
     pv = np.cumsum(np.random.default_rng(seed).standard_normal(600))
     summed = np.concatenate([[0.0], np.cumsum(-(pv[1:] + pv[:-1]) / 2)])
     co = sign * (-kp * pv + kp / tau_i * summed)
-    law = summed_law(Window(t, np.zeros(600), pv, _held(co, 0.05 * float(np.ptp(co)))))
+    # The last value until the signal leaves it
+    deviation = 0.05 * float(np.ptp(co))
+    held = np.empty_like(co)
+    last = co[0]
+    for i, value in enumerate(co.tolist()):
+        last = value if abs(value - last) > deviation else last
+        held[i] = last
+    law = summed_law(Window(t, np.zeros(600), pv, held))
     if law is not None:  # a record may be too little for it
         assert law.direction == sign
         assert law.ki == pytest.approx(sign * kp / tau_i, rel=0.4)
@@ -143,16 +150,6 @@ def test_a_co_that_no_law_moves_shows_none():
     pv, co = np.cumsum(rng.standard_normal((2, 600)), axis=1)
     assert summed_law(Window(np.arange(600.0), np.zeros(600), pv, co)) is None
     assert summed_law(Window(np.arange(600.0), np.zeros(600), pv, np.ones(600))) is None
-
-
-def _held(x: np.ndarray, deviation: float) -> np.ndarray:
-    """The last value until the signal leaves it."""
-    held = np.empty_like(x)
-    last = x[0]
-    for i, value in enumerate(x.tolist()):
-        last = value if abs(value - last) > deviation else last
-        held[i] = last
-    return held
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.4, 3.0, 100.0])

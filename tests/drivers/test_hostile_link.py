@@ -112,13 +112,18 @@ class World:
             if isinstance(event, (WriteDone, WriteFailed)):
                 self.ended.append(event)
                 self._check_outcome(event)
-        self._note_number()
+        # A write that lost its lease goes on under another number
+        write = self.host._requests.write
+        if self.host.write_seq is not None:
+            self.ordered[write._order.epoch, self.host.write_seq] = write._order.gains
         if not calm and not self.host.writing and self.rng.random() < 0.2:
             self._order(2.0 * t)
         for message in self.out.arrived():
             for reply in self.device.receive(message):
                 self.back.send(reply)
-        self._check_running()
+        # The running set is the first one, or one that was ordered complete in this epoch: never torn
+        seq, gains = self.device.running
+        assert (seq, gains) == (0, FIRST) or self.ordered[self.device.epoch, seq] == gains
 
     def _order(self, now_s: float) -> None:
         gains = PidGains(self.rng.uniform(0.5, 20.0), self.rng.uniform(0.01, 1.0))
@@ -130,12 +135,6 @@ class World:
         self.newest = self.host._requests.write._order.gains
         self.ordered[self.host._belief.epoch, seq] = self.newest
 
-    def _note_number(self) -> None:
-        """A write that lost its lease goes on under another number."""
-        write = self.host._requests.write
-        if self.host.write_seq is not None:
-            self.ordered[write._order.epoch, self.host.write_seq] = write._order.gains
-
     def _note_running(self) -> None:
         now = (self.device.epoch, *self.device.running)
         if now != self.ran[-1]:
@@ -143,11 +142,6 @@ class World:
             self.ran.append(now)
 
     # invariants
-
-    def _check_running(self) -> None:
-        """The running set is the first one, or one that was ordered complete in this epoch: never torn."""
-        seq, gains = self.device.running
-        assert (seq, gains) == (0, FIRST) or self.ordered[self.device.epoch, seq] == gains
 
     def _check_outcome(self, event: WriteDone | WriteFailed) -> None:
         """What is reported done ran; what is reported as running is what ran, then or a moment before a restart."""

@@ -69,22 +69,19 @@ class Answers:
         """READ: the answers belong to its token."""
         page, token = told.data[0], u16(told.data[1:])
         if page == WHO:
-            self._identity(told, commands)
+            # Who it is, and a life sign
+            if commands != [IDENTITY, HEARTBEAT, STATUS]:
+                raise broken("answers_fit_their_question", f"READ of the identity gets {commands}")
+            said = told.replies[0]
+            right = struct.pack("<f", self._settings.sample_time_s)
+            if said[0] != VERSION or said[3:7] != right:
+                raise broken("answers_fit_their_question", f"IDENTITY is {said.hex()}")
+            self.life(told.replies[1], told.replies[2], told.after)
         elif page == CHALLENGED:
             if commands != [CHALLENGE]:
                 raise broken("answers_fit_their_question", f"READ of the challenge gets {commands}")
         else:
             self._page(told, page, token, commands)
-
-    def _identity(self, told: Told, commands: list[int]) -> None:
-        """Who it is, and a life sign."""
-        if commands != [IDENTITY, HEARTBEAT, STATUS]:
-            raise broken("answers_fit_their_question", f"READ of the identity gets {commands}")
-        said = told.replies[0]
-        right = struct.pack("<f", self._settings.sample_time_s)
-        if said[0] != VERSION or said[3:7] != right:
-            raise broken("answers_fit_their_question", f"IDENTITY is {said.hex()}")
-        self.life(told.replies[1], told.replies[2], told.after)
 
     def _page(self, told: Told, page: int, token: int, commands: list[int]) -> None:
         """ITEM for each gain that is there, then PAGE."""

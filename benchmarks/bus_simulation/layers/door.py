@@ -71,17 +71,7 @@ class Door:
         before, after = self._seen, look(self._device)
         self._seen = after
         told = Told.of(message, replies, before, after)
-        if not self._counts(message, told):
-            return
-        for reply in replies:
-            self._answers.form(reply.arbitration_id, bytes(reply.data), after)
-        self._number_of_answers(told, [reply.arbitration_id & 31 for reply in replies])
-        self._judge(told, [reply.arbitration_id & 31 for reply in replies])
-        self._answers.latest(told)
-        self._once(told)
-
-    def _counts(self, message: can.Message, told: Told) -> bool:
-        """Whether it was a frame of the protocol. If not, it may be counted and have no other effect."""
+        # Whether it was a frame of the protocol. If not, it may be counted and have no other effect.
         is_ours = not is_foreign(message, self._device.settings.node)
         good = is_ours and is_whole(message)
         if told.after.refused - told.before.refused != (is_ours and not good):
@@ -90,7 +80,16 @@ class Door:
             unchanged("only_whole_frames_count", told.before, told.after, "refused")
             if told.replies:
                 raise broken("only_whole_frames_count", f"{message} gets {told.replies}")
-        return good
+        if not good:
+            return
+        for reply in replies:
+            self._answers.form(reply.arbitration_id, bytes(reply.data), after)
+        self._number_of_answers(told, [reply.arbitration_id & 31 for reply in replies])
+        self._judge(told, [reply.arbitration_id & 31 for reply in replies])
+        self._answers.latest(told)
+        # A challenge that is told stays until it has served
+        if told.command not in {ABORT, COMMIT} and self.codes.drawn != self._drawn:
+            raise broken("codes_are_fresh", f"a new challenge after command {told.command}")
 
     def _number_of_answers(self, told: Told, commands: list[int]) -> None:
         """As many as the page says."""
@@ -128,11 +127,6 @@ class Door:
                 unchanged("codes_are_fresh", told.before, told.after)
             case _:
                 self._commands.came(told)
-
-    def _once(self, told: Told) -> None:
-        """A challenge that is told stays until it has served."""
-        if told.command not in {ABORT, COMMIT} and self.codes.drawn != self._drawn:
-            raise broken("codes_are_fresh", f"a new challenge after command {told.command}")
 
     def sampled(self, messages: list[can.Message], dt_s: float) -> None:
         """A controller sample, and what it said."""

@@ -163,7 +163,9 @@ class HostSide:
         self._commits.add(data)
         if not self._granted or now_s - self._granted_s >= self._length_s:
             raise broken("the_lease_comes_first", f"COMMIT {data.hex()}, granted {self._granted} at {self._granted_s}")
-        gains = self._three_staged(seq)
+        # What was staged under this number, if all of it was
+        values = [value for number, value in map(self._staged.get, range(3), [(-1, 0.0)] * 3) if number == seq]
+        gains = (values[0], values[1], values[2]) if len(values) == 3 else None
         if staged is None or staged.asked < self._said or (staged.seq, staged.gains) != (seq, gains):
             raise broken("what_is_staged_is_read_back", f"COMMIT {data.hex()} with {staged}, staged were {gains}")
         said = struct.pack("<HH", base, self._settings.owner)
@@ -171,11 +173,6 @@ class HostSide:
             raise broken("a_commit_says_what_it_means", f"COMMIT {data.hex()} of {staged} on {running}")
         self._code(staged, base)
         self._said = self.heard.place
-
-    def _three_staged(self, seq: int) -> Three | None:
-        """What was staged under this number, if all of it was."""
-        values = [value for number, value in map(self._staged.get, range(3), [(-1, 0.0)] * 3) if number == seq]
-        return (values[0], values[1], values[2]) if len(values) == 3 else None
 
     def _code(self, staged: Proof, base: int) -> None:
         """With a key: both halves right before the commit, over the newest challenge."""

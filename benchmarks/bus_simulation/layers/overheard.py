@@ -85,11 +85,6 @@ class Overheard:
             return 0
         if command not in UNCHECKED and data[-1] != crc8(message.arbitration_id, data[:-1]):
             return 0
-        self._take(command, data)
-        return command
-
-    def _take(self, command: int, data: bytes) -> None:
-        """By its command."""
         match command:
             case 16:
                 self.beats.setdefault(u16(data[4:]), self.place)
@@ -106,6 +101,7 @@ class Overheard:
                 self._halves[command].append(data)
             case _:
                 pass
+        return command
 
     def _page(self, command: int, data: bytes) -> None:
         """A part of a page; the page is proved when all parts belong to the question and its CRC says so."""

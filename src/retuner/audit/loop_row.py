@@ -118,7 +118,28 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
     try:
         for record in read:
             seen.add(record, settings)
-        return _judged(tag, seen, common_clock=common_clock)
+        # The row of a loop whose records were seen
+        screen = joined_screen([one for one in seen.screens if one.setpoint] or seen.screens)
+        verdict = loop_verdict(screen, [part.verdict for part in seen.parts])
+        cure = _cure(verdict, [part.found for part in seen.parts])
+        then = _foreseen(cure, seen.spread) if cure is not None else None
+        if verdict.cause in TUNING_CAUSES:
+            verdict = with_foreseen(verdict, then, proposed=cure is not None and cure.settings is not None)
+        harmonics = (part.found.diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
+        return {
+            **_told(tag, seen, screen, verdict),
+            "asks": asks(screen),
+            "harmonic": max(harmonics, default=0.0),
+            "sticks": sum(p.verdict.confidence for p in seen.parts if p.verdict.cause == Cause.STICTION)
+            / max(len(seen.parts), 1),
+            "settings": _settings(cure),
+            "process": _process(cure, then),
+            "what_if": _what_if(cure, seen.parts),
+            "tracks": seen.tracks if common_clock else {},
+            "stretches": [part.shown for part in seen.parts],
+            "trend": _one_trend(seen.trends),
+            "over_time": _course(seen),
+        }
     except ANY_FAULT as error:
         return failed(tag, told_fault(error))
 
@@ -204,31 +225,6 @@ def _tracks(window: Window, begin_s: float, screen: LoopScreen, own_s: float | N
     damped = damped_track(t_s, error, own_s).to_dict() if own_s and not swings else None
     trend = trend_track(t_s, window.sp, window.co).to_dict()
     return {"swing": track, "damped": damped, "damped_s": own_s, "trend": trend}
-
-
-def _judged(tag: str, seen: _Seen, *, common_clock: bool) -> Row:
-    """The row of a loop whose records were seen."""
-    screen = joined_screen([one for one in seen.screens if one.setpoint] or seen.screens)
-    verdict = loop_verdict(screen, [part.verdict for part in seen.parts])
-    cure = _cure(verdict, [part.found for part in seen.parts])
-    then = _foreseen(cure, seen.spread) if cure is not None else None
-    if verdict.cause in TUNING_CAUSES:
-        verdict = with_foreseen(verdict, then, proposed=cure is not None and cure.settings is not None)
-    harmonics = (part.found.diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
-    return {
-        **_told(tag, seen, screen, verdict),
-        "asks": asks(screen),
-        "harmonic": max(harmonics, default=0.0),
-        "sticks": sum(p.verdict.confidence for p in seen.parts if p.verdict.cause == Cause.STICTION)
-        / max(len(seen.parts), 1),
-        "settings": _settings(cure),
-        "process": _process(cure, then),
-        "what_if": _what_if(cure, seen.parts),
-        "tracks": seen.tracks if common_clock else {},
-        "stretches": [part.shown for part in seen.parts],
-        "trend": _one_trend(seen.trends),
-        "over_time": _course(seen),
-    }
 
 
 def _course(seen: _Seen) -> Row | None:

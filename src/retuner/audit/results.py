@@ -134,7 +134,12 @@ def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> 
         if group is None or group.root is None or not is_fault(row):
             continue
         if group.root == row["tag"]:
-            _root_itself(row, group)
+            # What others swing with is not sent upstream by itself: there is nobody it comes from
+            if row["cause"] == str(Cause.EXTERNAL):
+                row["action"] = str(Action.LOOK)
+                row["reason"] = (
+                    f"others oscillate in step with it, probably caused here: {group.why}; by itself: {row['reason']}"
+                )
             continue
         if row["cause"] in SWUNG and group.coherence is not None:
             row["reason"] = f"oscillates in step with {group.root} ({group.why}); by itself: {row['reason']}"
@@ -146,15 +151,6 @@ def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> 
             root = by_tag[group.root]
             root["rank"] = _number(root, "rank") + _number(row, "rank")
             root["upsets"] = int(_number(root, "upsets")) + 1
-
-
-def _root_itself(row: Row, group: CommonSwing) -> None:
-    """What others swing with is not sent upstream by itself: there is nobody it comes from."""
-    if row["cause"] == str(Cause.EXTERNAL):
-        row["action"] = str(Action.LOOK)
-        row["reason"] = (
-            f"others oscillate in step with it, probably caused here: {group.why}; by itself: {row['reason']}"
-        )
 
 
 def _in_order(rows: Sequence[Row]) -> None:

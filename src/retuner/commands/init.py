@@ -29,7 +29,13 @@ def init(
     ] = None,
 ) -> int:
     """Write a configuration: a commented starter, or by a few questions, or of a record's loop."""
-    _check_place(path, force=force)
+    # Refuse a place where no file can go, or where one is
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; give the name of a file in it")
+    if path.exists() and not force:
+        raise UserError(f"{path}: exists; give another name, or --force to replace it")
+    if not path.resolve().parent.is_dir():
+        raise UserError(f"{path}: the folder {path.parent} does not exist; make it first")
     texts = {path: starter(profile)}
     asking = not profile and (ask or (ask is None and sys.stdin.isatty() and sys.stderr.isatty()))
     if record is not None or asking:
@@ -43,13 +49,3 @@ def init(
             raise UserError(f"{file}: cannot be written: {error.strerror}") from None
     sys.stdout.write(f"{path} written. Next: retuner check {path}, then retuner run {path}\n")
     return 0
-
-
-def _check_place(path: Path, *, force: bool) -> None:
-    """Refuse a place where no file can go, or where one is."""
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; give the name of a file in it")
-    if path.exists() and not force:
-        raise UserError(f"{path}: exists; give another name, or --force to replace it")
-    if not path.resolve().parent.is_dir():
-        raise UserError(f"{path}: the folder {path.parent} does not exist; make it first")

@@ -241,7 +241,23 @@ class _Model:
         self._inputs, self._outputs, start = _names(plants)
         self.described: Sequence[str] = ()
         if isinstance(first, StateSpacePlantConfig):
-            model: PlantModel = _state_space(first)
+            # The matrices as a model
+            a, b, c, d = matrices_of(find_object(first.model)) if first.model else (first.a, first.b, first.c, first.d)
+            outputs, inputs = len(c), len(b[0]) if b else len(d[0]) if d else 0
+            for key, names, count in (("inputs", first.inputs, inputs), ("outputs", first.outputs, outputs)):
+                if len(names) != count and (names or count != 1):
+                    raise PlantFaultError(f"has {len(names)} names; the system has {count} {key}: name them all", key)
+            for key, name, known in (
+                ("input", first.input, first.inputs),
+                ("output", first.output, first.outputs),
+                ("aux", first.aux, first.outputs),
+                ("load_input", first.load_input, first.inputs),
+            ):
+                if name and name not in known:
+                    raise PlantFaultError(missing_name(key.rpartition("_")[2], name, known), key)
+            theta = first.theta_s
+            rows = theta if isinstance(theta, tuple) else [[theta] * inputs] * outputs
+            model: PlantModel = StateSpaceModel(a, b, c, d, rows)
             start = [0.0] * (len(self._inputs) or 1)
         else:
             spec = ModelSpec(
@@ -307,26 +323,6 @@ def _names(plants: Sequence[ModelConfig]) -> tuple[list[str], list[str], list[fl
     loads = {plant.load_input: 0.0 for plant in plants if plant.load_input}
     start = {**loads, **start}
     return [*start], [*outputs], [*start.values()]
-
-
-def _state_space(plant: StateSpacePlantConfig) -> StateSpaceModel:
-    """The matrices as a model."""
-    a, b, c, d = matrices_of(find_object(plant.model)) if plant.model else (plant.a, plant.b, plant.c, plant.d)
-    outputs, inputs = len(c), len(b[0]) if b else len(d[0]) if d else 0
-    for key, names, count in (("inputs", plant.inputs, inputs), ("outputs", plant.outputs, outputs)):
-        if len(names) != count and (names or count != 1):
-            raise PlantFaultError(f"has {len(names)} names; the system has {count} {key}: name them all", key)
-    for key, name, known in (
-        ("input", plant.input, plant.inputs),
-        ("output", plant.output, plant.outputs),
-        ("aux", plant.aux, plant.outputs),
-        ("load_input", plant.load_input, plant.inputs),
-    ):
-        if name and name not in known:
-            raise PlantFaultError(missing_name(key.rpartition("_")[2], name, known), key)
-    theta = plant.theta_s
-    rows = theta if isinstance(theta, tuple) else [[theta] * inputs] * outputs
-    return StateSpaceModel(a, b, c, d, rows)
 
 
 def _loads(loads: Sequence[LoadConfig]) -> RecordedLoads | None:

@@ -183,7 +183,12 @@ def parse_session(text: str) -> SessionConfig:
         With every problem found: of syntax the first, of settings all.
     """
     document = _parsed(text)
-    _check_schema(document, text)
+    # Another schema gets one line about that, not fifty about its keys
+    schema = document.get("schema")
+    if type(schema) is int and schema != SCHEMA:
+        line = toml_lines(text)[("schema",)]
+        message = f"= {schema} is not known; this release reads schema {SCHEMA}; `retuner init` writes one"
+        raise UnusableError([ConfigFlaw(line, "schema", message)])
     several = isinstance(document.get("loop"), list) and bool(document["loop"])
     documents = loop_documents(document) if several else [document]
     lines, loops, findings = toml_lines(text), [], []
@@ -274,15 +279,6 @@ def _parsed(text: str) -> dict[str, object]:
         told = told[:1].lower() + told[1:]
         column = f", column {place[2]}" if place and place[2] else ""
         raise UnusableError([ConfigFlaw(line, "", f"is not TOML: {told}{column}; correct the line")]) from None
-
-
-def _check_schema(document: dict[str, object], text: str) -> None:
-    """Another schema gets one line about that, not fifty about its keys."""
-    schema = document.get("schema")
-    if type(schema) is int and schema != SCHEMA:
-        line = toml_lines(text)[("schema",)]
-        message = f"= {schema} is not known; this release reads schema {SCHEMA}; `retuner init` writes one"
-        raise UnusableError([ConfigFlaw(line, "schema", message)])
 
 
 def _placed(problem: Problem, lines: dict[Path, int], loop: int | None) -> ConfigFlaw:

@@ -42,7 +42,18 @@ def problems_of(errors: list[ErrorDetails], document: Mapping[str, object]) -> l
     """One problem per key; several findings about one value are joined by "or"."""
     found: dict[Path, list[str]] = {}
     for error in errors:
-        path = _real_path(error, document)
+        # The location without the names of union members that pydantic puts into it
+        path: Path = ()
+        node: object = document
+        for i, part in enumerate(error["loc"]):
+            is_last = i == len(error["loc"]) - 1
+            if isinstance(node, Mapping) and part == node.get("kind") and not is_last:
+                continue
+            if (isinstance(node, Mapping) and part in node) or (isinstance(node, list) and isinstance(part, int)):
+                node = _inside(node, part)
+            elif not (error["type"] == "missing" and is_last):
+                continue
+            path = (*path, part)
         for problem in _told(error, path, document):
             messages = found.setdefault(problem.path, [])
             if problem.message not in messages:
@@ -76,34 +87,14 @@ def _told(error: ErrorDetails, path: Path, document: Mapping[str, object]) -> It
     elif error["type"] == "missing":
         yield Problem(path, "is missing; add it" + _meaning(path, document))
     elif error["type"] == "extra_forbidden":
-        yield Problem(path, _unknown(path, document))
+        known = [name for model in _models(path[:-1], document) for name in _names(model)]
+        close = difflib.get_close_matches(str(path[-1]), known, n=1)
+        hint = f"did you mean {close[0]}?" if close else "known here: " + ", ".join(known)
+        yield Problem(path, (f"is not a known key; {hint}"))
     elif error["type"] != "too_short" or len(error["input"]) < context["min_length"]:
         # an array counts as too short for pydantic when only its entries are wrong
         limit = LIMITS[error["type"]].format(**context) if error["type"] in LIMITS else f"is wrong: {error['msg']}"
         yield Problem(path, f"= {_value(error['input'])} {limit}{_meaning(path, document)}")
-
-
-def _real_path(error: ErrorDetails, document: Mapping[str, object]) -> Path:
-    """The location without the names of union members that pydantic puts into it."""
-    path: Path = ()
-    node: object = document
-    for i, part in enumerate(error["loc"]):
-        is_last = i == len(error["loc"]) - 1
-        if isinstance(node, Mapping) and part == node.get("kind") and not is_last:
-            continue
-        if (isinstance(node, Mapping) and part in node) or (isinstance(node, list) and isinstance(part, int)):
-            node = _inside(node, part)
-        elif not (error["type"] == "missing" and is_last):
-            continue
-        path = (*path, part)
-    return path
-
-
-def _unknown(path: Path, document: Mapping[str, object]) -> str:
-    known = [name for model in _models(path[:-1], document) for name in _names(model)]
-    close = difflib.get_close_matches(str(path[-1]), known, n=1)
-    hint = f"did you mean {close[0]}?" if close else "known here: " + ", ".join(known)
-    return f"is not a known key; {hint}"
 
 
 def _value(value: object) -> str:

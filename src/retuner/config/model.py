@@ -230,7 +230,13 @@ class Config(Section):
     def problems(self) -> Iterator[Problem]:
         """What must hold between sections."""
         yield from self._border_problems()
-        yield from self._action_problems()
+        # Gains have no sign of their own where the action is given
+        for i, region in enumerate(self.schedule.region):
+            if self.loop.action is not None and region.dialled < 0:
+                yield Problem(
+                    ("schedule", "region", i, region.dials[0].key),
+                    f"= {region.dialled:g}: loop.action = {self.loop.action!r} says the direction; give it positive",
+                )
         yield from self._time_problems()
         yield from self._scenario_problems()
         if self.adaptation.noise_band is not None and self.adaptation.noise_band > self._span / 2:
@@ -260,15 +266,6 @@ class Config(Section):
                 yield Problem(
                     (*path, "hysteresis"),
                     f"= {axis.hysteresis:g} must be at most half of the narrowest region, {narrowest / 2:g} {unit}",
-                )
-
-    def _action_problems(self) -> Iterator[Problem]:
-        """Gains have no sign of their own where the action is given."""
-        for i, region in enumerate(self.schedule.region):
-            if self.loop.action is not None and region.dialled < 0:
-                yield Problem(
-                    ("schedule", "region", i, region.dials[0].key),
-                    f"= {region.dialled:g}: loop.action = {self.loop.action!r} says the direction; give it positive",
                 )
 
     def _time_problems(self) -> Iterator[Problem]:

@@ -305,7 +305,10 @@ class ScheduleConfig(Section):
     def problems(self) -> Iterator[Problem]:
         """As many regions as the bounds make, in order, all acting one way."""
         if self.axis:
-            yield from self._twice_told()
+            # Keys of the simple form beside [[schedule.axis]]
+            for key in SIMPLE:
+                if getattr(self, key) != type(self).model_fields[key].default:
+                    yield Problem((key,), "conflicts with [[schedule.axis]]; write it into its axis")
         counts = " x ".join(str(len(axis.bounds)) for axis in self.axes)
         made = prod(self.shape)
         if len(self.region) != made:
@@ -319,12 +322,6 @@ class ScheduleConfig(Section):
                 yield Problem(("bounds", i), f"= {high:g} must be greater than the bound before it, {low:g}")
         yield from self._region_problems()
         yield from self._cell_problems()
-
-    def _twice_told(self) -> Iterator[Problem]:
-        """Keys of the simple form beside [[schedule.axis]]."""
-        for key in SIMPLE:
-            if getattr(self, key) != type(self).model_fields[key].default:
-                yield Problem((key,), "conflicts with [[schedule.axis]]; write it into its axis")
 
     def _region_problems(self) -> Iterator[Problem]:
         seen: set[str] = set()

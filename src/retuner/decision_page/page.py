@@ -250,7 +250,8 @@ def _formula(view: DecisionView, wanted: PidGains) -> str:
             found = settings(rule, kind, sampled, None, wishes)
         except ValueError:
             continue
-        if _same(found.gains, wanted):
+        pairs_ = ((found.gains.kp, wanted.kp), (found.gains.ki, wanted.ki), (found.gains.kd, wanted.kd))
+        if all(abs(a - b) <= SAME * max(abs(a), abs(b)) for a, b in pairs_):
             told = explanation(rule, kind, sampled, None, wishes, found)
             lines = [*told.formula, *(line for line in told.with_numbers if line not in told.formula)]
             source = paragraph(f"{_put_in(view, model, kind)} {told.source}".strip(), "muted")
@@ -266,11 +267,6 @@ def _put_in(view: DecisionView, model: ProcessModel, kind: ControllerKind) -> st
             "half of tau2 added to theta" + (" and half to tau1 (half rule)" if model.tau1_s else " (half rule)")
         )
     return f"With {', '.join(told)}." if told else ""
-
-
-def _same(one: PidGains, other: PidGains) -> bool:
-    pairs_ = ((one.kp, other.kp), (one.ki, other.ki), (one.kd, other.kd))
-    return all(abs(a - b) <= SAME * max(abs(a), abs(b)) for a, b in pairs_)
 
 
 def _proof(view: DecisionView) -> str:

@@ -28,7 +28,29 @@ def response_svg(view: DecisionView) -> str:
         heights = (2.6, 0.9, 1.0) if modelled else (2.6, 1.0)
         panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         figure.subplots_adjust(left=0.075, right=0.985, top=1 - 0.4 / height, bottom=0.48 / height, hspace=0.13)
-        _draw(panels, view, view.samples)
+        # All panels on one time axis that begins with the response
+        start = number(view.response, "t_start_s")
+        zero = view.samples.t_s[0] if start is None else start
+        since = "time" if start is None else "time since the response began"
+        scale, name = time_unit(float(view.samples.t_s[-1] - view.samples.t_s[0]))
+        x = (view.samples.t_s - zero) / scale
+        _signals(panels[0], view, view.samples, x)
+        _peaks(panels[0], view, view.samples, zero, scale)
+        if view.samples.explained is not None:
+            _remainder(panels[1], view, view.samples, x)
+        panels[-1].plot(*thinned(*steps(x, view.samples.co)), color=AFTER, lw=1.0)
+        panels[-1].set_ylabel("co [%]")
+        panels[-1].set_xlabel(f"{since} [{name}]")
+        marks = (
+            (numbers(view.estimate, "loads"), "-.", "load step as the fit places it"),
+            (view.samples.changed_s, ":", "other gains run"),
+        )
+        for times, style, label in marks:
+            for i, t_s in enumerate(times):
+                for axes in panels:
+                    axes.axvline((t_s - zero) / scale, color=LIMIT, lw=1.3, ls=style, label=None if i else label)
+        panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=6, borderaxespad=0.2)
+        panels[0].figure.align_ylabels(panels)
         return svg(figure, "The response with its peaks, the model over it, the residual, controller output")
 
 
@@ -38,32 +60,6 @@ def time_unit(span_s: float) -> tuple[float, str]:
         if span_s > 10 * seconds:
             return seconds, name
     return 1.0, "s"
-
-
-def _draw(panels: list[Axes], view: DecisionView, samples: Samples) -> None:
-    """All panels on one time axis that begins with the response."""
-    start = number(view.response, "t_start_s")
-    zero = samples.t_s[0] if start is None else start
-    since = "time" if start is None else "time since the response began"
-    scale, name = time_unit(float(samples.t_s[-1] - samples.t_s[0]))
-    x = (samples.t_s - zero) / scale
-    _signals(panels[0], view, samples, x)
-    _peaks(panels[0], view, samples, zero, scale)
-    if samples.explained is not None:
-        _remainder(panels[1], view, samples, x)
-    panels[-1].plot(*thinned(*steps(x, samples.co)), color=AFTER, lw=1.0)
-    panels[-1].set_ylabel("co [%]")
-    panels[-1].set_xlabel(f"{since} [{name}]")
-    marks = (
-        (numbers(view.estimate, "loads"), "-.", "load step as the fit places it"),
-        (samples.changed_s, ":", "other gains run"),
-    )
-    for times, style, label in marks:
-        for i, t_s in enumerate(times):
-            for axes in panels:
-                axes.axvline((t_s - zero) / scale, color=LIMIT, lw=1.3, ls=style, label=None if i else label)
-    panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=6, borderaxespad=0.2)
-    panels[0].figure.align_ylabels(panels)
 
 
 def _signals(axes: Axes, view: DecisionView, samples: Samples, x: FloatArray) -> None:

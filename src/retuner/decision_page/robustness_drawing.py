@@ -63,7 +63,28 @@ def robustness_svg(view: DecisionView, ms_limit: float) -> str:
             top = figure.add_subplot(places[0, column])
             bottom = figure.add_subplot(places[1, column], sharex=top)
             top.tick_params(labelbottom=False)
-            _steps(top, bottom, view, view.process, load=load)
+            # Predicted responses to one step, before and after, with the spread over the other models
+            gains = view.tried or view.before
+            assert gains is not None
+            # Time in which the loop answers both steps: a few integral times and dead times
+            tau_i = gains.kp / gains.ki if gains.ki and gains.kp else 0.0
+            lags = sum(view.process.lags_s)
+            until = 3 * tau_i + 8 * view.process.theta_s or 5 * lags or 1.0
+            scale, unit = time_unit(until)
+            if view.tried:
+                _spread(top, view.allowed[:MOST_RESPONSES], view.tried, until, scale, load=load)
+            looks = ((old_name(view), view.before, BEFORE, (0, (4, 2))), (new_name(view), view.tried, AFTER, "-"))
+            reach = []
+            for label, one, colour, style in looks:
+                if one is None:
+                    continue
+                found = _from_zero(step_response(view.process, one, until, load=load), until)
+                for axes, values in ((top, found.pv), (bottom, found.co)):
+                    axes.plot(*thinned(found.t / scale, values, 300), color=colour, ls=style, lw=1.5, label=label)
+                if one is gains or math.isfinite(sensitivity_peak(view.process, one)):
+                    reach.append(found)
+            top.set_xlim(0, until / scale)
+            _frame(top, bottom, reach, view.unit, unit, load=load)
         return svg(figure, "Nyquist curves before and after with the Ms circle; predicted setpoint and load responses")
 
 
@@ -113,28 +134,6 @@ def _curve(process: LinearProcess, gains: PidGains) -> tuple[FloatArray, FloatAr
     return value.real, value.imag
 
 
-def _steps(top: Axes, bottom: Axes, view: DecisionView, process: LinearProcess, *, load: bool) -> None:
-    """Predicted responses to one step, before and after, with the spread over the other models."""
-    gains = view.tried or view.before
-    assert gains is not None
-    until = _until_s(process, gains)
-    scale, unit = time_unit(until)
-    if view.tried:
-        _spread(top, view.allowed[:MOST_RESPONSES], view.tried, until, scale, load=load)
-    looks = ((old_name(view), view.before, BEFORE, (0, (4, 2))), (new_name(view), view.tried, AFTER, "-"))
-    reach = []
-    for label, one, colour, style in looks:
-        if one is None:
-            continue
-        found = _from_zero(step_response(process, one, until, load=load), until)
-        for axes, values in ((top, found.pv), (bottom, found.co)):
-            axes.plot(*thinned(found.t / scale, values, 300), color=colour, ls=style, lw=1.5, label=label)
-        if one is gains or math.isfinite(sensitivity_peak(process, one)):
-            reach.append(found)
-    top.set_xlim(0, until / scale)
-    _frame(top, bottom, reach, view.unit, unit, load=load)
-
-
 def _from_zero(found: StepResponse, until_s: float) -> StepResponse:
     """The response from the step on (a load's is known from a dead time later on) until then."""
     inside = found.t <= until_s
@@ -179,10 +178,3 @@ def _limit(axes: Axes, curves: list[FloatArray], lowest: float, highest: float) 
     high = min(max(float(np.max(one)) for one in curves), highest)
     room = 0.08 * (high - low) or 0.1
     axes.set_ylim(low - room, high + room)
-
-
-def _until_s(process: LinearProcess, gains: PidGains) -> float:
-    """Time in which the loop answers both steps: a few integral times and dead times."""
-    tau_i = gains.kp / gains.ki if gains.ki and gains.kp else 0.0
-    lags = sum(process.lags_s)
-    return 3 * tau_i + 8 * process.theta_s or 5 * lags or 1.0

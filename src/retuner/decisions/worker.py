@@ -150,7 +150,14 @@ class DecideInWorker:
         try:
             came = self._worker.answers.get_nowait()
         except queue.Empty:
-            return self._overdue()
+            # Whether the deadline has passed: the worker is ended then, for it may hang
+            assert self._asked_s is not None
+            if self._clock.now_s() - self._asked_s < self._deadline_s:
+                return None
+            self._end()
+            self._start()
+            trouble = f"no decision within {self._deadline_s:g} s of the machine's time; the worker was started anew"
+            return without_decision(LATE, trouble)
         if isinstance(came, StageResult):
             return Answer(came)
         if isinstance(came, str):
@@ -158,16 +165,6 @@ class DecideInWorker:
         how = self._end() or "broke off"
         self._start()
         return without_decision(LOST, f"the worker {how} while it made a decision, and was started anew")
-
-    def _overdue(self) -> Answer | None:
-        """Whether the deadline has passed: the worker is ended then, for it may hang."""
-        assert self._asked_s is not None
-        if self._clock.now_s() - self._asked_s < self._deadline_s:
-            return None
-        self._end()
-        self._start()
-        trouble = f"no decision within {self._deadline_s:g} s of the machine's time; the worker was started anew"
-        return without_decision(LATE, trouble)
 
     def _start(self) -> None:
         """Begin a worker; it imports what it needs meanwhile."""

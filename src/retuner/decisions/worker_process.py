@@ -51,8 +51,9 @@ def receive(pipe: IO[bytes]) -> object:
     return pickle.loads(body)  # noqa: S301  from this program's own other half, over a pipe that nobody else has
 
 
-def _be_modest(nice: int, memory_bytes: int) -> None:
-    """Give way to the loop, and end before it when memory runs out. Ctrl-C is the loop's to answer."""
+def main(nice: int, memory_bytes: int) -> None:
+    """Answer until the input ends: the result, or a sentence on why there is none."""
+    # Give way to the loop, and end before it when memory runs out. Ctrl-C is the loop's to answer.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):
         os.nice(nice)
@@ -62,11 +63,6 @@ def _be_modest(nice: int, memory_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
     with contextlib.suppress(OSError):  # only Linux has it
         Path("/proc/self/oom_score_adj").write_text(MOST_EXPENDABLE, encoding="ascii")
-
-
-def main(nice: int, memory_bytes: int) -> None:
-    """Answer until the input ends: the result, or a sentence on why there is none."""
-    _be_modest(nice, memory_bytes)
     questions, answers = sys.stdin.buffer, sys.stdout.buffer
     sys.stdout = sys.stderr  # nothing else may get among the answers
     from retuner.adaptive.supervision.pipeline import decide  # noqa: PLC0415  a second of imports, at low priority

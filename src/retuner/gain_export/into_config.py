@@ -55,7 +55,13 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
             f"{path}: has the regions {', '.join(names)}, the table {', '.join(table.regions.names)}; "
             "gains go back only where they came from"
         )
-    _require_own_boundaries(path, config, table)
+    # Names may be alike where places are not
+    own = config.gain_table()
+    if own.lookup != table.lookup or [a.bounds for a in own.regions.axes] != [a.bounds for a in table.regions.axes]:
+        raise UserError(
+            f"{path}: its boundaries or its lookup are not the table's; gains go back only where they came from. "
+            "Take up another schedule by its [schedule] section"
+        )
     try:
         document = tomlkit.parse(text)
         regions = _regions(document, place if several else None)
@@ -65,16 +71,6 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
     written = tomlkit.dumps(document)
     _require_same(path, written, table, place, same)
     return written, told
-
-
-def _require_own_boundaries(path: Path, config: Config, table: GainTable) -> None:
-    """Names may be alike where places are not; errors as into_config."""
-    own = config.gain_table()
-    if own.lookup != table.lookup or [a.bounds for a in own.regions.axes] != [a.bounds for a in table.regions.axes]:
-        raise UserError(
-            f"{path}: its boundaries or its lookup are not the table's; gains go back only where they came from. "
-            "Take up another schedule by its [schedule] section"
-        )
 
 
 def sameness(config: Config) -> Same:
@@ -106,7 +102,13 @@ def _put(region: MutableMapping[str, Any], table: GainTable, config: Config, sam
     name = str(region["name"])
     meant = next(one for one in config.schedule.regions if one.name == name)
     units = config.units_in(meant)
-    shown = _shown(table.gains_of(name), units, same)
+    # The set in the region's units, or in the ideal form, in the fewest digits that make it again
+    gains = table.gains_of(name)
+    if gains.kp == 0:
+        raise UserError("a region has no proportional gain, which [[schedule.region]] cannot say")
+    exact = units.numbers(gains)
+    own = units.of_region(units.dials, exact.form)
+    shown = next((short for short in _shortened(exact) if _makes(own, short, gains, same)), exact)
     before = [region.get(dial.key) for dial in units.dials]
     none = NO_INTEGRAL if units.dials[1].quantity is Quantity.TN else 0.0
     values = (shown.gain, none if shown.integral is None else shown.integral, shown.derivative)
@@ -123,15 +125,6 @@ def _put(region: MutableMapping[str, Any], table: GainTable, config: Config, sam
         for values in (before, after)
     )
     return [f"{name}: {one} -> {two} ({region.get('form', 'series')})"]
-
-
-def _shown(gains: PidGains, units: ControllerUnits, same: Same) -> Dialled:
-    """The set in the region's units, or in the ideal form, in the fewest digits that make it again."""
-    if gains.kp == 0:
-        raise UserError("a region has no proportional gain, which [[schedule.region]] cannot say")
-    exact = units.numbers(gains)
-    own = units.of_region(units.dials, exact.form)
-    return next((short for short in _shortened(exact) if _makes(own, short, gains, same)), exact)
 
 
 def _shortened(exact: Dialled) -> Iterator[Dialled]:

@@ -13,11 +13,9 @@ from typing import Any, NamedTuple
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import Table
 
 from retuner.config.loading import UnusableError, load_session, parse_session
 from retuner.config.model import Config
-from retuner.config.session_config import SessionConfig
 from retuner.decisions.proposed_schedule import digest_of, stands
 from retuner.errors import UserError
 from retuner.gain_export.into_config import sameness
@@ -50,14 +48,28 @@ def schedule_into(path: Path, table: GainTable, ran: Config, note: str, ended: G
         read as another schedule.
     """
     session, text = load_session(path)
-    place = _own_place(path, session, ran)
+    # Index of the loop that the session ran
+    if ran.loop.name not in session.names:
+        loops = f"the loop{'s' * (len(session.names) > 1)} {', '.join(session.names)}"
+        raise UserError(
+            f"{path}: has {loops}, the proposal is for {ran.loop.name!r}; "
+            "a schedule goes only where its records came from"
+        )
+    place = session.names.index(ran.loop.name)
     own = session.loops[place]
     if own.schedule.proposal == digest_of(table) and stands(own):
         raise UserError(f"{path}: has this schedule already; nothing is left to do")
     differences = [*_differences(own, ran), *_edited(own, ran.gain_table(), ended)]
     if differences:
         raise UserError(f"{path}: {differences[0]}; a schedule goes only where its records came from")
-    _require_free(path, own)
+    # A region that somebody holds would be let go with the section
+    for region in own.schedule.regions:
+        held = [key for key in ("mode", "locked") if getattr(region, key) is not None]
+        if held:
+            raise UserError(
+                f"{path}: region {region.name!r} has its own {' and '.join(held)}, which would go with the old "
+                "schedule; take that out of the region first"
+            )
     try:
         written = _replaced(text, place if session.several else None, table, note)
         config = parse_session(written.text).loops[place]
@@ -73,17 +85,6 @@ def schedule_into(path: Path, table: GainTable, ran: Config, note: str, ended: G
     if not stands(config) or _rest(written.text, rest) != _rest(text, rest):
         raise UserError(f"{path}: the schedule would not be read back as it was proposed; nothing was changed")
     return written
-
-
-def _own_place(path: Path, session: SessionConfig, ran: Config) -> int:
-    """Index of the loop that the session ran."""
-    if ran.loop.name not in session.names:
-        loops = f"the loop{'s' * (len(session.names) > 1)} {', '.join(session.names)}"
-        raise UserError(
-            f"{path}: has {loops}, the proposal is for {ran.loop.name!r}; "
-            "a schedule goes only where its records came from"
-        )
-    return session.names.index(ran.loop.name)
 
 
 def _differences(config: Config, ran: Config) -> Iterator[str]:
@@ -110,17 +111,6 @@ def _edited(config: Config, began: GainTable, ended: GainTable | None) -> Iterat
             yield f"the gains of region {name!r} are neither those at the start of the session nor those at its end"
 
 
-def _require_free(path: Path, config: Config) -> None:
-    """A region that somebody holds would be let go with the section."""
-    for region in config.schedule.regions:
-        held = [key for key in ("mode", "locked") if getattr(region, key) is not None]
-        if held:
-            raise UserError(
-                f"{path}: region {region.name!r} has its own {' and '.join(held)}, which would go with the old "
-                "schedule; take that out of the region first"
-            )
-
-
 def _replaced(text: str, loop: int | None, table: GainTable, note: str) -> Written:
     """The text with the new section. What stands below the last key of the old one belongs to the next: it stays."""
     crlf = "\n" not in text.replace("\r\n", "")
@@ -131,22 +121,25 @@ def _replaced(text: str, loop: int | None, table: GainTable, note: str) -> Writt
     kept = _below(old if own else holder.as_string())
     comments = sum("#" in STRINGS.sub("", line) for line in old.removesuffix(kept).splitlines())
     comments += own and bool(holder["schedule"].trivia.comment)
-    section = _section(table, note)
+    found: Any = tomlkit.parse(schedule_section(table))["schedule"]
+    section = tomlkit.table()
+    section.comment(note)
+    section["proposal"] = digest_of(table)
+    section["lookup"] = str(table.lookup)
+    for key, value in found.items():
+        section[key] = value
     last: Any = section["region"]
     last[-1].add(tomlkit.comment(END))
     holder["schedule"] = section
     written = tomlkit.dumps(document)
     if not own:
-        written = _lifted(written, kept, str(section["proposal"]))
+        # The text without what stands above a new section at the end of its loop and belongs below it
+        digest = str(section["proposal"])
+        start = written.rindex("[loop.schedule]", 0, written.index(digest))
+        above = written[:start].rstrip().removesuffix(kept.strip()).rstrip()
+        written = f"{above}\n\n{written[start:]}"
     written = re.sub(rf"# {END}\n(\n?)", lambda end: kept or end[1], written, count=1)
     return Written(written.replace("\n", "\r\n") if crlf else written, comments)
-
-
-def _lifted(written: str, kept: str, digest: str) -> str:
-    """The text without what stands above a new section at the end of its loop and belongs below it."""
-    start = written.rindex("[loop.schedule]", 0, written.index(digest))
-    above = written[:start].rstrip().removesuffix(kept.strip()).rstrip()
-    return f"{above}\n\n{written[start:]}"
 
 
 def _below(section: str) -> str:
@@ -162,14 +155,3 @@ def _rest(text: str, loop: int | None) -> dict[str, Any]:
     document = tomllib.loads(text)
     (document if loop is None else document["loop"][loop]).pop("schedule", None)
     return document
-
-
-def _section(table: GainTable, note: str) -> Table:
-    found: Any = tomlkit.parse(schedule_section(table))["schedule"]
-    section = tomlkit.table()
-    section.comment(note)
-    section["proposal"] = digest_of(table)
-    section["lookup"] = str(table.lookup)
-    for key, value in found.items():
-        section[key] = value
-    return section

@@ -52,18 +52,15 @@ class Rows:
         """Add a row."""
         self._values.extend(row)
         if len(self) >= self._most:
-            self._thin()
+            # Drop every second row of the older half
+            table = self.table()
+            half = len(table) // 2
+            self._values = array("d", np.concatenate((table[:half:2], table[half:])).tobytes())
+            self.thinned += 1
 
     def table(self) -> FloatArray:
         """All rows, shape (n, columns)."""
         return np.array(self._values, dtype=np.float64).reshape(-1, self._width)
-
-    def _thin(self) -> None:
-        """Drop every second row of the older half."""
-        table = self.table()
-        half = len(table) // 2
-        self._values = array("d", np.concatenate((table[:half:2], table[half:])).tobytes())
-        self.thinned += 1
 
 
 class Trend:
@@ -112,7 +109,15 @@ def write_trend(stem: Path, trend: Trend, kind: str) -> Path:
     """
     path = stem.with_suffix(f".{kind}")
     if kind == "parquet":
-        write_whole(path, _parquet(trend))
+        # The trend as the bytes of a Parquet file
+        try:
+            import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
+            from pyarrow import parquet  # noqa: PLC0415
+        except ImportError:
+            raise UserError(NO_PYARROW) from None
+        sink = pa.BufferOutputStream()
+        parquet.write_table(pa.table(trend.columns()), sink)
+        write_whole(path, bytes(sink.getvalue()))
     else:
         whole = [name in WHOLE for name in trend.names]
         lines = (",".join(map(_text, row, whole)) for row in trend.rows)
@@ -123,15 +128,3 @@ def write_trend(stem: Path, trend: Trend, kind: str) -> Path:
 def _text(value: float, whole: bool) -> str:
     """A number as it reads back the same."""
     return str(int(value)) if whole else repr(value)
-
-
-def _parquet(trend: Trend) -> bytes:
-    """The trend as the bytes of a Parquet file."""
-    try:
-        import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
-        from pyarrow import parquet  # noqa: PLC0415
-    except ImportError:
-        raise UserError(NO_PYARROW) from None
-    sink = pa.BufferOutputStream()
-    parquet.write_table(pa.table(trend.columns()), sink)
-    return bytes(sink.getvalue())

@@ -33,7 +33,17 @@ def recorded_columns(session: RecordedSession) -> Columns:
     if parquet.is_file():
         return _parquet(parquet)
     try:
-        return _overheard(session)
+        # The samples of the bus log; without its beginning, in which the host got to know the device, as a
+        # bystander
+        config = session.config
+        whole = not log_parts(session.bus_log).gone
+        heard = Overhearing(config.bus.node, config.loop.sample_time_s, as_host=whole)
+        joined = (heard.take(message) for message in read_parts(session.bus_log))
+        rows = [(s.sample.t_s, s.sample.sp, s.sample.pv, s.sample.co, 0.0) for s in joined if s is not None]
+        if not rows:
+            raise UserError(f"{session.bus_log}: holds no samples of the loop")
+        table = np.array(list(itertools.chain.from_iterable(rows)), dtype=np.float64).reshape(-1, len(FROM_LOG))
+        return {name: table[:, i] for i, name in enumerate(FROM_LOG)}
     except RecordingError as error:
         raise UserError(f"{session.folder}: has no trend, and its bus log cannot be used: {error}") from None
 
@@ -77,16 +87,3 @@ def _checked(path: Path, columns: Columns) -> Columns:
         if not np.all(np.isfinite(columns[name])):
             raise UserError(f"{path}: column {name} holds a value that is not a finite number")
     return columns
-
-
-def _overheard(session: RecordedSession) -> Columns:
-    """The samples of the bus log; without its beginning, in which the host got to know the device, as a bystander."""
-    config = session.config
-    whole = not log_parts(session.bus_log).gone
-    heard = Overhearing(config.bus.node, config.loop.sample_time_s, as_host=whole)
-    joined = (heard.take(message) for message in read_parts(session.bus_log))
-    rows = [(s.sample.t_s, s.sample.sp, s.sample.pv, s.sample.co, 0.0) for s in joined if s is not None]
-    if not rows:
-        raise UserError(f"{session.bus_log}: holds no samples of the loop")
-    table = np.array(list(itertools.chain.from_iterable(rows)), dtype=np.float64).reshape(-1, len(FROM_LOG))
-    return {name: table[:, i] for i, name in enumerate(FROM_LOG)}

@@ -222,7 +222,11 @@ class Replay:
         if row.kind == "decision":
             self._compare(row)
         elif row.kind == ROW:
-            self._schedule(row)
+            # A schedule that was proposed, with the one that the records ask for now
+            found = refined(self._retuner)
+            if not same_proposal(row.body, found, rounded=self._result.engines is not None):
+                now = MISSING if found is None else found.sentence
+                self._result.difference = Difference(0, row.seq, ROW, row.body["reason"], now)
         elif row.kind == "link" and row.body["state"] != "up":
             self._heard.contact_lost()
         else:
@@ -247,13 +251,6 @@ class Replay:
         else:
             key, then, now = first_difference(recorded, again)
         self._result.difference = Difference(made.number, row.seq, key, then, now)
-
-    def _schedule(self, row: Row) -> None:
-        """A schedule that was proposed, with the one that the records ask for now."""
-        found = refined(self._retuner)
-        if not same_proposal(row.body, found, rounded=self._result.engines is not None):
-            now = MISSING if found is None else found.sentence
-            self._result.difference = Difference(0, row.seq, ROW, row.body["reason"], now)
 
     def _log_trouble(self) -> str:
         """What the ledger says of trouble with the log."""

@@ -42,7 +42,21 @@ def schedule_figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
     for i, (name, label) in enumerate(CURVES):
         axes = figure.add_subplot(grid[1 + i, 0], sharex=first)
         first = first or axes
-        _curve(axes, found, name, label)
+        # One parameter with its band of two standard deviations
+        x = np.linspace(found.places[0].x, found.places[-1].x, FINE)
+        top = 1e-300
+        for x2, style in zip(found.slices, STYLES, strict=False):
+            value, std = _parameter(found, name, x, x2)
+            axes.fill_between(x, value * np.exp(-OUT * std), value * np.exp(OUT * std), color=PV, alpha=0.2, lw=0)
+            axes.plot(x, value, color=PV, lw=1.6, ls=style, label=_at(found, x2))
+            top = max(float(np.max(value)), top)
+        if found.second:
+            axes.legend(loc="upper right", fontsize=8, frameon=False, ncols=3)
+        axes.set_ylim(0, 1.35 * top)
+        axes.set_ylabel(label)
+        _visited(axes, found)
+        if name == "tau":
+            axes.set_ylabel("lag [s], cut where it\nacts as an integrator", fontsize=9)
     panels = [figure.add_subplot(grid[1 + i, 1], sharex=first) for i in range(3)]
     _gains(panels[0], found)
     _judged(panels[1], found, "ms")
@@ -97,24 +111,6 @@ def _records(axes: "Axes", found: ScheduleDesign, windows: Sequence[Window]) -> 
     told = ", coloured by the regions that follow from them" if found.table is not None else ""
     axes.set_title(f"the records{told}", loc="left", fontsize=10)
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=8, frameon=False, ncols=2)
-
-
-def _curve(axes: "Axes", found: ScheduleDesign, name: str, label: str) -> None:
-    """One parameter with its band of two standard deviations."""
-    x = np.linspace(found.places[0].x, found.places[-1].x, FINE)
-    top = 1e-300
-    for x2, style in zip(found.slices, STYLES, strict=False):
-        value, std = _parameter(found, name, x, x2)
-        axes.fill_between(x, value * np.exp(-OUT * std), value * np.exp(OUT * std), color=PV, alpha=0.2, lw=0)
-        axes.plot(x, value, color=PV, lw=1.6, ls=style, label=_at(found, x2))
-        top = max(float(np.max(value)), top)
-    if found.second:
-        axes.legend(loc="upper right", fontsize=8, frameon=False, ncols=3)
-    axes.set_ylim(0, 1.35 * top)
-    axes.set_ylabel(label)
-    _visited(axes, found)
-    if name == "tau":
-        axes.set_ylabel("lag [s], cut where it\nacts as an integrator", fontsize=9)
 
 
 STYLES = ("-", "--", ":")

@@ -236,10 +236,7 @@ class GainWriter:
         if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being taken back
             return
         self.commits.append((self.t_s, write.region))
-        self._tell_trial(write, stored)
-
-    def _tell_trial(self, write: Wanted, stored: PidGains) -> None:
-        """Record that a change is on trial from now on, if it is."""
+        # Record that a change is on trial from now on, if it is
         trial = self.retuner.trials.of(write.region)
         if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY, TrialPhase.ENSURING} and trial.old is not None:
             row = {
@@ -373,7 +370,9 @@ class GainWriter:
             return None
         if self._pending is not None:
             held = self.t_s < self._hold_until_s
-            if self._given_up(self._pending):
+            # Whether a change that was to be on trial no longer is: nothing is written that nobody would watch
+            promised = self._pending.decision is not None and self._pending.decision.promise is not None
+            if promised and self.retuner.trials.phase(self._pending.region) != TrialPhase.WRITING:
                 self._drop("it was dropped before it could be written")
             elif self._pending.region == region and not held and not self.frozen:
                 return self._here(self._pending)
@@ -386,11 +385,6 @@ class GainWriter:
         gains = self._in_table()
         far = gains is not None and change_factor(running, gains) > self._tolerance
         return Wanted(Why.SCHEDULE, region, gains) if gains is not None and far else None
-
-    def _given_up(self, pending: Wanted) -> bool:
-        """Whether a change that was to be on trial no longer is: nothing is written that nobody would watch."""
-        promised = pending.decision is not None and pending.decision.promise is not None
-        return promised and self.retuner.trials.phase(pending.region) != TrialPhase.WRITING
 
     def _here(self, wanted: Wanted) -> Wanted:
         """What a decision means here and now: in an interpolated table the region's new set is a part of a mean."""

@@ -349,14 +349,11 @@ class LoopSession:
                 if isinstance(event, HELD_BY):
                     self.writer.hold(kind)
                 if isinstance(event, RunningChanged):
-                    self._edited(event)
+                    # Somebody else has changed the running set: it is theirs, and stays
+                    decision = None if self.retuner.turned else self.retuner.edited(event.running.gains)
+                    if decision is not None:
+                        self._decided(decision)
                 self._abort(abort_cause(event))
-
-    def _edited(self, event: RunningChanged) -> None:
-        """Somebody else has changed the running set: it is theirs, and stays."""
-        decision = None if self.retuner.turned else self.retuner.edited(event.running.gains)
-        if decision is not None:
-            self._decided(decision)
 
     def _watch_action(self, running: RunningSet | None) -> None:
         """Whether what runs acts in the commissioned direction: a turned one puts the loop on hold, and is told once.

@@ -100,7 +100,13 @@ def diagnose(options: DiagnoseOptions) -> int:
         The file or an option cannot be used.
     """
     gains = controller(options)
-    _check_aim(options)
+    # Refuse aims that are none, and one without its numbers
+    if options.aim not in AIMS:
+        raise UserError(f"--aim {options.aim}: give one of {', '.join(AIMS)}")
+    given = options.ymax is not None or options.u0 is not None
+    if (AIMS[options.aim] is None) == given:
+        wanted = "--ymax: how far pv may go" if not given else "no --ymax and no --u0: they go with the other aims"
+        raise UserError(f"--aim {options.aim}: give {wanted}")
     records = read_records_of_loop(options)
     for read in records:
         require_length(read.recording)
@@ -139,16 +145,6 @@ class Aimed(NamedTuple):
 
     lines: tuple[str, ...] = ()
     document: dict[str, object] | None = None
-
-
-def _check_aim(options: DiagnoseOptions) -> None:
-    """Refuse aims that are none, and one without its numbers."""
-    if options.aim not in AIMS:
-        raise UserError(f"--aim {options.aim}: give one of {', '.join(AIMS)}")
-    given = options.ymax is not None or options.u0 is not None
-    if (AIMS[options.aim] is None) == given:
-        wanted = "--ymax: how far pv may go" if not given else "no --ymax and no --u0: they go with the other aims"
-        raise UserError(f"--aim {options.aim}: give {wanted}")
 
 
 def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> Aimed:
@@ -197,9 +193,12 @@ def document(found: DiagnosedRecord) -> dict[str, object]:
     settings = result.settings.to_dict() if result.settings is not None and result.diagnosis.retune else {}
     estimate = result.estimate.to_dict() if result.estimate is not None else {}
     told = result.to_dict()
+    # The evidence of a diagnosis as plain JSON values
+    value = told["evidence"]
+    assert isinstance(value, dict)
     return {
         **told,
-        "evidence": {**found.seen.evidence, **_mapping(told["evidence"])},
+        "evidence": {**found.seen.evidence, **value},
         "gains": settings.get("gains"),
         "form": settings.get("form"),
         "margins": settings.get("margins"),
@@ -212,12 +211,6 @@ def document(found: DiagnosedRecord) -> dict[str, object]:
         "notes": list(found.notes),
         "by_eye": _by_eye(found),
     }
-
-
-def _mapping(value: object) -> dict[str, object]:
-    """The evidence of a diagnosis as plain JSON values."""
-    assert isinstance(value, dict)
-    return value
 
 
 def _in_force(found: DiagnosedRecord) -> dict[str, object] | None:

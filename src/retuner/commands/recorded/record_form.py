@@ -29,25 +29,16 @@ def record_form(options: FormOptions) -> RecordForm:
     given |= {"bad": (*form.bad, options.bad)} if options.bad else {}
     given |= {"dbc": tuple(map(str, options.dbc))} if options.dbc else {}
     with user_input("the form of the record"):
-        scale = {**form.scale, **_scales(options.scale)}
+        # --scale as signal to what it is recorded as and stands for
+        text = options.scale
+        found: dict[str, str] = {}
+        for part in (p.strip() for p in text.split(",") if p.strip()):
+            role, equals, scaling = part.partition("=")
+            if not equals or role in found:
+                raise UserError(f"--scale {part}: give signal=range, each signal once, as in pv=4..20:0..200")
+            found[role] = scaling
+        scale = {**form.scale, **found}
         return replace(form, columns={**form.columns, **renamed(options.columns)}, scale=scale, **given)
-
-
-def _scales(text: str) -> dict[str, str]:
-    """--scale as signal to what it is recorded as and stands for.
-
-    Raises
-    ------
-    UserError
-        A part is not signal=range, or a signal is given twice.
-    """
-    found: dict[str, str] = {}
-    for part in (p.strip() for p in text.split(",") if p.strip()):
-        role, equals, scaling = part.partition("=")
-        if not equals or role in found:
-            raise UserError(f"--scale {part}: give signal=range, each signal once, as in pv=4..20:0..200")
-        found[role] = scaling
-    return found
 
 
 def renamed(text: str) -> dict[str, str]:

@@ -74,7 +74,12 @@ def read_records_of_loop(options: RecordOptions) -> list[LoopRecord]:
 
 def _check_options(options: RecordOptions) -> None:
     """Refuse limits and names that cannot be used."""
-    _check_limits(options)
+    # Refuse limits that are none
+    for name, value in (("--co-min", options.co_min), ("--co-max", options.co_max)):
+        if value is not None and not math.isfinite(value):
+            raise UserError(f"{name} {value}: give a finite number")
+    if options.co_min is not None and options.co_max is not None and options.co_min >= options.co_max:
+        raise UserError(f"--co-min {options.co_min:g} is not below --co-max {options.co_max:g}: exchange them")
     check_plot(options.plot)
 
 
@@ -83,7 +88,17 @@ def _checked(read: LoopRecord, options: RecordOptions) -> LoopRecord:
     read = _cut(read, options)
     if not options.open_loop:
         require_setpoint(read.recording)
-    _check_range(read.recording, options)
+    # Refuse limits in another unit than the record's: most of co lies beyond them
+    recording = read.recording
+    low, high = float(recording.co.min()), float(recording.co.max())
+    for name, limit, beyond in (
+        ("--co-min", options.co_min, None if options.co_min is None else recording.co < options.co_min),
+        ("--co-max", options.co_max, None if options.co_max is None else recording.co > options.co_max),
+    ):
+        if beyond is not None and float(beyond.mean()) > MOST_BEYOND:
+            raise UserError(
+                f"{name} {limit:g}: co runs from {low:g} to {high:g} in {recording.source}; give the limits in its unit"
+            )
     return read
 
 
@@ -137,19 +152,6 @@ def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:
     if moment.tzinfo is None:
         moment = moment.replace(tzinfo=ZoneInfo(zone) if zone else UTC)
     return moment.timestamp() - read.begin_s
-
-
-def _check_range(recording: Recording, options: RecordOptions) -> None:
-    """Refuse limits in another unit than the record's: most of co lies beyond them."""
-    low, high = float(recording.co.min()), float(recording.co.max())
-    for name, limit, beyond in (
-        ("--co-min", options.co_min, None if options.co_min is None else recording.co < options.co_min),
-        ("--co-max", options.co_max, None if options.co_max is None else recording.co > options.co_max),
-    ):
-        if beyond is not None and float(beyond.mean()) > MOST_BEYOND:
-            raise UserError(
-                f"{name} {limit:g}: co runs from {low:g} to {high:g} in {recording.source}; give the limits in its unit"
-            )
 
 
 def require_length(recording: Recording) -> None:
@@ -207,12 +209,3 @@ def require_direction(recording: Recording, gains: PidGains | None) -> None:
             f"--kc: these gains are {Acting.of(gains)} acting; {recording.source} shows a {Acting.of(found)}-acting "
             "controller: change the sign of --kc, or --action"
         )
-
-
-def _check_limits(options: RecordOptions) -> None:
-    """Refuse limits that are none."""
-    for name, value in (("--co-min", options.co_min), ("--co-max", options.co_max)):
-        if value is not None and not math.isfinite(value):
-            raise UserError(f"{name} {value}: give a finite number")
-    if options.co_min is not None and options.co_max is not None and options.co_min >= options.co_max:
-        raise UserError(f"--co-min {options.co_min:g} is not below --co-max {options.co_max:g}: exchange them")

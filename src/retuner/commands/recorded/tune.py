@@ -93,18 +93,15 @@ class TuneOptions:
             raise UserError(f"--type {self.type}: give one of {', '.join(ProcessType)}")
         if self.k is None:
             raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
-        self._refuse_inverse()
-        with user_input("retuner tune"):
-            lags = (self.tau1, self.tau2, self.theta)
-            return ProcessModel(ProcessType(self.type), self.k, *lags, inverse_s=self.inverse, tau3_s=self.tau3)
-
-    def _refuse_inverse(self) -> None:
-        """Refuse an inverse response out of its range, or where the type has none."""
+        # Refuse an inverse response out of its range, or where the type has none
         if self.inverse < 0 or not math.isfinite(self.inverse):
             raise UserError(f"--inverse {self.inverse:g}: give seconds, above 0, with --type sopdt-inverse only")
         if (self.inverse > 0) != (self.type == ProcessType.SOPDT_INVERSE):
             needs = "needs one above 0, in seconds" if not self.inverse else "has none; leave it out"
             raise UserError(f"--inverse {self.inverse:g}: --type {self.type} {needs}")
+        with user_input("retuner tune"):
+            lags = (self.tau1, self.tau2, self.theta)
+            return ProcessModel(ProcessType(self.type), self.k, *lags, inverse_s=self.inverse, tau3_s=self.tau3)
 
 
 @app.command(epilog="Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")

@@ -162,11 +162,7 @@ def approve(session: Path, asked: Asked, person: Person, *, as_json: bool) -> in
         return _take_up(place, full, asked.into, person, as_json=as_json)
     if asked.into is not None:
         raise UserError(f"--into: is for a proposed schedule; {full[:SHORTEST]} is a change of gains")
-    return _order_approval(place, full, person, as_json=as_json)
-
-
-def _order_approval(place: LoopPlace, full: str, person: Person, *, as_json: bool) -> int:
-    """Put the approval of a change into the session's folder; the exit status, 1 where it is not approved."""
+    # Put the approval of a change into the session's folder; the exit status, 1 where it is not approved
     reason = _closed(place, full)
     document: dict[str, object] = {
         "session": str(place.session),
@@ -196,7 +192,10 @@ def _take_up(place: LoopPlace, full: str, into: Path | None, person: Person, *, 
     today = dt.datetime.now(dt.UTC).date().isoformat()
     why = f": {person.note}" if person.note else ""
     note = one_line(f"proposal {full[:SHORTEST]} of {place.session}, approved by {person.name()} on {today}{why}")
-    _require_no_session(into)
+    # What a session ran is its record: a replay reads it
+    folder = into.resolve().parent
+    if (folder / LEDGER).exists():
+        raise UserError(f"--into {into}: belongs to the session recorded there; name the configuration of the next run")
     written = schedule_into(into, table, place.config, note, _gains_at_end(place))
     write_whole(into, written.text)
     document = {"session": str(place.session), "approved": full, "schedule": str(into), "comments": written.comments}
@@ -214,13 +213,6 @@ def _gains_at_end(place: LoopPlace) -> GainTable | None:
         return from_toml((place.folder / GAINS).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-
-
-def _require_no_session(into: Path) -> None:
-    """What a session ran is its record: a replay reads it."""
-    folder = into.resolve().parent
-    if (folder / LEDGER).exists():
-        raise UserError(f"--into {into}: belongs to the session recorded there; name the configuration of the next run")
 
 
 def _closed(place: LoopPlace, full: str) -> str:

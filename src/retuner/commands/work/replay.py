@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -45,7 +45,17 @@ def replay(options: ReplayOptions) -> int:
     show_units_of(meant)
     if options.loop is not None:
         recorded = (recorded[meant.place(options.loop)],)
-    return _again(recorded, as_json=options.as_json)
+    # Decide again in each loop; the exit status
+    with busy("deciding again"):
+        results = [(one, Replay(one).run()) for one in recorded]
+    identical, agreed = (all(getattr(one, name) for _, one in results) for name in ("identical", "agrees"))
+    if options.as_json:
+        documents = [document(one, result) for one, result in results]
+        whole = documents[0] if len(documents) == 1 else {"identical": identical, "loops": documents}
+        sys.stdout.write(json.dumps(whole, indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.writelines(f"{line}\n" for one, result in results for line in told(one, result))
+    return 0 if agreed else 1
 
 
 def _refuse_form(options: FormOptions, why: str) -> None:
@@ -54,20 +64,6 @@ def _refuse_form(options: FormOptions, why: str) -> None:
         if getattr(options, field_.name) != field_.default:
             name = field_.name.replace("_", "-")
             raise UserError(f"--{name}: gives the form of a table; {why}")
-
-
-def _again(recorded: Sequence[RecordedSession], *, as_json: bool) -> int:
-    """Decide again in each loop; the exit status."""
-    with busy("deciding again"):
-        results = [(one, Replay(one).run()) for one in recorded]
-    identical, agreed = (all(getattr(one, name) for _, one in results) for name in ("identical", "agrees"))
-    if as_json:
-        documents = [document(one, result) for one, result in results]
-        whole = documents[0] if len(documents) == 1 else {"identical": identical, "loops": documents}
-        sys.stdout.write(json.dumps(whole, indent=2, allow_nan=False) + "\n")
-    else:
-        sys.stdout.writelines(f"{line}\n" for one, result in results for line in told(one, result))
-    return 0 if agreed else 1
 
 
 def document(session: RecordedSession, result: Replayed) -> dict[str, object]:

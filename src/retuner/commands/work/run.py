@@ -117,7 +117,24 @@ class NothingHappenedError(Exception):
 
 def _run(job: RunJob, ledger: Ledger, screen: "LiveScreen") -> int:
     """The run itself, the comparison run and what is left behind, also after Ctrl-C."""
-    _open_session(job, ledger)
+    # Put the configuration as run into the folder, and what the run is made with into the ledger's first row
+    options = job.options
+    named = {
+        ("adaptation", "mode"): options.mode,
+        ("bus", "interface"): options.interface,
+        ("bus", "channel"): options.channel,
+        ("adaptation", "pretune"): options.pretune or None,
+    }
+    changes = {place: value for place, value in named.items() if value is not None}
+    text, identity = session_identity(job.config, job.text, changes)
+    schedules = taken_up(job.config.loops)
+    body = {"config": job.config.summary(), "retuner": version("retuner"), **identity, "samples": 0}
+    body |= {"schedules": schedules} if schedules else {}
+    try:
+        write_whole(job.folder / CONFIG, text)
+        ledger.append("session", body, 0.0)
+    except (LedgerError, OSError) as error:
+        raise NothingHappenedError(error) from error
     watching: Watching = product("live view").Watching(screen, job.config, job.folder)
     job_run = Run(
         job.config,
@@ -197,33 +214,6 @@ def _traffic(job: RunJob) -> dict[str, object]:
     hashes = {log.name: file_sha256(*log_parts(log).paths) for log in logs}
     first: dict[str, object] = {"bus_log": BUS_LOG, "bus_log_sha256": hashes[BUS_LOG]}
     return first if len(logs) == 1 else {**first, "bus_logs": hashes}
-
-
-def _open_session(job: RunJob, ledger: Ledger) -> None:
-    """Put the configuration as run into the folder, and what the run is made with into the ledger's first row.
-
-    Raises
-    ------
-    NothingHappenedError
-        One of them cannot be written.
-    """
-    options = job.options
-    named = {
-        ("adaptation", "mode"): options.mode,
-        ("bus", "interface"): options.interface,
-        ("bus", "channel"): options.channel,
-        ("adaptation", "pretune"): options.pretune or None,
-    }
-    changes = {place: value for place, value in named.items() if value is not None}
-    text, identity = session_identity(job.config, job.text, changes)
-    schedules = taken_up(job.config.loops)
-    body = {"config": job.config.summary(), "retuner": version("retuner"), **identity, "samples": 0}
-    body |= {"schedules": schedules} if schedules else {}
-    try:
-        write_whole(job.folder / CONFIG, text)
-        ledger.append("session", body, 0.0)
-    except (LedgerError, OSError) as error:
-        raise NothingHappenedError(error) from error
 
 
 class LedgerSize:
