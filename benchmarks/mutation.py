@@ -24,8 +24,7 @@ from bus_simulation.truth import ViolationError
 from bus_simulation.world import BOX, FIRST, World
 
 from retuner.drivers.conformance.chapters import chapters
-from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
-from retuner.drivers.conformance.counterparts import InThread
+from retuner.drivers.conformance.conversation import Conversation, InThread, NoAnswerError
 from retuner.drivers.conformance.examination import examine
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 

@@ -2,9 +2,8 @@
 
 import json
 
-from retuner.schedule.axis import CAN, Axis
-from retuner.schedule.forms import to_ideal
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, to_ideal
+from retuner.schedule.regions import CAN, Axis
 from retuner.schedule.table import GainTable, Lookup
 
 

@@ -19,8 +19,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from retuner.schedule.dials import CONTROLLERS, GAINS, NO_DERIVATIVE, PARALLEL, TIMES, Dial, told_of_spans
-from retuner.schedule.forms import Form
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import Form, PidGains
 from retuner.schedule.vendor_units import Quantity, VendorGain, VendorUnits
 
 

@@ -26,7 +26,7 @@ signals are scaled a gain is told of the spans of pv and output. Time constants 
 
 from typing import NamedTuple
 
-from retuner.schedule.forms import Form
+from retuner.schedule.gains import Form
 from retuner.schedule.vendor_units import SECONDS_PER_MINUTE, Quantity
 
 

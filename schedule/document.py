@@ -10,10 +10,8 @@ touched here.
 
 from collections.abc import Iterator
 
-from retuner.schedule.axis import CAN, Axis
-from retuner.schedule.forms import Form, to_ideal
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
+from retuner.schedule.gains import Form, PidGains, to_ideal
+from retuner.schedule.regions import CAN, Axis, Regions
 from retuner.schedule.table import GainTable, Lookup
 from retuner.schedule.toml_section import TomlSection, read_toml
 

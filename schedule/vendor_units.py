@@ -20,8 +20,15 @@ from enum import StrEnum
 from itertools import permutations
 from typing import NamedTuple
 
-from retuner.schedule.forms import IdealGains, SeriesGains, proportional_band_pct, repeats_per_min, to_ideal, to_series
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import (
+    IdealGains,
+    PidGains,
+    SeriesGains,
+    proportional_band_pct,
+    repeats_per_min,
+    to_ideal,
+    to_series,
+)
 
 SINGLE_MAX = 3.4028234663852886e38
 END_ROUNDING = 1e-6

@@ -25,6 +25,7 @@ from retuner.drivers.protocol.frames import (
     Commit,
     Confirm,
     Frame,
+    GainBox,
     Item,
     Kind,
     Lease,
@@ -38,7 +39,6 @@ from retuner.drivers.protocol.frames import (
     Stage,
     Store,
 )
-from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -23,7 +23,7 @@ ENVIRONMENT = ROOT / ".venv-lowest"
 PYTHON = ENVIRONMENT / "bin" / "python"
 STAMP = ENVIRONMENT / "versions.txt"
 TESTS = (
-    "tests/schedule/test_table.py",
+    "tests/schedule/test_regions.py",
     "tests/schedule/test_document.py",
     "tests/schedule/test_pid.py",
     "tests/adaptive/rules/test_published.py",

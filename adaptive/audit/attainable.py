@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.fit.dynamics import Clock
-from retuner.adaptive.process.model import LinearProcess, ProcessModel
-from retuner.adaptive.process.state_space import state_space
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, state_space
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule import pid
 from retuner.schedule.gains import PidGains

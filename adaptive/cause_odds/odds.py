@@ -44,7 +44,7 @@ from retuner.adaptive.explanations.wandering_load import (
     setpoint_share,
     temper,
 )
-from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition, record_condition
 from retuner.adaptive.indexes.recording_quality import held_together

@@ -30,8 +30,7 @@ from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, sta
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found, linear_verdict
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
-from retuner.adaptive.fit.coincident_loads import setpoint_changes
-from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.record import Record, setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.condition import Condition

@@ -18,7 +18,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
-from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.signals.growth import half_waves

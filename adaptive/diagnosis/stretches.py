@@ -18,7 +18,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.tuning_verdict import Found
-from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.signals.sample import Window
 
 SAMPLES_A_CYCLE = 12

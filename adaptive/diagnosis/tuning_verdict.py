@@ -23,7 +23,7 @@ from retuner.adaptive.diagnosis.cause import (
 )
 from retuner.adaptive.diagnosis.rival_fits import moves_pv
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
-from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
+from retuner.adaptive.fit.record import apart, setpoint_changes
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.candidate import Candidate

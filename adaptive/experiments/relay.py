@@ -24,8 +24,7 @@ import numpy as np
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.signals.trapezoid import trapezoid
+from retuner.adaptive.signals.sample import FloatArray, Window, trapezoid
 
 FEWEST_WAVES = 2
 """Full waves from which a result is given; the first after the start is not among them."""

@@ -25,11 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.fit.dynamics import Dynamics, through_lag
-from retuner.adaptive.fit.engine import compiled
-from retuner.adaptive.fit.record import Record
-from retuner.adaptive.fit.slopes import (
+from retuner.adaptive.fit.dynamics import (
     By,
+    Dynamics,
     LateMode,
     held_by_theta,
     held_slope,
@@ -40,8 +38,11 @@ from retuner.adaptive.fit.slopes import (
     rounded_rise,
     rounded_slope,
     step_slope,
+    through_lag,
     told_apart,
 )
+from retuner.adaptive.fit.engine import compiled
+from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD, dynamics_at, swing_excess
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray

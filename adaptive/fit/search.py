@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.fit.coincident_loads import LONGEST_LAG, near
 from retuner.adaptive.fit.dynamics import Clock, Dynamics
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit
-from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.record import LONGEST_LAG, Record, near
 from retuner.adaptive.fit.refine import LEAST_TIME, Fit, bounds, refine
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD, dynamics_at
 from retuner.adaptive.process.model import ProcessType

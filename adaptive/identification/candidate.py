@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retuner.adaptive.fit.coincident_loads import are_coincident
 from retuner.adaptive.fit.misfit import LOAD_COST, Colour, Misfit, colour, criterion
+from retuner.adaptive.fit.record import are_coincident
 from retuner.adaptive.fit.refine import EXACT, Fit, Prior, refine
 from retuner.adaptive.fit.search import load_times
 from retuner.adaptive.fit.structure import SIZE
@@ -40,7 +40,7 @@ class Candidate:
 
 
 def judged(fit: Fit, prior: Prior | None = None) -> Candidate:
-    """What a fit leaves, and its criterion: the share of a prior belongs to it, and what rests say (rests.py)."""
+    """What a fit leaves, and its criterion: the share of a prior belongs to it, and what rests say (fit/record.py)."""
     record = fit.misfit.record
     left = colour(record.pv - fit.explained, record.resolution, fit.misfit.most_order)
     known = 0.0 if prior is None else float(np.sum(prior.residuals(fit.x) ** 2))

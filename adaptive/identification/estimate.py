@@ -162,7 +162,7 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class RivalModel:
-    """Another model of the same record, without load steps at setpoint changes (coincident_loads.py).
+    """Another model of the same record, without load steps at setpoint changes (fit/record.py).
 
     model : the process. apart : how far the two are from each other, D of that page, >= 0, may be infinite.
     change_s : the setpoint change at which the winner has a load step.

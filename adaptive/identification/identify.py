@@ -19,8 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
-from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.record import Record, apart, setpoint_changes
 from retuner.adaptive.fit.refine import Fit, Prior
 from retuner.adaptive.fit.structure import SIZE, THIRD, model_at
 from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, loads_at, with_priors
@@ -66,7 +65,7 @@ class FitSettings:
         long enough after a longer one.
     hopeless : a rival model that leaves so many times as much is none; 1.3 to 3, default 1.5 (the fictions of three
         real loops: up to 1.20; true loads soon after a setpoint change: 1.12 to 1.78).
-    apart_limit : largest distance of a rival model without load steps at setpoint changes (coincident_loads.py);
+    apart_limit : largest distance of a rival model without load steps at setpoint changes (fit/record.py);
         0.2 to 1, default 0.5.
     """
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
+from retuner.adaptive.fit.record import apart, setpoint_changes
 from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.by_region import RegionRecord, identify_region
 from retuner.adaptive.identification.estimate import ModelEstimate

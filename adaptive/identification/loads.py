@@ -20,9 +20,9 @@ from functools import partial
 
 import numpy as np
 
-from retuner.adaptive.fit.coincident_loads import are_coincident
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import LOAD_COST, Misfit
+from retuner.adaptive.fit.record import are_coincident
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.search import instants
 from retuner.adaptive.fit.structure import SIZE, dynamics_at

@@ -12,8 +12,7 @@ import numpy as np
 
 from retuner.adaptive.indexes.autocovariance import Regularity, decay_ratio, iae_detection, regularity, running_mean
 from retuner.adaptive.indexes.condition import RecordCondition, record_condition
-from retuner.adaptive.indexes.half_wave import half_wave_shape
-from retuner.adaptive.indexes.harmonics import phase_deg, refined_frequency, tones
+from retuner.adaptive.indexes.harmonics import half_wave_shape, phase_deg, refined_frequency, tones
 from retuner.adaptive.indexes.jumps import flat_share, jump_share
 from retuner.adaptive.indexes.limits import AtLimits, at_limits
 from retuner.adaptive.indexes.recording_quality import recording_quality

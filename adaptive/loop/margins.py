@@ -2,7 +2,7 @@
 
     L = C G,   S = 1 / (1 + L),   T = L / (1 + L),   Ms = max |S|,   Mt = max |T|
 
-No Pade approximation. Crossovers are found on L's closed-form size and phase (crossovers.py), stability follows from
+No Pade approximation. Crossovers are found on L's closed-form size and phase (open_loop.py), stability follows from
 them (stability.py). A grid only finds where the peaks of |S| and |T| are; each is then refined. The limits at zero and
 infinite frequency count too.
 """
@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.loop.crossovers import FAR, gain_crossovers, grid, is_stable, phase_crossovers
-from retuner.adaptive.loop.open_loop import OpenLoop, open_loop
+from retuner.adaptive.loop.open_loop import FAR, OpenLoop, gain_crossovers, grid, is_stable, open_loop, phase_crossovers
 from retuner.adaptive.loop.sensitivity import falling_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray

@@ -14,9 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from retuner.adaptive.loop.crossovers import bracketed_root, grid, phase_crossovers
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.loop.open_loop import open_loop
+from retuner.adaptive.loop.open_loop import bracketed_root, grid, open_loop, phase_crossovers
 from retuner.adaptive.loop.performance import load_variation, setpoint_variation
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray

@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retuner.adaptive.loop.crossovers import gain_crossovers, grid, is_stable
-from retuner.adaptive.loop.open_loop import OpenLoop, open_loop
+from retuner.adaptive.loop.open_loop import OpenLoop, gain_crossovers, grid, is_stable, open_loop
 from retuner.adaptive.loop.simulate import CutLoop, DelaySteps, PlainSteps, cut_loop, delay_steps, plain_steps
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.loop.held_input import HeldInput
+from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains

@@ -29,7 +29,7 @@ from retuner.adaptive.region_model.update import (
     grown,
     scattered,
 )
-from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.schedule_design.stretches import Axis, Shape
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from retuner.adaptive.schedule_design.shapes import SLOPE_STD
+from retuner.adaptive.schedule_design.stretches import SLOPE_STD
 
 TOO_SURE = 2.0
 """What a record says of s is off by so many times what it claims: the curves over pv have few bends. Looked at while

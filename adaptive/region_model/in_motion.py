@@ -23,12 +23,10 @@ from retuner.adaptive.identification.candidate import MODEL_ERROR
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, proper_covariance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
-from retuner.adaptive.schedule_design.characteristic import Characteristic, over
 from retuner.adaptive.schedule_design.curves import inflation
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, noise_of, refined
 from retuner.adaptive.schedule_design.rest import Rest
-from retuner.adaptive.schedule_design.shapes import SLOPE_STD, Axis, Shape
-from retuner.adaptive.schedule_design.stretches import Stretch, signals_of
+from retuner.adaptive.schedule_design.stretches import SLOPE_STD, Axis, Characteristic, Shape, Stretch, over, signals_of
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 

@@ -31,9 +31,8 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.schedule.axis import Axis
-from retuner.schedule.forms import to_ideal
-from retuner.schedule.regions import Regions
+from retuner.schedule.gains import to_ideal
+from retuner.schedule.regions import Axis, Regions
 
 # What a model asks of its controller, as two numbers with their covariance: (ln |Kc|, ln tau_I) of SIMC.
 #

@@ -9,7 +9,7 @@ a bent ridge of likely parameters, and its Gaussian dragged the gain to a tenth.
 
 A record that does not settle the process by itself still narrows it: whether settings may follow is asked of what is
 known after the record, never of the record alone. Only a record that shows nothing of the process teaches nothing, and
-one that a model without load steps at its setpoint changes explains in another way (coincident_loads.py).
+one that a model without load steps at its setpoint changes explains in another way (fit/record.py).
 
 All of this is kept per structure (fit/structure.py), each with the sum of what its records said for it, n ln sigma^2
 plus the cost of loads and colour: information criteria add up, so the structure may change at any time and none is
@@ -30,7 +30,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.fit.refine import Prior
 from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.candidate import Candidate, load_price, with_priors
@@ -40,7 +40,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, moved_on, surprise_of, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
 from retuner.adaptive.region_model.together import MOST_RECORDS, joined, kept, may_be_joined, of_the_last, unit_of
-from retuner.adaptive.schedule_design.shapes import SLOPE_STD
+from retuner.adaptive.schedule_design.stretches import SLOPE_STD
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.through_valve import SeenThrough, through_valve
 from retuner.schedule.gains import PidGains

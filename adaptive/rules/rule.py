@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.schedule.forms import from_form, in_form
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, from_form, in_form
 
 # Which actions a controller has.
 

@@ -12,8 +12,7 @@ from itertools import combinations, pairwise, product
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.cover import CALMER, mean_of, times
-from retuner.adaptive.schedule_design.places import DesignLimits, Place
+from retuner.adaptive.schedule_design.places import CALMER, DesignLimits, Place, mean_of, times
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 

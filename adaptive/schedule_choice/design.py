@@ -7,21 +7,25 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from retuner.adaptive.fit.record import setpoint_changes
+from retuner.adaptive.identification.first_step import FirstStep, first_step
+from retuner.adaptive.identification.robust_simc import RobustTuning
+from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.schedule_choice.candidates import (
     Candidate,
+    Crossing,
     axis_of,
+    crossings,
     curves_along,
     curves_over_both,
 )
 from retuner.adaptive.schedule_choice.cells import COUNT, Cells, cells
-from retuner.adaptive.schedule_choice.crossing import Crossing, crossings
-from retuner.adaptive.schedule_design.cover import Layout, knots, steps
 from retuner.adaptive.schedule_design.curves import Curves
-from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
-from retuner.adaptive.schedule_design.shapes import Axis, Shape
-from retuner.adaptive.schedule_design.stretches import tells
+from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, knots, place_at, steps
+from retuner.adaptive.schedule_design.stretches import Axis, Shape, tells
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
 PLACES = 25
@@ -400,3 +404,143 @@ def _hysteresis(chosen: Candidate, lookup: Lookup, edges: Sequence[float]) -> fl
 
 
 __all__ = ["Candidate", "Design", "Evidence", "design"]
+
+
+# ---- How far a schedule may go at once: each set no farther than what was asked of the records where it is in force.
+#
+# The door of a single loop's settings (identification/first_step.py), set by set: of the setpoint and load steps that
+# happened in its part, and against the gains in force there. A set is held to the place of its part where it goes
+# farthest; one that is mixed with its neighbours, to its own knot.
+
+InForce = Callable[[float, float | None], PidGains | None]
+"""Gains that were in force at a value of the variable, and of a second one; None where nobody knows."""
+
+
+def first_sets(found: Design, windows: Sequence[Window], visited: Sequence[FloatArray], in_force: InForce) -> Design:
+    """The design with sets that its records carry at once; what they lead to is its aim, None where that is no farther.
+
+    windows : the records. visited : the variable at their samples, and a second one, each over all records.
+    """
+    layout = found.layout
+    if layout is None:
+        return found
+    events = _events(found, windows, visited)
+    steps = [_step(found.places, layout, part, gains, events[part], in_force) for part, gains in enumerate(layout.sets)]
+    taken = [step for step in steps if step is not None]
+    if not taken:
+        return found
+    sets = tuple(old if new is None else new.now.tuning.gains for old, new in zip(layout.sets, steps, strict=True))
+    first = replace(layout, sets=sets)
+    farthest = max(taken, key=lambda step: step.factor / step.carried)
+    made = replace(found, layout=first, aim=layout, reason=f"{found.reason}; {farthest.sentence}")
+    return replace(made, crossings=crossings_of(made, windows))
+
+
+def _events(found: Design, windows: Sequence[Window], visited: Sequence[FloatArray]) -> list[int]:
+    """Setpoint and load steps in the part of each set."""
+    layout = found.layout
+    assert layout is not None
+    counted, begun = [0] * len(layout.sets), 0
+    for window in windows:
+        rows = begun + np.searchsorted(window.t_s - window.t_s[0], setpoint_changes(window))
+        for row in rows.tolist():
+            counted[layout.part(*(float(values[row]) for values in visited))] += 1
+        begun += len(window.t_s)
+    for stretch, loads in zip(found.curves.joint.stretches, found.curves.joint.loads, strict=True):
+        at = [float(np.mean(values)) for values in (stretch.x, stretch.x2) if values is not None]
+        counted[layout.part(*at)] += len(loads) // 2  # each enters between two rows
+    return counted
+
+
+def _step(
+    places: Sequence[Place], layout: Layout | Cells, part: int, gains: PidGains, events: int, in_force: InForce
+) -> FirstStep | None:
+    """The first step of a set where it goes farthest; None where it may be reached at once."""
+    inside = [place for place in places if place.known and layout.part(place.x, place.x2) == part]
+    if layout.lookup is Lookup.INTERPOLATED:
+        inside = inside[len(inside) // 2 :][:1]
+    steps = []
+    for place in inside:
+        now, judged = in_force(place.x, place.x2), place.judged(gains)
+        if now is not None:
+            aim = RobustTuning(Tuning("simc", "series", gains), judged.ms, judged.ms_worst)
+            steps.append(first_step(aim, now, events, place.model, place.sample_time_s))
+    return max((step for step in steps if step is not None), key=lambda step: step.factor, default=None)
+
+
+# ---- Where the next experiment teaches most: the place whose gain is known least, and a step that shows it there
+
+OVER_NOISE = 20.0
+"""Size of the answer over the noise of pv."""
+LEAST_SHARE = 0.03
+"""And as a share of what pv travels in the records."""
+LAGS, DEAD_TIMES = 3.0, 10.0
+"""How long the step is held: theta and so many lags, at most so many dead times more (a slow rise shows the slope)."""
+
+
+CO_SHARE = 0.8
+"""Of the room that co has at a place: a step may use so much, the rest is left to loads."""
+
+Range = tuple[float | None, float | None]
+"""Lower and upper limit, each where it is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class NextExperiment:
+    """A step of the controller output in manual, or of the setpoint in automatic, at a place of the variable.
+
+    x : where. co_step : in units of co. sp_step : in units of pv. hold_s : how long. gain_std : of ln Kc there now.
+    x2 : of a second variable. held : whether the output's limits hold the step below what would be seen well.
+    """
+
+    x: float
+    co_step: float
+    sp_step: float
+    hold_s: float
+    gain_std: float
+    held: bool = False
+    x2: float | None = None
+
+    def to_dict(self) -> dict[str, float | bool | None]:
+        """Keys x, x2 (null for one variable), co_step, sp_step, hold_s, gain_std, held."""
+        return {
+            "x": self.x,
+            "x2": self.x2,
+            "co_step": self.co_step,
+            "sp_step": self.sp_step,
+            "hold_s": self.hold_s,
+            "gain_std": self.gain_std,
+            "held": self.held,
+        }
+
+
+def next_experiment(curves: Curves, places: Sequence[Place], co: Range = (None, None)) -> NextExperiment:
+    """The experiment that teaches most. co : limits of the output; a step goes where there is room, and no farther."""
+    least = max(places, key=lambda place: place.gain_std)
+    model = least.model
+    stretches = curves.joint.stretches
+    travel = max(float(s.pv.max()) for s in stretches) - min(float(s.pv.min()) for s in stretches)
+    noise = max(noise_sigma(s.pv) for s in stretches)
+    answer = max(OVER_NOISE * noise, LEAST_SHARE * travel)
+    hold = model.theta_s + min(LAGS * (model.tau1_s + model.tau2_s), DEAD_TIMES * (model.theta_s + model.tau2_s))
+    lag = model.tau1_s or hold
+    reached = model.k * min(1.0, (hold - model.theta_s) / lag)
+    wanted = answer / abs(reached)
+    step = _within(wanted, float(curves.rest.co(np.array([least.x]))[0]), co, inwards=_inwards(least, places, reached))
+    return NextExperiment(least.x, step, step * reached, hold, least.gain_std, abs(step) < 0.999 * wanted, least.x2)
+
+
+def _inwards(least: Place, places: Sequence[Place], gain: float) -> float:
+    """Sign of the step of co that moves pv away from the nearer end of the range."""
+    middle = (places[0].x + places[-1].x) / 2
+    return math.copysign(1.0, gain) * (1.0 if least.x <= middle else -1.0)
+
+
+def _within(wanted: float, rest: float, co: Range, inwards: float) -> float:
+    """A step of this size away from rest, inwards where there is room; else the other way, or as far as it goes."""
+    low, high = co
+    up = math.inf if high is None else CO_SHARE * max(high - rest, 0.0)
+    down = math.inf if low is None else CO_SHARE * max(rest - low, 0.0)
+    room = {1.0: up, -1.0: down}
+    way = inwards if room[inwards] >= min(wanted, room[-inwards]) else -inwards
+    return way * min(wanted, room[way])

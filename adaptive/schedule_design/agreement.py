@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from retuner.adaptive.schedule_design.joint import At, Form
-from retuner.adaptive.schedule_design.shapes import LEVEL_STD
+from retuner.adaptive.schedule_design.stretches import LEVEL_STD
 from retuner.adaptive.signals.sample import FloatArray
 
 DIFFERENCES = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)

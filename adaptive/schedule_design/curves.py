@@ -15,12 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.schedule_design.agreement import agreement
-from retuner.adaptive.schedule_design.characteristic import Characteristic, over
-from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, at, noise_of, refined
+from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, at, noise_of, refined, starts, with_loads
 from retuner.adaptive.schedule_design.rest import Rest
-from retuner.adaptive.schedule_design.shapes import LEVEL_STD, Axis, Second, Shape
-from retuner.adaptive.schedule_design.start import starts, with_loads
-from retuner.adaptive.schedule_design.stretches import Stretch
+from retuner.adaptive.schedule_design.stretches import LEVEL_STD, Axis, Characteristic, Second, Shape, Stretch, over
 from retuner.adaptive.schedule_design.weighing import SHAPES, SIMPLER, weighed
 from retuner.adaptive.signals.sample import FloatArray
 

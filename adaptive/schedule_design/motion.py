@@ -19,8 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.characteristic import Characteristic, summed
-from retuner.adaptive.schedule_design.stretches import Stretch
+from retuner.adaptive.schedule_design.stretches import Characteristic, Stretch, summed
 from retuner.adaptive.signals.sample import FloatArray
 
 

@@ -7,6 +7,7 @@ the variable are means over an interval round their time; co is kept as its inte
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from itertools import pairwise
 
 import numpy as np
@@ -185,3 +186,172 @@ def without_gaps(window: Window, values: FloatArray) -> list[tuple[Window, Float
         return [(window, values)]
     edges = [0, *rows.tolist(), len(window.t_s)]
     return [(window.part(slice(a, b)), values[a:b]) for a, b in pairwise(edges) if b - a >= FEWEST_ROWS]
+
+
+# ---- Shapes of a parameter over the scheduling variable, and what is thought of them before any record.
+#
+#     ln p(x) = m + 3 z_0 + 0.7 z_1 xi(x) + 0.35 sum_j z_j e_j(x),    z ~ N(0, 1),    xi from -1 to 1 over the range
+#
+# Level, slope, and bends: e_j are the principal components of a straight-line-free integrated Wiener process on a
+# few knots (the prior of the smoothing spline, Wahba 1978). With the bends left out it is a line in ln p, with the
+# slope left out as well a constant; which of the three holds, the evidence decides for each parameter by itself.
+
+LEVEL_STD, SLOPE_STD, BEND_STD = 3.0, 0.7, 0.35
+"""Of ln p: whole level; either end against the middle (a factor of 4 over the range is one); departure from a line."""
+BENDS = 6
+"""Principal components of a bend."""
+KNOTS = 13
+
+
+class Shape(IntEnum):
+    """How many coefficients a parameter has."""
+
+    CONSTANT = 1
+    LINE = 2
+    BENT = 2 + BENDS
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """Where the curves live: low to high of the scheduling variable.
+
+    by_ratio : whether a straight line is one over ln x, a power law, as gain, lag and delay over a flow are.
+    """
+
+    low: float
+    high: float
+    by_ratio: bool = False
+
+    def columns(self, x: FloatArray, shape: Shape) -> FloatArray:
+        """d ln p(x) / dz, shape (*x.shape, shape). Outside low..high it is what it is at the end."""
+        inside = np.clip(x, self.low, self.high)
+        share = (inside - self.low) / (self.high - self.low)
+        if self.by_ratio:
+            share = np.log(inside / self.low) / np.log(self.high / self.low)
+        xi = 2 * share - 1
+        found = [np.full(x.shape, LEVEL_STD), SLOPE_STD * xi]
+        found += [np.interp(xi, _PLACES, bend) for bend in _BENT.T]
+        return np.stack(found[: int(shape)], axis=-1)
+
+    def grid(self, n: int) -> FloatArray:
+        """n places from low to high."""
+        return np.linspace(self.low, self.high, n)
+
+
+@dataclass(frozen=True, slots=True)
+class Second:
+    """A second variable beside the first: ln p(x, x2) is the curve over x and one over x2 without a level of its own.
+
+    So every parameter is a product k(x) f(x2): both may matter, and neither bends the other's curve.
+
+    axis : of x2. shapes : of each parameter over it. pushed : it comes from outside and moves pv by itself.
+    """
+
+    axis: Axis
+    shapes: tuple[Shape, ...]
+    pushed: bool = False
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of coefficients of each parameter."""
+        return tuple(int(shape) - 1 for shape in self.shapes)
+
+    def columns(self, x2: FloatArray, i: int) -> FloatArray:
+        """d ln p_i / dz at x2, shape (*x2.shape, sizes[i])."""
+        return self.axis.columns(x2, self.shapes[i])[..., 1:]
+
+
+def _bends() -> FloatArray:
+    """The bends at the knots, shape (KNOTS, BENDS), scaled by BEND_STD."""
+    t = np.linspace(0.0, 1.0, KNOTS)
+    early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
+    wiener = early**2 * (3 * late - early) / 6
+    line = np.stack([np.ones(KNOTS), t], axis=1)
+    q = np.linalg.qr(line)[0]
+    free = np.eye(KNOTS) - q @ q.T
+    values, vectors = np.linalg.eigh(free @ wiener @ free)
+    bends = vectors[:, ::-1][:, :BENDS] * np.sqrt(values[::-1][:BENDS])
+    typical = np.sqrt(np.mean(np.sum(bends**2, axis=1)))
+    return np.asarray(bends * BEND_STD / typical, dtype=np.float64)
+
+
+_PLACES = np.linspace(-1.0, 1.0, KNOTS)
+_BENT = _bends()
+
+
+# ---- The installed characteristic: how strongly a percent of co acts, over co itself.
+#
+#     v = phi(u),   ln phi'(u) = slope and bends over co, without a level of its own (that is the slope gain's)
+#
+# A valve's curve, burst firing, a fan's law: on the way co is far from where it rests, and the process answers
+# there with another gain than at rest. A fit that knows only the place of pv puts that into lags and bends of the
+# place (Hammerstein model; Narendra and Gallman 1966). At rest the two are one: the gain at a place is that of the
+# co which holds it.
+
+GRID = 101
+"""Values of co at which phi is worked out; a straight line between."""
+LEAST_TRAVEL = 1e-6
+"""Of co, as a share of its size, below which it has no characteristic."""
+
+
+@dataclass(frozen=True, slots=True)
+class Characteristic:
+    """Over axis, the range of co in the records. shape : LINE or BENT; CONSTANT is co as it is.
+
+    slope : of ln phi' per unit of co, as it is known beforehand. doubt : of its coefficients, 1 where nothing is.
+    """
+
+    axis: Axis
+    shape: Shape = Shape.CONSTANT
+    slope: float = 0.0
+    doubt: float = 1.0
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return int(self.shape) - 1
+
+    def columns(self, co: FloatArray) -> FloatArray:
+        """d ln phi'/dz at co, shape (*co.shape, size)."""
+        return self.doubt * self.axis.columns(co, self.shape)[..., 1:]
+
+    def known(self, co: FloatArray) -> FloatArray:
+        """ln phi' as it is known beforehand, shape (*co.shape); 0 in the middle of the axis."""
+        inside = np.clip(co, self.axis.low, self.axis.high)
+        return np.asarray(self.slope * (inside - (self.axis.low + self.axis.high) / 2), dtype=np.float64)
+
+    def felt(self, co: FloatArray, z: FloatArray) -> FloatArray:
+        """phi(co) for each variant of z, shape (size, variants): (n, variants). Beyond the axis its slope stays."""
+        grid = self.axis.grid(GRID)
+        rate = np.exp(self.known(grid)[:, None] + self.columns(grid) @ z)
+        width = (self.axis.high - self.axis.low) / (GRID - 1)
+        summed = np.concatenate([np.zeros((1, z.shape[1])), np.cumsum((rate[1:] + rate[:-1]) / 2 * width, axis=0)])
+        inside = np.clip(co, self.axis.low, self.axis.high)
+        found = [np.interp(inside, grid, summed[:, i]) for i in range(z.shape[1])]
+        ends = np.where((co > self.axis.high)[:, None], rate[-1], rate[0])
+        return np.asarray(np.stack(found, axis=1) + (co - inside)[:, None] * ends, dtype=np.float64)
+
+
+def over(stretches: Sequence[Stretch], shape: Shape = Shape.BENT) -> Characteristic | None:
+    """Over what co does in the records; None where it stands still."""
+    rates = [np.diff(s.fired(s.t_s)) / np.diff(s.t_s) for s in stretches]
+    low, high = min(float(np.min(r)) for r in rates), max(float(np.max(r)) for r in rates)
+    if not high - low > LEAST_TRAVEL * max(abs(low), abs(high)):
+        return None
+    return Characteristic(Axis(low, high), shape)
+
+
+def summed(characteristic: Characteristic, stretches: Sequence[Stretch], z: FloatArray) -> list[FloatArray]:
+    """The integral of phi(co) until each of a stretch's Signals.begun_s, (n, variants), for each; worked out once."""
+    done: list[tuple[Signals, FloatArray]] = []
+    found = []
+    for stretch in stretches:
+        signals = stretch.signals
+        known = next((values for of, values in done if of is signals), None)
+        if known is None:
+            held = np.diff(signals.begun_s)
+            felt = characteristic.felt(np.diff(signals.fired) / held, z) * held[:, None]
+            known = np.concatenate([np.zeros((1, z.shape[1])), np.cumsum(felt, axis=0)])
+            done.append((signals, known))
+        found.append(known)
+    return found

@@ -18,7 +18,7 @@ import numpy as np
 
 from retuner.adaptive.schedule_design.agreement import Agreement
 from retuner.adaptive.schedule_design.joint import Form
-from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.adaptive.schedule_design.stretches import Shape
 from retuner.adaptive.signals.sample import FloatArray
 
 SHAPES = (Shape.CONSTANT, Shape.LINE, Shape.BENT)

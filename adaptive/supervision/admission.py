@@ -22,8 +22,7 @@ import numpy.typing as npt
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
-from retuner.adaptive.signals.stuck_sensor import stood_still
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, stood_still
 from retuner.adaptive.weighed import Numbers
 from retuner.schedule.regions import Regions
 

@@ -41,7 +41,7 @@ from retuner.schedule.table import GainTable, Lookup
 
 FAR = 0.1
 """Share of an axis along which a process may be expected to change by twice what records of one place differ by:
-before any record a factor of 4 over the whole is one standard deviation (schedule_design/shapes.py)."""
+before any record a factor of 4 over the whole is one standard deviation (schedule_design/stretches.py)."""
 
 
 @dataclass(frozen=True)

@@ -38,9 +38,8 @@ from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.rest import wander_before
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite, plain
 from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.schedule.axis import CAN
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions, RegionState, choose, enter, values
+from retuner.schedule.regions import CAN, Regions, RegionState, choose, enter, values
 
 AUTO = LoopMode.AUTO
 CLEAN_SHARE = 0.5

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.fit.engine import compiled
-from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.process.state_space import state_space
+from retuner.adaptive.process.model import LinearProcess, state_space
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 

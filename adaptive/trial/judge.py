@@ -32,8 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from retuner.adaptive.signals.response import Ending, Response
-from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.signals.trapezoid import trapezoid
+from retuner.adaptive.signals.sample import FloatArray, Window, trapezoid
 from retuner.adaptive.trial.expectation import Expected, Promise
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, PosteriorNumbers, against, in_favour
 from retuner.adaptive.trial.response_numbers import storable, swing, three

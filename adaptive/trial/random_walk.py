@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.process.state_space import state_space
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType, state_space
 from retuner.adaptive.signals.sample import FloatArray, LoopSample
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains

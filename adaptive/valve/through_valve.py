@@ -25,9 +25,8 @@ from itertools import product
 
 import numpy as np
 
-from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.fit.misfit import WHITE, Misfit
-from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.record import Record, setpoint_changes
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.candidate import Candidate

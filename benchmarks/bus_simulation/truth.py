@@ -8,8 +8,7 @@ from collections import Counter
 from typing import NamedTuple
 
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
-from retuner.drivers.protocol.frames import newer
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox, newer
 from retuner.schedule.gains import PidGains
 
 

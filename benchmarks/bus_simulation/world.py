@@ -23,7 +23,7 @@ from bus_simulation.weather import CALM, CHANGE_EVERY, draw
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import WriteDone
 from retuner.drivers.host.running_set import ALONE
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
 
 FIRST = PidGains(1.0, 0.0625, 0.25)

@@ -9,8 +9,7 @@ from dataclasses import replace
 
 from cases.robustness import robustness
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
-from retuner.schedule.forms import from_form
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, from_form
 
 MS_OF_COMPLEX_POLES = 1.8
 TAU_C_STEP = 1.05

@@ -9,8 +9,7 @@ from cases.loop import Controller, Upsets, run
 from cases.processes import draw, log_uniform
 from cases.robustness import Robustness, robustness
 from retuner.adaptive.process.model import LinearProcess
-from retuner.schedule.forms import from_form, to_series
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, from_form, to_series
 
 RANGES = ((0.0, 100.0), (0.0, 100.0), (0.0, 100.0), (4.0, 20.0), (0.0, 1.0), (0.0, 255.0), (-100.0, 100.0))
 """Ranges of controller outputs that are met with, percent three times as often as any other."""

@@ -10,8 +10,7 @@ from collections import deque
 
 import can
 
-from retuner.drivers.bus.bus import CanLink
-from retuner.drivers.bus.link_faults import FaultNews
+from retuner.drivers.bus.bus import CanLink, FaultNews
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.device import LinkState
 from retuner.drivers.protocol.codec import COMMAND_BITS

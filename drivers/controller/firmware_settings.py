@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import PidLaw, law
 

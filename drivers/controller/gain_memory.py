@@ -20,6 +20,7 @@ from retuner.drivers.protocol.frames import (
     Ack,
     Commit,
     Confirm,
+    GainBox,
     Item,
     Kind,
     Page,
@@ -31,7 +32,6 @@ from retuner.drivers.protocol.frames import (
     Store,
     newer,
 )
-from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 

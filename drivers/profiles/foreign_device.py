@@ -37,10 +37,9 @@ from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.gain_course import GainCourse
 from retuner.drivers.profiles.sample_grid import SampleGrid
 from retuner.drivers.recorded.sample_note import note_of
-from retuner.drivers.telemetry.signal_source import ScheduleInputs
-from retuner.drivers.telemetry.signal_values import SignalTap
-from retuner.schedule.axis import CAN
+from retuner.drivers.telemetry.signal_source import ScheduleInputs, SignalTap
 from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import CAN
 
 Numbers = Mapping[str, float]
 ChooseWay = Callable[[Numbers, Numbers, bool], tuple[int, ...]]

@@ -14,9 +14,18 @@ from typing import Any
 import can
 from can.io.blf import BLFParseError
 
-from retuner.drivers.bus.bus_log import log_parts
+from retuner.drivers.bus.bus_opening import log_parts
+from retuner.drivers.device import RunningSet
+from retuner.drivers.host.connection import mismatch
+from retuner.drivers.host.page_reader import PageReader, ReadBack
+from retuner.drivers.host.running_set import Belief, RunningBelief
+from retuner.drivers.protocol import frames
+from retuner.drivers.protocol.codec import Codec, Refused
 from retuner.drivers.recorded.mf4 import mf4_errors, mf4_reader
 from retuner.drivers.recorded.recording import RecordingError
+from retuner.drivers.telemetry.device_counter import Said
+from retuner.drivers.telemetry.sample_assembly import AssembledSample, SampleJoiner
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
 
 READERS: dict[str, Callable[[Any], Iterable[can.Message]]] = {
     ".blf": can.BLFReader,
@@ -75,7 +84,7 @@ def read_frames(path: Path) -> Iterator[can.Message]:
 
 
 def read_parts(path: Path) -> Iterator[can.Message]:
-    """The frames of all parts that are there of a log (bus_log.py), oldest first; errors as read_frames."""
+    """The frames of all parts that are there of a log (bus_opening.py), oldest first; errors as read_frames."""
     for part in log_parts(path).paths:
         yield from read_frames(part)
 
@@ -99,3 +108,126 @@ def _check(path: Path) -> None:
         raise RecordingError(f"{path}: not a format of bus traffic; give {', '.join(SUFFIXES)}")
     if size > SIZE_MAX:
         raise RecordingError(f"{path}: {size} bytes are more than {SIZE_MAX}; cut the log into pieces")
+
+
+# ---- The samples of one controller out of recorded bus traffic: what a host heard then, or could have heard.
+#
+# The same codec, read-back, belief and joiner as in connection.py, driven by the recorded frames alone: nothing is
+# asked, so the questions of the host that was there are overheard. Two ways to listen:
+#   - as the host that recorded the log (its own frames are marked as sent): telemetry counts from the same frame on as
+#     it did then, once the identity and the running set had been read back; where contact was lost is for the caller
+#     to say;
+#   - as a bystander, with a log from anywhere: telemetry counts as soon as a heartbeat has told the full counter.
+
+
+class Overhearing:
+    """One node's traffic, frame by frame.
+
+    Parameters
+    ----------
+    node : of the controller. sample_time_s : of the controller, s. variable : what goes into LoopSample.x.
+    as_host : listen as the host that recorded the log, see the head of this file. gaps : samples over which time went
+    on at each restart of the device, as the host had it; without them the log's own times tell. after_s : as CanDevice.
+
+    Raises
+    ------
+    ValueError
+        No such node or variable.
+    """
+
+    def __init__(
+        self,
+        node: int,
+        sample_time_s: float,
+        variable: str | ScheduleInputs = "sp",
+        *,
+        as_host: bool = True,
+        gaps: Iterable[int] = (),
+        after_s: float | None = None,
+    ) -> None:
+        self._codec = Codec(node)
+        self._reader = PageReader()
+        self._belief = RunningBelief(node)
+        self._joiner = SampleJoiner(sample_time_s, variable, node)
+        self._joiner.go_on_after(after_s)
+        self._sample_time_s, self._as_host = sample_time_s, as_host
+        self._identified = self._connected = not as_host
+        self._sample_s = 0.0
+        self._gaps = iter(gaps)
+        self.frames = 0
+        """Frames of this node so far, whatever their direction."""
+
+    @property
+    def running(self) -> RunningSet | None:
+        """The set that runs, as far as read-backs have told."""
+        return self._belief.running
+
+    def contact_lost(self) -> None:
+        """The host heard nothing for too long here: it began anew."""
+        self._belief.doubt()
+        self._joiner.forget()
+        self._identified = self._connected = False
+
+    def take(self, message: can.Message) -> AssembledSample | None:
+        """Note a frame; the sample that it completes, with the number of samples lost before it."""
+        frame = self._codec.decode(message)
+        if isinstance(frame, Refused):
+            self._joiner.tap.take(message)
+            return None
+        self.frames += 1
+        match frame:
+            case frames.TelemetryPv() | frames.TelemetrySp():
+                return self._telemetry(frame, message.timestamp)
+            case frames.Heartbeat():
+                self._heartbeat(frame)
+            case frames.Identity():
+                # Who is there: the right device, or another one
+                if not mismatch(frame, self._sample_time_s):
+                    self._identified = True
+                    self._belief.identify()
+            case frames.PageItem() | frames.PageEnd():
+                self._page(self._reader.take(frame), message.timestamp)
+            case frames.Read() | frames.Stage() if not (self._as_host and message.is_rx):
+                # The host asks for a page, or begins to write
+                if isinstance(frame, frames.Read):
+                    self._reader.overheard(frame)
+                else:
+                    self._joiner.ordered = frame.seq
+            case _:
+                pass
+        return None
+
+    def _telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> AssembledSample | None:
+        if not self._connected:
+            return None
+        joined = self._joiner.take(half)
+        if joined is not None:
+            self._sample_s = now_s
+        return joined
+
+    def _heartbeat(self, heartbeat: frames.Heartbeat) -> None:
+        """The full counter, in the epoch that is known; to a bystander who knows of none, in any."""
+        known = self._belief.on_heartbeat(heartbeat)
+        if not self._as_host:  # it cannot ask
+            self._belief.identify()
+        counts = known or (not self._as_host and self._belief.epoch is None)
+        if counts and self._joiner.set_reference(heartbeat.sample) is Said.CONTRADICTS:
+            self._belief.contradicted()
+
+    def _page(self, page: ReadBack | None, now_s: float) -> None:
+        """What runs, when a whole page of it was read back."""
+        if page is None or page.page != frames.Page.RUNNING:
+            return
+        verdict, running = self._belief.on_page(page), self._belief.running
+        if verdict is Belief.NOTHING or running is None:
+            return
+        if verdict is Belief.FIRST and self._as_host:
+            self._joiner.set_reference(self._belief.boot_sample)
+        if verdict is Belief.RESTARTED:
+            gap = next(self._gaps, None)
+            if gap is None:
+                self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
+            else:
+                self._joiner.restart(self._belief.boot_sample, gap)
+        self._connected = self._connected or self._identified
+        self._joiner.running = running.seq

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.signals.sample import LARGEST, FloatArray, LoopMode, LoopSample
-from retuner.drivers.recorded.bus_log_samples import Overhearing
-from retuner.drivers.recorded.frame_log import read_frames
+from retuner.drivers.recorded.frame_log import Overhearing, read_frames
 from retuner.drivers.recorded.recording import (
     ROLES,
     Recording,

@@ -13,10 +13,9 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.drivers.protocol.checksum import sample_crc
 from retuner.drivers.protocol.frames import RUNNING_TAG, TelemetryPv, TelemetrySp
 from retuner.drivers.telemetry.device_counter import DeviceCounter, Said
-from retuner.drivers.telemetry.signal_source import ScheduleInputs
-from retuner.drivers.telemetry.signal_values import SignalTap
+from retuner.drivers.telemetry.signal_source import ScheduleInputs, SignalTap
 from retuner.drivers.telemetry.telemetry_quality import Arrival, ArrivalCheck
-from retuner.schedule.axis import CAN
+from retuner.schedule.regions import CAN
 
 WRAP = 256  # of the counter in the telemetry frames
 HALF = WRAP // 2

@@ -12,8 +12,7 @@ from collections.abc import Callable
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.drivers.bus.bus import CanLink, LinkSettings
-from retuner.drivers.bus.link_faults import LinkFault
+from retuner.drivers.bus.bus import CanLink, LinkFault, LinkSettings
 from retuner.drivers.clock import MonotonicClock
 from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
@@ -21,7 +20,7 @@ from retuner.drivers.device import Event, LinkChanged, SamplesLost, WriteDone, W
 from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import to_wire
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
 
 NODE = 5

@@ -11,7 +11,7 @@ from pathlib import Path
 import can
 from bench import NODE, SAMPLE_S, Bench, sh
 
-from retuner.drivers.bus.link_faults import LinkFault
+from retuner.drivers.bus.bus import LinkFault
 from retuner.drivers.bus.socket_probe import SO_RCVBUFFORCE
 
 IFACE = "vcan0"

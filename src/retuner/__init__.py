@@ -49,12 +49,12 @@ if TYPE_CHECKING:
     from retuner.diagnosing import RecordDiagnosis as RecordDiagnosis
     from retuner.diagnosing import diagnose as diagnose
     from retuner.pid_controller import PidController as PidController
-    from retuner.schedule.axis import Axis as Axis
     from retuner.schedule.controller_units import Acting as Acting
     from retuner.schedule.controller_units import ControllerUnits as ControllerUnits
-    from retuner.schedule.forms import to_ideal as to_ideal
-    from retuner.schedule.forms import to_series as to_series
     from retuner.schedule.gains import PidGains as PidGains
+    from retuner.schedule.gains import to_ideal as to_ideal
+    from retuner.schedule.gains import to_series as to_series
+    from retuner.schedule.regions import Axis as Axis
     from retuner.schedule.regions import Regions as Regions
     from retuner.schedule.table import GainTable as GainTable
     from retuner.schedule.table import Lookup as Lookup
@@ -131,11 +131,9 @@ _HOMES = {
     "conversions": ("gains_of", "process_of", "to_control", "to_scipy"),
     "decisions.background": ("BackgroundRetuner",),
     "pid_controller": ("PidController",),
-    "schedule.axis": ("Axis",),
     "schedule.controller_units": ("Acting", "ControllerUnits"),
-    "schedule.forms": ("to_ideal", "to_series"),
-    "schedule.gains": ("PidGains",),
-    "schedule.regions": ("Regions",),
+    "schedule.gains": ("PidGains", "to_ideal", "to_series"),
+    "schedule.regions": ("Axis", "Regions"),
     "schedule.table": ("GainTable", "Lookup"),
     "scheduling": ("design_schedule",),
     "simulation.loop_trend": ("LoopTrend",),

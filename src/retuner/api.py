@@ -11,7 +11,7 @@ import numpy as np
 from retuner.adaptive import shown
 from retuner.adaptive.diagnosis.one_tone import one_tone
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing_verdict
-from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.by_region import FEWEST_SAMPLES, RegionRecord, by_region, identify_region
 from retuner.adaptive.identification.estimate import ModelEstimate

@@ -26,10 +26,9 @@ from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.background import BackgroundRetuner
 from retuner.decisions.decider import Decider
-from retuner.schedule.axis import CAN
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PidLaw, PidState, StateTuple, change, law, start, step, track
-from retuner.schedule.regions import Regions, RegionState, choose, enter, values
+from retuner.schedule.regions import CAN, Regions, RegionState, choose, enter, values
 from retuner.schedule.table import GainTable, Lookup
 from retuner.simulation.loop_trend import Frame, History, LoopTrend
 

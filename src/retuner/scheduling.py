@@ -15,17 +15,13 @@ from retuner.adaptive.indexes.days import at_gaps
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.schedule_choice.candidates import OWN, Candidate, follows_loop, silent
 from retuner.adaptive.schedule_choice.cells import COUNT, Cells
-from retuner.adaptive.schedule_choice.design import Design, design
-from retuner.adaptive.schedule_choice.first_sets import first_sets
-from retuner.adaptive.schedule_choice.next_experiment import NextExperiment, next_experiment
-from retuner.adaptive.schedule_design.cover import Layout
-from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
+from retuner.adaptive.schedule_choice.design import Design, NextExperiment, design, first_sets, next_experiment
+from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, model_of
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import Record, window_of, within
 from retuner.drivers.historian.time_stamps import Numbers
-from retuner.schedule.axis import CAN, Axis
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
+from retuner.schedule.regions import CAN, Axis, Regions
 from retuner.schedule.table import GainTable, Lookup
 
 AUTO = "auto"
@@ -79,7 +75,7 @@ class ScheduleDesign:
     nothing is known well enough. in_force : the gains while the records were made, where they are known. limits : that
     were demanded. records : that it was found from. co_range : limits of the output, where they are known.
     visited : the variable at each of their samples. aim : the table that this one leads to once the next record
-    confirms it, where the records do not carry it at once (schedule_choice/first_sets.py). print shows it as the
+    confirms it, where the records do not carry it at once (schedule_choice/design.py). print shows it as the
     command does, a notebook with its picture.
     """
 

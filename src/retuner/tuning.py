@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 from retuner.adaptive import shown
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.rules.explanation import Explanation, explanation
 from retuner.adaptive.rules.registry import RULES as REGISTRY
-from retuner.adaptive.rules.registry import kind_for, rule_named, settings
+from retuner.adaptive.rules.registry import Explanation, explanation, kind_for, rule_named, settings
 from retuner.adaptive.rules.rule import ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains

@@ -9,8 +9,7 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.schedule.forms import SeriesGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, SeriesGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
 

@@ -11,10 +11,10 @@ from retuner.adaptive.region_model.across import Crossing, Shown, shown_by, taug
 from retuner.adaptive.region_model.in_motion import in_motion
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
-from retuner.adaptive.schedule_design.shapes import Axis
+from retuner.adaptive.schedule_design.stretches import Axis
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.schedule.axis import Axis as TableAxis
 from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Axis as TableAxis
 from retuner.schedule.regions import Regions
 
 REGIONS = Regions("pv", "-", ("low", "middle", "high"), 0.0, (40.0, 60.0), 100.0)

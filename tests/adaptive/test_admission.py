@@ -12,8 +12,7 @@ from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.supervision.admission import Admission, AdmissionSettings, Ground, admit, inside_region
-from retuner.schedule.axis import Axis
-from retuner.schedule.regions import Regions
+from retuner.schedule.regions import Axis, Regions
 
 N, AT, BAND = 120, 30, 0.02
 RANGE = (-10.0, 10.0)

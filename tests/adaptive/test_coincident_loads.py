@@ -9,7 +9,7 @@ import pytest
 
 from retuner import api, diagnosing
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.fit.coincident_loads import apart, near, setpoint_changes
+from retuner.adaptive.fit.record import apart, near, setpoint_changes
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 

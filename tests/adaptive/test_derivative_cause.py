@@ -4,8 +4,7 @@ from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, tuning_cause
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.schedule.forms import from_form
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, from_form
 
 CAUSES = CauseSettings()
 

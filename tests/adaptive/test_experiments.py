@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.experiments import relay, setpoint, step
+from retuner.adaptive.experiments import relay, step
 from retuner.adaptive.experiments.relay import RelayCycle, relay_cycle
-from retuner.adaptive.experiments.sustained import swing
+from retuner.adaptive.experiments.step import swing
 from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import Window
@@ -148,12 +148,12 @@ def test_records_that_are_no_step_response_are_refused(case: str) -> None:
 
 def test_skogestad_grimholt_worked_example() -> None:
     """Process E2, Kc0 = 1.5: printed to two or three digits."""
-    seen = setpoint.Overshoot(1.0, 0.79, 0.54, 4.4)
+    seen = step.Overshoot(1.0, 0.79, 0.54, 4.4)
     assert seen.dy_inf == pytest.approx(0.5985, abs=5e-5)
     assert seen.d == pytest.approx(0.32, abs=5e-3)
     assert seen.b == pytest.approx(0.67, abs=5e-3)
     assert seen.a == pytest.approx(0.6038, abs=5e-4)
-    model = setpoint.two_step_model(seen, 1.5)
+    model = step.two_step_model(seen, 1.5)
     assert model.k == pytest.approx(0.994, abs=5e-4)
     assert model.theta_s == pytest.approx(1.67, abs=5e-3)
     assert model.tau1_s == pytest.approx(3.00, abs=5e-3)
@@ -161,7 +161,7 @@ def test_skogestad_grimholt_worked_example() -> None:
 
 def test_the_worked_example_is_seen_in_the_simulated_response() -> None:
     process = LinearProcess(1.0, (2.0, 1.0, 0.4, 0.2, 0.05, 0.05, 0.05), (-0.3, 0.08))
-    seen = setpoint.measure(setpoint_record(process, 1.5))
+    seen = step.measure(setpoint_record(process, 1.5))
     assert (seen.dy_p, seen.dy_u) == pytest.approx((0.79, 0.54), abs=0.01)
     assert seen.t_p_s == pytest.approx(4.4, abs=0.06)
 
@@ -177,12 +177,12 @@ TABLE = {  # process: Kc0 for 30 % overshoot, t_p, b (tuning-rules digest, secti
 def test_thirty_per_cent_overshoot_table(case: str) -> None:
     process, kc0, t_p, b = TABLE[case]
     record = setpoint_record(process, kc0, dt=0.002, n=15000)
-    seen = setpoint.measure(record)
+    seen = step.measure(record)
     final = b  # of a unit step
     assert (seen.dy_p - final) / final == pytest.approx(0.30, abs=2e-3)
     assert seen.t_p_s == pytest.approx(t_p, abs=0.006)
     assert seen.dy_inf == pytest.approx(final, rel=5e-3)
-    model = setpoint.two_step_model(seen, kc0)
+    model = step.two_step_model(seen, kc0)
     assert model.slope == pytest.approx(process.k / (process.lags_s[0] if process.lags_s else 1.0), rel=0.06)
     assert model.theta_s == pytest.approx(1.0, rel=0.05)
     assert model.type == (ProcessType.FOPDT if process.lags_s else ProcessType.INTEGRATING)
@@ -191,8 +191,8 @@ def test_thirty_per_cent_overshoot_table(case: str) -> None:
 @pytest.mark.parametrize("case", TABLE)
 def test_direct_settings_are_about_those_of_simc(case: str) -> None:
     process, kc0, _, _ = TABLE[case]
-    direct = setpoint.direct_settings(setpoint.measure(setpoint_record(process, kc0)), kc0).to_dict()["gains"]
-    best = simc(setpoint.two_step_model(setpoint.measure(setpoint_record(process, kc0)), kc0)).to_dict()["gains"]
+    direct = step.direct_settings(step.measure(setpoint_record(process, kc0)), kc0).to_dict()["gains"]
+    best = simc(step.two_step_model(step.measure(setpoint_record(process, kc0)), kc0)).to_dict()["gains"]
     assert isinstance(direct, dict)
     assert isinstance(best, dict)
     assert direct["kc"] == pytest.approx(best["kc"], rel=0.02)
@@ -200,23 +200,23 @@ def test_direct_settings_are_about_those_of_simc(case: str) -> None:
 
 
 def test_detuning_slows_both_settings() -> None:
-    seen = setpoint.Overshoot(1.0, 1.3, 0.91, 3.29)
-    tight, slow = (setpoint.direct_settings(seen, 0.8, f).gains for f in (1.0, 2.0))
+    seen = step.Overshoot(1.0, 1.3, 0.91, 3.29)
+    tight, slow = (step.direct_settings(seen, 0.8, f).gains for f in (1.0, 2.0))
     assert slow.kp == pytest.approx(tight.kp / 2)
     assert slow.kp / slow.ki == pytest.approx(2 * tight.kp / tight.ki)
 
 
 @given(scale=st.floats(0.01, 100), gain=st.floats(0.01, 100), sign=st.sampled_from([-1, 1]))
 def test_setpoint_method_scales_with_time_and_gain(scale: float, gain: float, sign: int) -> None:
-    plain = setpoint.two_step_model(setpoint.Overshoot(1.0, 0.79, 0.54, 4.4), 1.5)
-    scaled = setpoint.two_step_model(setpoint.Overshoot(-3.0, -2.37, -1.62, 4.4 * scale), sign * 1.5 / gain)
+    plain = step.two_step_model(step.Overshoot(1.0, 0.79, 0.54, 4.4), 1.5)
+    scaled = step.two_step_model(step.Overshoot(-3.0, -2.37, -1.62, 4.4 * scale), sign * 1.5 / gain)
     assert scaled.k == pytest.approx(sign * plain.k * gain)
     assert (scaled.tau1_s, scaled.theta_s) == pytest.approx((plain.tau1_s * scale, plain.theta_s * scale))
 
 
 def test_reverse_acting_noisy_setpoint_response() -> None:
     record = setpoint_record(LinearProcess(-1.0, (5.0,), (), 1.0), -4.007, size=-2.0, dt=0.1, n=600, noise=0.02)
-    model = setpoint.two_step_model(setpoint.measure(record), -4.007)
+    model = step.two_step_model(step.measure(record), -4.007)
     assert model.k == pytest.approx(-1.0, rel=0.1)
     assert model.theta_s == pytest.approx(1.0, rel=0.15)
 
@@ -228,26 +228,26 @@ def test_noise_on_a_response_without_overshoot_is_no_peak(seed: int) -> None:
     pv = np.where(t >= 30, 1 - np.exp(-np.maximum(t - 30, 0) / 60), 0.0) + 0.04 * rng.standard_normal(600)
     sp = np.where(t >= 30, 2.0, 0.0)
     with pytest.raises(ValueError, match="no overshoot"):
-        setpoint.measure(Window(t, sp, pv, 1.0 * (sp - pv)))
+        step.measure(Window(t, sp, pv, 1.0 * (sp - pv)))
 
 
 def test_setpoint_responses_that_say_nothing_are_refused() -> None:
     process = LinearProcess(1.0, (5.0,), (), 1.0)
     with pytest.raises(ValueError, match="no overshoot"):
-        setpoint.measure(setpoint_record(process, 1.0))
+        step.measure(setpoint_record(process, 1.0))
     with pytest.raises(ValueError, match="0 steps"):
-        setpoint.measure(step_record(process))
-    small = setpoint.Overshoot(1.0, 0.63, 0.60, 3.0)
+        step.measure(step_record(process))
+    small = step.Overshoot(1.0, 0.63, 0.60, 3.0)
     with pytest.raises(ValueError, match="larger gain"):
-        setpoint.two_step_model(small, 1.5)
+        step.two_step_model(small, 1.5)
     with pytest.raises(ValueError, match="smaller gain"):
-        setpoint.direct_settings(setpoint.Overshoot(1.0, 1.5, 0.2, 3.0), 1.5)
+        step.direct_settings(step.Overshoot(1.0, 1.5, 0.2, 3.0), 1.5)
     with pytest.raises(ValueError, match="kc0 = 0"):
-        setpoint.two_step_model(setpoint.Overshoot(1.0, 0.79, 0.54, 4.4), 0.0)
+        step.two_step_model(step.Overshoot(1.0, 0.79, 0.54, 4.4), 0.0)
     with pytest.raises(ValueError, match="beyond the undershoot"):
-        setpoint.Overshoot(1.0, 0.5, 0.6, 3.0)
+        step.Overshoot(1.0, 0.5, 0.6, 3.0)
     with pytest.raises(ValueError, match="not a finite"):
-        setpoint.Overshoot(1.0, math.nan, 0.6, 3.0)
+        step.Overshoot(1.0, math.nan, 0.6, 3.0)
 
 
 # relay

@@ -12,9 +12,8 @@ from retuner.adaptive.supervision.response_finder import Left, ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
-from retuner.schedule.axis import Axis
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
+from retuner.schedule.regions import Axis, Regions
 from retuner.schedule.table import GainTable, Lookup
 
 HEAT = Axis("sp", "degC", 0.0, (50.0,), 100.0, 2.0)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from effort import sized
 
-from retuner.adaptive.loop.crossovers import gain_crossovers, grid
 from retuner.adaptive.loop.margins import Margins, margins, sensitivity_peak
-from retuner.adaptive.loop.open_loop import OpenLoop, open_loop
+from retuner.adaptive.loop.open_loop import OpenLoop, gain_crossovers, grid, open_loop
 from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 

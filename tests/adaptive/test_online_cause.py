@@ -31,8 +31,7 @@ from retuner.adaptive.supervision.causes import is_known
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.schedule.forms import SeriesGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, SeriesGains
 from retuner.schedule.pid import change, law, start, step
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable

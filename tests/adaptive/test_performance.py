@@ -12,8 +12,7 @@ from scipy.linalg import expm
 
 from retuner.adaptive.loop.performance import Performance, performance, weighted_cost
 from retuner.adaptive.loop.simulate import step_response
-from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.process.state_space import state_space
+from retuner.adaptive.process.model import LinearProcess, state_space
 from retuner.schedule.gains import PidGains
 
 

@@ -19,8 +19,7 @@ from retuner.adaptive.region_model.region_advice import (
     region_advice,
 )
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
-from retuner.schedule.axis import Axis
-from retuner.schedule.regions import Regions
+from retuner.schedule.regions import Axis, Regions
 
 HEAT = Axis("sp", "degC", 0.0, (100.0,), 200.0, 2.0)
 FLOW = Axis("can", "%", 0.0, (50.0,), 100.0, 1.0, signal="flow")

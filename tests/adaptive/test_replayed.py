@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from retuner.adaptive.loop.held_input import HeldInput
 from retuner.adaptive.loop.replayed import before_after, even, replayed
-from retuner.adaptive.loop.simulate import step_response
+from retuner.adaptive.loop.simulate import HeldInput, step_response
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from retuner.adaptive.fit.record import Record
-from retuner.adaptive.fit.rests import RestRatio, rest_ratios
+from retuner.adaptive.fit.record import Record, RestRatio, rest_ratios
 from retuner.adaptive.identification.estimate import LogModel, gain_spread
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.identification.plausible import Plausible

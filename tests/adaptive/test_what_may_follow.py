@@ -16,7 +16,7 @@ from retuner.api import _unless_pv_stands, identify, identify_record
 from retuner.commands.recorded.identify import described
 from retuner.commands.recorded.other_cause import contradiction
 from retuner.drivers.historian.loop_record import read_loop_record
-from retuner.schedule.forms import SeriesGains
+from retuner.schedule.gains import SeriesGains
 
 PLANT = Path(__file__).parent.parent / "data" / "plant"
 

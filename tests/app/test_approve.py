@@ -237,7 +237,7 @@ def test_a_hash_says_no_when_its_proposal_has_ended(copy: Path, capsys: pytest.C
 def digest_of(document: dict[str, Any]) -> str:
     from hashlib import sha256
 
-    from retuner.ledger.decided import canonical
+    from retuner.ledger.chain import canonical
 
     return sha256(canonical(document)).hexdigest()
 

@@ -3,7 +3,7 @@
 import pytest
 
 from retuner.config.loading import UnusableError, parse_config
-from retuner.schedule.axis import Axis
+from retuner.schedule.regions import Axis
 from retuner.schedule.table import Lookup
 
 HEAD = """schema = 1

@@ -19,12 +19,11 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.cli import main
 from retuner.commands.work import left_by_run
 from retuner.decisions.decider import LATE, LOST, Answer, DecideHere, Decider
-from retuner.decisions.shared_workers import DecisionWorkers
-from retuner.decisions.worker import DecideInWorker
+from retuner.decisions.worker import DecideInWorker, DecisionWorkers
 from retuner.drivers.clock import SimulatedClock
-from retuner.replay.recorded_trend import recorded_columns
+from retuner.replay.replaying import recorded_columns
 from retuner.session.assembly import make_retuner
-from retuner.session.recorded_session import read_session
+from retuner.session.outputs import read_session
 
 sys.path.append(str(Path(__file__).parent))
 

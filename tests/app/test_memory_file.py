@@ -20,8 +20,7 @@ from retuner.session.assembly import make_retuner, retuner_settings
 from retuner.session.ledger_rows import gains_of
 from retuner.session.loop_session import LoopSession
 from retuner.session.memory_file import MemoryFile, NoMemoryError, about, recall, started_with
-from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE
-from retuner.session.recorded_session import believed_rows
+from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE, believed_rows
 from retuner.session.running import Run
 
 sys.path.append(str(Path(__file__).parent))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retuner.adaptive.orders.pretune import pretune
+from retuner.adaptive.orders.operator_orders import pretune
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision.admission import AdmissionSettings, admit
 from retuner.adaptive.supervision.decision import Action, Basis, Mode

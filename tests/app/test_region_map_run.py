@@ -21,8 +21,7 @@ from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import VariableChanged
 from retuner.drivers.host.connection import CanDevice
-from retuner.drivers.recorded.bus_log_samples import Overhearing
-from retuner.drivers.recorded.frame_log import read_frames
+from retuner.drivers.recorded.frame_log import Overhearing, read_frames
 from retuner.schedule.pid import step
 from retuner.session.assembly import (
     device_settings,

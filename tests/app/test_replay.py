@@ -19,14 +19,13 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.fit.engine import engine_name
 from retuner.cli import main
-from retuner.drivers.bus import bus_log
-from retuner.drivers.bus.bus_log import log_parts
+from retuner.drivers.bus import bus_opening
+from retuner.drivers.bus.bus_opening import log_parts
 from retuner.drivers.recorded.frame_log import read_frames
 from retuner.ledger.chain import Row
-from retuner.replay.recorded_trend import recorded_columns
-from retuner.replay.replaying import first_difference
-from retuner.session import bench, session_identity
-from retuner.session.recorded_session import read_session
+from retuner.replay.replaying import first_difference, recorded_columns
+from retuner.session import bench, outputs
+from retuner.session.outputs import read_session
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -69,7 +68,7 @@ def test_the_configuration_is_kept_as_it_was_run(session: Path) -> None:
     first = bodies(session, "session")[0]
     assert first["overrides"] == {"adaptation.mode": "auto"}
     assert first["seed"] == 3
-    assert set(first["versions"]) == set(session_identity.versions())
+    assert set(first["versions"]) == set(outputs.versions())
 
 
 @pytest.mark.uncounted
@@ -151,7 +150,7 @@ def in_parts(folder: Path, frames_a_look: int) -> Path:
     small = bench.link_settings
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "link_settings", lambda *given: replace(small(*given), log_bytes_max=2.0))
-        patch.setattr(bus_log, "LOOK_EVERY", frames_a_look)
+        patch.setattr(bus_opening, "LOOK_EVERY", frames_a_look)
         return run_short(folder, "--mode", "auto")
 
 

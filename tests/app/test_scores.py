@@ -5,8 +5,7 @@ import pytest
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.report.scores import Twin, region_scores, twin_steps
-from retuner.schedule.forms import from_form
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, from_form
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
 

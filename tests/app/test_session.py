@@ -11,7 +11,7 @@ from retuner.adaptive.supervision.pipeline_types import Step
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.config.bench import ScenarioConfig
-from retuner.drivers.bus.link_faults import HOLDING, FaultNews, LinkFault
+from retuner.drivers.bus.bus import HOLDING, FaultNews, LinkFault
 from retuner.drivers.device import (
     CommandFailed,
     DeviceConflict,

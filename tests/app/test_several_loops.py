@@ -11,8 +11,7 @@ from retuner.commands.check import described
 from retuner.config.loading import UnusableError, parse_session, text_as_run
 from retuner.config.session_config import SessionConfig
 from retuner.ledger import LedgerReader
-from retuner.session.outputs import loop_folder
-from retuner.session.recorded_session import read_loops
+from retuner.session.outputs import loop_folder, read_loops
 
 TEXT = (Path(__file__).parent / "several.toml").read_text(encoding="utf-8")
 SLOW, FAST = "slow one", "fast"

@@ -15,8 +15,7 @@ from retuner.adaptive.orders.operator_orders import revert
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
-from retuner.drivers.protocol.frames import Ack, Kind, Reason
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import Ack, GainBox, Kind, Reason
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 from retuner.session.running import to_the_end

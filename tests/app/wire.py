@@ -30,7 +30,7 @@ from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import to_wire
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup

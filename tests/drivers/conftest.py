@@ -18,7 +18,7 @@ from retuner.drivers.device import Event
 from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[2] / "benchmarks")]  # speaking.py, bus_simulation

@@ -5,8 +5,7 @@ from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDevi
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, set_crc
 from retuner.drivers.protocol.codec import Codec
-from retuner.drivers.protocol.frames import Ack, Commit, Frame, Item, Lease, Reason, Stage
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import Ack, Commit, Frame, GainBox, Item, Lease, Reason, Stage
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

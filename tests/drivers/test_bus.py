@@ -7,8 +7,7 @@ import pytest
 from can.interfaces.udp_multicast.utils import pack_message
 
 from retuner.drivers.bus import bus_opening
-from retuner.drivers.bus.bus import CanLink, LinkSettings
-from retuner.drivers.bus.link_faults import LinkFault
+from retuner.drivers.bus.bus import CanLink, LinkFault, LinkSettings
 from retuner.drivers.clock import MonotonicClock, SimulatedClock
 from retuner.drivers.device import BusError, LinkState
 

@@ -5,10 +5,9 @@ from pathlib import Path
 import can
 import pytest
 
-from retuner.drivers.bus import bus_log
-from retuner.drivers.bus.bus import CanLink, LinkSettings
-from retuner.drivers.bus.bus_log import BusLog, log_parts
-from retuner.drivers.bus.link_faults import FaultNews, LinkFault
+from retuner.drivers.bus import bus_opening
+from retuner.drivers.bus.bus import CanLink, FaultNews, LinkFault, LinkSettings
+from retuner.drivers.bus.bus_opening import BusLog, log_parts
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.recorded.frame_log import read_frames, read_parts
 
@@ -50,7 +49,7 @@ def test_a_log_keeps_to_its_size_and_its_end_is_whole(tmp_path: Path, name: str,
 
 
 def test_with_the_first_rotation_nothing_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus_log, "LOOK_EVERY", 700)
+    monkeypatch.setattr(bus_opening, "LOOK_EVERY", 700)
     written(tmp_path / "bus.blf", 1000, 2.0)
     assert log_parts(tmp_path / "bus.blf") == ((tmp_path / "bus-1.blf", tmp_path / "bus.blf"), 0)
     assert numbers(tmp_path / "bus.blf") == list(range(1000))
@@ -78,7 +77,7 @@ def test_a_rotation_that_fails_ends_the_log_and_the_link_goes_on(
     def refused(*_: object) -> None:
         raise OSError(30, "Read-only file system")
 
-    monkeypatch.setattr(bus_log, "LOOK_EVERY", 2)
+    monkeypatch.setattr(bus_opening, "LOOK_EVERY", 2)
     monkeypatch.setattr(Path, "replace", refused)
     clock = SimulatedClock()
     with CanLink(LinkSettings(channel="rotation", log_bytes_max=2.0), clock, tmp_path / "bus.blf") as link:

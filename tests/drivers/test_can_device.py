@@ -28,7 +28,7 @@ from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.protocol import frames
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.codec import Codec
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

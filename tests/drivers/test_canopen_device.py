@@ -32,8 +32,7 @@ from retuner.drivers.device import (
 )
 from retuner.drivers.profiles.foreign_device import ForeignDevice, Numbers, any_way
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
-from retuner.schedule.forms import IdealGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import IdealGains, PidGains
 from retuner.session.assembly import make_far_side
 
 LOOP = """

@@ -14,12 +14,11 @@ from effort import sized
 from retuner.cli import main
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.conformance.chapters import CHAPTERS, chapters
-from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
-from retuner.drivers.conformance.counterparts import InThread, OnBus
+from retuner.drivers.conformance.conversation import Conversation, InThread, NoAnswerError, OnBus
 from retuner.drivers.conformance.examination import Examination, examine
 from retuner.drivers.conformance.finding import OTHERS_S, nodes_heard, sample_time_of
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
 
 KEY = bytes(range(16))

@@ -24,6 +24,7 @@ from retuner.drivers.protocol.frames import (
     Commit,
     Confirm,
     Frame,
+    GainBox,
     Item,
     Lease,
     Load,
@@ -33,7 +34,6 @@ from retuner.drivers.protocol.frames import (
     Stage,
     Store,
 )
-from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

@@ -18,6 +18,7 @@ from retuner.drivers.protocol.frames import (
     Confirm,
     Flags,
     Frame,
+    GainBox,
     Heartbeat,
     Item,
     Kind,
@@ -30,7 +31,6 @@ from retuner.drivers.protocol.frames import (
     Stage,
     Store,
 )
-from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

@@ -15,8 +15,7 @@ from effort import sized
 from test_canopen_device import NEW, Stage
 
 from retuner.drivers.device import Event, LinkChanged, LinkState, RunningChanged, WriteDone, WriteFailed
-from retuner.schedule.forms import IdealGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import IdealGains, PidGains
 
 ANSWER, REQUEST, GAINS = 0x585, 0x605, (0x6450, 0x6452, 0x6454)
 OTHER = IdealGains(2.5, 100.0, 1.0).to_parallel()

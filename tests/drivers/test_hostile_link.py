@@ -21,8 +21,7 @@ from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.codec import Codec
-from retuner.drivers.protocol.frames import Commit, TelemetryPv, TelemetrySp
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import Commit, GainBox, TelemetryPv, TelemetrySp
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

@@ -10,12 +10,13 @@ import can
 import pytest
 
 from retuner.drivers.bus import bus
-from retuner.drivers.bus.bus import CanLink, LinkSettings
-from retuner.drivers.bus.link_faults import (
+from retuner.drivers.bus.bus import (
     TELL_EVERY_S,
+    CanLink,
     FaultBook,
     FaultNews,
     LinkFault,
+    LinkSettings,
     fault_of_error,
     fault_of_frame,
     is_full,

@@ -17,6 +17,7 @@ from retuner.drivers.protocol.frames import (
     Commit,
     Confirm,
     Frame,
+    GainBox,
     Heartbeat,
     Mode,
     Read,
@@ -25,7 +26,6 @@ from retuner.drivers.protocol.frames import (
     Store,
     TelemetrySp,
 )
-from retuner.drivers.protocol.gain_limits import GainBox
 
 TRIAL = 4
 OTHER = 77

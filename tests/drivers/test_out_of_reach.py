@@ -18,8 +18,7 @@ from retuner.drivers.device import CommandDone, Event, SamplesLost, WriteDone, W
 from retuner.drivers.profiles.foreign_device import ForeignDevice
 from retuner.drivers.profiles.sample_grid import SampleGrid
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
-from retuner.schedule.forms import IdealGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import IdealGains, PidGains
 from retuner.session.assembly import make_far_side
 
 PROFILES = Path(__file__).parents[2] / "drivers" / "profiles"

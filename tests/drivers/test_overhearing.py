@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.drivers.device import DeviceRestarted
-from retuner.drivers.recorded.bus_log_samples import Overhearing
-from retuner.drivers.recorded.frame_log import READING_ERRORS, SUFFIXES, read_frames
+from retuner.drivers.recorded.frame_log import READING_ERRORS, SUFFIXES, Overhearing, read_frames
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.schedule.gains import PidGains
 

@@ -13,8 +13,7 @@ from bus_simulation.firmware import FIRMWARE, FirmwareDevice
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.protocol.checksum import crc8
 from retuner.drivers.protocol.codec import schema
-from retuner.drivers.protocol.frames import PROTOCOL_VERSION
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import PROTOCOL_VERSION, GainBox
 from retuner.schedule.gains import PidGains
 
 ROOT = Path(__file__).resolve().parents[2]

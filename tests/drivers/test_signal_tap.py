@@ -14,8 +14,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.drivers.device import VariableChanged
 from retuner.drivers.protocol.codec import DbcError
 from retuner.drivers.telemetry.sample_assembly import SampleJoiner
-from retuner.drivers.telemetry.signal_source import ScheduleInputs, find_signal, plant_message
-from retuner.drivers.telemetry.signal_values import SignalTap
+from retuner.drivers.telemetry.signal_source import ScheduleInputs, SignalTap, find_signal, plant_message
 
 FOREIGN = """VERSION ""
 BU_: Meter

@@ -21,6 +21,7 @@ from retuner.drivers.protocol.frames import (
     Commit,
     Confirm,
     Frame,
+    GainBox,
     Heartbeat,
     Item,
     Mode,
@@ -35,7 +36,6 @@ from retuner.drivers.protocol.frames import (
     TelemetryPv,
     TelemetrySp,
 )
-from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 

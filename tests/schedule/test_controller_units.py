@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from retuner.schedule.controller_units import NAMES, Acting, ControllerUnits
 from retuner.schedule.dials import CONTROLLERS
-from retuner.schedule.forms import Form, SeriesGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import Form, PidGains, SeriesGains
 
 SPANS = st.floats(1e-2, 1e4)
 ORDINARY = st.floats(1e-4, 1e4)

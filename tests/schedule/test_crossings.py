@@ -5,10 +5,9 @@ from itertools import pairwise, product
 
 import pytest
 
-from retuner.schedule.axis import Axis
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import PidState, change, law, start, step
-from retuner.schedule.regions import Regions, choose, enter, values
+from retuner.schedule.regions import Axis, Regions, choose, enter, values
 from retuner.schedule.table import GainTable, Lookup
 
 SPAN = 100.0

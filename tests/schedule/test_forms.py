@@ -7,9 +7,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from retuner.schedule.forms import (
+from retuner.schedule.gains import (
     Form,
     IdealGains,
+    PidGains,
     SeriesGains,
     from_form,
     in_form,
@@ -18,7 +19,6 @@ from retuner.schedule.forms import (
     to_ideal,
     to_series,
 )
-from retuner.schedule.gains import PidGains
 
 magnitudes = st.floats(1e-6, 1e6)
 gains_kc = st.builds(lambda size, sign: size * sign, magnitudes, st.sampled_from((1.0, -1.0)))

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.schedule.axis import Axis
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
+from retuner.schedule.regions import Axis, Regions
 from retuner.schedule.table import GainTable, Lookup
 
 HEAT = Axis("sp", "degC", 20.0, (80.0, 150.0), 220.0)

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.schedule.axis import Axis, filtered, place
-from retuner.schedule.regions import Regions, RegionState, choose, enter, values
+from retuner.schedule.regions import Axis, Regions, RegionState, choose, enter, filtered, place, values
 
 HEAT = Axis("sp", "degC", 20.0, (80.0, 150.0), 220.0, 2.0, 60.0)
 FLOW = Axis("can", "%", 0.0, (50.0,), 100.0, 5.0, 0.0, 10.0, "flow")

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.schedule.forms import IdealGains, SeriesGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import IdealGains, PidGains, SeriesGains
 from retuner.schedule.vendor_units import Holds, Quantity, VendorGain, VendorUnits
 
 WORD = Holds(0, 65535, 1.0)

@@ -25,7 +25,7 @@ from retuner.drivers.device import (
 )
 from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.host.connection import CanDevice
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
 
 FIRST = PidGains(1.0, 0.0625, 0.5)

@@ -16,6 +16,7 @@ from retuner.drivers.protocol.frames import (
     Ack,
     Commit,
     Confirm,
+    GainBox,
     Item,
     Kind,
     Lease,
@@ -24,7 +25,6 @@ from retuner.drivers.protocol.frames import (
     Store,
     newer,
 )
-from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

@@ -1,5 +1,5 @@
-/* The process as modes on two lanes, and its responses as combinations of them (see _engine.c; slopes.py and dynamics.py
- * have the formulas). */
+/* The process as modes on two lanes, and its responses as combinations of them (see _engine.c; dynamics.py has the
+ * formulas). */
 
 #ifndef RETUNER_MODES_H
 #define RETUNER_MODES_H

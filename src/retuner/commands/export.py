@@ -11,9 +11,8 @@ from retuner.commands.options import ActionOption, Controller, PvSpan, controlle
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.gain_export.c_header import c_header
-from retuner.gain_export.numbers import identifier, numbers_of
+from retuner.gain_export.numbers import csv_table, dbc_table, identifier, numbers_of
 from retuner.gain_export.structured_text import structured_text
-from retuner.gain_export.tables import csv_table, dbc_table
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable

@@ -8,7 +8,7 @@ import numpy as np
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.config.messages import key_name
+from retuner.config.loading import key_name
 from retuner.config.model import Config
 from retuner.config.plants import (
     BoilerPlantConfig,

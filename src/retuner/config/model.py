@@ -14,8 +14,7 @@ from retuner.config.schedule import AxisConfig, RegionConfig, ScheduleConfig
 from retuner.config.setting import Problem, Section, setting
 from retuner.drivers.controller.firmware_settings import SAMPLES_MAX
 from retuner.schedule.controller_units import DEFAULT, Acting, ControllerUnits
-from retuner.schedule.forms import in_form
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, in_form
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
 

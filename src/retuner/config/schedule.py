@@ -9,12 +9,10 @@ from pydantic import Field
 
 from retuner.config.setting import Many, Problem, Section, setting
 from retuner.config.toml_lines import Path
-from retuner.schedule.axis import CAN, Axis
 from retuner.schedule.controller_units import Acting, ControllerUnits
 from retuner.schedule.dials import KEYS, Dial
-from retuner.schedule.forms import Form
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
+from retuner.schedule.gains import Form, PidGains
+from retuner.schedule.regions import CAN, Axis, Regions
 from retuner.schedule.vendor_units import SECONDS_PER_MINUTE, Quantity
 
 IntegralTime = Annotated[float, Field(gt=0, le=1e9)]

@@ -10,8 +10,7 @@ from dataclasses import replace
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.update import Agreement
-from retuner.adaptive.rules.explanation import explanation
-from retuner.adaptive.rules.registry import RULES, settings
+from retuner.adaptive.rules.registry import RULES, explanation, settings
 from retuner.adaptive.rules.rule import ControllerKind, Wishes
 from retuner.adaptive.rules.visual import oscillation_by_eye
 from retuner.decision_page.decision_view import DecisionView

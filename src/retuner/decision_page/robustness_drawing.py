@@ -13,9 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from retuner.adaptive.loop.crossovers import grid
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.loop.open_loop import open_loop
+from retuner.adaptive.loop.open_loop import grid, open_loop
 from retuner.adaptive.loop.simulate import StepResponse, step_response
 from retuner.adaptive.process.model import ComplexArray, LinearProcess
 from retuner.adaptive.signals.sample import FloatArray

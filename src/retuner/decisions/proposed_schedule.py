@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.config.model import Config
 from retuner.products import product
-from retuner.schedule.axis import CAN
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import from_toml, to_toml
+from retuner.schedule.regions import CAN
 from retuner.schedule.table import GainTable
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import starmap
 
-from retuner.adaptive.experiments import relay, setpoint, step
+from retuner.adaptive.experiments import relay, step
 from retuner.adaptive.experiments.plan import Kind
 from retuner.adaptive.experiments.relay import RelayCycle, relay_cycle
-from retuner.adaptive.experiments.sustained import swing
+from retuner.adaptive.experiments.step import swing
 from retuner.adaptive.experiments.valve_test import ValveReading
 from retuner.adaptive.loop.margins import margins
 from retuner.adaptive.process.model import ProcessModel
@@ -157,7 +157,7 @@ def _step_model(method: step.StepMethod, window: Window) -> ProcessModel:
 def _read_setpoint(found: Findings, window: Window, question: Question) -> None:
     """Peak and undershoot, the two-step model and the direct settings."""
     try:
-        seen = setpoint.measure(window)
+        seen = step.measure(window)
     except ValueError as refusal:
         found.refused["two-step"] = str(refusal)
         return
@@ -175,9 +175,9 @@ def _read_setpoint(found: Findings, window: Window, question: Question) -> None:
         found.refused["two-step"] = "the proportional gain of the experiment is not known; give --kc0"
         return
     kc0 = question.kc
-    _try(found, "two-step", lambda: setpoint.two_step_model(seen, kc0))
+    _try(found, "two-step", lambda: step.two_step_model(seen, kc0))
     if "two-step" in found.models:
-        direct = setpoint.direct_settings(seen, kc0)
+        direct = step.direct_settings(seen, kc0)
         best = found.model or found.models["two-step"]
         found.offers[OVERSHOOT_RULE] = TuneResult(direct, direct.form, margins(best.linear(), direct.gains))
 

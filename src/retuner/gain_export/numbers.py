@@ -2,10 +2,13 @@
 
 import math
 import re
+from array import array
 from dataclasses import dataclass
 
+from retuner.schedule.controller_units import ControllerUnits
+from retuner.schedule.gains import PidGains, in_form
 from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable, Lookup
+from retuner.schedule.table import GAIN_NAMES, GainTable, Lookup
 from retuner.schedule.vendor_units import SINGLE_MAX
 
 
@@ -70,3 +73,105 @@ def comment(text: str) -> str:
 def finite(value: float) -> float:
     """A border, with the largest single number in place of infinity: no value that a controller has lies beyond it."""
     return math.copysign(SINGLE_MAX, value) if math.isinf(value) else value
+
+
+# ---- A gain table as CSV, for spreadsheets, and as a DBC whose signals start at the gains, for CAN tools
+
+FIRST_ID = 0x100
+MOST_REGIONS = 256
+
+
+def csv_table(table: GainTable, units: ControllerUnits | None = None) -> str:
+    """A line a region: its place on each axis, the parallel gains, and the ideal form where there is one.
+
+    units : those of a controller, whose own numbers stand in place of the ideal form.
+
+    Raises
+    ------
+    ValueError
+        That controller cannot hold a set.
+    """
+    axes = range(len(table.regions.axes))
+    heads = [part for i in axes for part in (f"low{i + 1}", f"high{i + 1}", f"unit{i + 1}")]
+    lines = [",".join(["region", *heads, *GAIN_NAMES, *_own_heads(units)])]
+    for r, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
+        place: list[str] = []
+        for i in axes:
+            low, high = table.regions.span(r, i)
+            place += [repr(low), repr(high), _cell(table.regions.axes[i].unit)]
+        parallel = [repr(getattr(gains, gain)) for gain in GAIN_NAMES]
+        lines.append(",".join([_cell(name), *place, *parallel, *_own(table.gains[r], units)]))
+    return "\n".join(lines) + "\n"
+
+
+def _own_heads(units: ControllerUnits | None) -> list[str]:
+    """Heads of a controller's own numbers: word and unit."""
+    if units is None:
+        return ["kc_ideal", "tau_i_s", "tau_d_s"]
+    return [f"{dial.label} [{dial.unit.strip()}]" if dial.unit else dial.label for dial in units.dials if dial.label]
+
+
+def _own(gains: PidGains, units: ControllerUnits | None) -> list[str]:
+    """A controller's own numbers, or the ideal form's; empty cells for what does not exist."""
+    if units is not None:
+        shown = units.numbers(gains)
+        if shown.form != units.form:
+            raise ValueError(f"these gains have no {units.form} form, which the controller needs")
+        pairs = zip(units.dials, shown[:3], strict=True)
+        return ["" if value is None else repr(value) for dial, value in pairs if dial.label]
+    try:
+        form = in_form(gains, "ideal")
+    except ValueError:
+        return ["", "", ""]
+    return ["" if value is None else repr(value) for value in (form["kc"], form["tau_i"], form["tau_d"])]
+
+
+def _cell(text: str) -> str:
+    """A text as a cell: quoted where it must be, and never a formula."""
+    safe = f"'{text}" if text[:1] in {"=", "+", "-", "@"} else text
+    return '"' + safe.replace('"', '""') + '"' if any(c in safe for c in ',"\n\r') else safe
+
+
+def dbc_table(table: GainTable) -> str:
+    """A message a region with kp, ki and kd as float32 signals whose start values are the gains.
+
+    Raises
+    ------
+    ValueError
+        There are more regions than identifiers.
+    """
+    if len(table.gains) > MOST_REGIONS:
+        raise ValueError(f"{len(table.gains)} regions; a DBC is made for at most {MOST_REGIONS}")
+    messages, comments, starts, types = [], [], [], []
+    for i, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
+        frame = FIRST_ID + i
+        messages.append(f"BO_ {frame} GAINS_{i + 1}_{identifier(name).upper()[:20]}: 12 host")
+        comments.append(f'CM_ BO_ {frame} "{comment(name)}: {comment(table.regions.text(i))}";')
+        for k, gain in enumerate(GAIN_NAMES):
+            messages.append(f' SG_ {gain} : {32 * k}|32@1- (1,0) [0|0] "" controller')
+            starts.append(f'BA_ "GenSigStartValue" SG_ {frame} {gain} {_single(getattr(gains, gain))!r};')
+            types.append(f"SIG_VALTYPE_ {frame} {gain} : 1;")
+        starts.append(f'BA_ "VFrameFormat" BO_ {frame} 14;')
+        messages.append("")
+    head = ['VERSION ""', "", "NS_ :", "", "BS_:", "", "BU_: host controller", ""]
+    formats = ",".join(f'"{name}"' for name in FRAME_FORMATS)
+    attributes = [
+        'BA_DEF_ SG_ "GenSigStartValue" FLOAT -3.4e38 3.4e38;',
+        f'BA_DEF_ BO_ "VFrameFormat" ENUM {formats};',
+        'BA_DEF_DEF_ "GenSigStartValue" 0;',
+        'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
+    ]
+    about = f'CM_ "Gains of {comment(table.loop)}, revision {table.revision}, exported by retuner; CAN FD frames.";'
+    return "\n".join([*head, *messages, about, *comments, *attributes, *starts, *types]) + "\n"
+
+
+FRAME_FORMATS = (
+    "StandardCAN", "ExtendedCAN", "reserved", "J1939PG", "reserved", "reserved", "reserved", "reserved", "reserved",
+    "reserved", "reserved", "reserved", "reserved", "reserved", "StandardCAN_FD", "ExtendedCAN_FD",
+)  # fmt: skip
+"""What Vector's attribute of a message's frame format may be, in its order."""
+
+
+def _single(value: float) -> float:
+    """A gain as the wire carries it."""
+    return array("f", [value])[0]

@@ -10,7 +10,7 @@ may be given one that was noted elsewhere.
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,3 +106,24 @@ def _fault(row: Row, last: str, seq: int) -> str:
     except ValueError:  # not even a row's kind of values
         expected = ""
     return "" if expected == row.hash else f"row {seq} was changed after it was written"
+
+
+# ---- A decision as its row keeps it, and the hash by which other rows name it
+
+PLACE = "samples"
+"""Key that a session adds to the body of each row: the number of samples that had been seen."""
+
+
+def without_place(body: Mapping[str, Any]) -> dict[str, Any]:
+    """The body of a row as it was given, without its place in the order of samples."""
+    return {key: value for key, value in body.items() if key != PLACE}
+
+
+def canonical(decision: Mapping[str, Any]) -> bytes:
+    """A decision's plain values as Decision.canonical() has them."""
+    return json.dumps(decision, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def digest_of(decision: Mapping[str, Any]) -> str:
+    """Hash of a decision's plain values, as Decision.digest() has it."""
+    return hashlib.sha256(canonical(decision)).hexdigest()

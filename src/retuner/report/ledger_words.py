@@ -34,7 +34,7 @@ from retuner.decision_page.row_values import (
 )
 from retuner.errors import one_line
 from retuner.ledger import Row
-from retuner.ledger.decided import digest_of, without_place
+from retuner.ledger.chain import digest_of, without_place
 from retuner.report.event_words import EVENTS, event_line
 
 RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller", "bus", "program"

@@ -16,8 +16,8 @@ from importlib.resources import files
 
 import numpy as np
 
-from retuner.adaptive.loop.held_input import HeldInput
 from retuner.adaptive.loop.replayed import even, spread
+from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.registry import rule_named, settings
 from retuner.adaptive.rules.rule import ControllerKind, Wishes
@@ -163,7 +163,7 @@ def _listed(values: FloatArray, digits: int = 9) -> list[float]:
 
 
 def _matrices(process: LinearProcess, dt_s: float) -> dict[str, object]:
-    """How a process steps (held_input.py)."""
+    """How a process steps (loop/simulate.py)."""
     held = HeldInput(process, dt_s).matrices
     lists = {
         name: [_listed(row) for row in held.phi] if name == "phi" else _listed(getattr(held, name))

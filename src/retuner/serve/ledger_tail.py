@@ -7,8 +7,7 @@ from retuner.decision_page.row_values import part, parts, words
 from retuner.decision_page.shown_units import show_units_told
 from retuner.errors import LedgerError
 from retuner.ledger import LedgerReader, Row
-from retuner.ledger.chain import GENESIS, next_row
-from retuner.ledger.decided import without_place
+from retuner.ledger.chain import GENESIS, next_row, without_place
 from retuner.report.ledger_words import Teller, Told
 from retuner.session.order_queue import Shown, shown
 

@@ -28,7 +28,7 @@ from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.host.key_file import read_key
 from retuner.drivers.plants.plant import Plant
 from retuner.drivers.plants.shared_plant import PlantPort
-from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.protocol.frames import GainBox
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.ledger import Recorder
 from retuner.products import product

@@ -20,8 +20,7 @@ import can
 
 from retuner.config import Config
 from retuner.config.session_config import SessionConfig
-from retuner.drivers.bus.bus import CanLink, LinkSettings
-from retuner.drivers.bus.link_faults import FaultNews
+from retuner.drivers.bus.bus import CanLink, FaultNews, LinkSettings
 from retuner.drivers.bus.link_reader import LinkReader
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.bus.shared_link import LinkPort, LinkShare

@@ -20,7 +20,7 @@ from retuner.adaptive.supervision.pipeline import WRONG_WAY
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import LATE, LOST, DecideHere, Decider
-from retuner.drivers.bus.link_faults import HOLDING, FaultNews
+from retuner.drivers.bus.bus import HOLDING, FaultNews
 from retuner.drivers.device import (
     CommandDone,
     Device,

@@ -23,8 +23,7 @@ from retuner.errors import LedgerError, UserError
 from retuner.files import write_whole
 from retuner.ledger import Recorder, Row
 from retuner.session.ledger_rows import feed
-from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE, MEMORY_START, loop_folder
-from retuner.session.recorded_session import believed_rows
+from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE, MEMORY_START, believed_rows, loop_folder
 
 ROW = "memory"
 """Kind of the rows that know a memory by its hash."""

@@ -18,12 +18,11 @@ from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.proposed_schedule import ROW as SCHEDULE
 from retuner.errors import LedgerError, one_line
 from retuner.ledger import Recorder, Row
-from retuner.ledger.decided import digest_of, without_place
+from retuner.ledger.chain import digest_of, without_place
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed, gains_of
 from retuner.session.orders import LONGEST, Found, Order, OrderBox, OrderKind
-from retuner.session.outputs import LEDGER, ORDERS, loop_folder
-from retuner.session.recorded_session import believed_rows
+from retuner.session.outputs import LEDGER, ORDERS, believed_rows, loop_folder
 
 # What a session has shown and a person may refer to, read from its ledger: open proposals, changes, tried sets.
 #

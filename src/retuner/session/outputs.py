@@ -9,13 +9,24 @@ A folder that holds an earlier run is moved aside under a number, never written 
 """
 
 import contextlib
+import hashlib
+import platform
 import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from retuner.config.session_config import folder_name
+from retuner import adaptive, drivers, schedule
+from retuner.adaptive.fit.engine import engine_name
+from retuner.adaptive.supervision.decision import Mode
+from retuner.config.loading import load_session, text_as_run
+from retuner.config.model import Config
+from retuner.config.session_config import SessionConfig, folder_name
 from retuner.errors import LedgerError, UserError
 from retuner.files import sync_folder
+from retuner.ledger import LedgerReader, Row
 from retuner.ledger.lock import WriterLock
 
 LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
@@ -125,3 +136,215 @@ def _clear_loops(folder: Path) -> None:
             (loop / name).unlink(missing_ok=True)
         loop.rmdir()
     folder.rmdir()
+
+
+# ---- A session's folder, read again: its configuration as run, and the rows of its ledger, believed before they
+# are used.
+#
+# Whatever is missing, cut off or changed afterwards is told in one line: a session is evidence, or it is none.
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedSession:
+    """A session of one loop, or one loop of a session, as it stands in its folder.
+
+    folder : of the loop. config : as run. mode : what the command line had said, None when nothing. rows : of the
+    ledger that are about this loop, chain verified. bus_log : of its traffic, or the newest part of it (log_parts()
+    gives all). name : of the loop where there are several, else empty.
+    """
+
+    folder: Path
+    config: Config
+    mode: Mode | None
+    rows: tuple[Row, ...]
+    bus_log: Path
+    name: str = ""
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """What it was made with."""
+        recorded: Mapping[str, str] = self.rows[0].body.get("versions", {})
+        return recorded
+
+    @property
+    def end(self) -> Mapping[str, Any] | None:
+        """The row that closed the session; None when it was killed, or goes on."""
+        return self.rows[-1].body if self.rows[-1].kind == "end" else None
+
+    @property
+    def bus_log_sha256(self) -> str | None:
+        """Hash of the bus log as the session's end has it; None while nothing is known."""
+        logs: Mapping[str, str] = (self.end or {}).get("bus_logs", {})
+        return logs.get(self.bus_log.name, (self.end or {}).get("bus_log_sha256"))
+
+
+def ledger_path(session: Path) -> Path:
+    """The ledger of a session given by its folder or by the ledger itself.
+
+    Raises
+    ------
+    UserError
+        There is none.
+    """
+    path = session / LEDGER if session.is_dir() else session
+    if not path.is_file():
+        what = f"holds no {LEDGER}" if session.is_dir() else "no such folder or ledger"
+        raise UserError(f"{session}: {what}; {_where(session)}")
+    return path
+
+
+def _where(session: Path) -> str:
+    """What to give in place of a folder without a ledger: several loops share the one of their run."""
+    of_loops = session.resolve().parent.parent
+    if session.is_dir() and (of_loops / LEDGER).is_file():
+        return f"the ledger of all loops is in {of_loops}: give that with --loop"
+    return "give the folder that a run has left"
+
+
+def believed_rows(path: Path) -> tuple[Row, ...]:
+    """All rows of a ledger.
+
+    Raises
+    ------
+    LedgerError
+        It cannot be read, or its chain is broken: the line names the row and what is wrong with it.
+    """
+    with LedgerReader(path) as ledger:
+        report = ledger.verify()
+        if not report.ok:
+            raise LedgerError(f"{path}: broken: {report.reason}; {report.rows} rows before it hold")
+        return tuple(row for row in ledger.rows() if row.seq <= report.rows)
+
+
+def rows_by_loop(rows: Iterable[Row], names: Collection[str]) -> dict[str, tuple[Row, ...]]:
+    """The rows about each of these loops; those that name none are about all."""
+    found: dict[str, list[Row]] = {name: [] for name in names}
+    for row in rows:
+        named = row.body.get("loop")
+        for name, about in found.items():
+            if named in {None, name}:
+                about.append(row)
+    return {name: tuple(about) for name, about in found.items()}
+
+
+def read_session(session: Path, loop: str | None = None) -> RecordedSession:
+    """A session with everything that it is replayed from, but the bus log.
+
+    loop : the name of one of several loops.
+
+    Raises
+    ------
+    UserError
+        Something is missing or was changed after the run, there is no such loop, or there are several and none is
+        named.
+    """
+    loops, config = read_loops(session)
+    return loops[config.place(loop)]
+
+
+def read_loops(session: Path) -> tuple[tuple[RecordedSession, ...], SessionConfig]:
+    """Every loop of a session, in the order of its configuration, which comes with them; errors as read_session."""
+    path = ledger_path(session)
+    folder = path.parent
+    rows = believed_rows(path)
+    if not rows or rows[0].kind != "session" or "config_sha256" not in rows[0].body:
+        raise UserError(f"{path}: is not the ledger of a session of `retuner run` of this release")
+    first = rows[0].body
+    config, text = load_session(folder / CONFIG)
+    if hashlib.sha256(text.encode()).hexdigest() != first["config_sha256"]:
+        raise UserError(f"{folder / CONFIG}: was changed after the run; the ledger has another hash for it")
+    given = first["overrides"].get("adaptation.mode")
+    mode = Mode(given) if given else None
+    about = rows_by_loop(rows, config.names) if config.several else {config.names[0]: rows}
+    buses = {i: number for number, loops in enumerate(config.buses) for i in loops}
+    recorded = []
+    for i, (name, one) in enumerate(zip(config.names, config.loops, strict=True)):
+        own = name if config.several else ""
+        log = log_of_bus(folder / BUS_LOG, buses[i])
+        recorded.append(RecordedSession(loop_folder(folder, own), one, mode, about[name], log, own))
+    return tuple(recorded), config
+
+
+# ---- What a run was made with: enough to do it again, and to say for which versions byte identity may be claimed.
+#
+# The same frames give the same decisions byte for byte where all of this is equal: linear algebra libraries round
+# differently from release to release and from processor to processor.
+
+ROOMS = (schedule, adaptive, drivers)
+"""The code that lies between frames and decisions."""
+PACKAGES = ("retuner", "numpy", "scipy", "filterpy", "python-can", "cantools")
+"""What the way from frames to decisions goes through."""
+BLOCK = 1 << 20  # bytes read at a time
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything between frames and decisions, by name; code: a hash of the rooms' own, which tells more
+    than the number of a release; engine: which one computes the fits, they are equal to rounding and not to the bit.
+    """
+    made_with = {name: version(name) for name in PACKAGES}
+    return {
+        **made_with,
+        "engine": engine_name(),
+        "code": code(),
+        "python": platform.python_version(),
+        "system": platform.system(),
+        "machine": platform.machine(),
+    }
+
+
+def code() -> str:
+    """The first 12 digits of a SHA-256 over the source of the rooms."""
+    digest = hashlib.sha256()
+    for room in ROOMS:
+        folder = Path(next(iter(room.__path__)))
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def differences(recorded: Mapping[str, str]) -> list[str]:
+    """Which versions are others here, in words; empty when all are equal."""
+    here = versions()
+    names = sorted({*recorded, *here})
+    return [
+        f"{name} {recorded.get(name, 'none')} then, {here.get(name, 'none')} here"
+        for name in names
+        if recorded.get(name) != here.get(name)
+    ]
+
+
+def session_identity(
+    session: SessionConfig, text: str, changes: Mapping[tuple[str, str], str | bool]
+) -> tuple[str, dict[str, object]]:
+    """The configuration as it is run, as text, and what a session's first row says of all that it is made with.
+
+    session : as read, with the bus that is meant. text : as its author wrote it. changes : (section, key) to its value,
+    as the command line has it.
+    """
+    text = text_as_run(text, replace(session, loops=tuple(_in_mode(one, changes) for one in session.loops)), changes)
+    seeds = [one.device.seed if one.device else None for one in session.loops]
+    return text, {
+        "versions": versions(),
+        "seed": seeds if session.several else seeds[0],
+        "config_sha256": hashlib.sha256(text.encode()).hexdigest(),
+        "overrides": {".".join(place): value for place, value in changes.items()},
+    }
+
+
+def _in_mode(config: Config, changes: Mapping[tuple[str, str], str | bool]) -> Config:
+    """A loop's configuration in the mode that the command line names."""
+    mode = changes.get(("adaptation", "mode"), config.adaptation.mode)
+    return config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"mode": mode})})
+
+
+def file_sha256(*paths: Path) -> str | None:
+    """SHA-256 of a file, or of several one after the other; None when one cannot be read."""
+    digest = hashlib.sha256()
+    try:
+        for path in paths:
+            with path.open("rb") as stream:
+                while block := stream.read(BLOCK):
+                    digest.update(block)
+    except OSError:
+        return None
+    return digest.hexdigest()

@@ -18,8 +18,8 @@ from retuner.adaptive.supervision.decision import Mode
 from retuner.config import Config
 from retuner.config.session_config import SessionConfig
 from retuner.decisions.decider import DecideHere, Decider
-from retuner.decisions.shared_workers import DecisionWorkers
 from retuner.decisions.warm_up import warm_up
+from retuner.decisions.worker import DecisionWorkers
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.clock import Clock, MonotonicClock
 from retuner.drivers.host.can_settings import OWNERS
@@ -33,8 +33,7 @@ from retuner.session.loop_session import LoopSession
 from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall
 from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox
-from retuner.session.outputs import LEDGER, loop_folder
-from retuner.session.recorded_session import believed_rows, rows_by_loop
+from retuner.session.outputs import LEDGER, believed_rows, loop_folder, rows_by_loop
 from retuner.session.scenario import ScenarioPlayer
 from retuner.session.session import LoopRecorder, NobodyLooks, Observer, Session
 from retuner.stopping import unstoppable

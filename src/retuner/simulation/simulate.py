@@ -5,7 +5,7 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
-from retuner.adaptive.loop.held_input import HeldInput
+from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step

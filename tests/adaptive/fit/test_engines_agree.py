@@ -13,11 +13,11 @@ from scipy.linalg import expm
 from retuner.adaptive.diagnosis.runaway_process import Runaway, _answer
 from retuner.adaptive.diagnosis.slipping_valve import _greedy
 from retuner.adaptive.fit import engine
+from retuner.adaptive.fit.dynamics import told_apart
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Prior, bounds, refine
 from retuner.adaptive.fit.search import Grid, _searched
-from retuner.adaptive.fit.slopes import told_apart
 from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import judged
 from retuner.adaptive.identification.corners import _ramps

@@ -8,8 +8,7 @@ from guard_cases import GAINS, request
 
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.guard.checks import Check, limit_checks
-from retuner.schedule.forms import IdealGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import IdealGains, PidGains
 
 PID = IdealGains(GAINS.kp, GAINS.kp / GAINS.ki, 4.0).to_parallel()
 

@@ -15,8 +15,7 @@ from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
-from retuner.schedule.forms import IdealGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import IdealGains, PidGains
 
 OLD = IdealGains(1.0, 20.0).to_parallel()
 

@@ -13,9 +13,8 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.simc import simc
-from retuner.schedule.axis import Axis
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
+from retuner.schedule.regions import Axis, Regions
 from retuner.schedule.table import GainTable, Lookup
 
 REGIONS = Regions.along(

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from retuner.adaptive.indexes.half_wave import half_wave_shape
-from retuner.adaptive.indexes.harmonics import phase_deg, refined_frequency, tones
+from retuner.adaptive.indexes.harmonics import half_wave_shape, phase_deg, refined_frequency, tones
 from retuner.adaptive.indexes.jumps import flat_share, jump_share
 from retuner.adaptive.indexes.shapes import cross_correlation, ellipse, kurtosis, yamashita
 

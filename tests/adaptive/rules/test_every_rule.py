@@ -15,8 +15,7 @@ from retuner.adaptive.rules.registry import RULES
 from retuner.adaptive.rules.registry import settings as rule_settings
 from retuner.adaptive.rules.rule import ControllerKind, Rule, Takes, Tuning, Wishes
 from retuner.adaptive.rules.simc import derivative_pays
-from retuner.schedule.forms import from_form
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, from_form
 from retuner.tuning import tune
 
 T = ProcessType

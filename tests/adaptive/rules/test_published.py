@@ -12,8 +12,7 @@ from retuner.adaptive.loop.optimum import Aim, optimal_pi
 from retuner.adaptive.loop.performance import performance, weighted_cost
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
-from retuner.schedule.forms import SeriesGains
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, SeriesGains
 from retuner.tuning import tune
 
 PUBLISHED = tomllib.loads((Path(__file__).parents[2] / "data" / "tuning" / "published.toml").read_text())

@@ -7,7 +7,7 @@ import pytest
 
 from retuner.adaptive.schedule_design.agreement import agreement
 from retuner.adaptive.schedule_design.joint import At, Form
-from retuner.adaptive.schedule_design.shapes import LEVEL_STD, Axis, Shape
+from retuner.adaptive.schedule_design.stretches import LEVEL_STD, Axis, Shape
 
 FORM = Form(Axis(0.0, 1.0), (Shape.CONSTANT, Shape.CONSTANT), (0.0, 0.0), 1)
 ROWS, STRETCHES = 100, 40

@@ -9,8 +9,7 @@ from test_cover import LIMITS, place
 
 from retuner.adaptive.schedule_choice.cells import COUNT, Cells, cells
 from retuner.adaptive.schedule_design.places import Place
-from retuner.schedule.axis import Axis
-from retuner.schedule.regions import Regions
+from retuner.schedule.regions import Axis, Regions
 from retuner.schedule.table import GainTable, Lookup
 
 

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from retuner.adaptive.schedule_design.characteristic import Characteristic, summed
 from retuner.adaptive.schedule_design.curves import curves as curves_of
-from retuner.adaptive.schedule_design.shapes import Axis, Shape
-from retuner.adaptive.schedule_design.stretches import cut, signals_of
+from retuner.adaptive.schedule_design.stretches import Axis, Characteristic, Shape, cut, signals_of, summed
 from retuner.adaptive.signals.sample import Window
 from retuner.scheduling import silent
 

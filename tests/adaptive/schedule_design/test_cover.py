@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.schedule_choice.next_experiment import _within
-from retuner.adaptive.schedule_design.cover import Layout, knots, mean_of, steps
-from retuner.adaptive.schedule_design.places import DesignLimits, Place, iae
+from retuner.adaptive.schedule_choice.design import _within
+from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, iae, knots, mean_of, steps
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 

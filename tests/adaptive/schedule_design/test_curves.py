@@ -11,7 +11,7 @@ import retuner
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.schedule_choice.candidates import direction
-from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.adaptive.schedule_design.stretches import Shape
 from retuner.adaptive.signals.sample import Window
 from retuner.scheduling import ScheduleDesign
 

@@ -10,7 +10,7 @@ from retuner.adaptive.schedule_choice import design as designing
 from retuner.adaptive.schedule_choice.candidates import Candidate
 from retuner.adaptive.schedule_choice.design import _able, _Chosen, _visited, design
 from retuner.adaptive.schedule_design.places import DesignLimits
-from retuner.adaptive.schedule_design.shapes import Axis
+from retuner.adaptive.schedule_design.stretches import Axis
 
 PV = Candidate("pv", (np.linspace(20.0, 80.0, 500),))
 FLOW = Candidate("flow", (np.repeat([1.0, 2.0, 3.0], 200),))

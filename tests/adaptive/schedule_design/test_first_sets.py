@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.identification.first_step import MOST_AT_ONCE, MOST_OF_A_RECORD
-from retuner.adaptive.schedule_choice.design import Design
-from retuner.adaptive.schedule_choice.first_sets import first_sets
-from retuner.adaptive.schedule_design.cover import Layout
-from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_of
+from retuner.adaptive.schedule_choice.design import Design, first_sets
+from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, place_of
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.schedule_design.motion import Batch, Local, response
-from retuner.adaptive.schedule_design.shapes import KNOTS, Axis, Shape
-from retuner.adaptive.schedule_design.stretches import cut, signals_of
+from retuner.adaptive.schedule_design.stretches import KNOTS, Axis, Shape, cut, signals_of
 from retuner.adaptive.signals.sample import Window
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import retuner
-from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.adaptive.schedule_design.stretches import Shape
 from retuner.adaptive.signals.sample import FloatArray, Window
 
 LAG_S, HOLD = 30.0, 130

@@ -4,9 +4,8 @@ import pytest
 from decision_documents import BORROWED, COMMIT, REFUSED, RESTORED, plain
 
 from retuner.report.region_overview import overview, regions_now
-from retuner.schedule.axis import Axis
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
+from retuner.schedule.regions import Axis, Regions
 from retuner.schedule.table import GainTable
 
 ROW = Regions("sp", "degC", ("low", "middle"), 0.0, (50.0,), 100.0, 1.0, 0.0)

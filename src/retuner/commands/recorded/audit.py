@@ -12,11 +12,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from retuner.audit.catalogue import Catalogue, Task, catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row, is_fault
-from retuner.audit.planning import Pass, diagnosing, expected, screening
 from retuner.audit.plant_course import AREA
 from retuner.audit.result_store import ResultStore, rows_of
 from retuner.audit.results import mean_error, summary, write_joined, write_results
-from retuner.audit.working import on_a_cluster, on_this_machine, processes
+from retuner.audit.working import Pass, diagnosing, expected, on_a_cluster, on_this_machine, processes, screening
 from retuner.commands.options import Controller, FormOptions, Json, PvSpan, controller_units, signed_by
 from retuner.commands.recorded.record_form import record_form
 from retuner.errors import UserError, user_input

@@ -31,7 +31,7 @@ from retuner.report.loop_plots import trend_figure
 from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure
 from retuner.report.rule_comparison import RuleRow
 from retuner.report.tuning_plots import responses_figure
-from retuner.schedule_report.drawing import schedule_figure
+from retuner.schedule_report.page import schedule_figure
 from retuner.scheduling import ScheduleDesign
 from retuner.simulation.loop_trend import LoopTrend
 from retuner.tuning import TuneResult, tuning_lines

@@ -19,8 +19,7 @@ from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import Recording, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.schedule.controller_units import Acting
-from retuner.schedule.forms import Form, from_form
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import Form, PidGains, from_form
 
 MOST_BEYOND = 0.9
 """Share of co beyond a limit from which the limit is meant in another unit."""

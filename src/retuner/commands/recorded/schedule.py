@@ -34,7 +34,7 @@ from retuner.files import write_whole
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import PERCENT, from_toml, to_toml
 from retuner.schedule.table import GainTable
-from retuner.schedule_report.sentences import (
+from retuner.schedule_report.page import (
     aim_sentence,
     experiment_sentence,
     limit_sentence,
@@ -207,8 +207,7 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
     if folder is None:
         return []
     from retuner.decision_page.svg import drawn
-    from retuner.schedule_report.drawing import SHOWS, schedule_figure
-    from retuner.schedule_report.page import page
+    from retuner.schedule_report.page import SHOWS, page, schedule_figure
 
     name = found.table.loop if found.table is not None else options.files[0].stem
     files: dict[Path, str | bytes] = {

@@ -11,13 +11,13 @@ import typer
 
 from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.rules.explanation import Explanation
+from retuner.adaptive.rules.registry import Explanation
 from retuner.commands.options import ActionOption, Controller, Json, controller_units, signed_by
 from retuner.commands.recorded.plot_option import check_plot
 from retuner.errors import UserError, user_input
 from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
 from retuner.schedule.controller_units import ControllerUnits
-from retuner.schedule.forms import proportional_band_pct, repeats_per_min
+from retuner.schedule.gains import proportional_band_pct, repeats_per_min
 from retuner.tuning import TuneResult, tuning_lines
 from retuner.tuning import tune as tune_model
 from retuner.verbosity import busy

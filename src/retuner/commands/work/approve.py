@@ -24,8 +24,7 @@ from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
 from retuner.session.order_queue import SHORT, Shown, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
-from retuner.session.outputs import CONFIG, GAINS, LEDGER, loop_folder
-from retuner.session.recorded_session import believed_rows, ledger_path, rows_by_loop
+from retuner.session.outputs import CONFIG, GAINS, LEDGER, believed_rows, ledger_path, loop_folder, rows_by_loop
 
 SHORTEST = SHORT
 """Hexadecimal digits of a hash that a person has to give at least."""

@@ -23,7 +23,7 @@ from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
 from retuner.live_view.what_next import what_next
 from retuner.report.ledger_words import ABOUT_A_TRIAL, Told, no_formula, told
-from retuner.session.recorded_session import ledger_path, rows_by_loop
+from retuner.session.outputs import ledger_path, rows_by_loop
 
 SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
 COLUMNS = {

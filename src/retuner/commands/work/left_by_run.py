@@ -14,7 +14,7 @@ from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAd
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.commands.work.report import scores_of
-from retuner.commands.work.run_job import RunJob
+from retuner.commands.work.run import RunJob
 from retuner.files import write_json
 from retuner.ledger import Ledger
 from retuner.ledger.trend import write_trend
@@ -39,8 +39,8 @@ from retuner.session.outputs import (
     SUMMARY,
     TREND,
     loop_folder,
+    rows_by_loop,
 )
-from retuner.session.recorded_session import rows_by_loop
 from retuner.session.session import Session
 
 

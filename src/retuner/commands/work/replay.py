@@ -28,8 +28,7 @@ from retuner.errors import UserError
 from retuner.replay.replaying import Replay, Replayed
 from retuner.schedule.gains import PidGains
 from retuner.session.assembly import make_retuner, schedule_inputs
-from retuner.session.recorded_session import RecordedSession, read_loops
-from retuner.session.session_identity import differences
+from retuner.session.outputs import RecordedSession, differences, read_loops
 from retuner.verbosity import busy
 
 

@@ -20,15 +20,14 @@ from retuner.drivers.plants.stepped import SteppedPlant
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.ledger import Row
-from retuner.ledger.decided import without_place
-from retuner.replay.recorded_trend import recorded_columns
+from retuner.ledger.chain import without_place
+from retuner.replay.replaying import recorded_columns
 from retuner.report.loops_index import loop_line, render_index
 from retuner.report.report import ReportData, render
 from retuner.report.scores import Columns, RegionScore, region_scores
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
-from retuner.session.outputs import GAINS, REPORT, SUMMARY
-from retuner.session.recorded_session import RecordedSession, read_loops
+from retuner.session.outputs import GAINS, REPORT, SUMMARY, RecordedSession, read_loops
 from retuner.session.scenario import loads_at
 from retuner.verbosity import busy
 

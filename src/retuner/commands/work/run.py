@@ -1,41 +1,46 @@
 """retuner run: watch and retune a loop, and leave report, ledger, trend and bus log behind."""
 
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from retuner.adaptive.supervision.decision import Mode
 from retuner.commands.options import all_on_bus
-from retuner.commands.work.foreseen import foreseen
-from retuner.commands.work.run_job import RunJob
 from retuner.commands.work.run_options import RunOptions
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
 from retuner.decision_page.shown_units import show_units_of
 from retuner.decisions.proposed_schedule import ROW, refined, row_body, taken_up
-from retuner.drivers.bus.bus_log import log_parts
+from retuner.drivers.bus.bus_opening import log_parts
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
-from retuner.files import write_whole
+from retuner.files import Unwritten, write_whole
 from retuner.ledger import Ledger, Recorder
 from retuner.ledger.trend import require_writer
 from retuner.products import product
+from retuner.schedule.controller_units import Acting
+from retuner.schedule.gains import PidGains
+from retuner.session.assembly import guard_settings
 from retuner.session.outputs import (
     BUS_LOG,
     CONFIG,
     LEDGER,
     REPORT,
+    FreshFolder,
+    file_sha256,
     fresh_folder,
     give_back,
     log_of_bus,
+    session_identity,
 )
 from retuner.session.running import Run, nothing, real_time_speed
 from retuner.session.session import Session
-from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
 from retuner.verbosity import quiet
 
@@ -43,6 +48,122 @@ if TYPE_CHECKING:
     from retuner.adaptive.region_model.refinement import Refinement
     from retuner.live_view.live_screen import LiveScreen
     from retuner.live_view.watching import Watching
+
+
+# ---- Everything that is settled before a run begins
+
+
+@dataclass(frozen=True, slots=True)
+class RunJob:
+    """text : the configuration as its author wrote it. unwritten : what the system refuses of what the run leaves."""
+
+    config: SessionConfig
+    text: str
+    mode: Mode | None
+    speed: float
+    fresh: FreshFolder
+    options: RunOptions
+    unwritten: Unwritten = field(default_factory=Unwritten)
+
+    @property
+    def folder(self) -> Path:
+        """Where the run leaves everything."""
+        return self.fresh.path
+
+    @property
+    def title(self) -> str:
+        """What is run, in a few words."""
+        first = self.config.loops[0]
+        mode = self.mode or first.adaptation.mode
+        return f"{len(self.config.loops)} loops" if self.config.several else f"{first.loop.name}: {mode}"
+
+
+# ---- What can be foreseen of a configuration that is well formed: gains of the wrong sign, limits that stand in
+# the way.
+#
+# The sign is compared where the plant is known, which is a simulated one. Limits are compared with the gains in the
+# file, and with the first setpoint step whose proportional action alone is more than the output has room for.
+
+
+class Warned(NamedTuple):
+    """One thing foreseen. wrong : it cannot work, not only in the way."""
+
+    text: str
+    wrong: bool = False
+
+
+def foreseen(config: Config) -> list[Warned]:
+    """Everything that can be foreseen, the worst first."""
+    return [*_wrong_signs(config), *_limits_passed(config), *_first_step(config)]
+
+
+def _wrong_signs(config: Config) -> Iterator[Warned]:
+    """Regions whose gains drive the plant away."""
+    if config.device is None or config.device.plant is None:
+        return
+    plant, regions = product("plants").known_plant(config), config.regions()
+    if plant is None:
+        return
+    for i, gains in enumerate(config.gains()):
+        first = regions.axes[0]
+        at = regions.centre(i) if first.variable in {"sp", "pv"} else (config.loop.pv_min + config.loop.pv_max) / 2
+        k = plant.linearise(at).k
+        if math.copysign(1, k) == gains.direction:
+            continue
+        falls = "falls" if k < 0 else "rises"
+        needed = Acting.DIRECT if k < 0 else Acting.REVERSE
+        yield Warned(
+            f"region {regions.names[i]}: the plant's pv {falls} when the output rises, which needs a {needed}-acting "
+            f"controller; these gains are {Acting.of(gains)} acting: change their sign, or [loop] action",
+            wrong=True,
+        )
+
+
+def _limits_passed(config: Config) -> Iterator[Warned]:
+    """Gains in the file that stand beyond the limits of changes already."""
+    limits = guard_settings(config)
+    for name, gains in zip(config.regions().names, config.gains(), strict=True):
+        tau_i_s = gains.kp / gains.ki if gains.ki else None
+        tau_d_s = gains.kd / gains.kp if gains.kp else 0.0
+        for what, value, least, most in (
+            ("kc", abs(gains.kp), limits.kc_min, limits.kc_max),
+            ("tau_i", tau_i_s, limits.tau_i_min_s, limits.tau_i_max_s),
+            ("tau_d", tau_d_s, 0.0, limits.tau_d_max_s),
+        ):
+            if value is None or least <= value <= most:
+                continue
+            side, limit = ("below", least) if value < least else ("above", most)
+            yield Warned(
+                f"region {name}: {what} = {value:g} (parallel form) is {side} the limit of [adaptation], {limit:g}: "
+                "changes may only lead towards it"
+            )
+
+
+def _first_step(config: Config) -> Iterator[Warned]:
+    """The first setpoint step that takes the output to its limit at once."""
+    if config.scenario is None:
+        return
+    room = config.loop.co_max_pct - config.loop.co_min_pct
+    wanted = [(step.at_s, step.sp) for step in config.scenario.steps if step.sp is not None]
+    for (_, before), (at_s, after) in pairwise(wanted):
+        kick = abs(config.loop.b * _gains_at(config, after).kp * (after - before))
+        if kick > room:
+            yield Warned(
+                f"scenario: the step of sp from {before:g} to {after:g} at {at_s:g} s moves the output by {kick:.0f} % "
+                f"at once; its range is {room:g} %, so it will hit its limit, which hides the response"
+            )
+            return
+
+
+def _gains_at(config: Config, sp: float) -> PidGains:
+    """The gains at a setpoint, or of the first region where the gains follow something else."""
+    axis, gains = config.regions().axes[0], config.gains()
+    if len(config.regions().axes) > 1 or axis.variable not in {"sp", "pv"}:
+        return gains[0]
+    return gains[sum(bound <= sp for bound in axis.bounds)]
+
+
+# ---- retuner run
 
 
 def run(options: RunOptions) -> int:

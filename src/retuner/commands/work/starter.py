@@ -20,8 +20,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.api import identify_record
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.errors import UserError, user_input
-from retuner.schedule.forms import Form, from_form, in_form
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import Form, PidGains, from_form, in_form
 from retuner.templates import profiles, starter
 
 OVEN, NATIVE = "oven", "retuner"
