@@ -6,20 +6,32 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from loop_bench import GOOD, Bench, made, scaled
+from loop_bench import GOOD, Bench, made, scaled, table
 
+from retuner.adaptive.fit.record import Record, RestRatio, rest_ratios
 from retuner.adaptive.fit.structure import dynamics_at
 from retuner.adaptive.identification.by_setpoint import Fitting, noise_filter, process_behind
-from retuner.adaptive.identification.identify import FitSettings
+from retuner.adaptive.identification.estimate import LogModel, gain_spread
+from retuner.adaptive.identification.identify import Fits, FitSettings
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.structure_choice import ChoiceSettings
+from retuner.adaptive.indexes.condition import Condition, record_condition
 from retuner.adaptive.loop.sampled import SampledLaw, setpoint_response
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model import sequences as of_region
 from retuner.adaptive.region_model.sequences import update_by_sequences
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
-from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.noise import coloured_sigma, noise_sigma, quantum_sigma
+from retuner.adaptive.signals.recogniser import START_BANDS
+from retuner.adaptive.signals.response import Ending, Response
+from retuner.adaptive.signals.rest import wander_before
+from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import LEAST_LEAD, SetpointSteps, setpoint_steps
 from retuner.adaptive.signals.to_and_fro import to_and_fro
-from retuner.adaptive.supervision.state_file import region_model_in, region_model_out
+from retuner.adaptive.supervision.decision import Mode
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 
@@ -196,3 +208,192 @@ def test_what_loads_do_by_themselves_is_told_of_the_stretches_of_one_set_of_gain
     loads = WALK * np.cumsum(np.random.default_rng(1).standard_normal(2000))
     error = [sample.pv for load in loads for sample in bench.samples(1, 0.0, float(load), 10.0)]
     assert full == pytest.approx(float(np.std(error)), rel=0.6)
+
+
+# ---- What pv and co at rest say of the gain: a load that is invented against it loses, one that came does not
+
+K = 2.0
+NO_ZERO = FitSettings(ChoiceSettings(inverse=False))
+
+
+def record(seed: int, *, sp: float = 1.0, load: float = 0.0, load_at: int = 90, inverse: float = 0.0) -> Window:
+    """PI on a gain of 2, lags of 12 and 5 s, a dead time of 3 s and perhaps a zero; 1 % noise, the step at 60 s."""
+    rng, n, delay = np.random.default_rng(seed), 400, 3
+    pv, co, wanted = np.zeros(n), np.zeros(n), np.where(np.arange(n) >= 60, sp, 0.0)
+    a, b, integral = 0.0, 0.0, 0.0
+    for i in range(n):
+        pv[i] = b - inverse * (a - b) / 5.0 + 0.01 * rng.standard_normal()
+        integral += 0.25 / 17 * (wanted[i] - pv[i])
+        co[i] = 0.25 * (wanted[i] - pv[i]) + integral
+        entered = (co[i - delay] if i >= delay else 0.0) + (load if i >= load_at else 0.0)
+        a += (K * entered - a) / 12.0
+        b += (a - b) / 5.0
+    return Window(np.arange(float(n)), wanted, pv, co)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_gain_at_rest_is_measured(seed: int) -> None:
+    (found,) = rest_ratios(record(seed))
+    assert abs(found.ratio - 1 / K) < 2 * found.std
+    assert found.std < 0.1 / K
+
+
+def test_a_record_without_setpoint_steps_has_no_ratio() -> None:
+    assert rest_ratios(record(1, sp=0.0, load=1.0)) == ()
+    assert Record.of(record(1)).rests == rest_ratios(record(1))
+
+
+def test_what_a_contradiction_costs_has_an_end() -> None:
+    at_rest = RestRatio(0.5, 0.025, 1.0)
+    lag = np.log([1 / 12, 3.0, 24.0])  # k = 2
+    assert at_rest.cost(ProcessType.FOPDT, lag, 1) == pytest.approx(0.0, abs=1e-6)
+    tripled = np.log([3 / 12, 3.0, 24.0])
+    assert 8 < at_rest.cost(ProcessType.FOPDT, tripled, 1) < at_rest.cost(ProcessType.FOPDT, lag, -1) < 15
+    assert at_rest.cost(ProcessType.INTEGRATING, np.log([0.1, 3.0]), 1) > 8
+    assert RestRatio(0.0, 0.025, 1.0).cost(ProcessType.INTEGRATING, np.log([0.1, 3.0]), 1) == pytest.approx(0.0)
+
+
+def test_a_load_that_came_is_believed_against_the_rests() -> None:
+    found = Fits(record(4, load=-0.4), (1,), FitSettings()).estimate(whatever_loads=True)
+    (ratio,) = rest_ratios(record(4, load=-0.4))
+    assert ratio.ratio > 1.5 / K  # the load is in it
+    assert found.log.model().k == pytest.approx(K, rel=0.15)
+    assert any(t == pytest.approx(90.0, abs=6.0) for t in found.load_times_s)
+
+
+def test_two_lags_that_are_equal_are_known_as_well_as_two_that_are_not() -> None:
+    """A derivative of the settings is infinite there: the gain once passed for uncertain by a factor of 2.3."""
+    covariance = np.diag([0.02, 0.02, 0.03, 0.03]) ** 2
+    logs = [LogModel(np.log([0.4, 1.3, 2.4, 2.4 * c2]), covariance, 1, ProcessType.SOPDT) for c2 in (0.2499, 0.2)]
+    stds = [log.gain_uncertainty() for log in logs]
+    assert max(stds) < 0.1
+    drawn = np.random.default_rng(5).multivariate_normal(logs[0].x, covariance, 400)
+    around = [Plausible(LogModel(x, covariance, 1, ProcessType.SOPDT).model(), 0.0) for x in drawn]
+    assert 1.0 < stds[0] / gain_spread(around, 0.0) < 2.0
+    assert math.isfinite(logs[0].std()["tau2"])
+    assert logs[0].std()["tau2"] < 0.5
+
+
+@pytest.mark.parametrize("seed", [2, 3, 6])
+def test_a_load_invented_for_want_of_a_zero_loses_to_the_rests(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the structure that the process has, a load at the step pays; the gain that it brings is not the one."""
+    window = record(seed, inverse=6.0)
+    found = Fits(window, (1,), NO_ZERO).estimate()
+    assert found.log.model().k == pytest.approx(K, rel=0.1)
+    monkeypatch.setattr("retuner.adaptive.identification.candidate._at_rest", lambda _fit: 0.0)
+    assert Fits(window, (1,), NO_ZERO).estimate().log.model().k > 1.15 * K
+
+
+# ---- The noise of a loop: honest where it is coloured or its sensor coarse
+
+N = 1200
+
+
+def noise(memory: float, seed: int, n: int = N) -> FloatArray:
+    """Autoregressive noise of standard deviation one. memory : its time constant in samples, 0 for white."""
+    rng = np.random.default_rng(seed)
+    rho = math.exp(-1 / memory) if memory else 0.0
+    found = np.zeros(n)
+    found[0] = rng.standard_normal()
+    for i in range(1, n):
+        found[i] = rho * found[i - 1] + math.sqrt(1 - rho**2) * rng.standard_normal()
+    return found
+
+
+@pytest.mark.parametrize("memory", [1, 2, 4, 8, 16])
+def test_noise_with_a_memory_is_told_whole_where_neighbours_show_a_part(memory: float) -> None:
+    told = [coloured_sigma(noise(memory, seed), N) for seed in range(20)]
+    assert np.median(told) == pytest.approx(1.0, rel=0.3)
+    assert np.median([noise_sigma(noise(memory, seed)) for seed in range(20)]) < 0.81
+
+
+def test_white_noise_is_left_to_the_differences_of_neighbours() -> None:
+    told = [coloured_sigma(noise(0, seed), 100) for seed in range(50)]
+    assert np.mean(np.array(told) > 0) <= 0.1
+
+
+@pytest.mark.parametrize("quantum", [0.5, 1.0])
+def test_a_coarse_sensor_does_not_hide_noise_with_a_memory(quantum: float) -> None:
+    told = [coloured_sigma(np.round(noise(8, seed) / quantum) * quantum, N) for seed in range(20)]
+    assert np.median(told) == pytest.approx(1.0, rel=0.4)
+
+
+def test_what_is_slower_than_asked_for_is_no_noise() -> None:
+    slow = np.linspace(0, 1, N) ** 2 * 50 + noise(0, 3)
+    assert coloured_sigma(slow, 16) == 0.0
+
+
+def loop(pv: FloatArray, sp_at: int) -> list[LoopSample]:
+    """At rest, with the setpoint stepped late."""
+    return [LoopSample(float(i), 40.0 if i >= sp_at else 0.0, float(y), 50.0) for i, y in enumerate(pv)]
+
+
+def step_at(t_s: float, band: float) -> Response:
+    return Response(t_s, float(N - 1), (), Ending.QUIET, True, band)
+
+
+def test_what_wanders_before_a_step_is_told_and_a_motion_there_is_not_taken_for_it() -> None:
+    pv, band = noise(8, 4), 4 * noise_sigma(noise(8, 4))
+    assert START_BANDS * band < 3.0  # the band is so narrow that the noise leaves it
+    assert wander_before(loop(pv, 800), step_at(800.0, band)) == pytest.approx(1.0, rel=0.35)
+    moved = pv + np.where(np.arange(N) < 700, 30.0 * np.sin(np.arange(N) / 9), 0.0)
+    assert wander_before(loop(moved, 800), step_at(800.0, band)) < 2.0
+    assert wander_before(loop(pv, 30), step_at(30.0, band)) == 0.0  # too short to tell
+
+
+def test_levels_of_a_sensor_are_a_quantum_even_where_the_end_of_its_range_cuts_one_off() -> None:
+    pv = np.clip(np.round((3.0 * np.sin(np.arange(N) / 60) + 0.3 * noise(0, 5)) / 2.0) * 2.0, -5.0, 2.7)
+    assert len(np.unique(pv)) <= 5
+    assert noise_sigma(pv) >= 2.0 / math.sqrt(12.0)
+    smooth = np.concatenate([np.zeros(N - 40), np.linspace(0.0, 1.0, 40) ** 1.7])  # levels of a motion, seen once each
+    assert noise_sigma(smooth) == 0.0
+
+
+# ---- What coarse signals look like: a pv in the steps of its sensor, a co that stands still in automatic
+
+STEP = 0.1
+
+
+def coarse() -> Bench:
+    return Bench(Retuner(table(scaled(0.4, 0.4)), RetunerSettings(1.0, 10.0, Mode.AUTO)), noise=0.001, step=STEP)
+
+
+def rise(n: int) -> FloatArray:
+    return 1 - np.exp(-np.arange(n) / 8.0)
+
+
+def test_a_short_response_shows_the_steps_of_its_sensor_though_few_values_come_twice() -> None:
+    pv = np.round(rise(30) / 0.03) * 0.03
+    assert len(np.unique(pv)) > len(pv) / 2
+    assert quantum_sigma(pv) == pytest.approx(0.03 / math.sqrt(12))
+
+
+@pytest.mark.parametrize("pv", [rise(30), np.arange(30.0), np.random.default_rng(0).standard_normal(30)])
+def test_what_is_not_rounded_has_no_steps(pv: FloatArray) -> None:
+    assert quantum_sigma(pv) == 0.0
+
+
+def test_a_sensor_between_two_of_its_steps_is_at_rest_and_its_steps_survive_a_restart() -> None:
+    bench = coarse()
+    bench.run(1500, sp=1.04)
+    assert bench.run(3000, sp=1.04) == []
+    finder = bench.retuner.state().finder
+    assert finder.rounding == pytest.approx(STEP / math.sqrt(12))
+    again = restore(remember(bench.retuner), bench.retuner.settings)
+    assert again.state().finder == finder
+
+
+def test_a_coarse_sensor_is_learned_from_and_its_single_steps_are_no_responses() -> None:
+    bench = coarse()
+    assert [told.code for told in bench.exercise(2)] == ["accepted"]
+    assert bench.retuner.region_models[0].identifiable
+    assert bench.retuner.table.gains_of(0).kp > 1.5 * scaled(0.4, 0.4).kp
+
+
+def test_a_co_that_stands_still_is_manual_only_where_nobody_says_that_it_is_automatic() -> None:
+    t = np.arange(400.0)
+    co = np.where(t < 300, 50.0, 50.0 + np.minimum((t - 300) / 10, 4))
+    pv = np.where(t < 250, 0.0, 1.0) * np.sin(t / 30) + 0.01 * np.random.default_rng(1).standard_normal(400)
+    window = Window(t, np.zeros(400), pv, co)
+    assert record_condition(window).condition is Condition.MANUAL
+    assert record_condition(window, in_auto=True).condition is not Condition.MANUAL

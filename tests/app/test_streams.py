@@ -4,6 +4,7 @@ import errno
 import io
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,10 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from retuner.files import write_whole
 from retuner.report.console import RunScreen, counted, scores_table, screen_console
 from retuner.report.event_words import event_line
 from retuner.report.scores import RegionScore
 from retuner.schedule.gains import PidGains
+from retuner.stopping import STOPS, stoppable, unstoppable
 from retuner.streams import LastingStream, open_streams
 
 
@@ -123,3 +126,70 @@ def test_events_are_sentences_without_empty_values() -> None:
 
 def test_things_are_counted() -> None:
     assert [counted(number, "change") for number in (1, 2)] == ["1 change", "2 changes"]
+
+
+# ---- Being stopped: what must be whole is whole, and what must end ends
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, *STOPS])
+def test_what_is_left_behind_is_written_before_a_signal_takes_effect(number: signal.Signals) -> None:
+    handlers = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    done = []
+
+    def leave() -> None:
+        with stoppable(), unstoppable():
+            os.kill(os.getpid(), number)
+            done.append("written")
+
+    with pytest.raises(KeyboardInterrupt):
+        leave()
+    assert done == ["written"]
+    assert handlers == (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM))
+
+
+def test_a_wait_within_a_wait_ends_with_the_outer_one_and_one_signal_is_raised_once() -> None:
+    done = []
+
+    def twice() -> None:
+        with stoppable():
+            with unstoppable():
+                with unstoppable():
+                    os.kill(os.getpid(), signal.SIGTERM)
+                done.append("outer")
+            done.append("never")
+
+    with pytest.raises(KeyboardInterrupt):
+        twice()
+    with stoppable(), unstoppable():
+        done.append("next session")
+    assert done == ["outer", "next session"]
+
+
+def test_between_two_waits_a_signal_stops_at_once() -> None:
+    def told() -> None:
+        with stoppable():
+            with unstoppable():
+                pass
+            os.kill(os.getpid(), signal.SIGTERM)
+            pytest.fail("went on")
+
+    with pytest.raises(KeyboardInterrupt):
+        told()
+
+
+def test_without_a_signal_nothing_is_raised() -> None:
+    with unstoppable():
+        pass
+
+
+def test_a_file_whose_writing_is_interrupted_leaves_no_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(handle: int) -> None:
+        del handle
+        raise KeyboardInterrupt
+
+    (tmp_path / "trend.csv").write_text("old")
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(tmp_path / "trend.csv", "new")
+    assert [path.name for path in tmp_path.iterdir()] == ["trend.csv"]
+    assert (tmp_path / "trend.csv").read_text() == "old"

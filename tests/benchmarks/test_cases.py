@@ -1,14 +1,23 @@
 """Drawn cases: reproducible, sound, and what they are labelled to be."""
 
+import math
+
 import numpy as np
 import pytest
 from cases import diagnosis, identification, traps
-from cases.best import sampled
+from cases.best import best_pi, best_pid, half_rule, sampled, simc_of
 from cases.bound import kc_bound
 from cases.counting import interval
+from cases.loop import Controller, Upsets, performance, run
+from cases.plant import HeldPlant
+from cases.processes import FAMILIES, draw
+from cases.robustness import robustness
+from scipy import signal
 
 from retuner.adaptive.loop.margins import margins
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
 
 SEED = 99
 
@@ -106,3 +115,114 @@ def test_the_bound_grows_with_the_noise_and_is_absent_where_it_is_not_modelled()
 )
 def test_intervals_as_published(hits, n, low, high):
     assert interval(hits, n) == pytest.approx((low, high), abs=2e-4)
+
+
+# ---- Simulated loops against formulas: step responses, half rule, robustness, performance
+
+
+def step_response(process, h, n=120):
+    plant = HeldPlant(process, h)
+    return np.arange(n + 1) * h, np.array([0.0, *(plant.move(1.0) for _ in range(n))])
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.25, 1.0, 1.37, 4.999])
+def test_first_order_with_any_dead_time(theta):
+    t, y = step_response(LinearProcess(-3.0, (2.0,), (), theta), 0.25)
+    late = np.maximum(t - theta, 0)
+    assert y == pytest.approx(-3.0 * (1 - np.exp(-late / 2.0)), abs=1e-11)
+
+
+def test_pair_of_complex_poles():
+    zeta, period, theta = 0.4, 1.5, 0.77
+    t, y = step_response(LinearProcess(2.0, (), (), theta, 0, ((2 * zeta * period, period**2),)), 0.2)
+    late = np.maximum(t - theta, 0)
+    root = math.sqrt(1 - zeta**2)
+    swing = np.exp(-zeta * late / period) / root * np.sin(root * late / period + math.acos(zeta))
+    assert y == pytest.approx(2.0 * (1 - swing), abs=1e-11)
+
+
+def test_integrator_with_lag():
+    t, y = step_response(LinearProcess(0.5, (3.0,), (), 1.3, 1), 0.5)
+    late = np.maximum(t - 1.3, 0)
+    assert y == pytest.approx(0.5 * (late - 3.0 * (1 - np.exp(-late / 3.0))), abs=1e-10)
+
+
+def test_inverse_response_of_high_order_with_lags_far_apart():
+    process = LinearProcess(1.7, (5.0, 1.0, 0.02), (-0.8,), 0.0)
+    t, y = step_response(process, 0.1)
+    den = np.polymul(np.polymul([5.0, 1], [1.0, 1]), [0.02, 1])
+    _, exact = signal.step(signal.lti(1.7 * np.array([-0.8, 1]), den), T=t)
+    assert y == pytest.approx(exact, abs=1e-9)
+    assert y.min() < -0.05
+
+
+def test_as_many_leads_as_lags_are_refused():
+    with pytest.raises(ValueError, match="no room"):
+        HeldPlant(LinearProcess(1.0, (2.0,), (-1.0,)), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("lags", "leads", "theta", "order", "expected"),
+    [
+        ((1.0, 0.2), (), 0.0, 1, (0.1, 1.1, 0.0)),
+        ((2, 1, 0.4, 0.2, 0.05, 0.05, 0.05), (-0.3,), 0.0, 2, (0.3 + 0.2 + 0.2 + 0.15, 2.0, 1.2)),
+        ((1.0,) * 4, (), 0.0, 1, (2.5, 1.5, 0.0)),
+        ((5, 3, 0.5), (-0.1,), 0.0, 1, (2.1, 6.5, 0.0)),
+        ((12, 3, 0.2, 0.05), (-1,), 1.0, 1, (3.75, 13.5, 0.0)),
+        ((12, 3, 0.2, 0.05), (-1,), 1.0, 2, (2.15, 12.0, 3.1)),
+        ((20, 5, 5), (-10,), 10.0, 1, (27.5, 22.5, 0.0)),
+    ],
+)
+def test_half_rule(lags, leads, theta, order, expected):
+    model = half_rule(LinearProcess(1.0, tuple(map(float, lags)), tuple(map(float, leads)), theta), order)
+    assert (model.theta_s, model.tau1_s, model.tau2_s) == pytest.approx(expected)
+
+
+def test_half_rule_gives_an_integrating_process_its_lags_as_dead_time():
+    process = LinearProcess(0.1, (2.0, 1.0), (), 0.5, 1)
+    assert half_rule(process) == ProcessModel(ProcessType.INTEGRATING, 0.1, 0.0, 0.0, 3.5)
+    assert half_rule(process, 2) == ProcessModel(ProcessType.INTEGRATING_LAG, 0.1, 0.0, 2.5, 1.0)
+
+
+@pytest.mark.parametrize(("lags", "integrators", "ms", "gm"), [((5.0,), 0, 1.59, 3.14), ((), 1, 1.70, 2.96)])
+def test_robustness_of_simc_as_published(lags, integrators, ms, gm):
+    process = LinearProcess(2.0, lags, (), 1.0, integrators)
+    found = robustness(process, best_pi(process, 0.0))
+    assert (found.ms, found.gm) == (pytest.approx(ms, abs=0.01), pytest.approx(gm, abs=0.01))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_robustness_agrees_with_retuner_on_every_family(family):
+    rng = np.random.default_rng(7)
+    for factor in (0.3, 1.0, 2.5, 8.0):
+        process = draw(rng, family)
+        best = best_pi(process, 0.0)
+        gains = PidGains(best.kp * factor, best.ki * factor)
+        ours, theirs = robustness(process, gains), margins(process, gains)
+        assert ours.stable == theirs.stable
+        if ours.stable:
+            assert ours.ms == pytest.approx(theirs.ms, rel=3e-3)
+
+
+def test_complex_poles_are_tuned_to_an_ms_of_no_more_than_1_8():
+    process = LinearProcess(1.0, (), (), 1.0, 0, ((0.8, 1.0),))
+    assert robustness(process, simc_of(half_rule(process), 2.0)).ms > 1.85
+    assert robustness(process, best_pi(process, 0.0)).ms == pytest.approx(1.78, abs=0.03)
+
+
+def test_performance_is_one_for_the_reference_and_knows_the_integrated_load_error():
+    process = LinearProcess(1.0, (8.0,), (), 1.0)
+    best = best_pi(process, 0.05)
+    assert performance(process, best, best, 1.0, 0.05) == pytest.approx(1.0)
+    slower = PidGains(best.kp / 2, best.ki / 2)
+    n = 4000
+    load = run(process, Controller(slower), 0.05, Upsets(np.zeros(n), load=np.ones(n)))
+    assert np.sum(load.sp - load.pv) * 0.05 == pytest.approx(-1 / slower.ki, rel=1e-3)
+    assert math.isinf(performance(process, PidGains(best.kp * 5, best.ki * 5), best, 1.0, 0.05))
+
+
+def test_pid_only_where_there_is_a_second_lag():
+    assert best_pid(LinearProcess(1.0, (3.0,), (), 1.0), 0.1) is None
+    found = best_pid(LinearProcess(1.0, (3.0, 2.0), (), 1.0), 0.0)
+    assert found is not None
+    assert found.kd == pytest.approx(1.5 * 2.0)  # kc = 3 / (1 + 1), kd = kc tau_d

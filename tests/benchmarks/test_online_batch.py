@@ -8,18 +8,24 @@ import numpy as np
 import pytest
 from cases.plant import HeldPlant
 from cases.robustness import robustness
-from online import batch
+from cases.setting import draw_loop
+from online import batch, changes, harm, injected
 from online.astrom_hagglund import batch as processes
 from online.counting import at_most
-from online.judge import Judge
+from online.judge import Judge, effect
 from online.loop import FixedGains, LostLoop, WatchedLoop
+from online.rivals import relay_then_ziegler_nichols, step_then_simc
 from online.runner import finite, rows_of
 from online.supervisors import one_region
+from online.varying import Changing, Local, Range, VaryingPlant
 
+from retuner.adaptive.loop.margins import ultimate
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable, Lookup
 
 
 def test_simc_on_the_whole_batch_has_the_margins_that_are_known_of_it():
@@ -153,3 +159,220 @@ def test_rows_come_back_from_their_file(tmp_path):
     file = tmp_path / "rows.jsonl"
     file.write_text('{"ms": [1.5, null], "who": {"a": {"iae": [null]}}}\n', encoding="utf-8")
     assert rows_of(file) == [{"ms": [1.5, math.inf], "who": {"a": {"iae": [math.inf]}}}]
+
+
+# ---- What must not be changed, bad changes, and the competitors: their generators and judgements on known cases
+
+PROCESS = LinearProcess(-2.0, (8.0, 1.0), (), 1.0)
+DT = 0.2
+
+
+def judge():
+    return Judge(PROCESS, DT)
+
+
+def scaled(gains, factor):
+    return PidGains(gains.kp * factor, gains.ki * factor)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "ms_worse", "iae_worse"),
+    [
+        (1.0, 1.6, True, False),  # out of the limit on Ms, though faster
+        (1.0, 0.3, False, True),  # slower for nothing
+        (2.5, 0.3, False, False),  # slower, but it was over the limit
+        (0.3, 1.0, False, False),  # right
+        (2.5, 1.0, False, False),  # right
+        (2.5, 5.0, True, True),  # unstable
+        (1.0, 1.0, False, False),
+    ],
+)
+def test_a_change_is_worse_where_ms_leaves_its_limit_or_j_grows_for_nothing(before, after, ms_worse, iae_worse):
+    of = judge()
+    found = effect(of, 1.0, scaled(of.best, before), scaled(of.best, after))
+    assert (found.ms_worse, found.iae_worse) == (ms_worse, iae_worse)
+    assert found.worse == (ms_worse or iae_worse)
+
+
+@pytest.mark.parametrize("family", ["first", "integrating-lag", "oscillatory"])
+def test_a_loop_in_other_time_is_the_same_loop(family):
+    loop = draw_loop(np.random.default_rng(4), family)
+    slower = harm.rescaled(loop, 3.0 * loop.dt_s)
+    assert slower.theta_s == pytest.approx(3.0 * loop.theta_s)
+    assert slower.margins(slower.best).ms == pytest.approx(loop.margins(loop.best).ms, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", harm.KINDS)
+def test_scenes_are_reproducible_and_in_spec_at_the_start(kind):
+    def drawn(index):
+        return harm.scene_of(kind, np.random.default_rng([7, index]))
+
+    for index in range(3):
+        scene, again = drawn(index), drawn(index)
+        np.testing.assert_array_equal(scene.load, again.load)
+        assert scene.gains == again.gains
+        found = Judge(scene.loop.process, scene.loop.dt_s, (scene.loop.best, scene.loop.theta_s)).of(scene.gains)
+        assert math.isfinite(found.ms)
+        if kind == "quiet":
+            assert len(scene.load) * scene.loop.dt_s == pytest.approx(3600, rel=0.01)
+            assert harm.SAMPLE_TIMES_S[0] <= scene.loop.dt_s <= harm.SAMPLE_TIMES_S[1]
+            assert scene.sps == [(0, 0.0)]
+        else:
+            assert found.in_spec
+            assert len(scene.load) <= harm.MOST_SAMPLES
+
+
+def test_a_saturation_scene_asks_for_more_than_the_output_can_do():
+    scene = harm.scene_of("saturation", np.random.default_rng(2))
+    loop = scene.loop
+    asked = [abs(sp / loop.process.k) for _, sp in scene.sps] + [float(np.max(np.abs(scene.load)))]
+    assert scene.bounded
+    assert max(asked) > loop.room
+
+
+def test_relay_finds_the_ultimate_point_within_what_its_formula_allows():
+    ku, pu = ultimate(PROCESS)
+    gains = relay_then_ziegler_nichols(HeldPlant(PROCESS, DT), PROCESS, DT, 0.005, np.random.default_rng(1))
+    assert gains.kp / (0.45 * ku) == pytest.approx(1.0, abs=0.25)
+    assert gains.kp / gains.ki / (pu / 1.2) == pytest.approx(1.0, abs=0.25)
+
+
+def test_one_step_gives_simc_that_is_in_spec():
+    of = judge()
+    gains = step_then_simc(HeldPlant(PROCESS, DT), PROCESS, of.theta_s, DT, 0.005, np.random.default_rng(1))
+    assert of.of(gains).in_spec
+
+
+def test_an_unstable_set_on_trial_is_taken_back_to_the_verified_one():
+    row = injected.run(injected.Task("integral", 3, 1))
+    assert math.isinf(row["ms"])
+    assert row["rolled_back"]
+    assert row["verified"]
+    assert 0 < row["theta"] < 60
+    assert 1 < row["excursion"] < 20
+
+
+@pytest.mark.parametrize("kind", [kind for kind in injected.KINDS if kind != "right"])
+def test_bad_sets_are_bad_and_the_wrong_model_calls_them_good(kind):
+    for index in range(4):
+        loop, change = injected.drawn(kind, np.random.default_rng([5, index]), "wrong model")
+        truth = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s)).of(change.new)
+        assert not truth.in_spec
+        believed = Judge(change.believed.model.linear(), loop.dt_s).of(change.said)
+        assert believed.ms < 2.1
+        assert change.said == change.new
+        _, other = injected.drawn(kind, np.random.default_rng([5, index]), "wrong set")
+        assert other.said != other.new
+
+
+def test_a_right_set_takes_the_place_of_a_sluggish_one():
+    for index in range(4):
+        loop, change = injected.drawn("right", np.random.default_rng([5, index]), "wrong set")
+        judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
+        assert judge.of(change.new).in_spec
+        assert not judge.of(change.old).in_spec
+        assert change.said == change.new
+
+
+@pytest.mark.slow
+def test_a_load_that_wanders_takes_back_no_right_set_and_hides_no_unstable_one():
+    right = injected.run(injected.Task("right", 31, 3, "walk"))
+    assert not right["rolled_back"]
+    wrong = injected.run(injected.Task("gain", 31, 0, "walk"))
+    assert math.isinf(wrong["ms"])
+    assert wrong["rolled_back"]
+
+
+# ---- Processes that vary: against exact held responses, their own linearisation, and the changes drawn for them
+
+RANGE = Range(Local(2.0, 5.0, 1.0, 1.0), (1, -1, 1))
+
+
+def moved(plant, u, n):
+    return np.array([plant.move(u) for _ in range(n)])
+
+
+def test_constant_first_order_is_the_exact_held_response():
+    local = Local(-3.0, 2.0, 0.0, 1.25)
+    process = Changing(local)
+    found = moved(VaryingPlant(process.at, process.rest, 0.25), 1.0, 100)
+    assert found == pytest.approx(moved(HeldPlant(local.linear(), 0.25), 1.0, 100), abs=1e-12)
+
+
+@pytest.mark.parametrize("local", [Local(1.0, 5.0, 2.0, 1.0), Local(0.5, 0.0, 1.0, 1.0, integrating=True)])
+def test_second_lag_is_right_within_a_thousandth(local):
+    process = Changing(local)
+    found = moved(VaryingPlant(process.at, process.rest, 0.125), 1.0, 200)
+    exact = moved(HeldPlant(local.linear(), 0.125), 1.0, 200)
+    assert found == pytest.approx(exact, abs=1e-3 * np.max(np.abs(exact)))
+
+
+def test_parameters_differ_by_the_factor_over_the_range():
+    low, high = RANGE.at(0.0), RANGE.at(100.0)
+    assert (high.k / low.k, low.tau1_s / high.tau1_s, high.theta_s / low.theta_s) == pytest.approx((4.0, 4.0, 4.0))
+    assert RANGE.at(50.0) == RANGE.middle
+
+
+@pytest.mark.parametrize("y", [5.0, 30.0, 50.0, 80.0, 99.0])
+def test_rest_is_the_integral_of_one_over_the_gain(y):
+    slope = (RANGE.rest(y + 1e-4) - RANGE.rest(y - 1e-4)) / 2e-4
+    assert slope == pytest.approx(1 / RANGE.at(y).k, rel=1e-6)
+
+
+@pytest.mark.parametrize("y", [10.0, 50.0, 90.0])
+def test_small_steps_show_the_linearisation_there(y):
+    plant = VaryingPlant(RANGE.at, RANGE.rest, 0.1, y)
+    linear = HeldPlant(RANGE.at(y).linear(), 0.1)
+    found, exact = moved(plant, 1e-4, 300), moved(linear, 1e-4, 300)
+    assert found == pytest.approx(exact, abs=0.01 * abs(exact[-1]))
+
+
+def test_a_process_that_becomes_another_moves_as_the_other():
+    before, after = Local(1.0, 4.0, 0.0, 1.0), Local(2.0, 4.0, 0.0, 1.0)
+    process = Changing(before)
+    plant = VaryingPlant(process.at, process.rest, 0.25)
+    moved(plant, 1.0, 400)
+    process.now = after
+    assert moved(plant, 1.0, 400)[-1] == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["gain", "delay", "drift"])
+def test_a_change_is_by_the_factor_in_one_parameter(kind):
+    rng = np.random.default_rng(1)
+    local = changes.draw_local(rng)
+    target = changes.changed(local, kind, 2.0, rng)
+    assert changes.between(local, target, 0.0) == local
+    ends = changes.between(local, target, 1.0)
+    ratios = [ends.k / local.k, ends.theta_s / local.theta_s, (ends.tau1_s or 1.0) / (local.tau1_s or 1.0)]
+    assert sorted(ratios)[-1] == pytest.approx(2.0) or (ends.tau2_s / local.tau2_s == pytest.approx(2.0))
+    assert sorted(ratios)[:2] == pytest.approx([1.0, 1.0])
+
+
+def test_doubling_the_gain_takes_simc_out_of_spec_and_the_new_simc_is_in_it():
+    local = Local(1.0, 10.0, 0.0, 1.0)
+    before = Judge(local.linear(), 0.125)
+    after = Judge(Local(2.0, 10.0, 0.0, 1.0).linear(), 0.125)
+    assert not after.of(before.best).in_spec
+    assert after.of(after.best).in_spec
+    assert after.best.kp == pytest.approx(before.best.kp / 2)
+
+
+@pytest.mark.slow
+def test_a_loop_that_changes_is_run_and_judged_as_what_it_has_become():
+    row = changes.run(changes.Task("gain", 3, 0))
+    assert len(row["spec"]) == changes.AFTER
+    assert row["records"] >= 3
+    assert all(ms >= 1.0 for ms in row["ms"])
+
+
+def test_a_loop_with_an_interpolated_table_runs_the_mean_where_it_is():
+    regions = Regions("pv", "-", ("low", "high"), 0.0, (50.0,), 100.0)
+    table = GainTable("loop", regions, (PidGains(1.0, 0.1), PidGains(3.0, 0.3)), Lookup.INTERPOLATED)
+    loop = WatchedLoop(VaryingPlant(RANGE.at, RANGE.rest, 0.1, 40.0), table, 0.1, FixedGains(), sp0=40.0)
+    trace = loop.run(75.0, 0.0, [0.0] * 3)
+    (last, _) = trace[-1]
+    assert loop.gains == table.at(0, last)
+    loop.write(1, PidGains(5.0, 0.3), 75.0, last)
+    ((now, _),) = loop.run(75.0, 0.0, [0.0])
+    assert loop.gains == loop.table.at(0, now)
+    assert loop.gains.kp > table.at(0, now).kp

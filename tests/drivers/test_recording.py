@@ -1,14 +1,27 @@
 """Recordings: what is read, and that everything malformed ends in one line that says where."""
 
 import os
+import random
+from collections import deque
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import can
+import cantools
 import numpy as np
+import pandas as pd
 import pytest
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from speaking import CODEC
 
+from retuner.drivers.device import DeviceConflict
+from retuner.drivers.historian.loop_record import read_loop_record
+from retuner.drivers.historian.record_form import RecordForm
+from retuner.drivers.protocol.checksum import sample_crc
+from retuner.drivers.protocol.frames import Heartbeat, TelemetryPv, TelemetrySp
 from retuner.drivers.recorded.recording import (
     Recording,
     RecordingError,
@@ -16,6 +29,7 @@ from retuner.drivers.recorded.recording import (
     require_excitation,
     require_setpoint,
 )
+from retuner.drivers.telemetry.sample_assembly import SampleJoiner
 
 HEATER = Path(__file__).parent.parent / "data" / "heater" / "open_loop_step.csv"
 GOOD = "t,sp,pv,co\n0,1,2,3\n1,1,2.5,3\n2.5,1,-3e-1,4\n"
@@ -190,3 +204,181 @@ def _read(path: Path) -> Recording | str:
         return read_recording(path)
     except RecordingError as error:
         return str(error)
+
+
+# ---- Columns that are wanted beside the loop: of long tables, of files and messages of their own, with blanks
+
+N = 60
+T = np.arange(N) * 10.0
+PV, CO, FLOW = 50 + np.sin(T / 27), 30 + np.cos(T / 90), 10 + T / 100
+WHEN = [datetime(2024, 3, 14, 21, 55, tzinfo=UTC) + timedelta(seconds=float(t)) for t in T]
+DBC = """VERSION ""
+BU_: N
+BO_ 257 FIC101: 8 N
+ SG_ PV : 0|32@1- (0.0001,0) [0|0] "" N
+ SG_ CO : 32|32@1- (0.0001,0) [0|0] "" N
+BO_ 300 Plant: 4 N
+ SG_ FI104 : 0|32@1- (0.0001,0) [0|0] "" N
+"""
+WANTED = RecordForm(sp=50.0, others=("FI104",))
+
+
+def flow_of(source: object, form: RecordForm = WANTED) -> np.ndarray:
+    sources = source if isinstance(source, list) else [source]
+    read = read_loop_record(sources, form)
+    assert len(read.recording.t_s) == N
+    assert read.recording.pv == pytest.approx(PV, abs=1e-3)
+    return read.others["FI104"]
+
+
+def test_a_long_table_gives_a_further_tag(tmp_path: Path) -> None:
+    path = tmp_path / "long.csv"
+    rows = [
+        f"{tag},{when:%Y-%m-%d %H:%M:%S},{values[i]:.4f}"
+        for i, when in enumerate(WHEN)
+        for tag, values in (("FIC1.PV", PV), ("FIC1.OP", CO), ("FI104", FLOW))
+    ]
+    path.write_text("\n".join(["tag,time,value", *rows]) + "\n")
+    assert flow_of(path) == pytest.approx(FLOW, abs=1e-3)
+
+
+def test_a_further_column_may_stand_in_a_file_of_its_own(tmp_path: Path) -> None:
+    files = []
+    for name, values in (("FIC1.PV", PV), ("FIC1.OP", CO), ("FI104", FLOW)):
+        files.append(tmp_path / f"{name}.csv")
+        head = "time,FI104" if name == "FI104" else "time,value"
+        rows = [f"{when:%Y-%m-%d %H:%M:%S},{v:.4f}" for when, v in zip(WHEN, values, strict=True)]
+        files[-1].write_text("\n".join([head, *rows]) + "\n")
+    assert flow_of(files) == pytest.approx(FLOW, abs=1e-3)
+
+
+def test_blanks_in_a_further_column_take_no_row_from_the_loop(tmp_path: Path) -> None:
+    path = tmp_path / "wide.csv"
+    rows = [f"{t},50,{PV[i]:.4f},{CO[i]:.4f},{'' if i % 50 == 7 else f'{FLOW[i]:.4f}'}" for i, t in enumerate(T)]
+    path.write_text("\n".join(["t,sp,pv,co,FI104", *rows]) + "\n")
+    held = FLOW.copy()
+    held[[7, 57]] = FLOW[[6, 56]]
+    assert flow_of(path, RecordForm(others=("FI104",))) == pytest.approx(held, abs=1e-3)
+
+
+def test_a_frame_with_times_of_a_zone_is_read() -> None:
+    assert flow_of(pd.DataFrame({"pv": PV, "co": CO, "FI104": FLOW}, index=pd.DatetimeIndex(WHEN))) == pytest.approx(
+        FLOW
+    )
+
+
+def test_a_signal_of_a_bus_log_may_be_the_further_one(tmp_path: Path) -> None:
+    (tmp_path / "plant.dbc").write_text(DBC, encoding="ascii")
+    database = cantools.database.load_string(DBC, "dbc")
+    with can.Logger(str(tmp_path / "x.asc")) as logger:
+        for i, t in enumerate(T):
+            values = {"Plant": {"FI104": FLOW[i]}, "FIC101": {"PV": PV[i], "CO": CO[i]}}
+            for j, (name, signals) in enumerate(values.items()):
+                key, data = database.get_message_by_name(name).frame_id, database.encode_message(name, signals)
+                stamp = 1.7e9 + t + 0.01 * j
+                logger.on_message_received(
+                    can.Message(timestamp=stamp, arbitration_id=key, data=data, is_extended_id=False)
+                )
+    form = RecordForm(sp=50.0, others=("FI104",), dbc=(str(tmp_path / "plant.dbc"),))
+    assert flow_of(tmp_path / "x.asc", form) == pytest.approx(FLOW, abs=0.11)
+
+
+# ---- Telemetry and heartbeats of the past sent again: the session's clock never runs ahead of the controller's
+
+BEAT = 5
+"""Samples between two heartbeats, here."""
+LEARNING, KNOWN = 100, 2 * BEAT
+"""Samples that the clock may be ahead of the controller: before its rhythm is known, and then."""
+
+
+def halves(number: int, said: float) -> tuple[TelemetryPv, TelemetrySp]:
+    pv = TelemetryPv(number % 256, said, 50.0)
+    sp = TelemetrySp(number % 256, 7.0, 1, 0, 1, 0)
+    return pv, replace(sp, crc=sample_crc(1, pv, sp))
+
+
+class Overheard:
+    """What a repeater on the bus of a bench has heard, to be sent again."""
+
+    def __init__(self, bench) -> None:
+        self.bench = bench
+        self.heard = deque(maxlen=4000)
+        send = bench.far.send
+
+        def heard(message) -> None:
+            if isinstance(CODEC.decode(message), TelemetryPv | TelemetrySp | Heartbeat):
+                self.heard.append(message)
+            send(message)
+
+        bench.far.send, self.send = heard, send
+
+    def again(self, kinds, samples: int) -> None:
+        """All of the kinds from so many samples ago on."""
+        for message in list(self.heard)[-samples * 2 - samples // BEAT :]:
+            if isinstance(CODEC.decode(message), kinds):
+                self.send(message)
+
+
+@pytest.mark.parametrize("back", [130, 200, 255, 300, 1000])
+@pytest.mark.parametrize("kinds", [(TelemetryPv, TelemetrySp), (TelemetryPv, TelemetrySp, Heartbeat)])
+def test_a_replay_does_not_move_the_clock(bench, back: int, kinds) -> None:
+    repeater = Overheard(bench)
+    bench.run(1100)
+    ahead = []
+    for _ in range(60):
+        repeater.again(kinds, back)
+        ahead += [round(sample.t_s / 2) - bench.device.sample for sample in bench.samples(bench.run(1))]
+    assert max(ahead, default=0) <= KNOWN
+    calm = bench.run(2 * LEARNING)
+    times = [round(sample.t_s / 2) for sample in bench.samples(calm)]
+    assert times[-1] == bench.device.sample
+    assert times[-BEAT * 4 :] == list(range(times[-1] - BEAT * 4 + 1, times[-1] + 1))
+    assert bench.host.connected
+
+
+def test_a_replay_is_told(bench) -> None:
+    repeater = Overheard(bench)
+    bench.run(300)
+    told = []
+    for _ in range(60):
+        repeater.again((TelemetryPv, TelemetrySp, Heartbeat), 200)
+        told += bench.run(1)
+    assert any(isinstance(event, DeviceConflict) for event in told)
+
+
+def test_a_counter_that_begins_anew_in_the_same_epoch_is_told_and_moves_no_clock(bench) -> None:
+    bench.run(400)
+    bench.device.sample = 3
+    events = bench.run(60)
+    assert not bench.samples(events)
+    assert any(isinstance(event, DeviceConflict) for event in events)
+
+
+@pytest.mark.uncounted
+@given(seed=st.integers(0, 2**32), beat=st.sampled_from([1, 2, 5, 20, 100]), start=st.integers(0, 2**20))
+@settings(max_examples=examples(100))
+def test_no_past_telemetry_however_it_is_sent_again_runs_the_clock_ahead(seed: int, beat: int, start: int) -> None:
+    """Samples of the device in time, and between them anything it has said, in any order and as often as one likes."""
+    rng, joiner = random.Random(seed), SampleJoiner(1.0)
+    joiner.set_reference(start)
+    past = [(None, half) for n in range(max(start - 255, 0), start + 1) for half in halves(n, float(n))]
+    often, longest, shuffled = rng.random(), rng.choice([1, 8, 64, 400]), rng.random() < 0.3
+    newest = start - 1.0
+    for number in range(start + 1, start + 700):
+        fresh = [(None, half) for half in halves(number, float(number))]
+        fresh += [(number, None)] if number % beat == 0 else []
+        past += fresh
+        sent = list(fresh)
+        if rng.random() < often:
+            back = rng.randrange(min(len(past), 2000))
+            sent += past[-back - 1 :][: rng.randint(1, longest)]
+        if shuffled:
+            rng.shuffle(sent)
+        allowed = max(LEARNING, 2 * beat) if number - start <= 256 else max(2 * beat, 8)
+        for heartbeat, half in sent:
+            if half is None:
+                joiner.set_reference(heartbeat)
+            elif (joined := joiner.take(half)) is not None:
+                assert newest < joined.sample.t_s <= number + allowed
+                newest = joined.sample.t_s
+    assert newest >= start + 700 - 2 * max(beat, 8)

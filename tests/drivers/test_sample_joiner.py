@@ -1,17 +1,25 @@
 """Telemetry to samples: wrap, loss, repetition, order, stray halves and restarts."""
 
+import math
 import random
+import struct
 from dataclasses import replace
+from pathlib import Path
 
+import can
 import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.drivers.device import VariableChanged
 from retuner.drivers.protocol.checksum import sample_crc
+from retuner.drivers.protocol.codec import DbcError
 from retuner.drivers.protocol.frames import TelemetryPv, TelemetrySp
 from retuner.drivers.telemetry.device_counter import Said
 from retuner.drivers.telemetry.sample_assembly import AssembledSample, SampleJoiner
+from retuner.drivers.telemetry.signal_source import ScheduleInputs, SignalTap, find_signal, plant_message
 
 
 def halves(number: int, revision: int = 1) -> tuple[TelemetryPv, TelemetrySp]:
@@ -135,3 +143,169 @@ def test_time_goes_on_over_a_restart() -> None:
 def test_an_unknown_variable_is_refused() -> None:
     with pytest.raises(ValueError, match='variable = "mv"; give'):
         SampleJoiner(1.0, "mv")
+
+
+# ---- A scheduling variable from another signal on the bus: found in its DBC, the last value, unknown when it is
+# stale
+
+FOREIGN = """VERSION ""
+BU_: Meter
+BO_ 1000 FLOW_METER: 4 Meter
+ SG_ flow : 0|16@1+ (0.1,-10) [0|200] "l/min" Meter
+ SG_ temp : 23|16@0- (0.01,0) [0|0] "degC" Meter
+BO_ 1001 MUXED: 3 Meter
+ SG_ page M : 0|8@1+ (1,0) [0|0] "" Meter
+ SG_ one m1 : 8|16@1+ (1,0) [0|0] "" Meter
+ SG_ two m2 : 8|16@1+ (1,0) [0|0] "" Meter
+"""
+
+
+@pytest.fixture
+def dbc(tmp_path: Path) -> str:
+    path = tmp_path / "meter.dbc"
+    path.write_text(FOREIGN)
+    return str(path)
+
+
+def frame(raw: int, temp: int = 0, id_: int = 1000, **how: bool) -> can.Message:
+    return can.Message(
+        arbitration_id=id_, is_extended_id=False, data=struct.pack("<H", raw) + struct.pack(">h", temp), **how
+    )
+
+
+def tapped(dbc: str, signal: str = "flow", message: str = "FLOW_METER", stale_after_s: float = 5.0) -> SignalTap:
+    return SignalTap((None, find_signal(dbc, message, signal, stale_after_s)))
+
+
+def x2_at(tap: SignalTap, t_s: float) -> float:
+    filled = tap.fill(LoopSample(t_s, 1.0, 2.0, 3.0, x=4.0))
+    assert filled[:7] == (t_s, 1.0, 2.0, 3.0, 1, 0, 4.0)
+    return filled.x2
+
+
+def test_the_value_is_scaled_and_kept_until_the_next(dbc: str) -> None:
+    tap = tapped(dbc)
+    assert math.isnan(x2_at(tap, 0.0))
+    assert tap.take(frame(600))
+    assert [x2_at(tap, t) for t in (1.0, 2.0)] == [50.0, 50.0]
+    tap.take(frame(700))
+    assert x2_at(tap, 3.0) == 60.0
+    assert tap.news() == []
+    big_endian = tapped(dbc, "temp")
+    big_endian.take(frame(0, -1234))
+    assert x2_at(big_endian, 0.0) == pytest.approx(-12.34)
+
+
+def test_stale_is_unknown_and_told_once_each_way(dbc: str) -> None:
+    tap = tapped(dbc)
+    tap.take(frame(600))
+    assert [math.isnan(x2_at(tap, float(t))) for t in range(8)] == [False] * 6 + [True] * 2
+    told = tap.news()
+    assert [(n.name, n.known) for n in told] == [("FLOW_METER.flow", False)]
+    assert told[0].reason == "silent for more than 5 s; the region stays, and its model is not updated until then"
+    tap.take(frame(610))
+    assert x2_at(tap, 8.0) == 51.0
+    assert tap.news() == [VariableChanged("FLOW_METER.flow", known=True, reason="heard again")]
+    assert tap.news() == []
+
+
+def test_never_heard_is_unknown_at_once_and_told_when_it_is_late(dbc: str) -> None:
+    tap = tapped(dbc)
+    assert all(math.isnan(x2_at(tap, t)) for t in (100.0, 105.0))
+    assert tap.news() == []
+    x2_at(tap, 105.5)
+    assert "never heard for more than 5 s" in tap.news()[0].reason
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        frame(65535),  # 6543 l/min is beyond the DBC's range
+        frame(0),  # -10
+        can.Message(arbitration_id=1000, is_extended_id=False, data=b"\x01"),
+        can.Message(arbitration_id=1000, is_extended_id=False, data=b""),
+    ],
+)
+def test_what_is_no_value_changes_nothing(dbc: str, damaged: can.Message) -> None:
+    tap = tapped(dbc)
+    tap.take(frame(600))
+    x2_at(tap, 0.0)
+    for t in range(1, 9):
+        tap.take(damaged)
+        x2 = x2_at(tap, float(t))
+        assert x2 == 50.0 if t <= 5 else math.isnan(x2)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        frame(600, id_=999),
+        can.Message(arbitration_id=1000, is_extended_id=True, data=bytes(4)),
+        can.Message(arbitration_id=1000, is_extended_id=False, is_remote_frame=True, dlc=4),
+        can.Message(arbitration_id=1000, is_extended_id=False, is_error_frame=True, data=bytes(4)),
+    ],
+)
+def test_other_frames_are_not_taken(dbc: str, other: can.Message) -> None:
+    tap = tapped(dbc)
+    assert not tap.take(other)
+    assert math.isnan(x2_at(tap, 0.0))
+
+
+def test_a_multiplexed_signal_counts_when_it_is_there(dbc: str) -> None:
+    tap = tapped(dbc, "two", "MUXED")
+    tap.take(can.Message(arbitration_id=1001, is_extended_id=False, data=struct.pack("<BH", 1, 7)))
+    assert math.isnan(x2_at(tap, 0.0))
+    tap.take(can.Message(arbitration_id=1001, is_extended_id=False, data=struct.pack("<BH", 2, 9)))
+    assert x2_at(tap, 1.0) == 9.0
+
+
+@settings(deadline=None, max_examples=examples(50))
+@given(st.binary(max_size=8), st.integers(0, 0x7FF) | st.just(1000))
+def test_any_frame_gives_a_finite_value_or_none(data: bytes, id_: int) -> None:
+    tap = SignalTap((find_signal("", "PLANT", "aux", 5.0), None))
+    tap.take(can.Message(arbitration_id=id_, is_extended_id=False, data=data))
+    tap.take(can.Message(arbitration_id=65537, is_extended_id=True, data=data))
+    x = tap.fill(LoopSample(0.0, 0.0, 0.0, 0.0)).x
+    assert not math.isinf(x)
+
+
+@given(st.floats(-1e9, 1e9, width=32), st.integers(1, 63))
+def test_the_virtual_devices_own_signal(aux: float, node: int) -> None:
+    tap = SignalTap((find_signal("", "PLANT", "aux", 5.0, node),))
+    assert tap.take(plant_message(node, aux))
+    assert not tap.take(plant_message(node % 63 + 1, 1.0))
+    assert tap.fill(LoopSample(0.0, 0.0, 0.0, 0.0)).x == aux
+
+
+@pytest.mark.parametrize(
+    ("message", "signal", "told"),
+    [
+        ("FLOW", "flow", "no message 'FLOW'; there is FLOW_METER, MUXED"),
+        ("FLOW_METER", "level", "message 'FLOW_METER' has no signal 'level'; there is flow, temp"),
+    ],
+)
+def test_what_a_dbc_has_not_is_named(dbc: str, message: str, signal: str, told: str) -> None:
+    with pytest.raises(DbcError, match=told):
+        find_signal(dbc, message, signal, 5.0)
+
+
+def test_files_that_are_no_dbc(tmp_path: Path) -> None:
+    with pytest.raises(DbcError, match="cannot be read: No such file"):
+        find_signal(str(tmp_path / "none.dbc"), "A", "b", 5.0)
+    (tmp_path / "x.dbc").write_bytes(b"\x00\xffgarbage")
+    with pytest.raises(DbcError, match="cannot be used as a DBC"):
+        find_signal(str(tmp_path / "x.dbc"), "A", "b", 5.0)
+    with pytest.raises(ValueError, match="stale_after_s = 0"):
+        find_signal("", "PLANT", "aux", 0.0)
+
+
+def test_inputs_that_do_not_go_together() -> None:
+    source = find_signal("", "PLANT", "aux", 5.0)
+    for wrong in (("can", ""), ("", "sp"), ("pw", ""), ("sp", "can")):
+        with pytest.raises(ValueError, match="variable"):
+            ScheduleInputs(*wrong)
+    with pytest.raises(ValueError, match="only with it"):
+        ScheduleInputs("sp", "", (source,))
+    with pytest.raises(ValueError, match='variable = "can"'):
+        SampleJoiner(1.0, "can")
+    assert ScheduleInputs("sp", "can", (None, source)).signals[1] is source
