@@ -38,8 +38,7 @@ from cases.case import Record
 from cases.plant import HeldPlant
 from online import batch, changes, harm, injected
 from online.judge import Judge, Judgement
-from online.loop import WatchedLoop
-from online.supervisors import Watching, one_region, settings
+from online.loop import WatchedLoop, Watching, one_region, settings
 
 from retuner import PidGains, identify
 from retuner.diagnosing import diagnose

@@ -23,10 +23,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cases import diagnosis, traps
-from cases.best import sampled
-from cases.case import DiagnosisCase
-from cases.counting import picture, share, spread
-from cases.robustness import robustness
+from cases.case import DiagnosisCase, picture, share, spread
+from cases.plant import robustness, sampled
 
 from retuner import diagnosing
 from retuner.schedule.gains import PidGains

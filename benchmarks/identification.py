@@ -24,12 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 from cases import beyond, identification
-from cases.best import half_rule, later, sampled, simc_of
-from cases.bound import kc_bound
-from cases.case import IdentificationCase
-from cases.counting import picture, share, spread
+from cases.case import IdentificationCase, picture, share, spread
 from cases.loop import performance
-from cases.robustness import robustness
+from cases.plant import half_rule, kc_bound, later, robustness, sampled, simc_of
 
 from retuner import identify
 from retuner.adaptive.fit.structure import model_at

@@ -30,14 +30,11 @@ from itertools import pairwise
 import numpy as np
 from cases.case import FloatArray
 from cases.loop import FAR
-from cases.plant import HeldPlant
-from cases.processes import FAMILIES, log_uniform
+from cases.plant import FAMILIES, HeldPlant, log_uniform
 from cases.setting import Loop, draw_loop, scaled
-from online.counting import counted
 from online.harm import effects
-from online.judge import Judge
-from online.loop import LostLoop, WatchedLoop
-from online.supervisors import WRITTEN, Watching, one_region, settings
+from online.judge import Judge, counted
+from online.loop import WRITTEN, LostLoop, WatchedLoop, Watching, one_region, settings
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision

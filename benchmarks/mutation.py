@@ -16,12 +16,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from bus_simulation.campaign import BOX, FIRST, World
 from bus_simulation.device_end import LagPlant
 from bus_simulation.firmware import FirmwareDevice
 from bus_simulation.host_mutants import HOST_MUTANTS, broken_by
 from bus_simulation.mutants import MUTANTS, MUTANTS_OF_THE_STORE, Mutant
 from bus_simulation.truth import ViolationError
-from bus_simulation.world import BOX, FIRST, World
 
 from retuner.drivers.conformance.chapters import chapters
 from retuner.drivers.conformance.conversation import Conversation, InThread, NoAnswerError

@@ -24,8 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from cases.case import FloatArray, Record
-from cases.counting import spread
+from cases.case import FloatArray, Record, spread
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 

@@ -18,14 +18,13 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from cases.counting import interval
+from cases.case import interval
 from cases.plant import HeldPlant
 from online import batch
 from online.judge import Judge, Judgement
-from online.loop import WatchedLoop
+from online.loop import WatchedLoop, one_region, settings
 from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
 from online.runner import collect
-from online.supervisors import one_region, settings
 from simple_pid import PID
 
 from retuner.schedule.gains import PidGains

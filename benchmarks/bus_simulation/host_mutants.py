@@ -264,8 +264,8 @@ def main() -> int:
     number, seeds, steps = map(int, [*sys.argv[1:], SEEDS, STEPS][:3] if len(sys.argv) == 2 else sys.argv[1:])
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
     changed_import(HOST_MUTANTS[number])
+    from bus_simulation.campaign import World
     from bus_simulation.firmware import FirmwareDevice
-    from bus_simulation.world import World
 
     for seed in range(seeds):
         try:

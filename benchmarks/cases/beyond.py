@@ -14,11 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cases.best import best_pi, half_rule
 from cases.case import Record
-from cases.plant import HeldPlant
-from cases.processes import log_uniform
-from cases.robustness import robustness
+from cases.plant import HeldPlant, best_pi, half_rule, log_uniform, robustness
 from cases.setting import scaled
 from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains

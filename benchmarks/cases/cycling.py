@@ -7,10 +7,9 @@ import numpy as np
 from cases.case import FloatArray, Record
 from cases.loop import Controller, Upsets, run
 from cases.making import MOST_SAMPLES, Plan, event_steps, own_period_s, scaled_record, valve_record
-from cases.processes import log_uniform
+from cases.plant import log_uniform
 from cases.setting import Loop, resampled
-from cases.signals import oscillation
-from cases.valves import Valve, backlash, he, irregular, kano
+from cases.signals import Valve, backlash, he, irregular, kano, oscillation
 from retuner.schedule.gains import PidGains
 
 PROBE = 5000

@@ -9,7 +9,7 @@ from cases.case import DiagnosisCase
 from cases.cycling import far_from_own, stiction_record, tone_record
 from cases.loop import Controller, Upsets, run
 from cases.making import Plan, event_steps, labelled, record_length, scaled_record, settings, tail
-from cases.processes import FAMILIES, INTEGRATING, log_uniform
+from cases.plant import FAMILIES, INTEGRATING, log_uniform
 from cases.setting import Loop, draw_loop, settling_s
 from cases.signals import coloured, steps
 

@@ -15,10 +15,9 @@ import numpy as np
 
 from cases.case import DiagnosisCase
 from cases.making import Plan, event_steps, labelled, record_length, scaled_record, settings, valve_record
-from cases.processes import log_uniform
+from cases.plant import log_uniform
 from cases.setting import Loop, draw_loop
-from cases.signals import coloured, oscillation, steps
-from cases.valves import KanoValve, Valve
+from cases.signals import KanoValve, Valve, coloured, oscillation, steps
 from retuner.schedule.gains import PidGains
 
 FAST = (0.7, 2.0)

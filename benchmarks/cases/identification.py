@@ -12,7 +12,7 @@ import numpy as np
 
 from cases.case import FloatArray, IdentificationCase, Record
 from cases.loop import Controller, Upsets, run, run_manual
-from cases.processes import FAMILIES, log_uniform
+from cases.plant import FAMILIES, log_uniform
 from cases.setting import Loop, draw_loop, resampled, scaled, scaled_pid, settling_s
 from cases.signals import ramp, random_walk, steps
 from retuner.schedule.gains import PidGains

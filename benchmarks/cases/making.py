@@ -7,10 +7,9 @@ import numpy as np
 
 from cases.case import DiagnosisCase, FloatArray, Record
 from cases.loop import Controller, Sensor, Upsets, performance, run
-from cases.processes import log_uniform
+from cases.plant import log_uniform
 from cases.setting import Loop, resampled, scaled, settling_s
-from cases.signals import steps
-from cases.valves import Valve
+from cases.signals import Valve, steps
 from retuner.schedule.gains import PidGains
 
 MOST_SAMPLES, FEWEST_SAMPLES = 1600, 200

@@ -4,10 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cases.best import best_pi, best_pid, half_rule, sampled
 from cases.loop import Controller, Upsets, run
-from cases.processes import draw, log_uniform
-from cases.robustness import Robustness, robustness
+from cases.plant import Robustness, best_pi, best_pid, draw, half_rule, log_uniform, robustness, sampled
 from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains, from_form, to_series
 

@@ -1,9 +1,12 @@
 """What upsets a loop: steps, drift, outside oscillations of many shapes, random loads. Each of shape (n,)."""
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 from scipy.signal import lfilter
 
-from cases.case import FloatArray
+from cases.case import FloatArray, Record
 
 
 def steps(n: int, at: list[float], sizes: list[float]) -> FloatArray:
@@ -67,3 +70,120 @@ def oscillation(rng: np.random.Generator, n: int, period: float, shape: str, jit
     lag = max(period * float(rng.uniform(0.05, 0.3)), 1.0)
     a = float(np.exp(-1 / lag))
     return np.asarray(lfilter([1 - a], [1, -a], square, zi=[a * square[0]])[0], dtype=np.float64)
+
+
+# ---- What historians do to a signal before they store it, and give back between the stored points
+
+
+def swinging_door(t: FloatArray, x: FloatArray, deviation: float) -> FloatArray:
+    """Straight lines through the points that a swinging door of that half-width keeps (Bristol 1990)."""
+    kept = [0]
+    low, high = -np.inf, np.inf
+    for i in range(1, len(x)):
+        span = t[i] - t[kept[-1]]
+        upper, lower = (x[i] + deviation - x[kept[-1]]) / span, (x[i] - deviation - x[kept[-1]]) / span
+        low, high = max(low, lower), min(high, upper)
+        if low > high:
+            kept.append(i - 1)
+            span = t[i] - t[i - 1]
+            low, high = (x[i] - deviation - x[i - 1]) / span, (x[i] + deviation - x[i - 1]) / span
+    kept.append(len(x) - 1)
+    return np.interp(t, t[kept], x[kept])
+
+
+def boxcar(x: FloatArray, deviation: float) -> FloatArray:
+    """The last stored value until the signal leaves it by the deviation."""
+    out = np.empty_like(x)
+    held = x[0]
+    for i, value in enumerate(x.tolist()):
+        if abs(value - held) > deviation:
+            held = value
+        out[i] = held
+    return out
+
+
+def compressed(rng: np.random.Generator, record: Record) -> Record:
+    """pv and co through one of the two, with deviations of 0.5 to 2 % of their ranges."""
+    doors = rng.uniform() < 0.6
+    pv, co = (
+        swinging_door(record.t, x, d) if doors else boxcar(x, d)
+        for x, d in ((x, float(rng.uniform(0.005, 0.02)) * float(np.ptp(x))) for x in (record.pv, record.co))
+    )
+    return Record(record.t, record.sp, pv, co)
+
+
+# ---- Valves that stick: two published families, with stick band S and jump J in the units of the controller output.
+#
+# f_s = (S + J)/2 is the static and f_d = (S - J)/2 the kinetic friction. After a reversal the valve rests until the
+# signal has travelled S, then jumps by J; after a stop in the same direction it rests until the signal has travelled J.
+#
+# Kano et al. (2004), "Practical model and detection algorithm for valve stiction": a moving valve lags by f_d and stops
+# when the signal stops or turns. He et al. (2007), "A curve fitting method for detecting valve stiction": friction is
+# overcome anew at every sample, no state of motion. J > S (overshoot) exists in Kano's model only.
+
+Valve = Callable[[float], float]
+
+
+def kano(s: float, j: float, start: float = 0.0) -> Valve:
+    """Kano's valve at rest at `start`, in the middle of its stick band."""
+    return KanoValve(lambda: s, j / s, start)
+
+
+class KanoValve:
+    """Kano's valve; the stick band may differ from one stop to the next (band()), J stays its share of S."""
+
+    def __init__(self, band: Callable[[], float], jump_share: float, start: float) -> None:
+        self._band, self._share = band, jump_share
+        self._s = band()
+        self._u = self._y = start
+        self._direction = 0
+        self._moving = False
+
+    def __call__(self, u: float) -> float:
+        """The valve's position after the signal u."""
+        s, change = self._s, u - self._u
+        self._u = u
+        if self._moving and change * self._direction <= 0:
+            self._moving = False
+            self._s = s = self._band()
+        if not self._moving and abs(u - self._y) > s * (1 + self._share) / 2:
+            self._moving, self._direction = True, 1 if u > self._y else -1
+        if self._moving:
+            self._y = u - self._direction * s * (1 - self._share) / 2
+        return self._y
+
+
+def he(s: float, j: float, start: float = 0.0) -> Valve:
+    """He's valve at rest at `start`; J at most S."""
+    f_s, f_d = (s + j) / 2, (s - j) / 2
+    left, y, last = 0.0, start, start
+
+    def valve(u: float) -> float:
+        nonlocal left, y, last
+        pushed = left + u - last
+        last = u
+        if abs(pushed) > f_s:
+            y += pushed - math.copysign(f_d, pushed)
+            left = math.copysign(f_d, pushed)
+        else:
+            left = pushed
+        return y
+
+    return valve
+
+
+def backlash(width: float, start: float = 0.0) -> Valve:
+    """Play of that width: the valve follows when the signal has crossed it, without a jump."""
+    y = start
+
+    def valve(u: float) -> float:
+        nonlocal y
+        y = min(max(y, u - width / 2), u + width / 2)
+        return y
+
+    return valve
+
+
+def irregular(rng: np.random.Generator, s: float, j: float, spread: float, start: float = 0.0) -> Valve:
+    """Kano's valve with another stick band after every stop: it stops at many levels, never twice alike."""
+    return KanoValve(lambda: s * float(np.exp(spread * rng.standard_normal())), j / s, start)

@@ -27,7 +27,6 @@ from dataclasses import replace
 import numpy as np
 
 from cases.case import DiagnosisCase, Record
-from cases.compression import compressed
 from cases.diagnosis import (
     LAG_DOMINANT,
     SELF_REGULATING,
@@ -51,10 +50,9 @@ from cases.making import (
     tail,
     valve_record,
 )
-from cases.processes import FAMILIES, INTEGRATING, log_uniform
+from cases.plant import FAMILIES, INTEGRATING, log_uniform
 from cases.setting import Loop, draw_loop, settling_s
-from cases.signals import SHAPES, coloured, narrow_band, random_walk, steps
-from cases.valves import backlash
+from cases.signals import SHAPES, backlash, coloured, compressed, narrow_band, random_walk, steps
 from retuner.schedule.gains import PidGains
 
 QUIET = {"ok", "noise", "external", "unknown"}

@@ -15,12 +15,9 @@ from typing import Any
 import numpy as np
 from cases.plant import HeldPlant
 
-from online.astrom_hagglund import Member, batch
-from online.counting import counted
-from online.judge import Judge, Judgement
-from online.loop import LostLoop, Supervisor, WatchedLoop
-from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
-from online.supervisors import Watching, guard_settings, one_region, settings
+from online.judge import Judge, Judgement, counted
+from online.loop import LostLoop, Supervisor, WatchedLoop, Watching, guard_settings, one_region, settings
+from online.rivals import Member, PatternAlone, batch, relay_then_ziegler_nichols, step_then_simc
 from retuner.adaptive.guard.step_size import Parameter, step_limit
 from retuner.adaptive.supervision.decision import Decision
 from retuner.schedule.gains import PidGains

@@ -18,17 +18,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from cases.plant import HeldPlant
-from cases.processes import FAMILIES, log_uniform
+from cases.plant import FAMILIES, HeldPlant, log_uniform
 from cases.setting import draw_loop, scaled
 from cases.signals import coloured
 
 from online.batch import NOISE, PV_SPAN, SAMPLES_PER_THETA, STARTS
-from online.counting import counted
 from online.harm import effects
-from online.judge import Judge, Judgement
-from online.loop import LostLoop, Moved, WatchedLoop
-from online.supervisors import Watching, one_region, settings
+from online.judge import Judge, Judgement, counted
+from online.loop import LostLoop, Moved, WatchedLoop, Watching, one_region, settings
 from online.varying import Changing, Local, VaryingPlant
 from retuner.schedule.gains import PidGains
 

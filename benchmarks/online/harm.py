@@ -25,16 +25,12 @@ import numpy as np
 from cases.case import FloatArray
 from cases.cycling import LONGEST_PERIOD, limit_cycle, sticking
 from cases.making import own_period_s, quantiser
-from cases.plant import HeldPlant
-from cases.processes import FAMILIES, INTEGRATING, log_uniform
+from cases.plant import FAMILIES, INTEGRATING, HeldPlant, log_uniform
 from cases.setting import Loop, draw_loop, resampled, scaled
-from cases.signals import coloured, oscillation, random_walk
-from cases.valves import Valve
+from cases.signals import Valve, coloured, oscillation, random_walk
 
-from online.counting import at_most
-from online.judge import Effect, Judge, effect
-from online.loop import LostLoop, WatchedLoop
-from online.supervisors import Watching, one_region, settings
+from online.judge import Effect, Judge, at_most, effect
+from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.supervision.decision import Action
 from retuner.schedule.gains import PidGains

@@ -32,15 +32,12 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from cases.plant import HeldPlant
-from cases.processes import FAMILIES, log_uniform
+from cases.plant import FAMILIES, HeldPlant, log_uniform
 from cases.setting import Loop, draw_loop, scaled
 
-from online.counting import counted
-from online.judge import Judge
+from online.judge import Judge, counted
 from online.loads import PERIODS, load_of
-from online.loop import FixedGains, LostLoop, WatchedLoop
-from online.supervisors import Watching, one_region, settings
+from online.loop import FixedGains, LostLoop, WatchedLoop, Watching, one_region, settings
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.process.reduction import half_rule

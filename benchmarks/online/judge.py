@@ -10,8 +10,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from cases.case import interval
 from cases.loop import Controller, Upsets, iae, run
-from cases.robustness import robustness
+from cases.plant import robustness
+from scipy.stats import beta
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.process.reduction import half_rule
@@ -121,3 +123,21 @@ def peak_after_load(process: LinearProcess, gains: PidGains, dt_s: float, n: int
     """Largest |pv| after a unit step in the load."""
     record = run(process, Controller(gains), dt_s, Upsets(np.zeros(n), load=np.ones(n)))
     return float(np.max(np.abs(record.pv)))
+
+
+# ---- Counts with their uncertainty
+
+CONFIDENCE = 0.95
+
+
+def counted(hits: int, n: int) -> str:
+    """hits of n, the share, and its 95 % interval (Wilson)."""
+    if n == 0:
+        return "none"
+    low, high = interval(hits, n)
+    return f"{hits:4d} of {n:4d}  {hits / n:6.1%}  [{low:.1%}, {high:.1%}]"
+
+
+def at_most(events: int, n: int) -> float:
+    """Upper end of the exact two-sided 95 % interval of a share (Clopper & Pearson 1934); 1 - 0.025^(1/n) for none."""
+    return 1.0 if events >= n else float(beta.ppf(1 - (1 - CONFIDENCE) / 2, events + 1, n - events))

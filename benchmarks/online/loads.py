@@ -23,17 +23,14 @@ from typing import Any
 
 import numpy as np
 from cases.case import FloatArray
-from cases.plant import HeldPlant
-from cases.processes import FAMILIES, log_uniform
+from cases.plant import FAMILIES, HeldPlant, log_uniform
 from cases.setting import draw_loop, scaled
 from cases.signals import coloured, random_walk
 
 from online.batch import NOISE, PV_SPAN, SAMPLES_PER_THETA, STARTS, told
-from online.counting import counted
 from online.harm import effects
-from online.judge import Judge, Judgement
-from online.loop import LostLoop, WatchedLoop
-from online.supervisors import Watching, one_region, settings
+from online.judge import Judge, Judgement, counted
+from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
 from retuner.adaptive.nudge.settings import NudgeSettings
 from retuner.adaptive.nudge.watching import Nudger
 from retuner.adaptive.signals.sample import LoopMode, LoopSample

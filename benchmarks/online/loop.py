@@ -4,15 +4,19 @@ The order within a sample is a controller's: read pv, compute co, report the sam
 are in force from the next sample on, taken over without a bump. No rounding by a device is modelled.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from cases.loop import FAR, Sensor, Valve
 
+from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PidState, change, law, start, step
-from retuner.schedule.regions import RegionState, choose, enter
+from retuner.schedule.regions import Regions, RegionState, choose, enter
 from retuner.schedule.table import GainTable, Lookup
 
 LOST = 1e4
@@ -148,3 +152,59 @@ class WatchedLoop:
         new = law(gains, co_min=self.low, co_max=self.high)
         state: PidState = change(self._law, new, self._state, sp, pv)
         self._state, self._law = tuple(state), new
+
+
+# ---- Who watches a loop in the comparison: retuner itself; see rivals.py for the others
+
+WRITTEN = frozenset({Action.COMMIT, Action.RESTORE})
+"""Actions after which gains are written."""
+OPENED = 8.0
+"""Factor to which a change, and the sum of all changes, is held where the limits are opened."""
+
+
+def guard_settings(*, opened: bool) -> GuardSettings:
+    """The defaults, or all limits on the size of a change at OPENED."""
+    usual = GuardSettings()
+    return usual.opened(OPENED) if opened else usual
+
+
+def settings(dt_s: float, pv_span: float, *, opened: bool = False) -> RetunerSettings:
+    """Of a retuner that may write by itself."""
+    return RetunerSettings(dt_s, pv_span, Mode.AUTO, guard=guard_settings(opened=opened))
+
+
+def one_region(gains: PidGains, reach: float = 1e6) -> GainTable:
+    """A table with a single set."""
+    return GainTable("loop", Regions("sp", "-", ("all",), -reach, (), reach), (gains,))
+
+
+class Watching:
+    """Retuner, live; told : is given every decision."""
+
+    def __init__(
+        self, table: GainTable, wanted: RetunerSettings, told: Callable[[Decision], None] | None = None
+    ) -> None:
+        self.retuner = Retuner(table, wanted)
+        self.decisions: list[Decision] = []
+        self.writes: list[Decision] = []
+        self._told = told
+
+    def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
+        """A decision now and then; those that ask for a write are written."""
+        decision = self.retuner.observe(sample)
+        if decision is None:
+            return None
+        self.decisions.append(decision)
+        if self._told:
+            self._told(decision)
+        if decision.action not in WRITTEN or decision.gains_after is None:
+            return None
+        self.writes.append(decision)
+        return self.retuner.table.index(decision.region), decision.gains_after
+
+    def written(self, region: int, gains: PidGains) -> None:
+        """Tell retuner, as a session does after reading back."""
+        if self.writes and self.writes[-1].action == Action.RESTORE:
+            self.retuner.restored()
+        else:
+            self.retuner.committed(region, gains)

@@ -17,16 +17,13 @@ from typing import Any
 
 import numpy as np
 from cases.making import own_period_s
-from cases.plant import HeldPlant
-from cases.processes import FAMILIES, log_uniform
+from cases.plant import FAMILIES, HeldPlant, log_uniform
 from cases.setting import Loop, draw_loop, scaled
 
 from online.batch import PV_SPAN, told
-from online.counting import counted
 from online.harm import effects
-from online.judge import Judge
-from online.loop import LostLoop, WatchedLoop
-from online.supervisors import Watching, one_region, settings
+from online.judge import Judge, counted
+from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES
 from retuner.adaptive.supervision.decision import Decision
 from retuner.schedule.gains import PidGains

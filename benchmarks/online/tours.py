@@ -1,6 +1,6 @@
 """Tours of nonlinear plants with retuner in charge: how many visits does a region need, and what teaches?
 
-Plants: drawn ones (schedules/drawn.py) and from physics. Four regions along pv, equally
+Plants: drawn ones (schedules/records.py) and from physics. Four regions along pv, equally
 wide (the demo's oven has its own three, and its own gains). The setpoint goes to a new random place and stays there for
 HOLD_THETA dead times of the middle; all watch the same places with the same noise. Starts:
 
@@ -25,13 +25,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from schedules import drawn, physics
+from schedules import physics, records
 from schedules.subject import Live, Subject
 
-from online.counting import counted
-from online.judge import Judge, effect
-from online.loop import FixedGains, LostLoop, Supervisor, WatchedLoop
-from online.supervisors import Watching, settings
+from online.judge import Judge, counted, effect
+from online.loop import FixedGains, LostLoop, Supervisor, WatchedLoop, Watching, settings
 from retuner.adaptive.guard import GuardSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -130,7 +128,7 @@ class Tour:
 
 def _subject(kind: str, rng: np.random.Generator) -> Subject:
     if kind == SMOOTH:
-        return drawn.draw(rng, SMOOTH, 4.0)
+        return records.draw(rng, SMOOTH, 4.0)
     return physics.MAKERS[kind]()
 
 

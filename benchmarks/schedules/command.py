@@ -11,7 +11,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from cases.counting import spread
+from cases.case import spread
 from online.runner import rows_of
 
 from schedules.measure import MODES, PLACES, WALK, Row, measure, tasks

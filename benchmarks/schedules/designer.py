@@ -9,10 +9,9 @@ from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 from retuner.scheduling import design_schedule
-from schedules.bands import bands
 from schedules.lookups import Lookup, Table
 from schedules.loop import Trace
-from schedules.subject import Subject
+from schedules.subject import Subject, bands
 
 
 @dataclass(frozen=True)

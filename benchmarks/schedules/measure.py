@@ -9,7 +9,7 @@ import numpy as np
 
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
-from schedules import drawn, physics, rivals
+from schedules import physics, records, rivals
 from schedules.designer import Designed, design
 from schedules.lookups import Curve, Lookup, Table
 from schedules.loop import Trace, Visit, run
@@ -65,7 +65,7 @@ def subject_of(task: Task) -> Subject:
         return physics.MAKERS[task.subject]()
     kind, factor, *by = task.subject.split()
     rng = np.random.default_rng([task.seed, task.index, 40])
-    return drawn.draw(rng, kind, float(factor), by=by[-1] if by else "pv")
+    return records.draw(rng, kind, float(factor), by=by[-1] if by else "pv")
 
 
 def measure(task: Task) -> Row:

@@ -5,9 +5,9 @@ import statistics
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from cases.counting import share
+from cases.case import share
 
-from schedules.bands import NAMES
+from schedules.subject import NAMES
 
 Row = dict[str, Any]
 WHO = ("before", "fixed", "four", "points", "designed", "perfect")

@@ -1,1 +1,1 @@
-"""Loops unlike those of the other benchmarks, streamed through the public interface: see command.py."""
+"""Loops unlike those of the other benchmarks, streamed through the public interface: see run.py."""

@@ -5,6 +5,6 @@ from pathlib import Path
 
 if __name__ == "__main__":
     sys.path[0] = str(Path(__file__).resolve().parents[1])
-    from unlike_ours.command import main
+    from unlike_ours.run import main
 
     sys.exit(main())

@@ -23,7 +23,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from cases.counting import share, spread
+from cases.case import share, spread
 
 from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Diagnosis

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from cases.counting import share, spread
+from cases.case import share, spread
 
 from retuner import diagnosing
 from retuner.adaptive.signals.noise import noise_sigma

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from cases.compression import boxcar, swinging_door
-from cases.signals import SHAPES, narrow_band, oscillation, steps
-from cases.valves import backlash, he, irregular, kano
+from cases.signals import SHAPES, backlash, boxcar, he, irregular, kano, narrow_band, oscillation, steps, swinging_door
 
 UP, DOWN = np.linspace(0, 10, 2001), np.linspace(10, 0, 2001)
 STEP = 10 / 2000

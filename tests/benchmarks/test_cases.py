@@ -5,13 +5,9 @@ import math
 import numpy as np
 import pytest
 from cases import diagnosis, identification, traps
-from cases.best import best_pi, best_pid, half_rule, sampled, simc_of
-from cases.bound import kc_bound
-from cases.counting import interval
+from cases.case import interval
 from cases.loop import Controller, Upsets, performance, run
-from cases.plant import HeldPlant
-from cases.processes import FAMILIES, draw
-from cases.robustness import robustness
+from cases.plant import FAMILIES, HeldPlant, best_pi, best_pid, draw, half_rule, kc_bound, robustness, sampled, simc_of
 from scipy import signal
 
 from retuner.adaptive.loop.margins import margins

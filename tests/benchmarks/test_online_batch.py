@@ -6,17 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases.plant import HeldPlant
-from cases.robustness import robustness
+from cases.plant import HeldPlant, robustness
 from cases.setting import draw_loop
 from online import batch, changes, harm, injected
-from online.astrom_hagglund import batch as processes
-from online.counting import at_most
-from online.judge import Judge, effect
-from online.loop import FixedGains, LostLoop, WatchedLoop
+from online.judge import Judge, at_most, effect
+from online.loop import FixedGains, LostLoop, WatchedLoop, one_region
+from online.rivals import batch as processes
 from online.rivals import relay_then_ziegler_nichols, step_then_simc
 from online.runner import finite, rows_of
-from online.supervisors import one_region
 from online.varying import Changing, Local, Range, VaryingPlant
 
 from retuner.adaptive.loop.margins import ultimate

@@ -8,11 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from cases.plant import HeldPlant
-from online.astrom_hagglund import batch
 from online.judge import perfect
-from online.loop import LostLoop, WatchedLoop
-from online.rivals import PatternAlone
-from online.supervisors import one_region, settings
+from online.loop import LostLoop, WatchedLoop, one_region, settings
+from online.rivals import PatternAlone, batch
 
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess

@@ -5,10 +5,9 @@ from itertools import product
 import numpy as np
 import pytest
 from cases.plant import HeldPlant
-from online.astrom_hagglund import batch
 from online.judge import perfect
-from online.loop import WatchedLoop
-from online.supervisors import one_region, settings
+from online.loop import WatchedLoop, one_region, settings
+from online.rivals import batch
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder

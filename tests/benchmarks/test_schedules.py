@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from cases.plant import HeldPlant
-from schedules import drawn, measure, physics, rivals
+from schedules import measure, physics, records, rivals
 from schedules.lookups import Curve
 from schedules.ode import transfer
 from schedules.stream import stream
@@ -51,14 +51,14 @@ def test_poles_zeros_and_gain_of_state_equations():
 
 @pytest.mark.parametrize("kind", ["smooth", "kink"])
 def test_rest_of_a_drawn_process_is_the_integral_of_one_over_its_gain(kind):
-    subject = drawn.draw(np.random.default_rng(3), kind, 10.0)
+    subject = records.draw(np.random.default_rng(3), kind, 10.0)
     for y in (7.0, 31.0, 64.0, 93.0):
         slope = (subject.rest(y + 0.3) - subject.rest(y - 0.3)) / 0.6
         assert slope == pytest.approx(1 / subject.local(y).k, rel=0.02)
 
 
 def test_a_place_from_outside_changes_the_process_and_not_its_rest():
-    subject = drawn.draw(np.random.default_rng(4), "smooth", 4.0, by="flow")
+    subject = records.draw(np.random.default_rng(4), "smooth", 4.0, by="flow")
     live = subject.live(10.0)
     assert {live.move(0.0, place) for place in (10.0, 40.0, 90.0)} == {subject.sp0}
     assert small_step(subject, 80.0, 1e-3, 400)[-1] == pytest.approx(subject.local(80.0).k, rel=0.02)
@@ -70,9 +70,9 @@ def test_a_curve_is_straight_between_its_points_and_level_outside():
 
 
 def test_one_set_suffices_for_a_constant_process_and_not_for_one_that_changes_by_ten():
-    constant = Truth(drawn.draw(np.random.default_rng(1), "constant", 1.0), 3)
+    constant = Truth(records.draw(np.random.default_rng(1), "constant", 1.0), 3)
     assert constant.fewest == (1, 1)
-    changing = Truth(drawn.draw(np.random.default_rng(5), "kink", 10.0), 5)
+    changing = Truth(records.draw(np.random.default_rng(5), "kink", 10.0), 5)
     assert min(changing.fewest) > 1
     assert counts(changing, changing.perfect())["spec"] == 5
     assert counts(changing, rivals.fixed(changing))["spec"] < 5

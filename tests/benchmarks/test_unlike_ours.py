@@ -4,12 +4,10 @@ import math
 from itertools import pairwise
 
 import pytest
-from unlike_ours.command import staying, table
 from unlike_ours.live import PlantLive
 from unlike_ours.process import Flow, Linear, LinearLive, exothermic, poly, tank
-from unlike_ours.run import oddities, promised, run, tasks
-from unlike_ours.stories import draw
-from unlike_ours.story import EVENTS
+from unlike_ours.run import oddities, promised, run, staying, table, tasks
+from unlike_ours.story import EVENTS, draw
 from unlike_ours.truth import Truth, Tuned
 
 

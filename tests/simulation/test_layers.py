@@ -3,12 +3,12 @@
 from functools import partial
 
 import pytest
+from bus_simulation.campaign import World
 from bus_simulation.firmware import FirmwareDevice
 from bus_simulation.host_mutants import HOST_MUTANTS, broken_by
 from bus_simulation.layers.door import Door
 from bus_simulation.mutants import MUTANTS, MUTANTS_OF_THE_STORE, Mutant
 from bus_simulation.truth import ViolationError
-from bus_simulation.world import World
 from effort import sized
 
 from retuner.drivers.controller.lease_server import LeaseDesk

@@ -6,12 +6,11 @@ from functools import partial
 
 import pytest
 from bus_simulation import truth as t
-from bus_simulation.campaign import Campaign, run_seed
+from bus_simulation.campaign import BOX, FIRST, Campaign, World, run_seed
 from bus_simulation.layers.door import Door
 from bus_simulation.naive import NaiveWorld
 from bus_simulation.truth import Order, Ran, Truth, ViolationError
 from bus_simulation.weather import late
-from bus_simulation.world import BOX, FIRST, World
 from effort import sized
 
 from retuner.drivers.controller.gain_memory import GainPages, GainSet
@@ -76,7 +75,7 @@ def only_what_comes_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("only_what_comes_of_all")
 def test_a_device_that_does_not_fence_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bus_simulation.world.draw", late)
+    monkeypatch.setattr("bus_simulation.campaign.draw", late)
     monkeypatch.setattr(GainPages, "abort", lambda self, frame: self._ack(Kind.ABORT, frame.seq, Reason.OK))
     assert "failed_sets_stay_dead" in seeds_until_broken()
 

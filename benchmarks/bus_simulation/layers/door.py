@@ -9,7 +9,6 @@ from collections.abc import Callable
 import can
 
 from bus_simulation.layers.answers import Answers
-from bus_simulation.layers.codes import Codes
 from bus_simulation.layers.commands import LEASED, Commands, Leases
 from bus_simulation.layers.law import Law
 from bus_simulation.layers.seen import Seen, Told, look, unchanged
@@ -28,6 +27,7 @@ from bus_simulation.layers.wire import (
     STORE,
     TELEMETRY_PV,
     TELEMETRY_SP,
+    Codes,
     broken,
     is_foreign,
     is_whole,

@@ -12,7 +12,6 @@ import can
 
 from bus_simulation.bus import STRANGER as NAME
 from bus_simulation.bus import Bus
-from bus_simulation.layers.codes import Codes
 from bus_simulation.layers.wire import (
     ABORT,
     AUTH,
@@ -24,6 +23,7 @@ from bus_simulation.layers.wire import (
     SETPOINT,
     STAGE,
     STORE,
+    Codes,
     crc8,
     set_crc,
     stamp,

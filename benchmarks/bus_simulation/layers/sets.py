@@ -3,9 +3,8 @@
 import math
 import struct
 
-from bus_simulation.layers.codes import Codes
 from bus_simulation.layers.seen import Seen, Told, unchanged
-from bus_simulation.layers.wire import Ack, broken, float32, newer, set_crc, u16
+from bus_simulation.layers.wire import Ack, Codes, broken, float32, newer, set_crc, u16
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.controller.gain_memory import GainSet
 
