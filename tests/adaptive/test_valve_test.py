@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.experiments.valve_test import STAIRCASE, read_valve_test, staircase, valve_positions
-from retuner.adaptive.loop.held_input import HeldInput
+from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main

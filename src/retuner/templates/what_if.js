@@ -3,7 +3,7 @@
 "use strict";
 const CONTROLLERS = /*CONTROLLERS*/{};
 
-// A process from sample to sample under a held output (adaptive/loop/held_input.py).
+// A process from sample to sample under a held output (adaptive/loop/simulate.py).
 function heldInput(m) {
   const n = m.c.length, inputs = new Float64Array(m.delay);
   let x = new Float64Array(n), next = new Float64Array(n), at = 0;
