@@ -19,6 +19,8 @@ from retuner.schedule.gains import PidGains
 
 MOVES_MOST = 4
 """Moves of another setpoint during a response that are single ones; more, and it is led by a master all the time."""
+BEFORE = 2.0
+"""Lengths of a response before its start in which another loop's move may have begun it: by way of a slow element."""
 
 
 class OnePlant:
@@ -34,7 +36,8 @@ class OnePlant:
     def moved_beside(self, own: int, question: Question) -> str:
         """Which other loop's setpoint moved during the response of a question, in a sentence; empty for none.
 
-        A response to a load counts from the last move of the other loop on, as long as that loop has not come to rest.
+        A response to a load counts from BEFORE its start on, or from the other loop's last move where that loop has not
+        come to rest since.
         """
         response, now_s = question.record.response, question.t_s
         for i, other in enumerate(self.retuners):
@@ -45,7 +48,8 @@ class OnePlant:
             off = off if abs(off) > 2 * self._dt_s else 0.0
             begin = response.t_start_s - off
             if not response.sp_changed:
-                begin = min(begin, _under_way_since(kept, begin, other.band))
+                lead_s = BEFORE * (response.t_end_s - response.t_start_s)
+                begin = min(begin - lead_s, _under_way_since(kept, begin, other.band))
             moves = _moves(kept, begin, response.t_end_s - off)
             if 0 < len(moves) <= MOVES_MOST:
                 return (

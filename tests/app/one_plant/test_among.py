@@ -87,7 +87,8 @@ def question(start_s: float, end_s: float, *, setpoint: bool = False, phase: Tri
     ("start_s", "end_s", "setpoint", "said"),
     [
         (105, 150, False, True),  # the other one is still under way
-        (125, 150, False, False),  # it has come to rest before
+        (125, 150, False, True),  # it has come to rest before, but acts through a slow element
+        (125, 135, False, False),  # too long ago for so short a response
         (90, 150, False, True),  # it moved in the middle
         (20, 80, False, False),  # before
         (105, 150, True, False),  # our own step, begun after the other's
