@@ -5,6 +5,7 @@ Each part needs the package that brings its plant, and says so when it is missin
   pip install tclab                                                        lab
   pip install --no-deps tep-studio; pip install cffi pandas gymnasium      eastman
   pip install --no-deps bsm2-python; pip install control numba tqdm        wastewater
+  pip install jsbsim                                                       aircraft
 
 Examples
 --------
@@ -20,7 +21,7 @@ from pathlib import Path
 
 from online.runner import collect, rows_of
 
-from plants_of_others import eastman, session
+from plants_of_others import aircraft, eastman, session
 from plants_of_others.columns import COLUMNS, Distillation
 from plants_of_others.loop import Card, Plant
 from plants_of_others.picture import draw
@@ -55,7 +56,7 @@ def main() -> int:
     if options.part == "picture":
         _say([str(draw(options.folder, options.seed, options.start))])
         return 0
-    return _measure(options)
+    return aircraft.measure(options) if options.part == "aircraft" else _measure(options)
 
 
 def _measure(options: argparse.Namespace) -> int:
@@ -123,6 +124,10 @@ def _parser() -> argparse.ArgumentParser:
         part.add_argument("--offset", type=int, default=0, help="and the first of these")
         part.add_argument("--out", type=Path, metavar="FILE", help="every session as a line of JSON")
         part.add_argument("--verbose", action="store_true", help="tell what was decided, and what is true")
+    pitch = parts.add_parser("aircraft", help="pitch hold, gains over dynamic pressure")
+    pitch.add_argument("--seed", type=int, default=1)
+    pitch.add_argument("--sessions", type=int, default=1)
+    pitch.add_argument("--start", choices=("all", *aircraft.STARTS), default="all")
     picture = parts.add_parser("picture", help="the picture of docs/developers/plants-of-others.md")
     picture.add_argument("folder", type=Path)
     picture.add_argument("--seed", type=int, default=1)
