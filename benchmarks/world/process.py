@@ -40,6 +40,8 @@ class TrueProcess:
         return np.asarray(g, dtype=np.complex128)
 
 
+AWAY = 1e12
+"""A loop whose pv is farther away has run away."""
 LEAST_GAIN = 0.1
 """A process that bends keeps this share of its gain everywhere."""
 
@@ -101,7 +103,7 @@ def simulated(
     *,
     manual: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
-    """pv and co of the loop.
+    """pv and co of the loop; nan where it runs away.
 
     gains : kc and tau_i. signals : setpoint, load at the process input, noise. band : a valve stays where it is until
     co is farther from it than this. steps : of the recorded pv and co (quantised), 0 for none. manual : co is what
@@ -117,6 +119,8 @@ def simulated(
     total = valve = y = 0.0
     pv, co, at = np.zeros(n), np.zeros(n), 0
     for t in range(n):
+        if not abs(y) < AWAY:
+            return np.full(n, math.nan), np.full(n, math.nan)
         measured = y + noise[t]
         measured = round(measured / steps[0]) * steps[0] if steps[0] else measured
         total += kc / tau_i * (setpoint[t] - measured)
