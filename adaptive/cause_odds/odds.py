@@ -252,7 +252,7 @@ def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: Od
     return {Cause.STICTION: stiction / whole, Cause.NONLINEAR: nonlinear / whole, **found}
 
 
-UNLIKE = 2.0
+UNLIKE = 3.0
 """Logarithm of a factor against a valve up to which it says nothing where shapes name one: valves slip irregularly."""
 
 
