@@ -289,12 +289,16 @@ def loop_words(loop: LoopScreen) -> str:
     parts = [f"mean error {mean:.3g}" if loop.setpoint else "no setpoint"]
     parts += [f"Harris index {loop.harris:.2f}"] if loop.setpoint else []
     parts.append("no lasting oscillation" if loop.period_s is None else f"oscillates at {loop.period_s:.3g} s")
-    parts.append(f"co travels {loop.effort_per_day * days:.3g} and turns {loop.reversals_per_day * days:.0f} times")
+    travel = loop.effort_per_day * days
+    told = f"{travel:,.0f}" if travel >= THOUSAND else f"{travel:.3g}"
+    parts.append(f"co travels {told} and turns {loop.reversals_per_day * days:,.0f} times")
     parts.append(f"automatic {100.0 * loop.in_automatic:.0f} %, at limits {100.0 * loop.at_limits:.0f} %")
     return ", ".join(parts)
 
 
 DAY_S = 86_400.0
+THOUSAND = 1000.0
+"""Numbers from here on are written whole."""
 
 
 def _next(found: DiagnosedRecord) -> list[str]:
@@ -358,7 +362,7 @@ def _by_eye(found: DiagnosedRecord) -> list[str]:
     """What the visual rules say of the trend."""
     model, cause, lines = found.result.model, found.result.diagnosis.cause, []
     period_s = found.evidence.get("period_s", 0.0)
-    if period_s > 0 and found.evidence.get("regularity", 0.0) > REGULAR:
+    if period_s > 0 and found.loop.period_s is not None and found.evidence.get("regularity", 0.0) > REGULAR:
         integrating = model is not None and model.linear().integrators > 0
         may_be_tuning = cause in {*TUNING_CAUSES, Cause.UNKNOWN}
         lines += oscillation_by_eye(period_s, found.gains, integrating=integrating, tuning=may_be_tuning)
