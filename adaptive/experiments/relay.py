@@ -144,11 +144,10 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     high_s, low_s = _half_waves(window.t_s, waves.spans, upper)
     # pv and co averaged over time, wave by wave
     held = np.diff(window.t_s)
-    pv, co = (
+    pv_mean, co_mean = (
         float(np.mean([float(x[a:b] @ held[a:b] / np.sum(held[a:b])) for a, b in waves.spans]))
         for x in ((window.pv + np.roll(window.pv, -1)) / 2, window.co)
     )
-    pv_mean, co_mean = pv, co
     # Ultimate gain by the describing function: relay of amplitude d, waves of amplitude a
     return RelayCycle(
         ku=4 * d / (math.pi * math.sqrt(waves.amplitude * waves.amplitude - hysteresis * hysteresis)),

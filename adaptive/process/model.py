@@ -267,14 +267,13 @@ def state_space(process: LinearProcess, unit_s: float) -> StateSpace:
         for j, rate in enumerate(rates[:-1]):
             a[last, first + j] -= rate / rates[-1]
         powers = np.array([1.0, sum(zeros), zeros[0] * zeros[1] if len(zeros) == 2 else 0.0])
-        row, number = np.zeros(len(b)), 0.0
-        row[first] = 1.0
+        c, d = np.zeros(len(b)), 0.0
+        c[first] = 1.0
         for order in range(1, len(zeros) + 1):
             if order == len(rates) - 1:  # the highest derivative is the right hand side itself
-                row, number = row + powers[order] * a[last], number + powers[order] * b[last]
+                c, d = c + powers[order] * a[last], d + powers[order] * b[last]
             else:
-                row[first + order] += powers[order]
-        c, d = row, number
+                c[first + order] += powers[order]
         first += len(rates) - 1
     gain = process.k * unit_s**process.integrators
     return StateSpace(a, b, gain * c, gain * d)
