@@ -47,7 +47,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DEMO = "examples/oven.toml"
 DEMO_SEEDS = (1, 101)
 SEED = 12
-"""Of every record drawn here, and of the batch's starts."""
+"""Seed of every record drawn here, and of the batch's starts."""
 RECORDS = 60
 BATCH = {"opened": (9, 0), "defaults": (9, 4)}
 """Every which run of the batch, from which on: with limits of a change at x8, and with the default ones."""
@@ -220,7 +220,7 @@ ASKED: dict[str, tuple[Callable[[str], Answer], Callable[[], Iterable[str]]]] = 
     "identification": (identified, lambda: map(str, range(RECORDS))),
     "diagnosis": (diagnosed, lambda: [f"{kind} {i}" for kind in ("cause", "trap") for i in range(RECORDS // 2)]),
 }
-"""Of each part: what answers a question, and the questions' names."""
+"""What answers a question of each part, and the questions' names."""
 
 
 # ---- asking and keeping

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 SEED = 61
-"""Of the first kind; each has its own, or all would be of the same process."""
+"""Seed of the first kind; each has its own, or all would be of the same process."""
 SAMPLES = (900, 1100)
 DRAWS = 2000
 """Cases looked at for one that long."""

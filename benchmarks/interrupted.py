@@ -55,13 +55,13 @@ FROZEN, PUSHED = (20, 400), (20, 100)
 DIES_EVERY = 150
 """Samples between two ends of a session, in the mean."""
 ROOM, BEYOND = 5.0, 8.0
-"""Of the output about its resting point, over what holds the setpoint's step; and of the load that is beyond it."""
+"""Room of the output about its resting point, over what holds the setpoint's step; and size of the load beyond it."""
 EVIDENCE = frozenset({"undo_worse", "undo_runaway"})
 
 
 @dataclass(slots=True)
 class Count:
-    """Of one kind."""
+    """Counts of one kind."""
 
     loops: int = 0
     in_spec: int = 0

@@ -104,7 +104,7 @@ class ByHand:
 
 
 def run(task: batch.Task) -> Row:
-    """All of them on one process: ms, j and in spec of each."""
+    """Every set on one process: Ms, J and in spec of each."""
     process = task.member.process
     dt_s = Judge.theta(process) / batch.SAMPLES_PER_THETA
     judge = Judge(process, dt_s)

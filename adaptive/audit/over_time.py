@@ -19,7 +19,7 @@ MONDAY_S = 4 * DAY_S
 FEWEST_DAYS, FEWEST_WEEKS, MOST_WEEKS = 2, 2, 26
 """A record of less than two days has no course; from two weeks on it is told by week, beyond half a year by four."""
 FEWEST_SAMPLES = 100
-"""Of a part that is told."""
+"""Least number of samples of a part that is reported."""
 SHOWN = 0.5
 """A part counts where so much of its time is on record."""
 

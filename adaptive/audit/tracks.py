@@ -44,7 +44,7 @@ DIGITS = 4
 COARSE = 4
 """Every so many frequencies of the grid one is kept where an oscillation dies away: its peak is broad."""
 WIDE = 3
-"""And so many of them either side of its own: two thirds of an octave."""
+"""Frequencies kept either side of the oscillation's own: two thirds of an octave."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class SwingTrack:
 
     @classmethod
     def of_dict(cls, told: dict[str, Any]) -> "SwingTrack":
-        """Of the plain form."""
+        """The track from its plain form."""
         return cls({int(k): (int(v["first"]), _array(v["re"]) + 1j * _array(v["im"])) for k, v in told.items()})
 
 
@@ -159,7 +159,7 @@ class TrendTrack:
 
     @classmethod
     def of_dict(cls, told: dict[str, Any]) -> "TrendTrack":
-        """Of the plain form."""
+        """The track from its plain form."""
         return cls(float(told["every_s"]), int(told["first"]), _array(told["sp"]), _array(told["co"]))
 
 

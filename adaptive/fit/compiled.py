@@ -183,7 +183,7 @@ def screened(record: Window, by: tuple[float, float, float, int], numbers: int) 
 
 
 Walk = tuple[tuple[float, ...], tuple[float, ...]]
-"""Of a load that wanders: the roots of A, and the coefficients of C, the newest first."""
+"""Model of a load that wanders: the roots of A, and the coefficients of C, the newest first."""
 
 
 def walks(

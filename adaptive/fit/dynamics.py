@@ -355,7 +355,7 @@ class LateMode:
 
 
 def late_modes(dynamics: Dynamics, clock: Clock, u: FloatArray, theta_s: float) -> list[LateMode]:
-    """Of every mode that has derivatives (mode_slopes)."""
+    """The response of every mode that has derivatives (mode_slopes)."""
     return [LateMode.of(m.s, clock, u, theta_s) for m in mode_slopes(dynamics, By.LAG)]
 
 

@@ -308,7 +308,7 @@ class Misfit:
         return found
 
     def prior_weights(self) -> list[float]:
-        """Of every column with a prior: what one of its size counts, in pv units."""
+        """Weights of the columns with a prior: what one of its size counts, in pv units."""
         starts, spread = len(self.starts), max(self.start_spread, AT_REST)
         spreads = [spread] * (starts * (1 + int(self.type in SECOND)))
         if self.record.motion_at_start:

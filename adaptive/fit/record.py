@@ -118,7 +118,7 @@ INEXACT = 0.05
 LEAST_SAMPLES = 8
 """A shorter stretch is no rest."""
 REST_SHARE = 0.25
-"""Of the time until the next change: the last part of it is taken for the rest."""
+"""Last part of the time until the next change that is taken for the rest."""
 DRIFTS_ON = 2.0
 """What a stretch moves from its first half to its second counts so many times: it has not come to its end."""
 
@@ -142,7 +142,7 @@ class RestRatio:
 
 
 def rest_ratios(window: Window) -> tuple[RestRatio, ...]:
-    """Of every setpoint change between two rests."""
+    """The ratio at every setpoint change between two rests."""
     since = window.t_s - window.t_s[0]
     places = [int(np.searchsorted(since, change_s)) for change_s in setpoint_changes(window)]
     starts, ends = [0, *places], [*places, len(window.t_s)]
@@ -178,7 +178,7 @@ def _mean(values: FloatArray) -> tuple[float, float]:
 
 
 def _ratio(one: _Rest | None, other: _Rest | None, window: Window) -> RestRatio | None:
-    """Of two rests; None where pv did not go anywhere."""
+    """The ratio between two rests; None where pv did not go anywhere."""
     if one is None or other is None:
         return None
     pv, pv_std = other.pv - one.pv, math.hypot(one.pv_std, other.pv_std)

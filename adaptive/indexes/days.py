@@ -17,7 +17,7 @@ OFF = 0.3
 FEWEST_ROWS = 60
 """Rows of a day at the least."""
 MOST_DAYS = 8
-"""Of more the newest tell."""
+"""Most days that are read; of more, the newest."""
 
 
 def days_of(window: Window) -> list[Window]:

@@ -23,7 +23,7 @@ LEAST_SPAN = 8.0
 """co must use half of 4 to 20 to be taken for it."""
 FEWEST_COUNTS = 1000.0
 MOST_COUNTS = 65535.0
-"""Of the widest converter in use."""
+"""Most counts: those of the widest converter in use, 16 bits."""
 
 
 def doubtful_units(window: Window) -> tuple[str, ...]:

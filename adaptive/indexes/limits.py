@@ -83,7 +83,7 @@ def _recognised(x: FloatArray, push: FloatArray | None) -> float:
 
 
 def _long(true: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Of the true samples those in runs of STRETCH and more."""
+    """Which samples are true and stand in runs of STRETCH and more."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
     found = np.zeros_like(true)
     for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):

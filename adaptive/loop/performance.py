@@ -68,7 +68,7 @@ def variation(
     kick: bool,
     with_output: bool = True,
 ) -> Variation:
-    """Of a stable loop whose error dies out.
+    """IAE and total variation of a stable loop whose error dies out.
 
     kick : the derivative acts on the setpoint's step. with_output : else TV is left out, as infinite.
     """

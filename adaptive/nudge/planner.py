@@ -46,7 +46,7 @@ Long and short ones in turn show slow and fast parts of the process. By the Cram
 and 67 % under coloured loads can be known after six such bumps, 73 and 56 % by five even holds in the same time
 (100 loops each; 42 and 30 % by one step)."""
 RESET_SHARE = 0.1
-"""Of the integral time: a loop is hardly faster than that, whatever a load makes of the error."""
+"""Share of the integral time: a loop is hardly faster than that, whatever a load makes of the error."""
 MOST_SAMPLES = 2000
 """In all that time: as many before it are to be kept beside it."""
 

@@ -89,7 +89,7 @@ class Proposal:
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Proposal":
-        """And back.
+        """The proposal from its plain form.
 
         Raises
         ------

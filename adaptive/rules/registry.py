@@ -170,7 +170,7 @@ def explanation(
     wishes: Wishes,
     found: Tuning,
 ) -> Explanation:
-    """Of settings that this rule gave for these inputs."""
+    """The explanation of settings that this rule gave for these inputs."""
     lines, numbers = rule.formulas[kind], {}
     if rule.takes == Takes.MODEL:
         assert model is not None

@@ -148,7 +148,7 @@ class _Chosen:
 
     @property
     def name(self) -> str:
-        """Of both."""
+        """The names of both variables."""
         return self.one.name if self.two is None else f"{self.one.name} and {self.two.name}"
 
     @property
@@ -240,7 +240,7 @@ def crossings_of(found: Design, windows: Sequence[Window]) -> tuple[Crossing, ..
 
 
 def _second_hysteresis(two: Candidate | None, layout: Layout | Cells) -> float:
-    """Of the borders on a second variable."""
+    """Hysteresis of the borders on a second variable."""
     if two is None or not isinstance(layout, Cells):
         return 0.0
     return _hysteresis(two, layout.lookup, layout.edges2)
@@ -333,7 +333,7 @@ SMALL_LOAD = 0.03
 DIFFERS = 0.5
 """Standard deviation of ln p between stretches from which no curve over the variable serves: a factor of 1.6."""
 ASKS = 0.25
-"""And from which another variable is tried beside the one."""
+"""The same, from which another variable is tried beside the first."""
 TOLD_OF = ("slope gain", "dead time", "lag", "second lag")
 
 
@@ -473,13 +473,13 @@ def _step(
 OVER_NOISE = 20.0
 """Size of the answer over the noise of pv."""
 LEAST_SHARE = 0.03
-"""And as a share of what pv travels in the records."""
+"""Least size of the answer as a share of what pv travels in the records."""
 LAGS, DEAD_TIMES = 3.0, 10.0
 """How long the step is held: theta and so many lags, at most so many dead times more (a slow rise shows the slope)."""
 
 
 CO_SHARE = 0.8
-"""Of the room that co has at a place: a step may use so much, the rest is left to loads."""
+"""Share of the room that co has at a place which a step may use; the rest is left to loads."""
 
 Range = tuple[float | None, float | None]
 """Lower and upper limit, each where it is known."""

@@ -40,7 +40,7 @@ class Agreement:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the coefficients."""
+        """Covariance of the coefficients."""
         return np.asarray(np.linalg.inv(self.normal), dtype=np.float64)
 
 
@@ -78,7 +78,7 @@ class _Piece:
 
 
 def agreement(form: Form, now: At, sizes: Sequence[int], c: float) -> Agreement:
-    """Of a fit with its derivatives.
+    """The agreement of a fit with its derivatives.
 
     sizes : rows of r by stretch. c : variance of r over that of white noise.
     """

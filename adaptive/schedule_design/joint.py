@@ -19,7 +19,7 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 
 STEP = 1e-4
-"""Of z, for derivatives."""
+"""Step of z for derivatives."""
 ITERATIONS = 30
 SETTLED = 0.02
 """Fall of the misfit that ends the search."""
@@ -84,7 +84,7 @@ class Form:
 
     @property
     def second_shapes(self) -> tuple[Shape, ...]:
-        """Of each parameter over the second variable; none where there is none."""
+        """Shape of each parameter over the second variable; none where there is none."""
         return () if self.second is None else self.second.shapes
 
     def outside(self, batch: Batch) -> list[FloatArray]:
@@ -382,8 +382,8 @@ NODES = 10
 MOST_STRETCHES = 40
 """Those that move most are searched; the refinement uses all."""
 WHITENINGS: tuple[tuple[float, ...], ...] = ((), (0.97,))
-"""Of the search: as measurement noise, and nearly differenced, in which slow loads weigh little. Noise beside a
-controller must not be differenced: its output answers the noise at once, as if there were no dead time."""
+"""Whitenings of the search: as measurement noise, and nearly differenced, in which slow loads weigh little. Noise
+beside a controller must not be differenced: its output answers the noise at once, as if there were no dead time."""
 
 
 def starts(

@@ -24,9 +24,9 @@ from retuner.schedule.table import Lookup
 OUT = 2.0
 """Standard deviations out at which a model is still allowed."""
 LEAST_STD = 0.02
-"""Of every ln p: no curve is known better than that."""
+"""Least standard deviation of every ln p: no curve is known better than that."""
 MOST_MS = 2.2
-"""Of a place's own settings on any allowed model: above it they are no settings to be had, whatever the spread says."""
+"""Largest Ms of a place's own settings on any allowed model: above it they are none, whatever the spread says."""
 SECOND_LAG = 3
 """Place of ln tau2 among ln b, ln theta, ln tau, ln tau2."""
 LONGEST_LAG = 30.0
@@ -123,7 +123,7 @@ class Place:
         return 0.5 * abs(1 / (self.model.k * gains.ki) / self.iae[0] + 1 / (gains.ki * self.iae[1]))
 
     def _limit(self, limits: DesignLimits) -> float:
-        """Of Ms here: where its own settings cannot keep what is demanded, what they reach."""
+        """Limit of Ms here: where its own settings cannot keep what is demanded, what they reach."""
         return max(limits.ms, self.judged(self.own).ms_worst)
 
     def _judge(self, gains: PidGains) -> Judged:

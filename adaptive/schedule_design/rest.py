@@ -41,7 +41,7 @@ class Rest:
 
     @classmethod
     def on_the_way(cls, stretch: Stretch) -> "Rest":
-        """Of one stretch: a straight line from where it begins to where it ends."""
+        """The rest of one stretch: a straight line from where it begins to where it ends."""
         changes = stretch.signals.changes
         lead = max(changes[0] - stretch.first, 2) if changes else LEAD_ROWS
         t, x = stretch.t_s[[0, lead]], stretch.x

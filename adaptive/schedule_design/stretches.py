@@ -62,7 +62,7 @@ class Stretch:
 
     @property
     def pv(self) -> FloatArray:
-        """Of its rows."""
+        """pv of its rows."""
         return self.signals.pv[self.first : self.end]
 
     @property
@@ -197,7 +197,7 @@ def without_gaps(window: Window, values: FloatArray) -> list[tuple[Window, Float
 # slope left out as well a constant; which of the three holds, the evidence decides for each parameter by itself.
 
 LEVEL_STD, SLOPE_STD, BEND_STD = 3.0, 0.7, 0.35
-"""Of ln p: whole level; either end against the middle (a factor of 4 over the range is one); departure from a line."""
+"""Spread of ln p: whole level; either end against the middle (a factor of 4 over the range is one); a bend."""
 BENDS = 6
 """Principal components of a bend."""
 KNOTS = 13
@@ -291,7 +291,7 @@ _BENT = _bends()
 GRID = 101
 """Values of co at which phi is worked out; a straight line between."""
 LEAST_TRAVEL = 1e-6
-"""Of co, as a share of its size, below which it has no characteristic."""
+"""Travel of co, as a share of its size, below which it has no characteristic."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ OVERDUE = 1.5
 STANDS = 5
 """Samples for which a setpoint stands at least between steps: one that moves faster is noise, or led."""
 MOST_MOVES = 40
-"""Of all moves so many may belong to one sequence."""
+"""Most moves that may belong to one sequence."""
 LED_MOVES = 2
 LED_REACH = 2.5
 """So many moves within so many times the time between two steps, before the first: the setpoint is led, and does not
@@ -77,7 +77,7 @@ def _moves(samples: Sequence[LoopSample]) -> list[SetpointMove]:
 
 
 def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> ToAndFro | None:
-    """All of these moves as steps to and fro, if they are that."""
+    """These moves as steps to and fro, if all of them are that."""
     half, whole, closed = moves[0].size, list[int](), None
     wanted = -2 * half
     for move in moves[1:]:

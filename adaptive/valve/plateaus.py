@@ -62,7 +62,7 @@ class Steps:
 
     @property
     def range(self) -> float:
-        """Of the fitted pv."""
+        """Range of the fitted pv."""
         return float(np.ptp(self.fitted))
 
 

@@ -38,7 +38,7 @@ VALLEYS = 8
 APART = 0.09
 """Bands of one valley differ by less than this (in logarithms)."""
 APART_JUMPS = 0.31
-"""And their jumps by less than this share of the band."""
+"""Jumps of one valley differ by less than this share of the band."""
 NEAR_STICKS, NEAR_JUMPS, NEAR_STARTS = (0.92, 0.96, 1.0, 1.04, 1.08), (-0.15, 0.0, 0.15), (-0.15, 0.0, 0.15)
 NEAR_LAGS, NEAR_THETAS = (0.6, 1.0, 1.7), (-0.03, 0.0, 0.03)
 """The second scan: factors of band and lags; what is added to the share of the jump, to the start and to the dead time
@@ -52,7 +52,7 @@ PLAYS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.2)
 FINE_STARTS = (-0.06, -0.03, -0.015, 0.015, 0.03, 0.06)
 """Steps of it: the first slip comes earlier or later with it, and the beginning of the record hangs on that."""
 POLISHED = 3
-"""Of these, so many are scanned and refined until nothing helps."""
+"""Number of starts that are scanned and refined until nothing helps."""
 ROUNDS = 8
 """Rounds of fine scan and refinement at the most."""
 ENOUGH = 0.5

@@ -196,7 +196,7 @@ def _by_processes(valves: list[StuckValve], linear: list[Candidate]) -> Iterator
 
 
 def _bare(misfit: Misfit, type_: ProcessType) -> Misfit:
-    """Of a structure without loads, drift and filter."""
+    """The misfit of a structure without loads, drift and filter."""
     return replace(
         misfit, type=type_, loads=0, corners=0, sigma=misfit.record.noise_std, ar=(), ramp=False, rounded=False,
         harmonics=0, most_order=WHITE,

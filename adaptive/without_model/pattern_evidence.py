@@ -51,7 +51,7 @@ class ThirdPeak(Numbers):
 
 @dataclass(frozen=True, slots=True)
 class LoadNumbers(Numbers):
-    """Of a load response, see the head of this file; co_overshoot : None where co stays or comes back."""
+    """Numbers of a load response, see the head of this file; co_overshoot : None where co stays or comes back."""
 
     rise_s: float
     tail_s: float

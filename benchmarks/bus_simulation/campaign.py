@@ -229,7 +229,7 @@ def run_seed(job: tuple[int, int, str]) -> Outcome:
 
 
 def fingerprint() -> str:
-    """Of the code under test and of this harness: results of other code are not added up."""
+    """Hash of the code under test and of this harness: results of other code are not added up."""
     digest = hashlib.sha256()
     here, there = Path(__file__).parent, Path(str(drivers.__file__)).parent
     loaded = {

@@ -229,7 +229,7 @@ HOST_MUTANTS = tuple(
         ),
     )
 )
-"""All of them."""
+"""All mutants of the host."""
 
 
 def changed_import(mutant: HostMutant) -> None:

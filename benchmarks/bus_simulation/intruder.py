@@ -94,7 +94,7 @@ class Intruder:
         return holder if holder and self._rng.random() < 0.6 else self._rng.randrange(1, 65536)
 
     def _stamp(self) -> int:
-        """Of the device's present time, for the lease."""
+        """Stamp of the device's present time, for the lease."""
         return lease_stamp(self.device.epoch, self.device.sample)
 
     def _noise(self) -> None:

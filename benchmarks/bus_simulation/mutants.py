@@ -194,7 +194,7 @@ MUTANTS = tuple(
         ),
     )
 )
-"""All of them. That a new epoch is taken at every boot is the board's business: that is tried with the library."""
+"""All mutants of the device. A new epoch at every boot is the board's business: that is tried with the library."""
 
 MUTANTS_OF_THE_STORE = tuple(
     Mutant(*texts)

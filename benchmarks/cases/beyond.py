@@ -23,7 +23,7 @@ from retuner.schedule.gains import PidGains
 KINDS = ("third order and zero", "inverse response", "time-varying", "nonlinear valve")
 SAMPLES_PER_THETA = (6.0, 25.0)
 LENGTH = 60.0
-"""Of a record, in effective dead times and largest lags."""
+"""Length of a record, in effective dead times and largest lags."""
 MOST_SAMPLES = 1500
 MOST_MS = 3.0
 

@@ -202,7 +202,7 @@ class Robustness:
 
 
 def robustness(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> Robustness:
-    """Of a process under these gains; tau_f_s filters the derivative."""
+    """Robustness of a process under these gains; tau_f_s filters the derivative."""
     w = _grid(process, gains)
     loop = _loop(process, gains, tau_f_s, w)
     big = np.flatnonzero(np.abs(loop) > SMALL)
@@ -397,6 +397,6 @@ def _moved(process: LinearProcess, p: FloatArray) -> LinearProcess:
 
 
 def _ln_kc(process: LinearProcess, dt_s: float) -> float:
-    """Of SIMC PI."""
+    """ln Kc of SIMC PI."""
     model = later(half_rule(process), dt_s / 2)
     return math.log(abs(simc_of(model, model.theta_s).kp))

@@ -40,7 +40,7 @@ class Loop:
         return min(self.co0 - self.low, self.high - self.co0)
 
     def margins(self, gains: PidGains, tau_f_s: float = 0.0) -> Robustness:
-        """Of the true loop, sampling included."""
+        """Robustness of the true loop, sampling included."""
         return robustness(sampled(self.process, self.dt_s), gains, tau_f_s)
 
 

@@ -122,7 +122,7 @@ def run(task: Task) -> Row:
 
 
 def effects(judge: Judge, watching: Watching) -> list[Effect]:
-    """Of every change that was written, in order."""
+    """The effect of every change that was written, in order."""
     return [
         effect(judge, d.t_s, d.gains_before, d.gains_after, restored=d.action != Action.COMMIT)
         for d in watching.writes

@@ -36,7 +36,7 @@ class Judgement:
 
 
 class Judge:
-    """Of one process sampled at dt_s. best : SIMC with perfect knowledge. ms_limit : what it allows.
+    """Judge of one process sampled at dt_s. best : SIMC with perfect knowledge. ms_limit : what it allows.
 
     known : best settings and effective dead time from elsewhere, for processes that the half rule does not reduce.
     """
@@ -112,7 +112,7 @@ NOTICED = 1.01
 
 
 def effect(judge: Judge, t_s: float, before: PidGains, after: PidGains, *, restored: bool = False) -> Effect:
-    """Of one change of gains."""
+    """The effect of one change of gains."""
     old, new = judge.of(before), judge.of(after)
     ms_worse = new.ms > NOTICED * old.ms and new.ms > judge.ms_limit
     rescued = old.ms > judge.ms_limit and new.ms < old.ms

@@ -38,7 +38,7 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 Row = dict[str, Any]
 KINDS = ("steps", "pulses", "ramps", "walk", "sinusoid", "coloured", "quiet", "calm walk", "calm coloured")
 WANDERING = ("walk", "coloured", "sinusoid", "calm walk", "calm coloured")
-"""Of these, those that never rest."""
+"""Kinds that never rest."""
 CALM = 0.05
 """Size of a calm load over that of the same load otherwise."""
 PERIODS = 6

@@ -169,7 +169,7 @@ def guard_settings(*, opened: bool) -> GuardSettings:
 
 
 def settings(dt_s: float, pv_span: float, *, opened: bool = False) -> RetunerSettings:
-    """Of a retuner that may write by itself."""
+    """Settings of a retuner that may write by itself."""
     return RetunerSettings(dt_s, pv_span, Mode.AUTO, guard=guard_settings(opened=opened))
 
 

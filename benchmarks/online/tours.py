@@ -43,7 +43,7 @@ REGIONS = 4
 PLACES = 42
 HOLD_THETA, MOST_SAMPLES = 80.0, 2500
 NEAREST, FARTHEST = 0.04, 0.3
-"""Of a step, in shares of the range."""
+"""Size of a step, in shares of the range."""
 VISITS = 4
 PROBES = 17
 EASED = (1.0, 0.97, 0.94, 0.9, 0.85, 0.8, 0.75, 0.7)
@@ -267,7 +267,7 @@ def _ratio(row: Row, who: str) -> float:
 
 
 def good_after(visits: list[list[bool]], n: int) -> list[bool]:
-    """Of regions with n visits and more: whether the set was in spec at the end of the n-th and of every later one."""
+    """Whether, in regions with n visits and more, the set was in spec at the end of the n-th and of every later one."""
     return [all(visit[n - 1 :]) for visit in visits if len(visit) >= n]
 
 

@@ -20,7 +20,7 @@ from schedules.truth import Truth
 
 POINTS = 8
 TEST_SHARE = 0.05
-"""Of the span: how far pv moves in an experiment."""
+"""Share of the span by which pv moves in an experiment."""
 
 
 class _AboutRest:

@@ -27,7 +27,7 @@ from retuner import (
 
 @dataclass(frozen=True)
 class Options:
-    """Of a controller of another make.
+    """Options of a controller of another make.
 
     form : parallel, ideal or series, in which `digits` digits of each number are kept. b : setpoint weight. tau_f :
     filter of the derivative, s. on_error : the derivative acts on the error. rate : of the output, per second.

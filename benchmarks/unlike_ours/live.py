@@ -9,7 +9,7 @@ from unlike_ours.truth import Truth
 PLACES = 25
 """Places of a nonlinear plant's range at which truth is asked."""
 FACTORS = 10
-"""Of a drifting gain, steps to a factor of one."""
+"""Truth under a drifting gain is asked at every tenth of its factor."""
 
 
 class Coupled(Truth):
@@ -61,7 +61,7 @@ class PlantLive:
         return found
 
     def truth(self, t: float, pv: float) -> Truth:
-        """Of the process as it is at a time and place."""
+        """The truth about the process as it is at a time and place."""
         s = self.story
         if isinstance(s.process, Linear):
             factor = s.factor(t)

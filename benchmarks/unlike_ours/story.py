@@ -68,7 +68,7 @@ class Story:
 
     @property
     def span(self) -> float:
-        """Of pv."""
+        """Span of pv."""
         return self.pv_range[1] - self.pv_range[0]
 
     @property
@@ -79,7 +79,7 @@ class Story:
         return self.process.rest(self.start_pv)
 
     def factor(self, t: float) -> float:
-        """Of the process gain at a time."""
+        """Factor of the process gain at a time."""
         begin, end = self.drifts
         return self.drift ** min(max((t - begin) / (end - begin), 0.0), 1.0) if end > begin else 1.0
 

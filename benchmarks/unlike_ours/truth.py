@@ -37,7 +37,7 @@ class Found:
 
 
 class Truth:
-    """Of one process, sampled at dt."""
+    """The truth about one process, sampled at dt."""
 
     def __init__(self, process: Linear, dt: float) -> None:
         self.process, self.dt = process.later(dt / 2), dt

@@ -24,5 +24,5 @@ CHAPTERS: tuple[tuple[str, Check], ...] = (
 
 
 def chapters(trial_samples: int = 0) -> tuple[tuple[str, Check], ...]:
-    """All of them; with trial_samples also what happens when a set is not confirmed in so many samples."""
+    """All chapters; with trial_samples also what happens when a set is not confirmed in so many samples."""
     return (*CHAPTERS, ("Trial", set_checks.reverting(trial_samples))) if trial_samples else CHAPTERS

@@ -359,7 +359,7 @@ def codes(found: Examination) -> None:
 
 
 def _wrong_codes(found: Examination) -> None:
-    """Of another key, and right by half; many of them lock nobody out."""
+    """Codes of another key, and those right by half, are refused; many of them lock nobody out."""
     talk, good = found.talk, found.other
     for part in (0, 1, None, None):
         seq = talk.fresh_seq()

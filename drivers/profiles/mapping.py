@@ -90,7 +90,7 @@ class Named(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DeviceMapping:
-    """All of it.
+    """Which signals or objects of a device are what.
 
     pv, co : needed. sp : where the device reports its setpoint. mode : where it tells whether it controls.
     setpoint : where it takes one. gains : one a quantity; by_hand : the set that runs, where there are none. series :

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from scipy.signal import TransferFunction as ScipyFunction
 
 PADE_ORDER = 5
-"""Of the dead time in what is handed out: right to 0.2 degrees up to w = 5/theta."""
+"""Order of the Pade approximation of the dead time that is handed out: right to 0.2 degrees up to w = 5/theta."""
 WHERE = 0.7
 """The gain of a system is read off at this share of its geometric mean frequency, a real s away from its roots."""
 

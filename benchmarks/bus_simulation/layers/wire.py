@@ -114,7 +114,7 @@ def set_crc(node: int, epoch: int, seq: int, gains: Sequence[float], more: bytes
 
 
 def stamp(epoch: int, sample: int) -> int:
-    """Of a device's time, for the lease."""
+    """Stamp of a device's time, for the lease."""
     return binascii.crc_hqx(struct.pack("<HI", epoch, sample // STAMP_SAMPLES), 0xFFFF)
 
 

@@ -46,7 +46,7 @@ class Remembered(NamedTuple):
 
     @property
     def sha256(self) -> str:
-        """Of the text."""
+        """SHA-256 of the text."""
         return digest(self.text)
 
     @property
@@ -112,7 +112,7 @@ def as_text(retuner: Retuner, what: str) -> str:
 
 
 def from_text(text: str, config: Config, settings: RetunerSettings) -> Retuner:
-    """And back.
+    """The retuner that a text holds.
 
     Raises
     ------

@@ -41,7 +41,7 @@ LOOK_ANYWAY = 32
 MOST_OF_A_MOMENT = 999
 """Orders of one kind and second."""
 RANDOM_BYTES = 8
-"""Of the random part of a file's name."""
+"""Bytes of the random part of a file's name."""
 HASH = re.compile(r"[0-9a-f]{64}")
 MOMENT = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z")
 
@@ -125,7 +125,7 @@ class Order:
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Order":
-        """And back, every field of its kind.
+        """The order from its plain form, every field of its kind.
 
         Raises
         ------
