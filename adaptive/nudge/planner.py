@@ -22,7 +22,7 @@ from enum import StrEnum
 
 from retuner.adaptive.nudge.settings import HOURS, NudgeSettings
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.signals.to_and_fro import STANDS
+from retuner.adaptive.signals.step_sequence import STANDS
 
 SECONDS_PER_HOUR = 3600.0
 SAME = 0.05

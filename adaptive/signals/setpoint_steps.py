@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample
-from retuner.adaptive.signals.to_and_fro import SetpointMove, ToAndFro
+from retuner.adaptive.signals.step_sequence import SetpointMove, StepSequence
 from retuner.schedule.gains import PidGains
 
 LEAST_LEAD = 40
@@ -80,7 +80,7 @@ class SetpointSteps:
 
 
 def setpoint_steps(
-    samples: Sequence[LoopSample], found: ToAndFro, gains: PidGains, law: tuple[float, float]
+    samples: Sequence[LoopSample], found: StepSequence, gains: PidGains, law: tuple[float, float]
 ) -> SetpointSteps | None:
     """What is kept of steps to and fro; None where co does not follow the law of these gains all the time, or too
     little was seen before.

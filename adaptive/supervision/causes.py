@@ -42,7 +42,7 @@ from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.signals.setpoint_steps import setpoint_steps
-from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, ToAndFro, to_and_fro
+from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, StepSequence, step_sequence
 from retuner.adaptive.supervision.guard_request import tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
@@ -97,7 +97,7 @@ PART = "to_and_fro"
 
 def joining(found: Findings) -> None:
     """Is the response one of several to setpoint steps to and fro, which say together what none says alone?"""
-    record, sequence = found.record, to_and_fro(found.record.samples)
+    record, sequence = found.record, step_sequence(found.record.samples)
     if sequence is None or record.entered_s > record.samples[sequence.whole[0]].t_s:  # in another region
         return
     began_s, seen = record.response.t_start_s, len(sequence.whole)
@@ -115,7 +115,7 @@ def joining(found: Findings) -> None:
     _as_one(found, sequence)
 
 
-def _as_one(found: Findings, sequence: ToAndFro) -> None:
+def _as_one(found: Findings, sequence: StepSequence) -> None:
     record, settings = found.record, found.settings
     known = record.region_models.get(record.region)
     began_s = record.samples[sequence.opened].t_s

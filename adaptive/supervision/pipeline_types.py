@@ -24,7 +24,7 @@ from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
-from retuner.adaptive.signals.to_and_fro import to_and_fro
+from retuner.adaptive.signals.step_sequence import step_sequence
 from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region, setpoint_led
 from retuner.adaptive.supervision.decision import WRITES, Action, Basis, Decision, Mode
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
@@ -509,7 +509,7 @@ def passed_over(led: Led, record: ResponseRecord, settings: RetunerSettings) -> 
 
 def _half_way(record: ResponseRecord) -> bool:
     """Whether it is one of many setpoint steps to and fro that go on: the first of them has said so."""
-    found = to_and_fro(record.samples)
+    found = step_sequence(record.samples)
     return found is not None and found.closed is None and len(found.whole) > TOLD_STEPS
 
 

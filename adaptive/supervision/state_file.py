@@ -24,7 +24,7 @@ from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserPhase, RecogniserState
 from retuner.adaptive.signals.sample import LoopSample, Window, finite
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
-from retuner.adaptive.signals.to_and_fro import SetpointMove
+from retuner.adaptive.signals.step_sequence import SetpointMove
 from retuner.adaptive.supervision.pipeline_types import Led, RetunerState
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner

@@ -9,7 +9,7 @@ import pytest
 
 from retuner.adaptive.signals.noise import MEDIAN_TO_SIGMA, NoiseState, noise_at_least
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.signals.to_and_fro import to_and_fro
+from retuner.adaptive.signals.step_sequence import step_sequence
 from retuner.adaptive.supervision.admission import AdmissionSettings, Ground
 from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.pipeline import admission, decide
@@ -174,18 +174,18 @@ TO_AND_FRO = [0.0, 1.0, -1.0]
 
 
 def test_moves_of_a_sample_each_do_not_stand() -> None:
-    assert to_and_fro(moved([0.0] * 40 + TO_AND_FRO, 20)) is not None
-    assert to_and_fro(moved([0.0] * 40 + TO_AND_FRO, 2)) is None
+    assert step_sequence(moved([0.0] * 40 + TO_AND_FRO, 20)) is not None
+    assert step_sequence(moved([0.0] * 40 + TO_AND_FRO, 2)) is None
 
 
 def test_a_setpoint_that_is_led_at_even_times_does_not_go_to_and_fro() -> None:
     rng = np.random.default_rng(2)
     wander = [float(x) for x in rng.uniform(-3, 3, 30)]
-    assert to_and_fro(moved([*wander, *TO_AND_FRO], 20)) is None
+    assert step_sequence(moved([*wander, *TO_AND_FRO], 20)) is None
 
 
 def test_two_series_of_steps_one_after_the_other_are_both_seen() -> None:
     series = [0.0, 1.0, -1.0, 1.0, -1.0, 1.0, 0.0]
-    found = to_and_fro(moved([*series, *series], 20))
+    found = step_sequence(moved([*series, *series], 20))
     assert found is not None
     assert found.opened == 20 * (len(series) + 1)

@@ -27,7 +27,7 @@ from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.rest import wander_before
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import LEAST_LEAD, SetpointSteps, setpoint_steps
-from retuner.adaptive.signals.to_and_fro import to_and_fro
+from retuner.adaptive.signals.step_sequence import step_sequence
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -56,7 +56,7 @@ def sequences(count: int, walk: float, gains: PidGains = GOOD, seed: int = 1) ->
     found = []
     for load in walks.reshape(count, -1):
         samples = sequence(bench, load)
-        steps = to_and_fro(samples)
+        steps = step_sequence(samples)
         assert steps is not None
         one = setpoint_steps(samples, steps, gains, LAW)
         assert one is not None
@@ -101,7 +101,7 @@ def test_a_load_as_large_as_the_steps_leaves_the_process_and_how_surely_is_told(
 
 def test_an_output_that_does_not_follow_its_law_shows_nothing() -> None:
     samples = sequence(made(GOOD), np.zeros(REST + 6 * HOLD))
-    steps = to_and_fro(samples)
+    steps = step_sequence(samples)
     assert steps is not None
     assert setpoint_steps(samples, steps, GOOD, LAW) is not None
     assert setpoint_steps(samples, steps, scaled(1.5, 1.0), LAW) is None
@@ -110,7 +110,7 @@ def test_an_output_that_does_not_follow_its_law_shows_nothing() -> None:
 def test_an_output_at_a_limit_shows_nothing() -> None:
     samples = sequence(made(GOOD), np.zeros(REST + 6 * HOLD))
     samples[REST + 2 * HOLD] = samples[REST + 2 * HOLD]._replace(limited=1)
-    steps = to_and_fro(samples)
+    steps = step_sequence(samples)
     assert steps is not None
     assert setpoint_steps(samples, steps, GOOD, LAW) is None
 
@@ -130,7 +130,7 @@ def test_loads_are_to_be_seen_by_themselves_before_the_steps() -> None:
     samples = sequence(made(GOOD), np.zeros(REST + 6 * HOLD))
     for left, seen in ((LEAST_LEAD - 1, False), (LEAST_LEAD, True)):
         late = samples[REST - left :]
-        steps = to_and_fro(late)
+        steps = step_sequence(late)
         assert steps is not None
         assert (setpoint_steps(late, steps, GOOD, LAW) is not None) is seen
 

@@ -35,7 +35,7 @@ class SetpointMove(NamedTuple):
     size: float
 
 
-class ToAndFro(NamedTuple):
+class StepSequence(NamedTuple):
     """Where the steps are in a list of samples.
 
     base : setpoint before and after, pv units. opened : index of the half step. whole : of the whole steps, in order.
@@ -48,7 +48,7 @@ class ToAndFro(NamedTuple):
     closed: int | None
 
 
-def to_and_fro(samples: Sequence[LoopSample]) -> ToAndFro | None:
+def step_sequence(samples: Sequence[LoopSample]) -> StepSequence | None:
     """The steps to and fro with which the newest samples of one set of gains end, None where there are none."""
     moves = _moves(samples)
     for i in range(max(len(moves) - MOST_MOVES, 0), len(moves) - 1):
@@ -58,7 +58,7 @@ def to_and_fro(samples: Sequence[LoopSample]) -> ToAndFro | None:
     return None
 
 
-def _led_before(moves: Sequence[SetpointMove], found: ToAndFro) -> bool:
+def _led_before(moves: Sequence[SetpointMove], found: StepSequence) -> bool:
     """Whether the setpoint moved on and on before the first of the steps, which is the last of these moves."""
     if len(moves) <= LED_MOVES:
         return False
@@ -76,7 +76,7 @@ def _moves(samples: Sequence[LoopSample]) -> list[SetpointMove]:
     return found[::-1]
 
 
-def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> ToAndFro | None:
+def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> StepSequence | None:
     """These moves as steps to and fro, if all of them are that."""
     half, whole, closed = moves[0].size, list[int](), None
     wanted = -2 * half
@@ -95,7 +95,7 @@ def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> 
         return None
     if closed is None and len(samples) - moves[-1].at > OVERDUE * max(apart):
         return None
-    return ToAndFro(samples[moves[0].at - 1].sp, moves[0].at, tuple(whole), closed)
+    return StepSequence(samples[moves[0].at - 1].sp, moves[0].at, tuple(whole), closed)
 
 
 def _is_like(size: float, wanted: float, half: float) -> bool:

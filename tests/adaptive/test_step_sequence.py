@@ -5,7 +5,7 @@ import pytest
 from loop_bench import Bench, made, scaled
 
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, to_and_fro
+from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, step_sequence
 from retuner.adaptive.supervision.decision import Decision
 
 HOLD, SIZE, REST = 150, 0.5, 200
@@ -34,7 +34,7 @@ def quiet(load: float = 0.0, noise: float = 0.0) -> list[LoopSample]:
 
 
 def test_the_steps_are_found_with_their_ends() -> None:
-    found = to_and_fro(quiet())
+    found = step_sequence(quiet())
     assert found is not None
     assert (found.base, found.opened, found.closed) == (0.0, REST, REST + HOLD * len(LEVELS))
     assert found.whole == tuple(REST + HOLD * i for i in range(1, WHOLE_STEPS + 1))
@@ -43,12 +43,12 @@ def test_the_steps_are_found_with_their_ends() -> None:
 @pytest.mark.parametrize("levels", [(0.5,), (0.5, 0.0, -0.5), (0.5, -0.5, 0.4, -0.5, 0.5), (0.5, -0.5, 1.0)])
 def test_other_moves_are_no_steps_to_and_fro(levels: tuple[float, ...]) -> None:
     samples = stepped(made(scaled(1.0, 1.0)), levels)
-    assert to_and_fro(samples[: REST + HOLD * len(levels) - 5]) is None
+    assert step_sequence(samples[: REST + HOLD * len(levels) - 5]) is None
 
 
 def test_steps_at_uneven_times_are_as_good() -> None:
     samples = quiet()
-    found = to_and_fro(samples[: REST + HOLD + 30] + samples[REST + 2 * HOLD :])
+    found = step_sequence(samples[: REST + HOLD + 30] + samples[REST + 2 * HOLD :])
     assert found is not None
     assert len(found.whole) == WHOLE_STEPS
 
@@ -56,14 +56,14 @@ def test_steps_at_uneven_times_are_as_good() -> None:
 def test_steps_that_never_come_back_are_none_in_the_end() -> None:
     samples = stepped(made(scaled(1.0, 1.0)), LEVELS)
     samples = [s._replace(sp=SIZE) if i >= REST + HOLD * len(LEVELS) else s for i, s in enumerate(samples)]
-    assert to_and_fro(samples[: REST + HOLD * len(LEVELS) + 5]) is not None
-    assert to_and_fro(samples) is None
+    assert step_sequence(samples[: REST + HOLD * len(LEVELS) + 5]) is not None
+    assert step_sequence(samples) is None
 
 
 def test_steps_under_other_gains_belong_to_another_loop() -> None:
     samples = quiet()
     changed = [s._replace(revision=int(i > REST + 2 * HOLD + 20)) for i, s in enumerate(samples)]
-    found = to_and_fro(changed)
+    found = step_sequence(changed)
     assert found is None or len(found.whole) < WHOLE_STEPS
 
 
