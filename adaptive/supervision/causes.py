@@ -6,6 +6,7 @@ A swing without a setpoint step is put to its rivals before anything is learned 
 open, after; and a change that follows from a case that is not clear, before the gains change.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,7 +41,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.sequences import update_by_sequences
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.signals.growth import lasting
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import setpoint_steps
 from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, StepSequence, step_sequence
 from retuner.adaptive.supervision.guard_request import tuning_of
@@ -413,7 +414,7 @@ def doubt_of(found: Findings, wanted_for: Diagnosis | None = None) -> Diagnosis 
     """
     record, settings = found.record, found.settings
     return unconfirmed(
-        record.samples,
+        _of_this_process(found),
         record.response,
         record.in_force,
         _seen_so_far(found),
@@ -421,6 +422,15 @@ def doubt_of(found: Findings, wanted_for: Diagnosis | None = None) -> Diagnosis 
         settings.diagnosis,
         wanted_for,
     )
+
+
+def _of_this_process(found: Findings) -> Sequence[LoopSample]:
+    """The samples kept; where a second record says that the process has changed, those since the last one before."""
+    record, learned = found.record, found.learned
+    before = record.region_models.get(record.region)
+    if learned is None or learned.agreement is not Agreement.CHANGED or before is None or len(before.points) < SECOND:
+        return record.samples
+    return [sample for sample in record.samples if sample.t_s > before.points[-SECOND].t_s]
 
 
 def _seen_so_far(found: Findings) -> Excitation:

@@ -297,9 +297,14 @@ def _small_step(found: Findings, proposed: Proposed, learned: Learned, reason: s
 
 def cause(found: Findings) -> None:
     """Is the tuning in force the cause?"""
-    found.diagnosis = _wanted(found).diagnosis
-    if not found.diagnosis.retune:
-        found.stop(str(found.diagnosis.cause), found.diagnosis.reason)
+    found.diagnosis = told = _wanted(found).diagnosis
+    if told.retune:
+        return
+    if _learned(found).agreement is Agreement.CONTRADICTS:
+        reason = f"by what is known of the region, {told.reason}; this response {Agreement.CONTRADICTS}"
+        found.doubted(Diagnosis(Cause.UNKNOWN, 0.5, told.evidence, reason))
+        return
+    found.stop(str(told.cause), told.reason)
 
 
 def proof(found: Findings) -> None:

@@ -11,7 +11,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending
-from retuner.adaptive.supervision import pipeline
+from retuner.adaptive.supervision import causes, pipeline
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.trial import Trial
@@ -133,3 +133,38 @@ def test_a_setpoint_response_that_the_whole_diagnosis_confirms_counts_as_clear(
     found = weighed(monkeypatch, Agreement.AGREES, doubt, setpoint=setpoint)
     assert found.excitation is not None
     assert found.excitation.clear == clear
+
+
+@pytest.mark.parametrize(("agreement", "code"), [(Agreement.CONTRADICTS, "unconfirmed"), (Agreement.AGREES, "ok")])
+def test_ok_is_not_said_over_a_response_that_contradicts_the_model(agreement: Agreement, code: str) -> None:
+    learned: Any = SimpleNamespace(agreement=agreement, valve=None)
+    tuning: Any = SimpleNamespace(diagnosis=Diagnosis(Cause.OK, 0.9, {}, "Ms 1.67"))
+    asked: Any = SimpleNamespace(settings=SETTINGS)
+    found = Findings(asked, learned=learned, tuning=tuning)
+    pipeline.cause(found)
+    assert found.end is not None
+    assert found.end.code == code
+    assert "Ms 1.67" in found.end.reason
+    assert (str(Agreement.CONTRADICTS) in found.end.reason) is (code != "ok")
+
+
+@pytest.mark.parametrize(("agreement", "since"), [(Agreement.CHANGED, 41.0), (Agreement.AGREES, 0.0)])
+def test_a_change_of_the_process_is_confirmed_by_what_came_after_it(
+    monkeypatch: pytest.MonkeyPatch, agreement: Agreement, since: float
+) -> None:
+    seen: list[Any] = []
+    monkeypatch.setattr(causes, "unconfirmed", lambda samples, *_: seen.extend(samples))
+    samples = [SimpleNamespace(t_s=float(t)) for t in range(100)]
+    points = tuple(SimpleNamespace(t_s=t_s) for t_s in (20.0, 40.0, 70.0))  # the last one contradicted
+    record: Any = SimpleNamespace(
+        samples=samples,
+        response=SimpleNamespace(sp_changed=False),
+        in_force=None,
+        region=0,
+        region_models={0: SimpleNamespace(points=points)},
+        table=SimpleNamespace(lookup=Lookup.HARD),
+    )
+    learned: Any = SimpleNamespace(agreement=agreement)
+    causes.doubt_of(Findings(Question(record, SETTINGS, 1, Trial()), learned=learned))
+    assert seen[0].t_s == since
+    assert seen[-1].t_s == 99.0
