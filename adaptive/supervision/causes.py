@@ -52,31 +52,11 @@ from retuner.adaptive.trial.batch_responses import Loop
 from retuner.schedule.table import Lookup
 
 __all__ = [
-    "FOREIGN",
-    "NOT_CONFIRMED",
-    "SWINGING",
-    "TOWARDS_SAFETY",
-    "beside_sequences",
-    "borne_out",
-    "by_sequences",
-    "clear_case",
-    "doubt_of",
-    "foreign_swing",
-    "hidden",
-    "in_danger",
-    "is_known",
-    "is_sure",
-    "joining",
-    "known_of_swing",
-    "known_to_swing",
-    "not_as_modelled",
-    "one_more_foreign",
-    "rested_on",
-    "stands_out",
-    "swings_between_limits",
-    "wanted_of",
-    "wrong_way",
-]
+    "FOREIGN", "NOT_CONFIRMED", "SWINGING", "TOWARDS_SAFETY", "beside_sequences", "borne_out", "by_sequences",
+    "clear_case", "doubt_of", "foreign_swing", "hidden", "in_danger", "is_known", "is_sure", "joining",
+    "known_of_swing", "known_to_swing", "not_as_modelled", "one_more_foreign", "rested_on", "stands_out",
+    "swings_between_limits", "wanted_of", "wrong_way",
+]  # fmt: skip
 
 FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
 """Causes that leave nothing in a record from which the process could be learned."""

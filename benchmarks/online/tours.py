@@ -1,8 +1,8 @@
 """Tours of nonlinear plants with retuner in charge: how many visits does a region need, and what teaches?
 
-Plants: drawn ones (schedules/records.py) and from physics. Four regions along pv, equally
-wide (the demo's oven has its own three, and its own gains). The setpoint goes to a new random place and stays there for
-HOLD_THETA dead times of the middle; all watch the same places with the same noise. Starts:
+Plants: drawn ones (schedules/records.py), one kind of them the same everywhere (constant), and from physics. Four regions
+along pv, equally wide (the demo's oven has its own three, and its own gains). The setpoint goes to a new random place
+and stays there for HOLD_THETA dead times of the middle; all watch the same places with the same noise. Starts:
 
 middle    SIMC with perfect knowledge of the middle of the range, in every region
 quarter   a quarter of all gains that SIMC with perfect knowledge of each region's centre gives
@@ -38,7 +38,8 @@ from retuner.schedule.table import GainTable, Lookup
 Row = dict[str, Any]
 WHO = ("fixed", "retuner", "perfect")
 SMOOTH = "smooth"
-KINDS = (SMOOTH, "tank", "ph", "reactor", "drive", "oven")
+DRAWN = (SMOOTH, "constant")
+KINDS = (*DRAWN, "tank", "ph", "reactor", "drive", "oven")
 REGIONS = 4
 PLACES = 42
 HOLD_THETA, MOST_SAMPLES = 80.0, 2500
@@ -127,8 +128,8 @@ class Tour:
 
 
 def _subject(kind: str, rng: np.random.Generator) -> Subject:
-    if kind == SMOOTH:
-        return records.draw(rng, SMOOTH, 4.0)
+    if kind in DRAWN:
+        return records.draw(rng, kind, 4.0)
     return physics.MAKERS[kind]()
 
 
