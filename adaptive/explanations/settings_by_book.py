@@ -22,6 +22,7 @@ from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, shapes
 from retuner.adaptive.explanations.settings_by_odds import (
     LikelyProcesses,
     WorthSettings,
+    costs,
     expected_cost,
     process_model,
     quantile,
@@ -55,6 +56,15 @@ class BookSettings:
     less_odds: Annotated[float, Setting("Odds of ms_high from which less action follows", 0.5, 0.9)] = 0.85
     sure_odds: Annotated[float, Setting("Odds from which it does at the first look", 0.9, 0.99)] = 0.95
     more_odds: Annotated[float, Setting("Odds of room from which more action follows", 0.5, 0.9)] = 0.85
+    restless: Annotated[
+        float, Setting("Share of samples outside the noise band from which a load wanders", 0.1, 0.9)
+    ] = 0.3
+    most: Annotated[
+        float, Setting("How much a change may save or cost on a process", 0.2, 2.5, source="ln 2: it is on trial")
+    ] = 0.7
+    borne_out: Annotated[
+        float, Setting("Odds of being better that less action needs", 0.5, 0.9, source="60 changes, seeds 9331 to 9361")
+    ] = 2 / 3
     room: Annotated[float, Setting("Times as much of all actions that a loop with room bears", 1.5, 3.0)] = 1.8
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68))
 
@@ -138,9 +148,10 @@ def shares(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> t
     return high, room
 
 
-def dearer(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> float:
-    """What a set is expected to cost more than another over the processes, ln."""
-    return expected_cost(drawn, new, settings.cost)[0] - expected_cost(drawn, now, settings.cost)[0]
+def gain(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> tuple[float, float]:
+    """How much less a set is expected to cost than another, ln, and the probability that it costs less."""
+    each = costs(drawn, now, settings.cost)[0] - costs(drawn, new, settings.cost)[0]
+    return float(drawn.weights @ np.clip(each, -settings.most, settings.most)), float(drawn.weights @ (each > 0.0))
 
 
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
@@ -202,9 +213,7 @@ def _best(
     return best
 
 
-def _proved_on(
-    book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings
-) -> tuple[Plausible, ...]:  # fmt: skip
+def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> tuple[Plausible, ...]:
     """Processes spread over the odds by their Ms with the new gains, without the worst that may come out badly."""
     order = np.argsort(peaks, kind="stable")
     whole = np.cumsum(drawn.weights[order])

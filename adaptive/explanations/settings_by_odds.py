@@ -224,13 +224,18 @@ def quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
     return float(values[order[min(at, len(values) - 1)]])
 
 
-def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[float, FloatArray]:
-    """Expected cost of a set (head of this file), and its Ms on each process."""
+def costs(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[FloatArray, FloatArray]:
+    """Cost of a set (head of this file), and its Ms, on each process."""
     peaks = likely.peaks(gains)
     over = np.log(np.maximum(np.where(np.isinf(peaks), 1.0, peaks) / settings.ms_calm, 1.0))
     risk = np.where(np.isinf(peaks), settings.unstable, np.minimum(settings.risk * over, settings.unstable))
-    integral = math.log(abs(gains.ki)) if gains.ki else -settings.unstable
-    return float(likely.weights @ risk) - integral, peaks
+    return risk - (math.log(abs(gains.ki)) if gains.ki else -settings.unstable), peaks
+
+
+def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[float, FloatArray]:
+    """Expected cost of a set, and its Ms on each process."""
+    each, peaks = costs(likely, gains, settings)
+    return float(likely.weights @ each), peaks
 
 
 def _candidates(

@@ -3,12 +3,11 @@
     look      so many samples since the last one: a question of its own, or with the response that completes then
     speak     where the pipeline cannot tell (no response, nothing identifiable, a residual that no load step explains)
               and the odds are clear: settings worth having over the book, proved, on trial, with a sentence
-    object    where the pipeline changes gains: not less action where the book says that the loop is robust and would
-              only be slower, and not more where it says that Ms is over its limit then
+    object    where the pipeline changes gains, and the book speaks against it
     excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
 
-The book is silent where one tone moves the loop, where the output stands at a limit, where a valve may not
-follow, and where clear setpoint steps have shown the process: such a case is not the book's.
+The book does not speak where one tone moves the loop, where the output stands at a limit, where a valve may not
+follow, and where clear setpoint steps have shown the process: such a case is not the book's. It objects there too.
 """
 
 import math
@@ -17,16 +16,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, move, update
-from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, dearer, shares
+from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, shares
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.border import borders_of
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
 from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Basis
@@ -64,16 +65,11 @@ KEPT_LOOKS = 4
 
 
 def look_of(
-    samples: Sequence[LoopSample],
-    book: Book | None,
-    gains: PidGains,
-    since_s: float,
-    after_s: float,
-    dt_s: float,
-    on_trial: bool,
-) -> Look | None:
+    samples: Sequence[LoopSample], book: Book | None, gains: PidGains, since_s: float, after_s: float, dt_s: float,
+    on_trial: bool, due: bool = True,
+) -> Look | None:  # fmt: skip
     """What is to be looked at; None where it is too little. since_s : since when the loop is in its region. on_trial :
-    a set is judged, and what it did meanwhile must be among it, however little.
+    a set is judged, and what it did meanwhile must be among it, however little. due : see Look.
     """
     wanted = interval_s(gains, dt_s)
     if book is not None and (book.direction != gains.direction or not 1 / STRETCHED <= book.dt_s / wanted <= STRETCHED):
@@ -84,7 +80,7 @@ def look_of(
     if len(rows) < FEWEST_ON_TRIAL or (not on_trial and (len(rows) < FEWEST or len(rows) * dt_s < after_s)):
         return None
     limited = sum(1 for sample in rows if sample.limited) / len(rows)
-    return Look(book, Window.of(rows), grows=len(rows) < ROUNDED * most, limited=limited)
+    return Look(book, Window.of(rows), grows=len(rows) < ROUNDED * most, limited=limited, due=due)
 
 
 FEWEST, FEWEST_ON_TRIAL = 300, 50
@@ -96,17 +92,22 @@ def by_all_samples(found: Findings) -> None:
     """What does the book of the region say, of all samples up to now?"""
     look, settings, record = found.question.look, found.settings.book, found.record
     book, shown = record.book, shown_clearly(record.region_models.get(record.region), record.excitation, record.foreign)
+    gains, dt_s = record.in_force, found.settings.sample_time_s
+    if book is not None and found.learned is not None and found.learned.agreement is Agreement.CHANGED:
+        found.book = Book.begun(gains, interval_s(gains, dt_s), found.question.t_s)  # all before is of another process
+        return
+    changes = found.verdict is not None and found.verdict.accepted
+    if look is not None and not (look.due or changes):
+        look = None
     if look is not None:
         now_s, first_s = float(look.window.t_s[-1]), float(look.window.t_s[0])
-        known = look.book or Book.begun(
-            record.in_force, interval_s(record.in_force, found.settings.sample_time_s), first_s
-        )
+        known = look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)
         known = move(known, now_s - first_s, settings.hazard_s)
         book = found.book = update(known, look.window, grows=look.grows)
     if book is not None and not (look is None and shown):
-        told = by_book(book, record.in_force, settings)
-        if not shown and found.verdict is not None and found.verdict.accepted:
-            _object(found, book, told, settings)
+        told = by_book(book, gains, settings)
+        if changes:
+            _object(found, book, told, settings, shown=shown)
         elif not shown and look is not None and _may_speak(found, look):
             _speak(found, look, book, told)
         found.all_samples = told.numbers
@@ -116,24 +117,34 @@ def by_all_samples(found: Findings) -> None:
             found.stop(LOOKED, f"no response to judge; {told.words}")
 
 
-def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings) -> None:
-    """The change that the pipeline makes is dropped where the book is clear that it does harm."""
-    verdict, record = found.verdict, found.record
+def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *, shown: bool) -> None:
+    """The change that the pipeline makes is dropped where the book speaks against it. Less action, which is slower for
+    certain, is to be better on most of the book. More must not do harm by models and book together: that the loads are
+    steps, and that one wanders, are as likely. Where a loop whose process was shown mostly rests, none wanders.
+    """
+    verdict, record, look = found.verdict, found.record, found.question.look
     assert verdict is not None
     assert verdict.gains is not None
     if record.table.lookup is not Lookup.HARD or not book.records or found.growth is not None:
         return
-    now, new, drawn = record.in_force, verdict.gains, book.drawn(settings.drawn)
-    less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
-    robust = told.numbers.book_high <= 1.0 - settings.less_odds
-    why = ""
-    if less and robust and dearer(drawn, now, new, settings) >= settings.worth:
-        why = "less action would only make the loop slower"
-    elif not less and shares(drawn, new, settings)[0] >= settings.less_odds:
-        why = "more action would take its robustness"
-    if why:
+    if shown and (look is None or _away(look.window, record.response.band) < settings.restless):
+        return
+    now, new, numbers, drawn = record.in_force, verdict.gains, found.numbers, book.drawn(settings.drawn)
+    worth, better = gain(drawn, now, new, settings)
+    by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
+    if abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki):
+        against = better < settings.borne_out
+    else:
+        against = by_models + worth < 0.0 or (not shown and shares(drawn, new, settings)[0] >= settings.less_odds)
+    if against:
         found.verdict = found.basis = found.promise = None
-        found.stop("unconfirmed", f"{told.words}: {why}")
+        by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
+        found.stop("unconfirmed", f"{told.words}; by that, {by_that}")
+
+
+def _away(window: Window, band: float) -> float:
+    """Share of samples with an error outside the noise band."""
+    return float(np.mean(np.abs(window.sp - window.pv) > band))
 
 
 NEARLY = 0.95

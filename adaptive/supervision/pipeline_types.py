@@ -157,13 +157,15 @@ class StageResult:
 class Look(NamedTuple):
     """All samples of a region that are to be entered into its book. book : as it is, None to begin one.
 
-    grows : the window comes again with more samples. limited : share of them with the output at a limit.
+    grows : the window comes again with more samples. limited : share of them with the output at a limit. due : else
+    it is looked at only before a change.
     """
 
     book: Book | None
     window: Window
     grows: bool
     limited: float
+    due: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -196,7 +196,9 @@ class Retuner:
     def _looked(self) -> Step:
         """Where no response has completed for long, all samples are looked at by themselves."""
         region, look = self.region, self._look(PATIENCE)
-        if look is None or region is None or self.settings.mode_of(region) == Mode.OFF or self._open is not None:
+        if look is None or not look.due or region is None or self._open is not None:
+            return NOTHING
+        if self.settings.mode_of(region) == Mode.OFF:
             return NOTHING
         window = look.window
         if float(np.max(np.abs(window.sp - window.pv))) <= self.band:  # nothing but noise
@@ -216,13 +218,13 @@ class Retuner:
         after_s = look_after_s(gains, dt_s, settings.history)
         from_s = max(self._looked_s, samples[0].t_s, since_s)
         self._alone_s = from_s + PATIENCE * after_s
-        if self.now_s < from_s + patience * after_s and not on_trial:
-            return None
-        self._alone_s = self.now_s + PATIENCE * after_s
         known, rests_on = self.region_models.get(region), self.excitation.get(region, Excitation())
-        if not self.trials.busy and shown_clearly(known, rests_on, self.foreign.get(region, 0)):
-            return None  # not the book's case, and dear; the samples are kept until something speaks against the model
-        return look_of(samples, self.books.get(region), gains, since_s, after_s, dt_s, on_trial)
+        shown = not self.trials.busy and shown_clearly(known, rests_on, self.foreign.get(region, 0))
+        waited = on_trial or self.now_s >= from_s + patience * after_s
+        if waited:
+            self._alone_s = self.now_s + PATIENCE * after_s
+        due = waited and not shown  # a look is dear
+        return look_of(samples, self.books.get(region), gains, since_s, after_s, dt_s, on_trial or not due, due)
 
     @property
     def open_question(self) -> Question | None:
@@ -454,7 +456,7 @@ class Retuner:
         trial = self.trials.of(seen.region)
         on_trial = trial.phase is TrialPhase.TRIAL
         look = alone or (self._look(on_trial=on_trial) if seen.region == self.region else None)
-        self._looked_s = self._looked_s if look is None else self.now_s
+        self._looked_s = self._looked_s if look is None or not look.due else self.now_s
         return Question(case, self.settings, self.sample_number, trial, free, away, look, alone is not None)
 
     def _entered(self, question: Question, outcome: StageResult) -> Decision:

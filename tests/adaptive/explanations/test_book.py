@@ -3,22 +3,30 @@
 import json
 import math
 from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from retuner import PidController, PidGains
+from retuner.adaptive.choice.expected_cost import ChoiceNumbers
+from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import ODD, Book, move, update
-from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, dearer
+from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings
 from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.setting import declared
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision import pipeline, retuner
-from retuner.adaptive.supervision.by_book import look_of, one_tone
+from retuner.adaptive.supervision.by_book import by_all_samples, look_of, one_tone
 from retuner.adaptive.supervision.decision import Action
+from retuner.adaptive.supervision.pipeline_types import Findings, Look
 from retuner.adaptive.supervision.settings import RetunerSettings, demanded
 from retuner.schedule.pid import law, start, step
+from retuner.schedule.table import Lookup
 
 K, LAG, DEAD = 2.0, 20.0, 4
 GOOD = PidGains(0.5 * LAG / (K * (DEAD + 0.5)), 0.5 * LAG / (K * (DEAD + 0.5)) / LAG)
@@ -65,6 +73,7 @@ def begun(gains: PidGains = GOOD) -> Book:
     return Book.begun(gains, 1.0, 0.0)
 
 
+@cache
 def after(gains: PidGains, seed: int) -> Book:
     """Two windows under these gains."""
     book = begun(gains)
@@ -207,10 +216,73 @@ def test_one_lasting_tone_is_told_from_a_load_that_wanders() -> None:
     assert not one_tone(recorded(GOOD, 3))
 
 
-def test_a_cut_of_a_robust_loop_costs_its_speed_and_one_of_a_tight_loop_saves() -> None:
-    for times, costs in ((1.0, True), (2.6, False)):
-        drawn = after(scaled(times), 3).drawn(SETTINGS.drawn)
-        assert (dearer(drawn, scaled(times), scaled(0.3 * times), SETTINGS) > 0) is costs
+@pytest.mark.parametrize(
+    ("times", "to", "better"), [(1.0, 0.3, False), (2.6, 0.3, True), (1.0, 2.6, False), (0.25, 4.0, True)]
+)
+def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to: float, better: bool) -> None:
+    drawn = after(scaled(times), 3).drawn(SETTINGS.drawn)
+    found, odds = gain(drawn, scaled(times), scaled(to * times), SETTINGS)
+    assert found > SETTINGS.worth if better else found < 0.0
+    assert odds > SETTINGS.borne_out if better else odds < 1.0 / 3.0
+    assert gain(drawn, scaled(to * times), scaled(times), SETTINGS)[0] == pytest.approx(-found)
+    assert abs(found) <= SETTINGS.most
+
+
+def put_to_the_book(
+    times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
+    at_rest: bool = False, first: bool = False,
+) -> Findings:  # fmt: skip
+    """A change that the pipeline accepted. times : of the good gains, in force. expected : benefit by the models."""
+    now = scaled(times)
+    window = recorded(now, 5)
+    book = begun(now) if first else after(now, 3)
+    record: Any = SimpleNamespace(
+        region=0, region_models={0: SimpleNamespace(identifiable=True)}, excitation=Excitation(clear=int(shown)),
+        foreign=0, in_force=now, book=book,
+        table=SimpleNamespace(lookup=Lookup.HARD), response=SimpleNamespace(band=100.0 if at_rest else 0.1),
+    )  # fmt: skip
+    look = Look(book, window, grows=True, limited=0.0)
+    question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0)
+    verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
+    found = Findings(question, verdict=verdict, learned=SimpleNamespace(agreement=agreement, valve=None))  # type: ignore[arg-type]
+    if expected is not None:
+        found.numbers = ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8)
+    by_all_samples(found)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("times", "to", "expected", "dropped"),
+    [
+        (1.0, 0.7, 0.7, True),
+        (1.0, 0.7, None, True),  # nothing was weighed
+        (1.0, 2.6, 0.5, True),
+        (1.0, 1.9, 0.8, False),  # the models are surer than the book
+        (2.6, 0.4, 0.2, False),
+        (0.25, 4.0, 0.0, False),
+    ],
+)
+def test_the_book_objects_to_a_change_that_it_holds_for_the_worse(
+    times: float, to: float, expected: float | None, *, dropped: bool
+) -> None:
+    found = put_to_the_book(times, to, expected)
+    assert (found.verdict is None) is dropped
+    assert dropped is (found.end is not None and found.end.code == "unconfirmed")
+    assert not dropped or found.end is None or "probability, its expected" in found.end.reason
+    assert put_to_the_book(times, to, expected, at_rest=True).verdict, "no load wanders"
+    assert put_to_the_book(times, to, expected, first=True).verdict, "no whole window yet"
+
+
+def test_more_action_that_would_take_robustness_is_not_taken_where_no_step_has_shown_the_process() -> None:
+    assert put_to_the_book(1.0, 2.6, 2.0).verdict
+    assert put_to_the_book(1.0, 2.6, 2.0, shown=False, at_rest=True).verdict is None
+
+
+def test_a_process_that_has_changed_begins_a_new_book() -> None:
+    found = put_to_the_book(1.0, 0.7, 0.3, Agreement.CHANGED)
+    assert found.verdict
+    assert found.book is not None
+    assert (found.book.records, found.book.t_s, found.book.levels) == (0, 2000.0, found.book.prior)
 
 
 @pytest.mark.parametrize("settings", [BookSettings, WorthSettings])
