@@ -1,8 +1,8 @@
 """Tours of nonlinear plants with retuner in charge: how many visits does a region need, and what teaches?
 
-Plants: drawn ones (schedules/records.py), one kind of them the same everywhere (constant), and from physics. Four regions
-along pv, equally wide (the demo's oven has its own three, and its own gains). The setpoint goes to a new random place
-and stays there for HOLD_THETA dead times of the middle; all watch the same places with the same noise. Starts:
+Plants: drawn ones (schedules/records.py), one kind of them the same everywhere (constant), and from physics. Four
+regions along pv, equally wide (the demo's oven has its own three, and its own gains). The setpoint goes to a new random
+place and stays there for HOLD_THETA dead times of the middle; all watch the same places with the same noise. Starts:
 
 middle    SIMC with perfect knowledge of the middle of the range, in every region
 quarter   a quarter of all gains that SIMC with perfect knowledge of each region's centre gives
