@@ -244,7 +244,7 @@ def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: Od
         evidence = shapes + max(known, min(walk.valve + UNLIKE, 0.0))
     stiction = settings.stiction / linear * math.exp(min(max(evidence, -50.0), 300.0))
     seen = walk.moved >= settings.moved  # by a setpoint: loads alone may bend a record as any valve does
-    along = min(walk.along.log_bayes, 0.0) + (settings.along_weight * max(walk.along.log_bayes, 0.0) if seen else 0.0)
+    along = walk.along.log_bayes if seen else min(walk.along.log_bayes, 0.0)
     nonlinear = settings.nonlinear / linear * math.exp(min(max(along, -50.0), 300.0))
     whole = 1.0 + stiction + nonlinear
     rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}

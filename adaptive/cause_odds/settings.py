@@ -20,8 +20,7 @@ class OddsSettings:
     valve_weight : power of a valve's Bayes factor; 0.5 to 3, default 2.5: its tempered likelihood was too doubtful
         where the truth was known (benchmarks/world). other_valve, other_weight : share of valves that are unlike every
         one of the grid, and the power that a factor against a valve has for them; default 0.3 and 0.25 (of 60 sticking
-        valves that mattered 24 had a factor under e, the lowest e^-5). along_weight : the same of a factor for a gain
-        that changes along pv; 1 to 3, default 1.5 (over e^1.3 in 22 of 80 loops that bend and in 1 of 240 others).
+        valves that mattered 24 had a factor under e, the lowest e^-5).
     shapes_say : how many times likelier a record is by a valve where shapes and plateaus named one; 2 to 20, default 6
         (9 of 25 sticking valves named, 2 of 75 other loops, under real loads). stands_slips : the same where pv stands
         while co travels and then slips; 10 to 100, default 40 (no false alarm on 31 healthy tags and 250 further
@@ -55,7 +54,6 @@ class OddsSettings:
     valve_weight: float = 2.5
     other_valve: float = 0.3
     other_weight: float = 0.25
-    along_weight: float = 1.5
     shapes_say: float = 6.0
     stands_slips: float = 40.0
     stands: float = 10.0
@@ -88,7 +86,6 @@ class OddsSettings:
             "less_odds",
             "undecided",
             "valve_weight",
-            "along_weight",
             "shapes_say",
         ):
             if not 0 < getattr(self, name) < 100:
