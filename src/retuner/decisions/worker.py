@@ -27,6 +27,8 @@ NICE = 3
 """How much the worker gives way: beside two programs that keep two cores busy it still gets a quarter of one."""
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 """What numpy's libraries of linear algebra look at: their threads would take the loop's core."""
+MOST_WARMING_S = 60.0
+"""Longest wait for a worker's imports, s; after that the loop is watched, and its first decision waits for them."""
 END_S = 2.0
 """How long a process whose pipe has ended may take to be gone by itself."""
 
@@ -44,6 +46,8 @@ class _Worker:
         )
         self._questions: queue.SimpleQueue[Question | None] = queue.SimpleQueue()
         self.answers: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self.warm = threading.Event()
+        """Set when it has imported what a decision needs, or is gone."""
         self._courier = threading.Thread(target=self._carry, name="decisions", daemon=True)
         self._courier.start()
 
@@ -57,9 +61,12 @@ class _Worker:
         assert to is not None
         assert back is not None
         with to, back, contextlib.suppress(OSError, EOFError):
+            receive(back)
+            self.warm.set()
             while (question := self._questions.get()) is not None:
                 send(to, question)
                 self.answers.put(receive(back))
+        self.warm.set()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(END_S)
         self.process.kill()
@@ -139,6 +146,11 @@ class DecideInWorker:
         self._end()
         if worker is not None:
             worker.join()
+
+    def wait_until_warm(self, timeout_s: float) -> None:
+        """Wait until the worker can decide without importing anything first, or so long."""
+        if self._worker is not None:
+            self._worker.warm.wait(timeout_s)
 
     @property
     def pid(self) -> int | None:
@@ -221,6 +233,11 @@ class DecisionWorkers:
     def decider(self, deadline_s: float) -> "LoopDecider":
         """What one loop asks. deadline_s : time of the machine that a decision of it may take, s."""
         return LoopDecider(self, deadline_s)
+
+    def wait_until_warm(self) -> None:
+        """Wait until the workers can decide: a loop's first response does not wait for their imports then."""
+        for worker in self._free:
+            worker.wait_until_warm(MOST_WARMING_S)
 
     def close(self) -> None:
         """End the workers; what they were about is lost."""

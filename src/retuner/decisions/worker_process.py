@@ -16,6 +16,8 @@ from typing import IO
 
 LENGTH = struct.Struct("<Q")
 """Before each message: its length in bytes."""
+WARM = "warm"
+"""The first message to the loop: all that a decision needs is imported."""
 MOST_EXPENDABLE = "1000"
 """What the kernel is told when memory runs out: end this process first, not the loop's."""
 
@@ -71,6 +73,8 @@ def main(nice: int, memory_bytes: int) -> None:
 
     with contextlib.suppress(MemoryError):
         warm_up()
+    with contextlib.suppress(OSError):
+        send(answers, WARM)
     while True:
         try:
             question = receive(questions)

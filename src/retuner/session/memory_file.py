@@ -64,10 +64,11 @@ def digest(text: str) -> str:
 def about(config: Config) -> str:
     """A hash of what a memory depends on: loop, schedule, adaptation, and which controller it is.
 
-    Not on which proposal the schedule was taken from: that is history, and changes nothing of what runs.
+    Not on which proposal the schedule was taken from: that is history, and changes nothing of what runs. Nor on which
+    loops share its plant: what is known of the loop itself stays.
     """
     sections = ("loop", "schedule", "adaptation")
-    body = {name: getattr(config, name).model_dump(mode="json", exclude={"proposal"}) for name in sections}
+    body = {name: getattr(config, name).model_dump(mode="json", exclude={"proposal", "plant"}) for name in sections}
     return digest(json.dumps({**body, "node": config.bus.node}, sort_keys=True))
 
 

@@ -307,6 +307,7 @@ class Run:
             live_buses(self.config, speed, clock, self._log) as buses,
         ):
             warm_up()  # entering a decision imports what making one does, and by then there are samples to take
+            workers.wait_until_warm()
             session = self._begin(buses, [workers.decider(s) for s in deadlines_s], speed, remember=True)
 
             def once() -> None:
