@@ -23,7 +23,7 @@ import run_pages  # noqa: E402  stands in scripts/
 from docstring_markup import as_rst  # noqa: E402
 from run_pages import agrees, blocks, rewritten  # noqa: E402
 
-FRONT = {"README", "start", "how-to-control", "how-to-plant", "how-to-python", "diagnose", "schedule", "concepts"}
+FRONT = {"README", "start", "how-to-control", "diagnose", "concepts"}
 """What a newcomer copies from; the other pages take minutes, and are the nightly's."""
 RUN = [page for page in run_pages.pages() if page.stem in FRONT or EFFORT.name == "nightly"]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -46,7 +46,7 @@ def test_what_a_page_prints_is_what_comes(page: Path, tmp_path: Path, tmp_path_f
         )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_notebooks_show_what_comes() -> None:
     script = ROOT / "scripts" / "run_notebooks.py"
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)

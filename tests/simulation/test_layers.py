@@ -30,7 +30,7 @@ def found(make: object = VirtualDevice) -> str:
 
 
 @pytest.mark.uncounted
-@pytest.mark.parametrize("mutant", ALL[:: sized(12, 1)], ids=lambda mutant: mutant.name)
+@pytest.mark.parametrize("mutant", ALL[:: sized(12, 3, 1)], ids=lambda mutant: mutant.name)
 def test_firmware_with_one_thing_wrong_is_found(mutant: Mutant) -> None:
     assert found(partial(FirmwareDevice, changes=((mutant.old, mutant.new),))) != ""
 

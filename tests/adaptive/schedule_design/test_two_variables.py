@@ -43,7 +43,7 @@ def record() -> tuple[Window, FloatArray]:
     return Window(np.arange(float(n)), sp, pv, co), flow
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_both_are_found_and_the_table_has_two_axes() -> None:
     window, flow = record()
     found = retuner.design_schedule(window, ["pv", "flow"], values={"flow": [flow]})
