@@ -45,10 +45,14 @@ class Dial(NamedTuple):
     of_span: bool = False
 
     def written(self, number: float, digits: int = 3) -> str:
-        """The number with its label and unit."""
-        return f"{self.label} {number:.{digits}g}{self.unit}".strip()
+        """The number with its label and unit; 1030 s, where so many digits alone would be 1.03e+03."""
+        rounded = f"{number:.{digits}g}"
+        plain = f"{float(rounded):.0f}" if 1e3 <= abs(number) < PLAIN_BELOW else rounded
+        return f"{self.label} {plain}{self.unit}".strip()
 
 
+PLAIN_BELOW = 1e6
+"""Numbers that are written without an exponent."""
 GAINS = {
     "kc": Dial("kc", Quantity.KP, "Kc"),
     "gain": Dial("gain", Quantity.KP, "gain", " %/%", of_span=True),
