@@ -9,6 +9,8 @@ import subprocess
 import sys
 import tempfile
 import time
+import urllib.request
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,6 +21,8 @@ ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 RETUNER = Path(sys.executable).parent / "retuner"
 PORT = 8764
+PATIENCE = 30
+"""Most looks, at a server that starts and at a page that is drawn."""
 COLOURS = 96
 """Of a picture: lines and words need no more."""
 LOOK = "<style>.dark{display:none}@media(prefers-color-scheme:dark){.light{display:none}.dark{display:inline}}</style>"
@@ -41,11 +45,16 @@ def _retuner(folder: Path, *words: str) -> None:
 
 
 @contextmanager
-def _served(folder: Path):  # noqa: ANN202
+def _served(folder: Path) -> Iterator[None]:
     """The live page of what ran, for as long as it is looked at."""
     process = subprocess.Popen([RETUNER, "serve", "runs", "--read-only", "--port", str(PORT)], cwd=folder)
     try:
-        time.sleep(15.0)
+        for _ in range(PATIENCE):
+            try:
+                urllib.request.urlopen(f"http://127.0.0.1:{PORT}/").close()
+                break
+            except OSError:
+                time.sleep(1.0)
         yield
     finally:
         process.terminate()
@@ -77,8 +86,13 @@ def _seen(address: str, size: tuple[int, int], *, dark: bool) -> str:
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
         driver.get(address)
-        time.sleep(8.0)
-        image = Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB").quantize(COLOURS)
+        before, shot = b"", driver.get_screenshot_as_png()
+        for _ in range(PATIENCE):  # what is drawn late is there when two looks are the same
+            if before == shot:
+                break
+            time.sleep(2.0)
+            before, shot = shot, driver.get_screenshot_as_png()
+        image = Image.open(io.BytesIO(shot)).convert("RGB").quantize(COLOURS)
     finally:
         driver.quit()
     out = io.BytesIO()
