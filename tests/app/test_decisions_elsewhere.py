@@ -129,6 +129,23 @@ def test_a_worker_that_is_killed_costs_this_decision_and_not_the_next(asked: tup
         assert waited(worker).trouble == ""
 
 
+def test_a_worker_is_warm_when_it_has_imported_and_one_that_is_gone_holds_nobody_up() -> None:
+    with DecideInWorker(60.0) as decider:
+        worker = decider._worker
+        assert worker is not None
+        assert not worker.warm.is_set()  # it has a second of imports before it
+        decider.wait_until_warm(60.0)
+        assert worker.warm.is_set()
+        assert worker.process.poll() is None
+    with DecideInWorker(60.0) as decider:
+        assert decider.pid is not None
+        os.kill(decider.pid, signal.SIGKILL)
+        worker = decider._worker
+        assert worker is not None
+        decider.wait_until_warm(60.0)
+        assert worker.warm.is_set()
+
+
 def test_a_worker_that_died_between_two_questions_is_replaced_unnoticed(asked: tuple[Retuner, Question]) -> None:
     _, question = asked
     with DecideInWorker(PATIENCE_S) as worker:

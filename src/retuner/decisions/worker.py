@@ -28,7 +28,7 @@ NICE = 3
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 """What numpy's libraries of linear algebra look at: their threads would take the loop's core."""
 MOST_WARMING_S = 60.0
-"""Longest wait for a worker's imports, s; after that the loop is watched, and its first decision waits for them."""
+"""Longest wait for the workers' imports, s; after that the loop is watched, and its first decision waits for them."""
 END_S = 2.0
 """How long a process whose pipe has ended may take to be gone by itself."""
 
@@ -236,8 +236,9 @@ class DecisionWorkers:
 
     def wait_until_warm(self) -> None:
         """Wait until the workers can decide: a loop's first response does not wait for their imports then."""
+        clock = MonotonicClock()
         for worker in self._free:
-            worker.wait_until_warm(MOST_WARMING_S)
+            worker.wait_until_warm(max(MOST_WARMING_S - clock.now_s(), 0.0))
 
     def close(self) -> None:
         """End the workers; what they were about is lost."""
