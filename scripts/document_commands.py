@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 from typer.main import get_command
 
-from retuner.cli import COMMANDS, ON_RECORDS
+from retuner.cli import COMMANDS, module_of
 
 HEAD = """# Commands
 
@@ -36,8 +36,7 @@ def page() -> str:
 
 def command(name: str) -> TyperCommand | TyperGroup:
     """A command with its options."""
-    room = "commands.recorded" if name in ON_RECORDS else "commands"
-    return get_command(import_module(f"retuner.{room}.{name}").app)
+    return get_command(import_module(module_of(name)).app)
 
 
 def told(name: str, one: TyperCommand | TyperGroup) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The command line: which commands there are. Each one stands in commands/ with its signature, and is imported
+"""The command line: which commands there are. Each one stands in commands/ and is imported
 when it is called, so that `retuner --help` does not wait for numpy, scipy or python-can.
 
 A command returns its exit status: 0 ok, 1 the question's answer is no; main() adds 2 for wrong use or bad input, each
@@ -50,6 +50,14 @@ COMMANDS = {
 """Every command and what `retuner --help` says of it."""
 ON_RECORDS = frozenset({"audit", "diagnose", "identify", "reduce", "schedule", "tune"})
 """Those that stand in commands/recorded/: they work on records and models, and write to no controller."""
+SIGNED = frozenset({"approve", "experiment", "init", "ledger", "replay", "report", "run"})
+"""Those whose signature stands apart, in commands/signatures/: what they load, `--help` does not need."""
+
+
+def module_of(command: str) -> str:
+    """The module that has a command's signature."""
+    room = "recorded." if command in ON_RECORDS else "signatures." if command in SIGNED else ""
+    return f"retuner.commands.{room}{command}"
 
 
 class Commands(TyperGroup):
@@ -58,8 +66,7 @@ class Commands(TyperGroup):
     def resolve_command(self, *given: Any, **named: Any) -> tuple[str | None, Any, list[str]]:
         """The command's own module in place of its entry in the list."""
         name, _, rest = super().resolve_command(*given, **named)
-        room = "commands.recorded" if name in ON_RECORDS else "commands"
-        return name, with_verbosity(get_command(import_module(f"retuner.{room}.{name}").app)), rest
+        return name, with_verbosity(get_command(import_module(module_of(name or "")).app)), rest
 
 
 app = typer.Typer(

@@ -15,7 +15,7 @@ HOMES = {
     "one plant": "one_plant.joining",
     "page": "serve.beside",
     "live view": "live_view.watching",
-    "what a run leaves": "commands.work.left_by_run",
+    "what a run leaves": "commands.left_by_run",
 }
 """Module of each, below `retuner.`."""
 

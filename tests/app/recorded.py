@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from retuner.cli import main
-from retuner.commands.work import left_by_run
+from retuner.commands import left_by_run
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.chain import Row
 

@@ -13,8 +13,8 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.cli import main
-from retuner.commands.work import run as run_command
-from retuner.commands.work.approve import only_place
+from retuner.commands import run as run_command
+from retuner.commands.approve import only_place
 from retuner.config import load_config
 from retuner.session.loop_session import LoopSession
 from retuner.session.running import Run

@@ -17,7 +17,7 @@ from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.cli import main
-from retuner.commands.work import left_by_run
+from retuner.commands import left_by_run
 from retuner.decisions.decider import LATE, LOST, Answer, DecideHere, Decider
 from retuner.decisions.worker import DecideInWorker, DecisionWorkers
 from retuner.drivers.clock import SimulatedClock

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.cli import main
-from retuner.commands.work.run import LedgerSize
+from retuner.commands.run import LedgerSize
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.canonical import canonical_json

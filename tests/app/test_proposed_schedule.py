@@ -15,7 +15,7 @@ from retuner.adaptive.region_model import refinement
 from retuner.adaptive.region_model.refinement import Refinement
 from retuner.adaptive.schedule_design.places import DesignLimits
 from retuner.cli import main
-from retuner.commands.work.approve import _full_hash, places
+from retuner.commands.approve import _full_hash, places
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.decisions.proposed_schedule import digest_of, taken_up

@@ -10,8 +10,8 @@ import pytest
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.cli import main
-from retuner.commands.work import run as run_command
-from retuner.commands.work.approve import only_place
+from retuner.commands import run as run_command
+from retuner.commands.approve import only_place
 from retuner.session.loop_session import LoopSession
 from retuner.session.orders import Order, OrderKind, put_order
 from retuner.session.running import Run

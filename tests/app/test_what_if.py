@@ -16,7 +16,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.cli import main
-from retuner.commands.work.replay import IN_FORCE_SAMPLES, InForce
+from retuner.commands.replay import IN_FORCE_SAMPLES, InForce
 from retuner.drivers.recorded.frame_log import read_frames
 from retuner.errors import UserError
 from retuner.schedule.gains import PidGains

@@ -15,7 +15,7 @@ from once import once
 from readme_renderer import markdown
 from typer.main import get_command
 
-from retuner.cli import COMMANDS, ON_RECORDS
+from retuner.cli import COMMANDS, module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
@@ -64,7 +64,7 @@ def unknown(words: list[str]) -> list[str]:
     name, rest = (words or [""])[0], words[1:]
     if name not in COMMANDS:
         return [] if name.startswith("-") else [name]
-    command = get_command(import_module(f"retuner.commands.{'recorded.' if name in ON_RECORDS else ''}{name}").app)
+    command = get_command(import_module(module_of(name)).app)
     inside = getattr(command, "commands", None)
     if inside is not None:
         if rest[:1] and rest[0] not in inside:

@@ -1,37 +1,354 @@
-"""retuner approve: approve a proposal of a session, or list what is open."""
+"""retuner approve and ledger revert: what a person orders, put into the session's folder; and what can be ordered."""
 
+import datetime as dt
+import getpass
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
+from retuner.adaptive.supervision.decision import gains_dict
+from retuner.commands.signatures.approve import ApproveOptions
+from retuner.commands.signatures.ledger import RevertOptions
+from retuner.config.loading import load_session
+from retuner.config.model import Config
+from retuner.decision_page.explain import settings_text
+from retuner.decision_page.shown_units import show_units_of
+from retuner.decisions.proposed_schedule import table_in
+from retuner.errors import LedgerError, UserError, one_line, user_input
+from retuner.files import write_whole
+from retuner.gain_export.schedule_into import schedule_into
+from retuner.ledger.lock import WriterLock
+from retuner.schedule.document import from_toml
+from retuner.schedule.table import GainTable
+from retuner.session.order_queue import SHORT, Shown, shown, superseded
+from retuner.session.orders import Order, OrderKind, put_order
+from retuner.session.outputs import CONFIG, GAINS, LEDGER, believed_rows, ledger_path, loop_folder, rows_by_loop
 
-from retuner.commands.options import By, Json, Loop, Note, Session
+SHORTEST = SHORT
+"""Hexadecimal digits of a hash that a person has to give at least."""
 
-app = typer.Typer(add_completion=False)
 
+def _name(options: ApproveOptions | RevertOptions) -> str:
+    """Who orders, for the ledger.
 
-@app.command(epilog="Example: retuner approve runs/demo; retuner approve runs/demo 4bebeed6 --note 'as discussed'")
-def approve(
-    session: Session,
-    digest: Annotated[
-        str | None,
-        typer.Argument(metavar="[HASH]", help="Of the proposal, 8 digits or more; without it: list the open ones."),
-    ] = None,
-    by: By = None,
-    note: Note = "",
-    unlock: Annotated[str | None, typer.Option(metavar="REGION", help="Unlock a region.")] = None,
-    every: Annotated[bool, typer.Option("--all", help="List superseded proposals, too.")] = False,
-    into: Annotated[
-        Path | None, typer.Option(metavar="CONFIG", help="Configuration that gets a proposed schedule.")
-    ] = None,
-    loop: Loop = None,
-    as_json: Json = False,
-) -> int:
-    """Approve a proposal, named by its hash, or list the open ones, the newest of each region.
-
-    A proposed schedule is written into a configuration (--into); its next run uses it.
+    Raises
+    ------
+    UserError
+        The system knows no name, and none is given.
     """
-    from retuner.commands.work import approve as work
+    if options.by is not None:
+        return options.by
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError, ImportError):
+        raise UserError("--by: no user name is known here; give your name") from None
 
-    asked = work.Asked(digest, unlock, every, loop, into)
-    return work.approve(session, asked, work.Person(by, note), as_json=as_json)
+
+def places(session: Path, loop: str | None = None) -> list["LoopPlace"]:
+    """The loops of a session to which something may be ordered. loop : the name of one; None for all.
+
+    Raises
+    ------
+    UserError
+        There is no session or no such loop, or its ledger cannot be believed: orders refer to what it says.
+    """
+    ledger = ledger_path(session)
+    rows, config = believed_rows(ledger), load_session(ledger.parent / CONFIG)[0]
+    show_units_of(config)
+    about = rows_by_loop(rows, config.names) if config.several else {config.names[0]: rows}
+    wanted = config.loops if loop is None else (config.loops[config.place(loop)],)
+    return [LoopPlace(ledger, one, config.several, shown(about[one.loop.name])) for one in wanted]
+
+
+def only_place(session: Path, loop: str | None) -> "LoopPlace":
+    """The one loop that is meant; errors as `places`, and UserError when there are several and none is named."""
+    found = places(session, loop)
+    if len(found) > 1:
+        names = ", ".join(place.name for place in found)
+        raise UserError(f"--loop: there are {len(found)} loops, name one of {names}")
+    return found[0]
+
+
+class LoopPlace:
+    """A loop of a session as a person sees it who wants to order something: its folder, and what it has shown.
+
+    Parameters
+    ----------
+    ledger : of the session. config : of the loop. several : it is one of several. shown : what the ledger tells of it.
+    """
+
+    def __init__(self, ledger: Path, config: Config, several: bool, shown: Shown) -> None:
+        self.session, self.config, self.shown = ledger.parent, config, shown
+        self.name = config.loop.name if several else ""
+        self.folder = loop_folder(self.session, self.name)
+        self._ledger = ledger
+
+    @property
+    def expires_after_s(self) -> float:
+        """How long a proposal is open."""
+        return self.config.adaptation.approval_s
+
+    def running(self) -> bool:
+        """Whether a session fills the folder right now."""
+        if not os.access(self.session, os.W_OK):
+            raise UserError(f"{self.session}: cannot be written to; requests are files in it")
+        try:
+            WriterLock(self._ledger).close()
+        except LedgerError:
+            return True
+        return False
+
+    def put(
+        self,
+        kind: OrderKind,
+        options: ApproveOptions | RevertOptions,
+        digest: str = "",
+        decision: int = 0,
+        region: str = "",
+    ) -> Path:
+        """Put an order into the folder; its file."""
+        now = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        with user_input("--by, --note"):
+            order = Order(kind, _name(options), now, options.note, digest, decision, region)
+        return put_order(self.folder, order)
+
+    def who_acts(self) -> str:
+        """What happens to an order."""
+        if self.running():
+            return "the running session acts on it at its next sample"
+        return f"no session is running here; the next run with --out {self.session} acts on it at its start"
+
+
+def approve(options: ApproveOptions) -> int:
+    """Approve, unlock or list; the exit status: 0, or 1 where what was named is not approved.
+
+    Raises
+    ------
+    UserError
+        There is no such session, loop, proposal or region, or what is asked contradicts itself.
+    """
+    session, digest, unlock, as_json = options.session, options.digest, options.unlock, options.as_json
+    found = places(session, options.loop)
+    if options.every and (unlock or digest) is not None:
+        raise UserError("--all: lists proposals; omit it to approve or unlock one")
+    if unlock is not None and options.into is not None:
+        raise UserError("--into: takes up a proposed schedule; omit it to unlock a region")
+    if unlock is not None:
+        return _unlock(only_place(session, options.loop), unlock, options)
+    if digest is None and options.into is not None:
+        raise UserError(f"--into: give the hash of the schedule as well; `retuner approve {session}` lists them")
+    if digest is None:
+        return _list(found, options)
+    place, full = _full_hash(found, digest)
+    if full in place.shown.schedules:
+        return _take_up(place, full, options)
+    if options.into is not None:
+        raise UserError(f"--into: is for a proposed schedule; {full[:SHORTEST]} is a change of gains")
+    # Put the approval of a change into the session's folder; the exit status, 1 where it is not approved
+    reason = _closed(place, full)
+    document: dict[str, object] = {
+        "session": str(place.session),
+        "approved": None if reason else full,
+        "reason": reason or None,
+        "file": None,
+    }
+    if not reason:
+        document["file"] = str(place.put(OrderKind.APPROVE, options, digest=full))
+    text = f"{full[:SHORTEST]} is not approved: {reason}" if reason else f"{full[:SHORTEST]}: {place.who_acts()}"
+    _tell(document, text, as_json=as_json)
+    return 1 if reason else 0
+
+
+def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
+    """Write a proposed schedule into a configuration; the exit status, 0.
+
+    Raises
+    ------
+    UserError
+        No configuration is named, or it cannot have this schedule; nothing was changed then.
+    """
+    into = options.into
+    if into is None:
+        raise UserError(f"{full[:SHORTEST]}: is a schedule; name the configuration that gets it with --into")
+    with user_input(f"proposal {full[:SHORTEST]}"):
+        table = table_in(place.shown.schedules[full])
+    today = dt.datetime.now(dt.UTC).date().isoformat()
+    why = f": {options.note}" if options.note else ""
+    note = one_line(f"proposal {full[:SHORTEST]} of {place.session}, approved by {_name(options)} on {today}{why}")
+    # What a session ran is its record: a replay reads it
+    folder = into.resolve().parent
+    if (folder / LEDGER).exists():
+        raise UserError(f"--into {into}: belongs to the session recorded there; name the configuration of the next run")
+    written = schedule_into(into, table, place.config, note, _gains_at_end(place))
+    write_whole(into, written.text)
+    document = {"session": str(place.session), "approved": full, "schedule": str(into), "comments": written.comments}
+    parts = f"{len(table.gains)} regions along {table.regions.axes[0].label}"
+    told = f"{into}: has the schedule {full[:SHORTEST]} now, {parts}; its next run uses it"
+    if written.comments:
+        told += f"; comments on {written.comments} lines of the old section were lost with it"
+    _tell(document, told, as_json=options.as_json)
+    return 0
+
+
+def _gains_at_end(place: LoopPlace) -> GainTable | None:
+    """The table that the session left; None where there is none that can be read."""
+    try:
+        return from_toml((place.folder / GAINS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def _closed(place: LoopPlace, full: str) -> str:
+    """Why what a hash names is not approved; empty when it is."""
+    if full in place.shown.approved:
+        return "it was approved before"
+    if full in place.shown.rejected:
+        return "it was rejected"
+    proposal = place.shown.proposals.get(full)
+    if proposal is None:
+        return "" if full in place.shown.waiting.values() else "this change needs no operator"
+    standing = place.shown.standing(proposal, place.expires_after_s)
+    return str(standing) if standing is not ProposalStanding.OPEN else superseded(place.shown.successor(proposal))
+
+
+def revert(options: RevertOptions) -> int:
+    """Order the way back to the gains before a decision, in its region; the exit status, 0.
+
+    Raises
+    ------
+    UserError
+        No such session or decision.
+    """
+    place, decision = only_place(options.session, options.loop), options.decision
+    change = place.shown.changes.get(decision)
+    if change is None:
+        most = max(place.shown.changes, default=0)
+        raise UserError(f"--decision {decision}: the ledger has no such decision; there are {most or 'none'}")
+    file = place.put(OrderKind.REVERT, options, decision=decision)
+    document = {
+        "session": str(place.session),
+        "decision": decision,
+        "region": change.region,
+        "gains": gains_dict(change.before),
+        "file": str(file),
+    }
+    _tell(
+        document,
+        f"{change.region} back to {settings_text(change.before)}, as before decision {decision}: {place.who_acts()}",
+        as_json=options.as_json,
+    )
+    return 0
+
+
+def _unlock(place: LoopPlace, region: str, options: ApproveOptions) -> int:
+    """Order that a locked-out region may change again."""
+    names = [one.name for one in place.config.schedule.regions]
+    if options.digest is not None:
+        raise UserError("--unlock: names a region; a hash is approved without it")
+    if region not in names:
+        raise UserError(f"--unlock {region}: there is no such region; there are {', '.join(names)}")
+    file = place.put(OrderKind.UNLOCK, options, region=region)
+    document = {"session": str(place.session), "unlocked": region, "file": str(file)}
+    _tell(document, f"{region}: {place.who_acts()}", as_json=options.as_json)
+    return 0
+
+
+def _full_hash(found: Sequence[LoopPlace], digest: str) -> tuple[LoopPlace, str]:
+    """The hash that a person means by its beginning, and the loop that it is of."""
+    session = found[0].session
+    known = [
+        (place, one) for place in found for one in (*place.shown.proposals, *place.shown.tried, *place.shown.schedules)
+    ]
+    if len(digest) < SHORTEST or set(digest) - set("0123456789abcdef"):
+        raise UserError(
+            f"HASH {digest}: give at least {SHORTEST} hexadecimal digits of a proposal's hash; "
+            f"`retuner approve {session}` lists them"
+        )
+    meant = [(place, one) for place, one in known if one.startswith(digest)]
+    if len(meant) != 1:
+        what = "no proposal begins like this" if not meant else f"{len(meant)} proposals begin like this, give more"
+        if len({one for _, one in meant}) == 1:
+            names = " and ".join(place.name for place, _ in meant)
+            what = f"{names} have this very proposal, name the loop with --loop"
+        raise UserError(f"HASH {digest}: {what}; `retuner approve {session}` lists them")
+    return meant[0]
+
+
+def _list(found: Sequence[LoopPlace], options: ApproveOptions) -> int:
+    """The open proposals of some loops, the newest of each region."""
+    documents, lines = [], []
+    for place in found:
+        document, text = _of_loop(place, every=options.every)
+        documents.append(document)
+        lines += text
+    if not found[0].name:
+        _tell(documents[0], "\n".join(lines), as_json=options.as_json)
+        return 0
+    _tell({"session": str(found[0].session), "loops": documents}, "\n".join(lines), as_json=options.as_json)
+    return 0
+
+
+def _of_loop(place: LoopPlace, *, every: bool) -> tuple[dict[str, object], list[str]]:
+    """The open proposals of a loop as a document, and in lines."""
+    able = place.shown.open(place.expires_after_s)
+    proposals = [one for one in able if not place.shown.successor(one)]
+    older = len(able) - len(proposals)
+    waiting = [{"hash": digest, "region": region} for region, digest in place.shown.waiting.items()]
+    document: dict[str, object] = {
+        "session": str(place.session),
+        **({"loop": place.name} if place.name else {}),
+        "time_s": place.shown.last_s,
+        "waiting": waiting,
+        "superseded": older,
+        "proposals": [_listed(place, one) for one in (able if every else proposals)],
+        "schedules": [{"hash": one, **body["proposal"]} for one, body in place.shown.schedules.items()],
+    }
+    lines = [_line(place, one, able) for one in (able if every else proposals)]
+    lines += [
+        f"{one['hash'][:SHORTEST]}  {one['region']}: trial passed, as predicted; approve it to continue in this region"
+        for one in waiting
+    ]
+    lines += [
+        f"{one[:SHORTEST]}  schedule: {body['reason']} Approve it with --into CONFIG"
+        for one, body in place.shown.schedules.items()
+    ]
+    hidden = f" (and {older} superseded; --all lists them)" if older and not every else ""
+    lines.append(
+        f"{place.name or place.session}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
+        f"{place.shown.last_s:,.0f} s{hidden}"
+    )
+    return document, lines
+
+
+def _line(place: LoopPlace, proposal: Proposal, able: Sequence[Proposal]) -> str:
+    """A proposal in one line; able : all of which some may be older ones of its region."""
+    successor = place.shown.successor(proposal)
+    older = sum(one.region == proposal.region for one in able) - 1
+    told = f"superseded by {successor[:SHORTEST]}" if successor else f"supersedes {older} older" if older else ""
+    return (
+        f"{proposal.digest[:SHORTEST]}  decision {proposal.number}, {proposal.region}: "
+        f"{settings_text(proposal.before)} -> {settings_text(proposal.after)}; expires at "
+        f"{proposal.t_s + place.expires_after_s:,.0f} s{f'; {told}' * bool(told)}"
+    )
+
+
+def _listed(place: LoopPlace, proposal: Proposal) -> dict[str, object]:
+    """A proposal as plain values."""
+    return {
+        "hash": proposal.digest,
+        "decision": proposal.number,
+        "region": proposal.region,
+        "t_s": proposal.t_s,
+        "expires_s": proposal.t_s + place.expires_after_s,
+        "gains_before": gains_dict(proposal.before),
+        "gains_after": gains_dict(proposal.after),
+        "superseded_by": place.shown.successor(proposal) or None,
+    }
+
+
+def _tell(document: Mapping[str, object], text: str, *, as_json: bool) -> None:
+    """Either form of an answer."""
+    sys.stdout.write((json.dumps(document, indent=2, allow_nan=False) if as_json else text) + "\n")

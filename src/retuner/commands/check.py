@@ -24,7 +24,7 @@ UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 @app.command(epilog="Example: retuner check oven.toml")
 def check(path: ConfigFile, as_json: Json = False) -> int:
     """Check a configuration: each error with file, line, key and limit; without errors, a summary."""
-    from retuner.commands.work.run import foreseen
+    from retuner.commands.run import foreseen
     from retuner.config.loading import (
         UnusableError,
         parse_session,

@@ -1,47 +1,64 @@
-"""retuner init: a commented starter configuration, one by questions, or the loop of a record."""
+"""retuner init: the starter as it stands, a loop by the answers of a person, or the loop of a record.
 
+A configuration by answers is for the controller that a person has. That of a record runs at once: its plant is the
+process that was identified in the record, under a load of the same spectrum, with the record's setpoint.
+"""
+
+import json
+import math
+import re
 import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TypeVar
 
-import typer
+import numpy as np
 
-from retuner.errors import UserError
+from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.api import identify_record
+from retuner.commands.signatures.init import InitOptions
+from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
+from retuner.errors import UserError, user_input
 from retuner.files import write_whole
-from retuner.templates import starter
+from retuner.schedule.gains import Form, PidGains, from_form, in_form
+from retuner.templates import profiles, starter
 
-app = typer.Typer(add_completion=False)
+OVEN, NATIVE = "oven", "retuner"
+ROOM = 0.25
+"""Of a record's range, on both sides, for the range of the transmitter that the record does not tell."""
+MOST_STEPS = 40
+"""Setpoint changes of a record that a scenario takes over; more are a ramp, and then the first value stays."""
+PERCENT = (-0.5, 100.5)
+LARGE, MOST_NODES = 1e12, 127
 
 
-@app.command(epilog="Example: retuner init oven.toml; or retuner init loop.toml --from trend.csv")
-def init(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it.")] = Path("retuner.toml"),
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
-    profile: Annotated[str, typer.Option(help="For a controller that exists: odrive, cia402, cia404.")] = "",
-    record: Annotated[
-        Path | None, typer.Option("--from", metavar="RECORD", help="Of the loop in a record, with its process to try.")
-    ] = None,
-    kc: Annotated[float | None, typer.Option(help="With --from: the active gain, % per pv unit, series form.")] = None,
-    tau_i: Annotated[float | None, typer.Option(help="With --from: the active integral time, s.")] = None,
-    tau_d: Annotated[float, typer.Option(help="With --from: the active derivative time, s.")] = 0.0,
-    ask: Annotated[
-        bool | None, typer.Option("--ask/--no-ask", help="Questions about the loop; asked on a terminal.")
-    ] = None,
-) -> int:
-    """Write a configuration: a commented starter, or by a few questions, or of a record's loop."""
-    # Refuse a place where no file can go, or where one is
+def init(options: InitOptions) -> int:
+    """Write a configuration; the exit status.
+
+    Raises
+    ------
+    UserError, RecordingError
+        No file can go where it should, one is there, or the record or an answer cannot be used.
+    """
+    path = options.path
     if path.is_dir():
         raise UserError(f"{path}: is a folder; give the name of a file in it")
-    if path.exists() and not force:
+    if path.exists() and not options.force:
         raise UserError(f"{path}: exists; give another name, or --force to replace it")
     if not path.resolve().parent.is_dir():
         raise UserError(f"{path}: the folder {path.parent} does not exist; make it first")
-    texts = {path: starter(profile)}
-    asking = not profile and (ask or (ask is None and sys.stdin.isatty() and sys.stderr.isatty()))
-    if record is not None or asking:
-        from retuner.commands.work.starter import asked, of_record, series
-
-        texts = {path: asked(path)} if record is None else of_record(record, path, series(kc, tau_i, tau_d))
+    asking = not options.profile and (
+        options.ask or (options.ask is None and sys.stdin.isatty() and sys.stderr.isatty())
+    )
+    if options.record is not None:
+        with user_input("--kc, --tau-i, --tau-d"):
+            kc = options.kc
+            gains = None if kc is None else from_form(Form.SERIES, kc, options.tau_i, options.tau_d)
+        texts = of_record(options.record, path, gains)
+    else:
+        texts = {path: asked(path) if asking else starter(options.profile)}
     for file, text in texts.items():
         try:
             write_whole(file, text)
@@ -49,3 +66,201 @@ def init(
             raise UserError(f"{file}: cannot be written: {error.strerror}") from None
     sys.stdout.write(f"{path} written. Next: retuner check {path}, then retuner run {path}\n")
     return 0
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """A loop in a few words: name, unit and range of pv, sampling interval in seconds, active gains, bus and node."""
+
+    name: str
+    unit: str
+    pv_min: float
+    pv_max: float
+    sample_time_s: float
+    gains: PidGains
+    interface: str = "virtual"
+    channel: str = "retuner"
+    node: int = 1
+
+
+def asked(file: Path) -> str:
+    """A configuration by questions, each with a default that Enter takes."""
+    known = (OVEN, NATIVE, *profiles())
+    controller = _ask(f"Controller: {', '.join(known)} (oven: a simulated one, to try)", OVEN, _one_of(known))
+    if controller == OVEN:
+        return starter()
+    interface = _ask("CAN interface, as python-can calls it", "socketcan", str)
+    channel = _ask("CAN channel", "can0", str)
+    node = _ask("Number of the controller on the bus", 1, _node)
+    if controller != NATIVE:
+        text = re.sub(r"(?m)^node = \d+", f"node = {node}", starter(controller))
+        bus = f"interface = {json.dumps(interface)}\nchannel = {json.dumps(channel)}\n"
+        return text.replace("[bus]\n", f"[bus]\n{bus}") if "[bus]\n" in text else f"{text}\n[bus]\n{bus}"
+    name, unit = _ask("Name of the loop", file.stem, str), _ask("Unit of pv", "degC", str)
+    low = _ask("Range of pv, low end", 0.0, _number(-LARGE))
+    high = _ask("Range of pv, high end", low + 100.0, _number(math.nextafter(low, LARGE)))
+    sample_s = _ask("Sampling interval of the controller, s", 1.0, _number(1e-4, 3600.0))
+    kc = _ask(f"Gain Kc now, % of output per {unit} (negative: direct acting)", 1.0, _gain)
+    tau_i = _ask("Integral time tau_I now, s (0: none)", 100.0, _number(0.0))
+    tau_d = _ask("Derivative time tau_D now, s", 0.0, _number(0.0))
+    gains = from_form(Form.SERIES, kc, tau_i or None, tau_d)
+    return _composed(Answers(name, unit, low, high, sample_s, gains, interface, channel, node), "by your answers")
+
+
+Answer = TypeVar("Answer")
+
+
+def _ask(text: str, default: Answer, read: Callable[[str], Answer]) -> Answer:
+    """Ask until the answer can be used; read : an answer as a value, or ValueError with what to give."""
+    while True:
+        sys.stderr.write(f"{text} [{default}]: ")
+        sys.stderr.flush()
+        line = sys.stdin.readline()
+        if not line:
+            raise UserError("the questions ended before the last answer; nothing was written")
+        try:
+            return read(line.strip()) if line.strip() else default
+        except ValueError as error:
+            sys.stderr.write(f"  {error}\n")
+
+
+def _one_of(known: Sequence[str]) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if text not in known:
+            raise ValueError(f"give one of {', '.join(known)}")
+        return text
+
+    return read
+
+
+def _number(low: float, high: float = LARGE) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        value = _finite(text)
+        if not low <= value <= high:
+            raise ValueError(f"give a number from {low:g} to {high:g}")
+        return value
+
+    return read
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError("give a number")
+    return value
+
+
+def _gain(text: str) -> float:
+    if not (value := _finite(text)):
+        raise ValueError("give a number other than 0")
+    return value
+
+
+def _node(text: str) -> int:
+    if not text.isdecimal() or int(text) > MOST_NODES:
+        raise ValueError(f"give a whole number from 0 to {MOST_NODES}")
+    return int(text)
+
+
+def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, str]:
+    """The configuration of a record's loop, and the model beside it where the record shows one, by path.
+
+    Parameters
+    ----------
+    record : of the loop in automatic. file : where the configuration goes. given : gains that were in force, None to
+    read them off the record.
+
+    Raises
+    ------
+    UserError, RecordingError
+        The record cannot be read, its co is not in percent, or it does not show the gains and none are given.
+    """
+    read = read_loop_record([record], in_automatic=True)
+    window = read.recording.window()
+    low, high = float(window.co.min()), float(window.co.max())
+    if low < PERCENT[0] or high > PERCENT[1]:
+        raise UserError(f"{record}: co runs from {low:g} to {high:g}; a configuration has percent, so convert it first")
+    gains = given or settings_in_force(window).gains
+    if gains is None:
+        raise UserError(f"{record}: the record does not show the active gains; give --kc, --tau-i and --tau-d")
+    pv_min, pv_max = _range(window.pv)
+    answers = Answers(read.tag or record.stem, "-", pv_min, pv_max, window.sample_time_s, gains)
+    text = _composed(answers, f"of {record.name}: range of pv with room, interval and gains as the record shows them")
+    with user_input(str(record)):
+        found = identify_record(window, gains=gains)
+    if found.model is None or found.model.zeta < 1:
+        why = found.estimate.reason if found.model is None else "the process oscillates by itself"
+        return {file: f"{text}\n# No plant to try it on: {why}\n"}
+    model = file.with_suffix(".model.json")
+    return {
+        model: json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n",
+        file: text + _bench(read, record, model),
+    }
+
+
+def _range(pv: FloatArray) -> tuple[float, float]:
+    """A round range about a record's."""
+    low, high = float(pv.min()), float(pv.max())
+    size = max(high - low, 1e-6 * max(abs(low), abs(high), 1.0))
+    unit = 10.0 ** math.floor(math.log10(size))
+    ends = (math.floor((low - ROOM * size) / unit) * unit, math.ceil((high + ROOM * size) / unit) * unit)
+    return float(f"{ends[0]:.9g}"), float(f"{ends[1]:.9g}")
+
+
+def _composed(answers: Answers, source: str) -> str:
+    """One region, advice only; what is left out has its default."""
+    kc, tau_i, tau_d = (in_form(answers.gains, Form.SERIES)[key] for key in ("kc", "tau_i", "tau_d"))
+    return f"""# retuner configuration {source}.
+# `retuner check FILE` says what is wrong with it; docs/configuration.md has every key with its default.
+schema = 1
+
+[loop]
+name = {json.dumps(answers.name)}
+pv_unit = {json.dumps(answers.unit)}
+pv_min = {answers.pv_min!r}
+pv_max = {answers.pv_max!r}
+sample_time_s = {answers.sample_time_s:.9g}
+
+[schedule]   # one region; a run proposes boundaries where the process changes
+
+[[schedule.region]]
+name = "all"
+kc = {kc:.6g}      # series form, percent of output per pv unit
+tau_i_s = {'"none"' if tau_i is None else f"{tau_i:.6g}"}
+tau_d_s = {tau_d or 0.0:.6g}
+
+[adaptation]
+mode = "advise"   # off: only watch; advise: propose; trial: write one change, keep it when approved; auto: write
+
+[bus]
+interface = {json.dumps(answers.interface)}
+channel = {json.dumps(answers.channel)}
+node = {answers.node}
+"""
+
+
+def _bench(read: LoopRecord, record: Path, model: Path) -> str:
+    """The sections of a virtual device with the record's process, and a scenario with its setpoint."""
+    recording = read.recording
+    sp = recording.pv if recording.sp is None else recording.sp
+    at = [0, *(np.flatnonzero(np.diff(sp)) + 1).tolist()]
+    at = at if len(at) <= MOST_STEPS else at[:1]
+    t_s = recording.t_s - recording.t_s[0]
+    steps = "".join(f"  {{ at_s = {t_s[i]:.9g}, sp = {sp[i]:.9g} }},\n" for i in at)
+    return f"""
+[device]     # take it and [scenario] out for the real controller
+kind = "virtual"
+
+[device.plant]
+kind = "identified"
+file = {json.dumps(str(model))}
+record = {json.dumps(str(record))}
+
+[scenario]
+duration_s = {t_s[-1]:.9g}
+steps = [
+{steps}]
+"""

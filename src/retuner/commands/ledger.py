@@ -2,74 +2,295 @@
 other programs.
 """
 
+import csv
+import io
+import json
+import math
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
-from retuner.commands.options import By, Json, Loop, Note, Session
+from retuner.commands.signatures.ledger import ExportOptions, ShowOptions, VerifyOptions
+from retuner.decision_page.row_values import number, part, parts, words
+from retuner.decision_page.shown_units import show_units_told
+from retuner.errors import UserError, one_line
+from retuner.files import write_whole
+from retuner.ledger import LedgerReader, Row
+from retuner.live_view.what_next import what_next
+from retuner.report.ledger_words import ABOUT_A_TRIAL, Told, no_formula, told
+from retuner.session.outputs import ledger_path, rows_by_loop
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    help="Read, verify, export or revert what was seen, decided and written.",
-    epilog="Example: retuner ledger show runs/demo",
-)
-
-
-@app.command(epilog="Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b")
-def verify(
-    file: Annotated[Path, typer.Argument(metavar="SESSION", help="Folder of a run, or the ledger.sqlite in it.")],
-    head: Annotated[
-        str | None, typer.Option(help="Hash that was noted when it was written; cut-off rows show.")
-    ] = None,
-    as_json: Json = False,
-) -> int:
-    """Recompute the hash chain: status 0 when it holds, 1 when it is broken, and where."""
-    from retuner.commands.work import ledger as work
-
-    return work.verify(file, head, as_json=as_json)
-
-
-@app.command(epilog="Example: retuner ledger show runs/demo --decision 3")
-def show(
-    session: Session,
-    decision: Annotated[int | None, typer.Option(help="Only this decision and what came of it.")] = None,
-    since: Annotated[float | None, typer.Option(help="Only from this time of the run on, s.")] = None,
-    kind: Annotated[str | None, typer.Option(help="Only rows of this kind: decision, order, committed, ...")] = None,
-    loop: Loop = None,
-    as_json: Json = False,
-) -> int:
-    """Who, when, why, from what to what, on what evidence, with what verdict: row by row."""
-    from retuner.commands.work import ledger as work
-
-    return work.show(session, work.Selection(decision, since, kind, loop), as_json=as_json)
+SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
+COLUMNS = {
+    "row": "row",
+    "time [s]": "when_s",
+    "what": "kind",
+    "who": "who",
+    "loop": "loop",
+    "region": "region",
+    "why": "why",
+    "old": "old",
+    "new": "new",
+    "evidence": "evidence",
+    "verdict": "verdict",
+}
 
 
-@app.command(epilog="Example: retuner ledger export runs/demo --csv demo.csv")
-def export(
-    session: Session,
-    as_csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="A table for a spreadsheet.")] = None,
-    as_jsonl: Annotated[
-        Path | None, typer.Option("--jsonl", metavar="FILE", help="One JSON document a line, whole.")
-    ] = None,
-) -> int:
-    """Write the rows into a file for other programs."""
-    from retuner.commands.work import ledger as work
+def verify(options: VerifyOptions) -> int:
+    """Recompute the hash chain: status 0 when it holds, 1 when it is broken, and where.
 
-    return work.export(session, as_csv, as_jsonl)
+    Raises
+    ------
+    UserError
+        There is no such ledger, or head is no beginning of a hash.
+    """
+    head = options.head
+    if head is not None and not re.fullmatch(rf"[0-9a-f]{{{SHORTEST_HEAD},64}}", head):
+        raise UserError(
+            f"--head {head}: give {SHORTEST_HEAD} to 64 hexadecimal digits, as run and summary.json tell them"
+        )
+    path = ledger_path(options.file)
+    with LedgerReader(path) as ledger:
+        report = ledger.verify(head or "")
+    if options.as_json:
+        document = {
+            "file": str(path),
+            "ok": report.ok,
+            "rows": report.rows,
+            "head": report.head,
+            "broken_seq": report.broken_seq,
+            "reason": report.reason or None,
+        }
+        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+    elif report.ok:
+        sys.stdout.write(f"{path}: ok, {report.rows} rows, head {report.head}\n")
+    else:
+        sys.stdout.write(f"{path}: broken: {report.reason}; {report.rows} rows before it hold\n")
+    return 0 if report.ok else 1
 
 
-@app.command(epilog="Example: retuner ledger revert runs/demo --decision 3 --note 'pump changed'")
-def revert(
-    session: Session,
-    decision: Annotated[int, typer.Option("--decision", "--to", help="Back to the gains before this decision.")],
-    by: By = None,
-    note: Note = "",
-    loop: Loop = None,
-    as_json: Json = False,
-) -> int:
-    """Request a rollback to the gains before a decision, in its region, by the running or the next session."""
-    from retuner.commands.work.approve import Person, order_back
+def _selected(rows: list[Row], options: ShowOptions) -> list[Row]:
+    """Rows of one decision (its own, and those of its write), from a time on, of a kind, of a loop.
 
-    return order_back(session, decision, Person(by, note), loop, as_json=as_json)
+    Raises
+    ------
+    UserError
+        There is no such decision or kind.
+    """
+    rows = _of_loop(rows, options)
+    if options.kind is not None:
+        kinds = sorted({row.kind for row in rows})
+        if options.kind not in kinds:
+            raise UserError(f"--kind {options.kind}: no row is of this kind; there are {', '.join(kinds)}")
+        rows = [row for row in rows if row.kind == options.kind]
+    if options.since is not None:
+        if math.isnan(options.since):
+            raise UserError("--since nan: give seconds of the run")
+        rows = [row for row in rows if row.clock_s >= options.since]
+    return rows if options.decision is None else list(_about(rows, options.decision))
+
+
+def _of_loop(rows: list[Row], options: ShowOptions) -> list[Row]:
+    """Those about the loop, and about all of them; of a decision one has to say of which loop it is."""
+    names = sorted({loop for row in rows if row.kind != "session" and (loop := row.body.get("loop"))})
+    if options.loop is None:
+        if options.decision is not None and len(names) > 1:
+            raise UserError(f"--loop: there are {len(names)} loops, name one of {', '.join(names)}")
+        return rows
+    if options.loop not in names:
+        raise UserError(f"--loop {options.loop}: no row is of this loop; there are {', '.join(names) or 'none'}")
+    return [row for row in rows if row.body.get("loop", options.loop) == options.loop]
+
+
+def _about(rows: list[Row], number: int) -> Iterator[Row]:
+    """A decision with the rows of its write: from it to the next decision, where they tell of its region; and what
+    came of its trial.
+    """
+    inside, on_trial, region = False, False, None
+    for row in rows:
+        if row.kind == "decision":
+            inside = row.body.get("number") == number
+            region = row.body.get("region") if inside else region
+        if row.body.get("region", region) != region and not (inside and row.kind == "decision"):
+            continue
+        on_trial = inside if row.kind == "trial" else on_trial
+        if inside or (on_trial and _of_the_trial(row)):
+            yield row
+    if region is None:
+        raise UserError(f"--decision {number}: the ledger has no such decision")
+
+
+def _of_the_trial(row: Row) -> bool:
+    """Whether a row says what came of a change that is on trial."""
+    about = str(row.body.get("code", "")).startswith(ABOUT_A_TRIAL)
+    return row.kind in {"judged", "restore", "restored"} or (row.kind == "decision" and about)
+
+
+def believed(path: Path) -> tuple[list[Row], str]:
+    """The rows that can be believed, and what is wrong with the first one that cannot; empty when all can."""
+    with LedgerReader(path) as ledger:
+        report = ledger.verify()
+        return [row for row in ledger.rows() if row.seq <= report.rows], report.reason
+
+
+def show(options: ShowOptions) -> int:
+    """Who, when, why, from what to what, on what evidence, with what verdict: row by row; 1 when the chain is broken.
+
+    Raises
+    ------
+    UserError
+        There is no such ledger, or no such rows.
+    """
+    path = ledger_path(options.session)
+    rows, broken = believed(path)
+    chosen = _selected(rows, options)
+    show_units_told(part(rows[0].body, "config") if rows else {})
+    lines = _in_words(rows, chosen)
+    if options.as_json:
+        document = {
+            "ledger": str(path),
+            "ok": not broken,
+            "reason": broken or None,
+            "rows": [{**line.to_dict(), "body": row.body} for line, row in zip(lines, chosen, strict=True)],
+        }
+        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+    else:
+        console = Console()
+        if console.width >= WIDE:
+            console.print(_table(_folded(chosen, lines)))
+        elif chosen:
+            console.print(_list(_folded(chosen, lines)), highlight=False, soft_wrap=True)
+        ending = f"broken: {broken}" if broken else "the chain holds"
+        if options == ShowOptions(session=options.session) and rows and rows[0].kind == "session":
+            for line in _left_to_do(path.parent, rows):
+                console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(
+            f"{path}: {len(chosen)} of {len(rows)} rows; {ending}", highlight=False, markup=False, soft_wrap=True
+        )
+    return 1 if broken else 0
+
+
+def _left_to_do(folder: Path, rows: list[Row]) -> list[str]:
+    """What waits for a person when the last row is written: why, and the command."""
+    config = part(rows[0].body, "config")
+    loops = parts(config, "loops") or [config]
+    names = [words(part(one, "loop"), "name") for one in loops]
+    about = rows_by_loop(rows, names) if len(loops) > 1 else {"": tuple(rows)}
+    lines = []
+    for loop, own in about.items():
+        settings = part(loops[names.index(loop)] if loop else loops[0], "adaptation")
+        waits = what_next(folder, own, number(settings, "approval_s") or math.inf, (), None, loop)
+        lines += [f"open: {one.why.removesuffix(':')}; {one.command}" for one in waits]
+    return lines
+
+
+WIDE = 160
+"""Characters of a terminal from which a table is easier to read than a list."""
+
+
+def _table(lines: list[Told]) -> Table:
+    """A table with a column for each question."""
+    table = Table(box=None, pad_edge=False)
+    shown = {head: name for head, name in COLUMNS.items() if head != "loop" or _several(lines)}
+    for head in shown:
+        table.add_column(escape(head), justify="right" if head in {"row", "time [s]"} else "left", overflow="fold")
+    for line in lines:
+        values = line.to_dict() | {"when_s": f"{line.when_s:,.1f}"}
+        table.add_row(*(escape(one_line(values[name])) for name in shown.values()))
+    return table
+
+
+def _several(lines: list[Told]) -> bool:
+    """Whether rows are of several loops, so that each must say of which."""
+    return len({line.loop for line in lines if line.loop}) > 1
+
+
+def _in_words(rows: list[Row], chosen: list[Row]) -> list[Told]:
+    """The chosen ones of all rows in words: a row is told by those before it."""
+    wanted = {row.seq for row in chosen}
+    return [line for line in told(rows) if line.row in wanted]
+
+
+def _folded(rows: list[Row], lines: list[Told]) -> list[Told]:
+    """The steps of a bump to and fro, and that the controller took each, as one line while nothing else happens."""
+    found, going = list[Told](), False
+    for row, line in zip(rows, lines, strict=True):
+        last = found[-1] if found else None
+        if last is not None and going and _is_step(row) and last.loop == line.loop:
+            found[-1] = replace(last, evidence=f"and so on, to row {line.row}")
+        else:
+            found.append(line)
+        going = _is_step(row)
+    return found
+
+
+def _is_step(row: Row) -> bool:
+    """Whether a row is of a bump to and fro on its way."""
+    return row.kind == "nudge" and row.body.get("cause") in {"next", "taken"}
+
+
+def _list(lines: list[Told]) -> str:
+    """The same for a narrow terminal: a head line a row, and an indented line for each answer."""
+    out, several = [], _several(lines)
+    for line in lines:
+        where = f"{line.loop} {line.region}" if several else line.region
+        head = f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {where}"
+        out.append(escape(one_line(head.rstrip())))
+        change = f"{line.old} -> {line.new}" if line.old and line.new else line.new
+        out += [f"       {escape(one_line(text))}" for text in (line.why, change, line.evidence, line.verdict) if text]
+    return "\n".join(out)
+
+
+def export(options: ExportOptions) -> int:
+    """Write the rows into a file for other programs; the exit status, 1 when the chain is broken.
+
+    Raises
+    ------
+    UserError
+        There is no such ledger, or not one file is named, a new one in a folder that is there.
+    """
+    path, as_csv, as_jsonl = ledger_path(options.session), options.as_csv, options.as_jsonl
+    if (as_csv is None) == (as_jsonl is None):
+        raise UserError("give --csv FILE or --jsonl FILE, one of them")
+    target = as_csv or as_jsonl
+    assert target is not None
+    if target.exists():
+        raise UserError(f"{target}: exists already; give another name")
+    if not target.parent.is_dir():
+        raise UserError(f"{target}: the folder {target.parent} does not exist; make it first")
+    rows, broken = believed(path)
+    write_whole(target, _csv(rows) if as_csv else "".join(_json_line(row) for row in rows))
+    ending = f"; broken: {broken}" if broken else ""
+    sys.stdout.write(f"{target}: {len(rows)} rows of {path}{ending}\n")
+    return 1 if broken else 0
+
+
+def _csv(rows: list[Row]) -> str:
+    """The rows in words, with the whole body and the hash beside them."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    names = [field.name for field in fields(Told)]
+    writer.writerow([*names, "body", "hash"])
+    for row, one in zip(rows, told(rows), strict=True):
+        line = one.to_dict()
+        writer.writerow([*(no_formula(line[name]) for name in names), row.text, row.hash])
+    return stream.getvalue()
+
+
+def _json_line(row: Row) -> str:
+    """A row as it stands in the ledger, on one line."""
+    document = {
+        "seq": row.seq,
+        "clock_s": row.clock_s,
+        "kind": row.kind,
+        "body": row.body,
+        "previous": row.previous,
+        "hash": row.hash,
+    }
+    return json.dumps(document, allow_nan=False) + "\n"

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import wraps
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -96,6 +97,17 @@ def signed_by(options: type[Options]) -> Callable[[Callable[[Options], int]], Ca
         return called
 
     return signed
+
+
+def command(app: typer.Typer, options: type[Any], work: str, epilog: str) -> None:
+    """Give an app a command whose work is loaded when it is called. work : module in commands/, and its function."""
+    module, _, name = work.partition(".")
+
+    @signed_by(options)
+    def called(given: object) -> int:
+        return int(getattr(import_module(f"retuner.commands.{module}"), name)(given))
+
+    app.command(name, epilog=epilog)(called)
 
 
 def on_bus(config: "Config", interface: str | None, channel: str | None) -> "Config":

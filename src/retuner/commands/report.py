@@ -1,24 +1,224 @@
 """retuner report: the report of a recorded session made again, or the page of one of its decisions."""
 
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-import typer
+from retuner.commands.signatures.report import ReportOptions
+from retuner.config.bench_plants import known_plant, stepped_plant
+from retuner.config.model import Config
+from retuner.decision_page.decision_view import view_of, what_came_of
+from retuner.decision_page.page import page
+from retuner.decision_page.row_values import Document, gains_of, number, part, parts, words
+from retuner.decision_page.shown_units import show_units_of
+from retuner.drivers.plants.model import PlantFaultError
+from retuner.drivers.plants.plant import KnownPlant
+from retuner.drivers.plants.stepped import SteppedPlant
+from retuner.errors import UserError, user_input
+from retuner.files import write_whole
+from retuner.ledger import Row
+from retuner.ledger.chain import without_place
+from retuner.replay.replaying import recorded_columns
+from retuner.report.loops_index import loop_line, render_index
+from retuner.report.report import ReportData, render
+from retuner.report.scores import Columns, RegionScore, region_scores
+from retuner.schedule.document import from_toml
+from retuner.schedule.table import GainTable
+from retuner.session.outputs import GAINS, REPORT, SUMMARY, RecordedSession, read_loops
+from retuner.session.scenario import loads_at
+from retuner.verbosity import busy
 
-from retuner.commands.options import Json, Loop, Session
 
-app = typer.Typer(add_completion=False)
+def report(options: ReportOptions) -> int:
+    """Write the report of a session, or the page of one of its decisions; the exit status.
+
+    Raises
+    ------
+    UserError
+        There is no such session, loop or decision, or a file of it cannot be used.
+    """
+    decision, out, loop = options.decision, options.out, options.loop
+    recorded, config = read_loops(options.session)
+    show_units_of(config)
+    every = config.several and loop is None and decision is None and out is None
+    with busy("drawing the report"):
+        told = _all_loops(recorded) if every else _one_loop(recorded[config.place(loop)], decision, out)
+    sys.stdout.write((json.dumps(told, indent=2) if options.as_json else str(told["file"])) + "\n")
+    return 0
 
 
-@app.command(epilog="Example: retuner report runs/demo; retuner report runs/demo --decision 7 --out page.html")
-def report(
-    session: Session,
-    decision: Annotated[int | None, typer.Option(help="Only the page of this decision, by its number.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Where to write it; default in the session's folder.")] = None,
-    loop: Loop = None,
-    as_json: Json = False,
-) -> int:
-    """Make the report of a recorded session again, or the page of one decision with its full reasoning."""
-    from retuner.commands.work import report as work
+def _one_loop(recorded: RecordedSession, decision: int | None, out: Path | None) -> dict[str, object]:
+    """Write the report of a loop, or the page of one of its decisions; what was written."""
+    columns, rows = recorded_columns(recorded), _decided(recorded)
+    if decision is None:
+        path = out or recorded.folder / REPORT
+        text = render(_data(recorded, rows, columns))
+    else:
+        path = out or recorded.folder / f"decision-{decision}.html"
+        row = _named(recorded, rows, decision)
+        document = without_place(row.body)
+        later = what_came_of(document, [without_place(one.body) for one in rows])
+        text = page(view_of(document, columns, recorded.config.loop.pv_unit, (row.seq, row.hash), later))
+    write_whole(path, text)
+    return {"session": str(recorded.folder), "file": str(path), "decisions": len(rows), "decision": decision}
 
-    return work.report(session, decision, out, loop, as_json=as_json)
+
+def _all_loops(recorded: Sequence[RecordedSession]) -> dict[str, object]:
+    """Write the report of every loop that has samples, and the page that leads to them; what was written."""
+    session, lines, files = recorded[0].bus_log.parent, [], []
+    for one in recorded:
+        absent = next((str(row.body["reason"]) for row in one.rows if row.kind == "absent"), "")
+        documents = [without_place(row.body) for row in _decided(one)]
+        if absent:
+            lines.append(loop_line(one.name, None, documents, [], absent))
+            continue
+        data, path = _data(one, _decided(one), recorded_columns(one)), one.folder / REPORT
+        write_whole(path, render(data))
+        files.append(str(path))
+        lines.append(loop_line(one.name, str(path.relative_to(session)), documents, data.scores, ""))
+    last = recorded[0].rows[-1]
+    facts = {"session": str(session), "ledger": f"{last.seq} rows, head {last.hash}"}
+    write_whole(session / REPORT, render_index(lines, facts))
+    return {"session": str(session), "file": str(session / REPORT), "loops": files}
+
+
+def _decided(recorded: RecordedSession) -> list[Row]:
+    return [row for row in recorded.rows if row.kind == "decision"]
+
+
+def _named(recorded: RecordedSession, rows: list[Row], decision: int) -> Row:
+    for row in rows:
+        if row.body.get("number") == decision:
+            return row
+    there = f"it has {rows[0].body['number']} to {rows[-1].body['number']}" if rows else "it has none"
+    raise UserError(f"{recorded.folder}: has no decision {decision}; {there}")
+
+
+def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> ReportData:
+    """What the report tells of, out of the folder."""
+    config = recorded.config
+    before = config.gain_table()
+    names = before.regions.names
+    changes = _changes(recorded, names)
+    after = _final_table(recorded, before, changes)
+    commits = [(row.clock_s, names.index(row.body["region"])) for row in changes]
+    summary = _summary(recorded)
+    scores = scores_of(config, after, commits, columns)
+    steps = config.scenario.steps if config.scenario else []
+    return ReportData(
+        loop=config.loop.name,
+        unit=config.loop.pv_unit,
+        before=before,
+        after=after,
+        scores=_with_fixed(summary, scores),
+        decisions=[without_place(row.body) for row in rows],
+        run=columns,
+        fixed=None,
+        commits=[t_s for t_s, _ in commits],
+        events=[step.at_s for step in steps if step.at_s <= columns["t"][-1]],
+        facts=_facts(recorded),
+        stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
+        advice=[words(one, "sentence") for one in parts(summary, "advice")],
+        ms_limit=config.adaptation.ms_marked,
+    )
+
+
+def _facts(recorded: RecordedSession) -> dict[str, str]:
+    last = recorded.rows[-1]
+    return {
+        "session": str(recorded.folder),
+        "ledger": f"{last.seq} rows, head {last.hash}",
+        "retuner": str(recorded.versions.get("retuner", "")),
+    }
+
+
+def _changes(recorded: RecordedSession, names: tuple[str, ...]) -> list[Row]:
+    """The rows of changes of the table's gains."""
+    commits = (row for row in recorded.rows if row.kind == "committed" and row.body.get("why") == "retune")
+    return [row for row in commits if row.body.get("region") in names]
+
+
+def scores_of(
+    config: Config,
+    after: GainTable,
+    commits: list[tuple[float, int]],
+    columns: Columns,
+    fixed: Columns | None = None,
+    bench: Sequence[Config] = (),
+) -> list[RegionScore]:
+    """Each region before and after, from the columns of a trend; fixed : those of the run with fixed gains.
+
+    bench : configurations of all its loops, to step a copy of a plant that is not ours; without them its Ms stay open.
+    """
+    known: KnownPlant | SteppedPlant | None = None
+    if config.device and config.device.plant:
+        known = known_plant(config) or (stepped_plant(config, bench, columns["sp"], columns["co"]) if bench else None)
+    try:
+        return _scores(config, after, commits, columns, fixed, known)
+    except PlantFaultError:  # a copy that tells nothing takes nothing from the report
+        return _scores(config, after, commits, columns, fixed, None)
+
+
+def _scores(
+    config: Config,
+    after: GainTable,
+    commits: list[tuple[float, int]],
+    columns: Columns,
+    fixed: Columns | None,
+    known: KnownPlant | SteppedPlant | None,
+) -> list[RegionScore]:
+    return region_scores(
+        config.gain_table(),
+        after,
+        commits,
+        columns,
+        fixed,
+        known.linearise if known is not None else None,
+        config.loop.sample_time_s,
+        config.loop.tau_f_s,
+        loads_at(config.scenario, columns["t"]),
+    )
+
+
+def _final_table(recorded: RecordedSession, table: GainTable, changes: list[Row]) -> GainTable:
+    """The table as it was left; while the session goes on, or after it was killed, what its ledger says was written."""
+    path = recorded.folder / GAINS
+    if path.is_file():
+        with user_input(str(path)):
+            return from_toml(path.read_text(encoding="utf-8"))
+    for row in changes:
+        gains = gains_of(part(row.body, "gains"))
+        if gains is not None:
+            table = table.with_gains(table.regions.names.index(row.body["region"]), gains)
+    return table
+
+
+def _summary(recorded: RecordedSession) -> Document:
+    """What a run leaves beside its ledger; empty while it goes on, or after it was killed."""
+    path = recorded.folder / SUMMARY
+    if not path.is_file():
+        return {}
+    try:
+        summary: Any = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise UserError(f"{path}: is no JSON: {error}") from None
+    return summary if isinstance(summary, dict) else {}
+
+
+def _with_fixed(summary: Document, scores: list[RegionScore]) -> list[RegionScore]:
+    """The scores with what only the summary has kept: IAE with fixed gains, Ms of a plant that is not ours."""
+    kept = {words(one, "region"): one for one in parts(summary, "scores")}
+    return [_as_kept(kept.get(score.region, {}), score) for score in scores]
+
+
+def _as_kept(kept: Document, score: RegionScore) -> RegionScore:
+    def ms(name: str, now: float | None) -> float | None:
+        unstable = kept.get(f"stable_{name}") is False
+        return now if now is not None else math.inf if unstable else number(kept, f"ms_{name}")
+
+    before, after = ms("before", score.ms_before), ms("after", score.ms_after)
+    return replace(score, iae_fixed=number(kept, "iae_fixed"), ms_before=before, ms_after=after)

@@ -1,17 +1,389 @@
 """retuner run: watch and retune a loop, and leave report, ledger, trend and bus log behind."""
 
-import typer
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-from retuner.commands.options import signed_by
-from retuner.commands.work.run_options import RunOptions
+from retuner.adaptive.supervision.decision import Mode
+from retuner.commands.options import all_on_bus
+from retuner.commands.signatures.run import RunOptions
+from retuner.config.loading import load_session
+from retuner.config.model import Config
+from retuner.config.session_config import SessionConfig
+from retuner.decision_page.shown_units import show_units_of
+from retuner.decisions.proposed_schedule import ROW, refined, row_body, taken_up
+from retuner.drivers.bus.bus_opening import log_parts
+from retuner.drivers.device import DeviceError
+from retuner.errors import LedgerError, UserError
+from retuner.files import Unwritten, write_whole
+from retuner.ledger import Ledger, Recorder
+from retuner.ledger.trend import require_writer
+from retuner.products import product
+from retuner.schedule.controller_units import Acting
+from retuner.schedule.gains import PidGains
+from retuner.session.assembly import guard_settings
+from retuner.session.outputs import (
+    BUS_LOG,
+    CONFIG,
+    LEDGER,
+    REPORT,
+    FreshFolder,
+    file_sha256,
+    fresh_folder,
+    give_back,
+    log_of_bus,
+    session_identity,
+)
+from retuner.session.running import Run, nothing, real_time_speed
+from retuner.session.session import Session
+from retuner.stopping import stoppable, unstoppable
+from retuner.verbosity import quiet
 
-app = typer.Typer(add_completion=False)
+if TYPE_CHECKING:
+    from retuner.adaptive.region_model.refinement import Refinement
+    from retuner.live_view.live_screen import LiveScreen
+    from retuner.live_view.watching import Watching
 
 
-@app.command(epilog="Example: retuner run examples/oven.toml --out runs/oven")
-@signed_by(RunOptions)
+# ---- Everything that is settled before a run begins
+
+
+@dataclass(frozen=True, slots=True)
+class RunJob:
+    """text : the configuration as its author wrote it. unwritten : what the system refuses of what the run leaves."""
+
+    config: SessionConfig
+    text: str
+    mode: Mode | None
+    speed: float
+    fresh: FreshFolder
+    options: RunOptions
+    unwritten: Unwritten = field(default_factory=Unwritten)
+
+    @property
+    def folder(self) -> Path:
+        """Where the run leaves everything."""
+        return self.fresh.path
+
+    @property
+    def title(self) -> str:
+        """What is run, in a few words."""
+        first = self.config.loops[0]
+        mode = self.mode or first.adaptation.mode
+        return f"{len(self.config.loops)} loops" if self.config.several else f"{first.loop.name}: {mode}"
+
+
+# ---- What can be foreseen of a configuration that is well formed: gains of the wrong sign, limits that stand in
+# the way.
+#
+# The sign is compared where the plant is known, which is a simulated one. Limits are compared with the gains in the
+# file, and with the first setpoint step whose proportional action alone is more than the output has room for.
+
+
+class Warned(NamedTuple):
+    """One thing foreseen. wrong : it cannot work, not only in the way."""
+
+    text: str
+    wrong: bool = False
+
+
+def foreseen(config: Config) -> list[Warned]:
+    """Everything that can be foreseen, the worst first."""
+    return [*_wrong_signs(config), *_limits_passed(config), *_first_step(config)]
+
+
+def _wrong_signs(config: Config) -> Iterator[Warned]:
+    """Regions whose gains drive the plant away."""
+    if config.device is None or config.device.plant is None:
+        return
+    plant, regions = product("plants").known_plant(config), config.regions()
+    if plant is None:
+        return
+    for i, gains in enumerate(config.gains()):
+        first = regions.axes[0]
+        at = regions.centre(i) if first.variable in {"sp", "pv"} else (config.loop.pv_min + config.loop.pv_max) / 2
+        k = plant.linearise(at).k
+        if math.copysign(1, k) == gains.direction:
+            continue
+        falls = "falls" if k < 0 else "rises"
+        needed = Acting.DIRECT if k < 0 else Acting.REVERSE
+        yield Warned(
+            f"region {regions.names[i]}: the plant's pv {falls} when the output rises, which needs a {needed}-acting "
+            f"controller; these gains are {Acting.of(gains)} acting: change their sign, or [loop] action",
+            wrong=True,
+        )
+
+
+def _limits_passed(config: Config) -> Iterator[Warned]:
+    """Gains in the file that stand beyond the limits of changes already."""
+    limits = guard_settings(config)
+    for name, gains in zip(config.regions().names, config.gains(), strict=True):
+        tau_i_s = gains.kp / gains.ki if gains.ki else None
+        tau_d_s = gains.kd / gains.kp if gains.kp else 0.0
+        for what, value, least, most in (
+            ("kc", abs(gains.kp), limits.kc_min, limits.kc_max),
+            ("tau_i", tau_i_s, limits.tau_i_min_s, limits.tau_i_max_s),
+            ("tau_d", tau_d_s, 0.0, limits.tau_d_max_s),
+        ):
+            if value is None or least <= value <= most:
+                continue
+            side, limit = ("below", least) if value < least else ("above", most)
+            yield Warned(
+                f"region {name}: {what} = {value:g} (parallel form) is {side} the limit of [adaptation], {limit:g}: "
+                "changes may only lead towards it"
+            )
+
+
+def _first_step(config: Config) -> Iterator[Warned]:
+    """The first setpoint step that takes the output to its limit at once."""
+    if config.scenario is None:
+        return
+    room = config.loop.co_max_pct - config.loop.co_min_pct
+    wanted = [(step.at_s, step.sp) for step in config.scenario.steps if step.sp is not None]
+    for (_, before), (at_s, after) in pairwise(wanted):
+        kick = abs(config.loop.b * _gains_at(config, after).kp * (after - before))
+        if kick > room:
+            yield Warned(
+                f"scenario: the step of sp from {before:g} to {after:g} at {at_s:g} s moves the output by {kick:.0f} % "
+                f"at once; its range is {room:g} %, so it will hit its limit, which hides the response"
+            )
+            return
+
+
+def _gains_at(config: Config, sp: float) -> PidGains:
+    """The gains at a setpoint, or of the first region where the gains follow something else."""
+    axis, gains = config.regions().axes[0], config.gains()
+    if len(config.regions().axes) > 1 or axis.variable not in {"sp", "pv"}:
+        return gains[0]
+    return gains[sum(bound <= sp for bound in axis.bounds)]
+
+
+# ---- retuner run
+
+
 def run(options: RunOptions) -> int:
-    """Run a configuration; the exit status."""
-    from retuner.commands.work import run as work
+    """Run a configuration; the exit status.
 
-    return work.run(options)
+    Raises
+    ------
+    ConfigError, UserError, DeviceError
+        The configuration, the options, the folder or the bus cannot be used, one line each.
+    """
+    read, text = load_session(options.config)
+    config = all_on_bus(read, options.interface, options.channel)
+    show_units_of(config)
+    if options.pretune:
+        config = replace(config, loops=tuple(_pretuned(one) for one in config.loops))
+    mode = _mode_of(options, config)
+    if config.simulated:
+        _look_at_benches(options.config, config)
+    speed = real_time_speed(options.speed, simulated=config.simulated)
+    folder = options.out or Path(config.output.directory)
+    screen: LiveScreen = product("live view").screen_for(options.as_json, answers_only=quiet(), detail=options.verbose)
+    require_writer(config.output.trend)
+    if options.serve:
+        product("page").require_page()
+    fresh = fresh_folder(folder)
+    try:
+        with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
+            if fresh.moved:
+                screen.say(f"the earlier run in {folder} was moved to {fresh.moved}")
+            for warned in (one for loop in config.loops for one in foreseen(loop) if one.wrong):
+                screen.say(f"warning: {warned.text}")
+            return _run(RunJob(config, text, mode, speed, fresh, options), ledger, screen)
+    except NothingHappenedError as nothing_happened:
+        give_back(fresh)
+        raise nothing_happened.cause from None
+    except LedgerError:  # it could not be opened
+        give_back(fresh)
+        raise
+
+
+def _mode_of(options: RunOptions, session: SessionConfig) -> Mode | None:
+    """The mode for all loops, None for that of each; refuses to move co where nothing but watching is allowed."""
+    if options.mode is not None and options.mode not in set(Mode):
+        raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
+    mode = Mode(options.mode) if options.mode else None
+    if any(one.adaptation.pretune and (mode or one.adaptation.mode) == Mode.OFF for one in session.loops):
+        raise UserError("pretune moves co, but mode off only watches: omit pretune, or give --mode advise")
+    return mode
+
+
+def _pretuned(config: Config) -> Config:
+    """A loop's configuration with a step of co at the beginning."""
+    return config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"pretune": True})})
+
+
+def _look_at_benches(path: Path, session: SessionConfig) -> None:
+    """Refuse a simulated run that has nothing to run on, or no end."""
+    for config in session.loops:
+        whose = f"loop {config.loop.name}: " * session.several
+        if config.scenario is None:
+            raise UserError(f"{path}: {whose}a simulated run needs a [scenario] with its length and steps; add one")
+        product("plants").plant_of(config)
+
+
+class NothingHappenedError(Exception):
+    """The run ended before the first sample: nothing is worth keeping. cause is what the user is told."""
+
+    def __init__(self, cause: BaseException) -> None:
+        self.cause = cause
+        super().__init__(str(cause))
+
+
+def _run(job: RunJob, ledger: Ledger, screen: "LiveScreen") -> int:
+    """The run itself, the comparison run and what is left behind, also after Ctrl-C."""
+    # Put the configuration as run into the folder, and what the run is made with into the ledger's first row
+    options = job.options
+    named = {
+        ("adaptation", "mode"): options.mode,
+        ("bus", "interface"): options.interface,
+        ("bus", "channel"): options.channel,
+        ("adaptation", "pretune"): options.pretune or None,
+    }
+    changes = {place: value for place, value in named.items() if value is not None}
+    text, identity = session_identity(job.config, job.text, changes)
+    schedules = taken_up(job.config.loops)
+    body = {"config": job.config.summary(), "retuner": version("retuner"), **identity, "samples": 0}
+    body |= {"schedules": schedules} if schedules else {}
+    try:
+        write_whole(job.folder / CONFIG, text)
+        ledger.append("session", body, 0.0)
+    except (LedgerError, OSError) as error:
+        raise NothingHappenedError(error) from error
+    watching: Watching = product("live view").Watching(screen, job.config, job.folder)
+    job_run = Run(
+        job.config,
+        _keeper(ledger, screen, job.config.output.ledger_mb_warn),
+        mode=job.mode,
+        log=job.folder / BUS_LOG,
+        observer=watching,
+        folder=job.folder,
+        before=job.fresh.moved,
+    )
+    screen.begin(job.title)
+    if not job.options.serve:
+        return _carried_out(job, job_run, ledger, watching, screen)
+    with product("page").served_beside(job.folder, screen.say) as page:
+        status = _carried_out(job, job_run, ledger, watching, screen)
+        page.stay(watched=status == 0 and sys.stdout.isatty())
+    return status
+
+
+def _carried_out(job: RunJob, job_run: Run, ledger: Ledger, watching: "Watching", screen: "LiveScreen") -> int:
+    """The run to its end, and all that it leaves; its exit status.
+
+    Raises
+    ------
+    UserError
+        It ended with gains that nobody meant.
+    """
+    try:
+        session, interrupted = _play(job, job_run)
+    finally:
+        watching.close()
+    compare = job.config.simulated and job.options.compare and not interrupted
+    again = Run(job.config, nothing, mode=Mode.OFF, observer=product("live view").OnScreen(screen, job.config))
+    fixed = _unless_stopped(again, screen) if compare else None
+    with unstoppable():
+        proposed = [refined(loop.retuner) if loop.trend.rows else None for loop in session.loops]
+        _close(job, ledger, session, proposed, interrupted=interrupted)
+        interrupted |= compare and fixed is None
+        left = product("what a run leaves")
+        left.leave(job, ledger, session, fixed, proposed, screen, interrupted=interrupted)
+    if wrong := [*_wrong(job, session), *job_run.stopped_plants]:
+        raise UserError(*wrong)
+    return 130 if interrupted else 0
+
+
+def _wrong(job: RunJob, session: Session) -> Iterator[str]:
+    """What a person must see to after the run, in a line each."""
+    if told := session.frozen or session.left_open:
+        yield f"{told}; the run was ended, and {job.folder / REPORT} says what the controller runs"
+    yield from [*filter(None, (loop.wrong_way for loop in session.loops)), *job.unwritten.lines]
+    if job.unwritten.lines:
+        yield f"make room; the ledger has every decision: retuner report {job.folder} makes the report"
+
+
+def _close(
+    job: RunJob, ledger: Ledger, session: Session, proposed: "Sequence[Refinement | None]", *, interrupted: bool
+) -> None:
+    """The rows that end the session; before them another schedule for each loop whose records ask for one, and those
+    that end its loops where there are several.
+    """
+    several, samples = job.config.several, sum(loop.samples for loop in session.loops)
+    try:
+        for loop, other in zip(session.loops, proposed, strict=True):
+            if other is not None:
+                ledger.append(ROW, row_body(other, loop.samples, loop.name if several else ""), loop.writer.t_s)
+        if several:
+            for loop in session.loops:
+                loop.tell_over()
+        ledger.append("end", {"interrupted": interrupted, **_traffic(job), "samples": samples}, session.t_s)
+    except LedgerError as error:
+        session.freeze(str(error))
+
+
+def _traffic(job: RunJob) -> dict[str, object]:
+    """The bus logs by name and by the hash of their parts one after the other."""
+    logs = [log_of_bus(job.folder / BUS_LOG, number) for number in range(len(job.config.buses))]
+    hashes = {log.name: file_sha256(*log_parts(log).paths) for log in logs}
+    first: dict[str, object] = {"bus_log": BUS_LOG, "bus_log_sha256": hashes[BUS_LOG]}
+    return first if len(logs) == 1 else {**first, "bus_logs": hashes}
+
+
+class LedgerSize:
+    """Says once that a ledger has grown past its size; it is never cut, because it is the record of what was decided.
+
+    most_mb : the size in MB. say : is told the one line.
+    """
+
+    def __init__(self, ledger: Ledger, most_mb: float, say: Callable[[str], None]) -> None:
+        self._ledger = ledger
+        self._most_mb = most_mb
+        self._say = say
+        self._told = False
+
+    def look(self) -> None:
+        """Look at the file; called after each row."""
+        if not self._told and self._ledger.size_bytes() > self._most_mb * 1e6:
+            self._told = True
+            self._say(
+                f"{self._ledger.path}: has grown past {self._most_mb:g} MB ([output] ledger_mb_warn) and is never cut; "
+                "when the disk is short, end this run and begin another, which starts a new ledger"
+            )
+
+
+def _keeper(ledger: Ledger, screen: "LiveScreen", most_mb: float) -> Recorder:
+    """What keeps a run's rows. most_mb : size of the ledger past which that is told."""
+    size = LedgerSize(ledger, most_mb, screen.say)
+
+    def keep(kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        ledger.append(kind, body, t_s)
+        size.look()
+
+    return keep
+
+
+def _play(job: RunJob, job_run: Run) -> tuple[Session, bool]:
+    """The run to its end, or until it was stopped: what there is, and whether it was stopped."""
+    try:
+        return (job_run.simulated() if job.config.simulated else job_run.live(job.speed)), False
+    except (KeyboardInterrupt, DeviceError) as stop:
+        if job_run.session is None or not any(loop.trend.rows for loop in job_run.session.loops):
+            raise NothingHappenedError(stop) from stop
+        return job_run.session, True
+
+
+def _unless_stopped(comparison: Run, screen: "LiveScreen") -> Session | None:
+    """The comparison run, or None when the user stops it: the run that counts is over then, and is kept."""
+    screen.begin("the same run with fixed gains")
+    try:
+        return comparison.simulated()
+    except KeyboardInterrupt:
+        return None

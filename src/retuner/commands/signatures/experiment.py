@@ -6,8 +6,15 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop
+from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop, command
 from retuner.commands.recorded.plot_option import Plot
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    help="Make a step, setpoint or relay test, or evaluate a recorded one.",
+    epilog="Example: retuner experiment relay examples/oven.toml --amplitude 5",
+)
 
 Rule = Annotated[str, typer.Option(help="Tuning rule.")]
 ControllerKind = Annotated[str | None, typer.Option("--kind", help="p, pi or pid, as the rule has it.")]
@@ -109,3 +116,39 @@ class ValveOptions(FormOptions, ControllerOptions):
         float | None, typer.Option(help="Hold each for so long, s: four times the time to half of pv's change.")
     ] = None
     short: Annotated[bool, typer.Option("--short", help="Up, up, down, down only: for `diagnose`.")] = False
+
+
+command(
+    app,
+    StepOptions,
+    "experiment.step",
+    "Examples: retuner experiment step examples/oven.toml --amplitude 5; "
+    "retuner experiment step --from heater.csv --columns pv=temperature",
+)
+command(
+    app,
+    SetpointOptions,
+    "experiment.setpoint",
+    "Examples: retuner experiment setpoint examples/oven.toml --amplitude 5 --kc0 1.5; "
+    "retuner experiment setpoint --from loop.csv --kc0 1.5 --rule setpoint-overshoot",
+)
+command(
+    app,
+    RelayOptions,
+    "experiment.relay",
+    "Examples: retuner experiment relay examples/oven.toml --amplitude 10 --bias 0.3; "
+    "retuner experiment relay --from relay.csv --rule zn-ultimate --kind pid",
+)
+command(
+    app,
+    UltimateOptions,
+    "experiment.ultimate",
+    "Example: retuner experiment ultimate --from swing.csv --kc 3.2",
+)
+command(
+    app,
+    ValveOptions,
+    "experiment.valve",
+    "Examples: retuner experiment valve examples/oven.toml --step 0.5 --hold 120; "
+    "retuner experiment valve --from valve.csv",
+)

@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Channel, ConfigFile, Interface, Json
+from retuner.commands.options import Channel, ConfigFile, Interface, Json, command
+
+app = typer.Typer(add_completion=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,3 +32,6 @@ class RunOptions:
     ] = False
     serve: Annotated[bool, typer.Option("--serve", help="Show it in a browser while it runs.")] = False
     as_json: Json = False
+
+
+command(app, RunOptions, "run.run", "Example: retuner run examples/oven.toml --out runs/oven")

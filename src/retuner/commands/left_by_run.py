@@ -13,8 +13,8 @@ from retuner.adaptive.region_model.refinement import Refinement
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.commands.work.report import scores_of
-from retuner.commands.work.run import RunJob
+from retuner.commands.report import scores_of
+from retuner.commands.run import RunJob
 from retuner.files import write_json
 from retuner.ledger import Ledger
 from retuner.ledger.trend import write_trend

@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import FormOptions, Json, Loop
+from retuner.commands.options import FormOptions, Json, Loop, command
+
+app = typer.Typer(add_completion=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,3 +22,11 @@ class ReplayOptions(FormOptions):
     ] = None
     loop: Loop = None
     as_json: Json = False
+
+
+command(
+    app,
+    ReplayOptions,
+    "replay.replay",
+    "Example: retuner replay runs/demo; retuner replay loop.csv --config loop.toml --columns pv=temp",
+)

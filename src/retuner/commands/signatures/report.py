@@ -1,0 +1,30 @@
+"""The options of `retuner report`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from retuner.commands.options import Json, Loop, Session, command
+
+app = typer.Typer(add_completion=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportOptions:
+    """Make the report of a recorded session again, or the page of one decision with its full reasoning."""
+
+    session: Session
+    decision: Annotated[int | None, typer.Option(help="Only the page of this decision, by its number.")] = None
+    out: Annotated[Path | None, typer.Option(help="Where to write it; default in the session's folder.")] = None
+    loop: Loop = None
+    as_json: Json = False
+
+
+command(
+    app,
+    ReportOptions,
+    "report.report",
+    "Example: retuner report runs/demo; retuner report runs/demo --decision 7 --out page.html",
+)
