@@ -38,7 +38,7 @@ from retuner.adaptive.indexes.limits import switches_between
 from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.valve.sticking_valve import Sticking, sticking, turns_s
+from retuner.adaptive.valve.fit import Sticking, sticking, turns_s
 from retuner.schedule.gains import PidGains
 
 # Stiction or an oscillation from outside, where one of them explains a record clearly better than the loop by itself.

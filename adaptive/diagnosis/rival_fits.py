@@ -2,7 +2,7 @@
 
     linear     pv = G co + load steps + random walk                          the loop's own doing, and ordinary upsets
     external   the same + a sinusoid with harmonics at a free frequency      an oscillation from outside
-    stuck      the same with co replaced by the output of a stuck valve      see valve/sticking_valve.py
+    stuck      the same with co replaced by the output of a stuck valve      see valve/fit.py
 
 Harmonics belong to the second, because what comes from outside is often another loop's limit cycle, a triangle or a
 saw, which one sinusoid leaves to the valve. What is left counts as it is, not whitened: even one real pole takes an

@@ -5,7 +5,7 @@
                     y_i = (1 - r) u(t_i) + r y_(i-1),      r = f_d / f_s = (S_i - J_i) / (S_i + J_i)
     going on    it follows co at that distance until co stops or turns
 
-Kano's and He's valves (valve/stuck_valve.py) are special cases: there t_i is when co has gone a fixed band. Here t_i is
+Kano's and He's valves (valve/model.py) are special cases: there t_i is when co has gone a fixed band. Here t_i is
 free and costs a parameter, so the band S_i = |u(t_i) - y_(i-1)| 2 / (1 + r) may differ from stop to stop, and where a
 record holds a dozen slips their times are looked for one by one. A slip away from co is impossible, and its size is not
 free: that sets it apart from load steps, which cost more and may do anything.

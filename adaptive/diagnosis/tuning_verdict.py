@@ -40,7 +40,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.valve.sticking_valve import with_play
+from retuner.adaptive.valve.fit import with_play
 from retuner.schedule.gains import PidGains
 
 

@@ -42,7 +42,7 @@ from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel,
 from retuner.adaptive.region_model.together import MOST_RECORDS, joined, kept, may_be_joined, of_the_last, unit_of
 from retuner.adaptive.schedule_design.stretches import SLOPE_STD
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.through_valve import SeenThrough, through_valve
+from retuner.adaptive.valve.in_loop import SeenThrough, through_valve
 from retuner.schedule.gains import PidGains
 
 

@@ -10,7 +10,7 @@ from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import Co, Slips, slipping
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.stuck_valve import Family, StuckValve
+from retuner.adaptive.valve.model import Family, StuckValve
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step

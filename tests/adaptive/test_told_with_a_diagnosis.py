@@ -20,7 +20,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.stuck_valve import Family, StuckValve
+from retuner.adaptive.valve.model import Family, StuckValve
 from retuner.schedule.gains import PidGains
 
 INTEGRATING = ProcessModel(ProcessType.INTEGRATING, 0.02, 0.0, 0.0, 3.0)

@@ -1,4 +1,4 @@
-/* Sticking valves: their positions, the coarse scan, and the costs round a fit (stuck_valve.py, sticking_valve.py). */
+/* Sticking valves: their positions, the coarse scan, and the costs round a fit (valve/model.py, valve/fit.py). */
 
 #ifndef RETUNER_VALVES_H
 #define RETUNER_VALVES_H

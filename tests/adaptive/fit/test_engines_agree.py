@@ -26,9 +26,9 @@ from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.trial.batch_responses import Loop, Upset, _exponentials, traces
+from retuner.adaptive.valve.fit import Nodes, _grid, _moved, _through, _travel, valve_costs
+from retuner.adaptive.valve.model import StuckValve
 from retuner.adaptive.valve.plateaus import as_steps
-from retuner.adaptive.valve.sticking_valve import Nodes, _grid, _moved, _through, _travel, valve_costs
-from retuner.adaptive.valve.stuck_valve import StuckValve
 from retuner.schedule.gains import PidGains
 
 compiled = pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.sticking_valve import sticking, with_play
-from retuner.adaptive.valve.stuck_valve import Family, StuckValve
+from retuner.adaptive.valve.fit import sticking, with_play
+from retuner.adaptive.valve.model import Family, StuckValve
 
 TRIANGLE = np.interp(np.arange(400) % 80, [0, 40, 80], [0.0, 10.0, 0.0])
 

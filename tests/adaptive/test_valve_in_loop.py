@@ -6,9 +6,9 @@ import pytest
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.sticking_valve import Sticking
-from retuner.adaptive.valve.stuck_valve import Family, StuckValve
-from retuner.adaptive.valve.through_valve import Through, _searched, through_valve
+from retuner.adaptive.valve.fit import Sticking
+from retuner.adaptive.valve.in_loop import Through, _searched, through_valve
+from retuner.adaptive.valve.model import Family, StuckValve
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step

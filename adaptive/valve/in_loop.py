@@ -2,7 +2,7 @@
 
     pv = G v(co) + the rest of a fit        against        pv = G co + the rest of a fit
 
-with v a valve that sticks or has play (stuck_valve.py). Such a valve does not take part in the first of co's travel
+with v a valve that sticks or has play (valve/model.py). Such a valve does not take part in the first of co's travel
 and keeps its place when co turns. A linear fit makes of that what it has: a gain too small where the valve keeps back
 what co adds, a lag or loads where it slips late, an integrator where co goes on and pv does not. So the settings come
 out wrong, with a covariance that says otherwise. In the fit, the valve is one more nuisance with a price, as a load is.
@@ -25,20 +25,19 @@ from itertools import product
 
 import numpy as np
 
-from retuner.adaptive.fit.misfit import WHITE, Misfit
 from retuner.adaptive.fit.record import Record, setpoint_changes
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.identify import Fits, FitSettings
-from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.sticking_valve import (
+from retuner.adaptive.valve.fit import (
     MOST_ROWS,
     POLISHED,
     Nodes,
     Sticking,
+    bare,
     explained,
     fine,
     refined,
@@ -47,7 +46,7 @@ from retuner.adaptive.valve.sticking_valve import (
     valve_costs,
     with_lag,
 )
-from retuner.adaptive.valve.stuck_valve import Family, StuckValve
+from retuner.adaptive.valve.model import Family, StuckValve
 
 BANDS = tuple(np.geomspace(0.02, 0.7, 20).tolist())
 """Stick bands tried, as shares of co's range."""
@@ -183,21 +182,13 @@ def _by_nodes(record: Record, sign: int, valves: list[StuckValve], linear: list[
     node = np.argmin(left, axis=1)
     for i in valleys(valves, np.min(left, axis=1)):
         type_, x = nodes.started(int(node[i]), float(gain[i, node[i]]))
-        yield with_lag(fine(refined(_bare(linear[0].fit.misfit, type_), valves[i], x)))
+        yield with_lag(fine(refined(bare(linear[0].fit.misfit, type_), valves[i], x)))
 
 
 def _by_processes(valves: list[StuckValve], linear: list[Candidate]) -> Iterator[Sticking]:
     """The best of each valley with the process of a linear explanation, its loads left out."""
     for candidate in linear:
-        bare = _bare(candidate.fit.misfit, candidate.fit.misfit.type)
-        costs = np.array(valve_costs(refine(bare, candidate.fit.x), valves))
+        alone = bare(candidate.fit.misfit, candidate.fit.misfit.type)
+        costs = np.array(valve_costs(refine(alone, candidate.fit.x), valves))
         for i in valleys(valves, costs)[:OWN_VALLEYS]:
-            yield fine(refined(bare, valves[i], candidate.fit.x))
-
-
-def _bare(misfit: Misfit, type_: ProcessType) -> Misfit:
-    """The misfit of a structure without loads, drift and filter."""
-    return replace(
-        misfit, type=type_, loads=0, corners=0, sigma=misfit.record.noise_std, ar=(), ramp=False, rounded=False,
-        harmonics=0, most_order=WHITE,
-    )  # fmt: skip
+            yield fine(refined(alone, valves[i], candidate.fit.x))

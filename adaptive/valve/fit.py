@@ -1,4 +1,4 @@
-"""The explanation of a record by a valve that sticks (valve/stuck_valve.py).
+"""The explanation of a record by a valve that sticks (valve/model.py).
 
 The sum of squares has a valley in S that is narrower than 5 %, and many others; a wrong band makes up for a lag or a
 dead time that the scan does not have. So bands, jumps and both valve models are scanned on a grid with one lag and
@@ -23,7 +23,7 @@ from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.adaptive.valve.stuck_valve import Family, StuckValve
+from retuner.adaptive.valve.model import Family, StuckValve
 
 STICK_NODES = 45
 STICK_RANGE = (0.1, 1.2)
@@ -90,22 +90,18 @@ def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
     """
     record, sign = linear.fit.misfit.record, linear.fit.misfit.sign
     ranked = _scanned(record, sign, period_s)
-    misfit = replace(
-        linear.fit.misfit,
-        type=ProcessType.FOPDT,
-        loads=0,
-        corners=0,
-        sigma=record.noise_std,
-        ar=(),
-        ramp=False,
-        rounded=False,
-        harmonics=0,
-        most_order=WHITE,
-    )
-    firsts = [with_lag(fine(refined(replace(misfit, type=type_), valve, x))) for valve, type_, x in ranked]
+    firsts = [with_lag(fine(refined(bare(linear.fit.misfit, type_), valve, x))) for valve, type_, x in ranked]
     closest = sorted(firsts, key=lambda s: s.fit.criterion)[:POLISHED]
     best = min((settled(s) for s in closest), key=lambda s: s.fit.criterion)
     return replace(best, fit=improved(best.fit, most_loads, Seen([best.fit])))
+
+
+def bare(misfit: Misfit, type_: ProcessType) -> Misfit:
+    """The misfit of a structure without loads, drift and filter."""
+    return replace(
+        misfit, type=type_, loads=0, corners=0, sigma=misfit.record.noise_std, ar=(), ramp=False, rounded=False,
+        harmonics=0, most_order=WHITE,
+    )  # fmt: skip
 
 
 def with_play(linear: Candidate, most_loads: int) -> Sticking:
