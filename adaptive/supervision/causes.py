@@ -27,6 +27,7 @@ from retuner.adaptive.diagnosis.second_opinion import (
     runs_away,
     unconfirmed,
 )
+from retuner.adaptive.diagnosis.standing_valve import stand_still
 from retuner.adaptive.diagnosis.swing_checks import (
     FOREIGN_SWINGS,
     at_own_crossover,
@@ -54,7 +55,7 @@ from retuner.schedule.table import Lookup
 __all__ = [
     "FOREIGN", "NOT_CONFIRMED", "SWINGING", "TOWARDS_SAFETY", "beside_sequences", "borne_out", "by_sequences",
     "clear_case", "doubt_of", "foreign_swing", "hidden", "in_danger", "is_known", "is_sure", "joining",
-    "known_of_swing", "known_to_swing", "not_as_modelled", "one_more_foreign", "rested_on", "stands_out",
+    "known_of_swing", "known_to_swing", "not_as_modelled", "one_more_foreign", "rested_on", "stands", "stands_out",
     "swings_between_limits", "wanted_of", "wrong_way",
 ]  # fmt: skip
 
@@ -402,6 +403,16 @@ def doubt_of(found: Findings, wanted_for: Diagnosis | None = None) -> Diagnosis 
         settings.diagnosis,
         wanted_for,
     )
+
+
+def stands(found: Findings) -> bool:
+    """Whether pv stands while the output travels, as behind a valve that sticks: a fit makes loads of its slips."""
+    record, settings = found.record, found.settings
+    seen = stretch(_of_this_process(found), -np.inf, settings.swing.same_gains)
+    if len(seen) < FEWEST:
+        return False
+    still = stand_still(Window.of(seen), record.in_force, settings.diagnosis.standing)
+    return still is not None and still.stands
 
 
 def _of_this_process(found: Findings) -> Sequence[LoopSample]:

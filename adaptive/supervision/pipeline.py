@@ -40,6 +40,7 @@ from retuner.adaptive.supervision.causes import (
     not_as_modelled,
     one_more_foreign,
     rested_on,
+    stands,
     stands_out,
     wanted_of,
     wrong_way,
@@ -354,14 +355,18 @@ NOT_WORTH = "not_worth"
 
 
 def confirmation(found: Findings) -> None:
-    """Before gains change: a case that is not clear is put to the whole diagnosis, unless the change is sure anyway."""
+    """Before gains change: a case that is not clear is put to the whole diagnosis, unless the change is sure anyway.
+
+    None is clear where pv stands while the output travels.
+    """
     learned, verdict, wanted = _learned(found), found.verdict, _wanted(found)
     assert verdict is not None
     if found.record.crossed and not (found.clear or is_known(found, learned)):
         found.verdict = found.basis = None
         found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
         return
-    if not (found.clear or is_known(found, learned) or is_sure(found, verdict, learned, _in_use(found))):
+    sure = found.clear or is_known(found, learned) or is_sure(found, verdict, learned, _in_use(found))
+    if not sure or stands(found):
         doubt = doubt_of(found, wanted.diagnosis)
         if doubt is not None and not in_danger(found, doubt):
             _not_confirmed(found, doubt)

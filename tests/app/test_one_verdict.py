@@ -1,11 +1,9 @@
-"""diagnose, identify, schedule and audit ask one question of a record, and say one cause."""
+"""diagnose, identify, schedule, audit and the retuner on line say one cause of a record."""
 
 import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -13,15 +11,17 @@ import pytest
 from retuner import diagnosing
 from retuner.adaptive.cause_odds.odds import OddsFound, diagnose_records
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.api import window_of
 from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, audit_task
 from retuner.cli import main
 from retuner.commands.recorded import schedule
 from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
-from retuner.scheduling import ScheduleDesign
 
 PLANT = Path(__file__).parent.parent / "data" / "plant"
 
@@ -42,8 +42,19 @@ def tight(folder: Path) -> Path:
     return path
 
 
+def online(window: Window, gains: PidGains) -> Cause | None:
+    """The first cause that a retuner names on line, with its book of all samples, as the record comes in."""
+    table = GainTable("loop", Regions("pv", "-", ("whole",), -1e6, (), 1e6, 1.0, 0.0), (gains,))
+    retuner = Retuner(table, RetunerSettings(window.sample_time_s, 2 * float(np.ptp(window.pv))))
+    for row in zip(window.t_s, window.sp, window.pv, window.co, strict=True):
+        decision = retuner.observe(LoopSample(*(float(value) for value in row)))
+        if decision is not None and decision.diagnosis and decision.diagnosis.cause is not Cause.UNKNOWN:
+            return decision.diagnosis.cause
+    return None
+
+
 @pytest.mark.parametrize("name", ["tight", "FIC20102_1016_12.csv"])
-def test_diagnose_identify_schedule_and_audit_say_one_cause_of_a_record(
+def test_diagnose_identify_schedule_audit_and_the_retuner_say_one_cause_of_a_record(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tight(tmp_path) if name == "tight" else PLANT / name
@@ -57,13 +68,15 @@ def test_diagnose_identify_schedule_and_audit_say_one_cause_of_a_record(
         return answers[question]
 
     monkeypatch.setattr(diagnosing, "diagnose_records", asked)
-    told = diagnosing.diagnose(path).diagnosis
+    result = diagnosing.diagnose(path)
+    told, known = result.diagnosis, result.active
+    assert known is not None
     (row,) = audit_task(Task(("X",), (path,), separate=True), AuditSettings(4))
     main(["identify", str(path), "--json"])
     identified = json.loads(capsys.readouterr().out)
-    found = cast("ScheduleDesign", SimpleNamespace(table=GainTable))  # a design takes seconds, and asks nothing else
-    scheduled = schedule._other(found, [window_of(path)], schedule.ScheduleOptions(files=[path]))
+    scheduled = schedule._other([window_of(path)], schedule.ScheduleOptions(files=[path]))
 
+    assert online(window_of(path), known) == told.cause
     assert row["cause"] == told.cause
     if identified["identifiable"] and told.cause not in {Cause.OK, *TUNING_CAUSES}:
         assert identified["diagnosis"]["cause"] == told.cause

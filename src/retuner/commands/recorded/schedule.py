@@ -129,7 +129,7 @@ def schedule(options: ScheduleOptions) -> int:
     windows = [one.recording.window() for one in records]
     written = _written(found, windows, options)
     tell_assumed(assumed, options)
-    _tell(found, assumed, written, _other(found, windows, options), options)
+    _tell(found, assumed, written, _other(windows, options), options)
     return 0 if found.table is not None else 1
 
 
@@ -229,10 +229,8 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
     return list(files)
 
 
-def _other(found: ScheduleDesign, windows: list[Window], options: ScheduleOptions) -> Diagnosis | None:
+def _other(windows: list[Window], options: ScheduleOptions) -> Diagnosis | None:
     """What diagnose says of the records, where no gains cure it: a gain along pv is what a schedule is for."""
-    if found.table is None:
-        return None
     told = other_cause(windows, None, options.co_min, options.co_max)
     return None if told is None or told.cause in {Cause.NONLINEAR, Cause.UNKNOWN} else told
 
