@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from retuner.adaptive.experiments import phases as experiment
-from retuner.adaptive.nudge import planner as nudge
+from retuner.adaptive.setpoint_bumps import planner as nudge
 from retuner.adaptive.signals import recogniser
 from retuner.adaptive.trial import phase as trial
 from retuner.drivers.host import connection, write_protocol
@@ -79,7 +79,7 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
     lambda: Machine(
         "A setpoint bump",
         "Announced, sent, held until the loop is at rest, and removed; off until someone allows it.",
-        "adaptive/nudge/planner.py",
+        "adaptive/setpoint_bumps/planner.py",
         nudge.NudgePhase.WATCHING,
         ways(nudge.COURSE),
     ),

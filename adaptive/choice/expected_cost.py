@@ -38,6 +38,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from retuner.adaptive.choice.settings import ChoiceSettings
+from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import asks_for_integral, by_integral, less_damped
 from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
@@ -45,7 +46,6 @@ from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.trial.batch_responses import Loop, Upset
 from retuner.adaptive.trial.response_numbers import shapes, storable
-from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 MOST_MODELS = 16

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-from retuner.adaptive.setting import Setting, require_in_range
+from retuner.adaptive.declared_setting import Setting, require_in_range
 
 
 @dataclass(frozen=True, slots=True)

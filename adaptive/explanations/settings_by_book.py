@@ -17,6 +17,8 @@ from typing import Annotated
 
 import numpy as np
 
+from retuner.adaptive.decision_numbers import Numbers
+from retuner.adaptive.declared_setting import Setting, require_in_range
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, shapes
 from retuner.adaptive.explanations.settings_by_odds import (
@@ -30,9 +32,7 @@ from retuner.adaptive.explanations.settings_by_odds import (
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 _MS = 1.1, 3.5

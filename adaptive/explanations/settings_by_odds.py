@@ -18,6 +18,7 @@ from typing import Annotated
 
 import numpy as np
 
+from retuner.adaptive.declared_setting import Setting, require_in_range
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     FREQUENCIES,
@@ -32,7 +33,6 @@ from retuner.adaptive.explanations.tuning_odds import TuningOdds
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
-from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 

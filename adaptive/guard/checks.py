@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
+from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.guard.ruling import (
     BorderNumbers,
@@ -20,7 +21,6 @@ from retuner.adaptive.guard.ruling import (
 )
 from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import MORE_WHEN_LARGER, Parameter, logs, step_limit
-from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 ROUNDING = 1e-9

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.guard.border import at_border, no_worse
 from retuner.adaptive.guard.checks import (
     evidence_checks,
@@ -46,7 +47,6 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.rules.rule import ControllerKind, Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
-from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 
 # Ms of one set of gains on every model that is allowed, evaluated when asked and only once.

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 
 

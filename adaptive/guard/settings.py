@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-from retuner.adaptive.setting import Setting, require_in_range
+from retuner.adaptive.declared_setting import Setting, require_in_range
 
 UP, DOWN = "absent: step_up_max", "absent: step_down_max"
 BOTH_UP = "absent: none beside those of kc and tau_I, so 4 by default"

@@ -17,7 +17,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.setting import Setting, require_in_range
+from retuner.adaptive.declared_setting import Setting, require_in_range
 from retuner.adaptive.signals.sample import LoopSample
 
 

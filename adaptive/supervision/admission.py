@@ -19,11 +19,11 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.decision_numbers import Numbers
+from retuner.adaptive.declared_setting import Setting, require_in_range
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, stood_still
-from retuner.adaptive.weighed import Numbers
 from retuner.schedule.regions import Regions
 
 EVERYWHERE = (-math.inf, math.inf)

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
@@ -24,7 +25,6 @@ from retuner.adaptive.trial.judge import Judgement
 from retuner.adaptive.trial.persons_edit import lasting_words
 from retuner.adaptive.trial.phase import UNDOS, TrialPhase
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 
 
@@ -143,10 +143,10 @@ class Decision:
         )
 
     def __str__(self) -> str:
-        return shown.text(self)
+        return display_hook.text(self)
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return display_hook.html(self)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values: what the ledger keeps. Keys that are not always there: `delay` where a decision was entered

@@ -7,6 +7,7 @@ After one to less action: was it a cure, or does the swing come from outside, so
 import math
 from dataclasses import replace
 
+from retuner.adaptive.decision_numbers import NO_NUMBERS
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import alike_on_both_sides, through_a_change
 from retuner.adaptive.diagnosis.runaway_process import Runaway, runaway_process, worse_on
@@ -23,7 +24,6 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.way_back import LOST_WORDS, less_stable
-from retuner.adaptive.weighed import NO_NUMBERS
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 

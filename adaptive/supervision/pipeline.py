@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from retuner.adaptive.decision_numbers import NO_NUMBERS
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import from_rest_to_rest
 from retuner.adaptive.guard import prove
@@ -63,7 +64,6 @@ from retuner.adaptive.supervision.proposal_without_model import Proposed, withou
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
-from retuner.adaptive.weighed import NO_NUMBERS
 
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""

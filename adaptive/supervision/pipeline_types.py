@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
@@ -35,7 +36,6 @@ from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.way_back import StillAllowed
-from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 

@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import FloatArray, Window, trapezoid
 from retuner.adaptive.trial.expectation import Expected, Promise
@@ -38,7 +39,6 @@ from retuner.adaptive.trial.posterior_check import PosteriorCheck, PosteriorNumb
 from retuner.adaptive.trial.response_numbers import storable, swing, three
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.way_back import StillAllowed
-from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 NOT_ITSELF = "the response itself is not judged"

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
@@ -24,7 +25,6 @@ from retuner.adaptive.trial.batch_responses import Loop, Upset
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.adaptive.trial.settings import TrialSettings
-from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))

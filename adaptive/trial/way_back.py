@@ -28,12 +28,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.trial.phase import UNDOS, TrialEvent
 from retuner.adaptive.trial.settings import TrialSettings
-from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 SWINGS_ON = 0.9

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.weighed import Numbers
 
 SMOOTHED = 5
 """Samples of the moving mean before extremes are taken: noise would make them larger."""

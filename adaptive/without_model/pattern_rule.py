@@ -23,12 +23,12 @@ from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
+from retuner.adaptive.decision_numbers import Numbers
+from retuner.adaptive.declared_setting import Setting
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.setting import Setting
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.weighed import Numbers
 from retuner.adaptive.without_model.pattern_evidence import PatternNumbers, SecondPeak, pattern_numbers
 from retuner.schedule.gains import PidGains
 

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard.request import NO_LOCKS, Locks
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.slow_oscillation import SHORTEST_PERIOD, slow_oscillation
 from retuner.adaptive.signals.response import Ending, Response
-from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 MAY_APPLY = frozenset({Cause.SLOW_INTEGRATING, Cause.SLUGGISH, Cause.UNKNOWN})

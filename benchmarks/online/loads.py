@@ -31,8 +31,8 @@ from online.batch import NOISE, PV_SPAN, SAMPLES_PER_THETA, STARTS, told
 from online.harm import effects
 from online.judge import Judge, Judgement, counted
 from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
-from retuner.adaptive.nudge.settings import NudgeSettings
-from retuner.adaptive.nudge.watching import Nudger
+from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
+from retuner.adaptive.setpoint_bumps.watching import Nudger
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 
 Row = dict[str, Any]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
 from retuner.adaptive.signals.sample import LARGEST, FloatArray
 from retuner.drivers.historian.assumption import Assumption, in_a_line, quoted
 from retuner.drivers.historian.frames import is_frame, table_of_frame
@@ -56,7 +56,7 @@ class LoopRecord:
         return f"LoopRecord({f'{self.tag}, ' * bool(self.tag)}{self.recording.summary}{assumed})"
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return display_hook.html(self)
 
 
 class _Loop(NamedTuple):

@@ -15,7 +15,7 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
 from retuner.adaptive.fit import engine
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 engine.prefer(os.environ.get(engine.VARIABLE, "auto"))
-shown.shown_by("retuner.commands.recorded.notebook", import_module)
+display_hook.shown_by("retuner.commands.recorded.notebook", import_module)
 
 if not TYPE_CHECKING:  # a type checker knows the names from above, and refuses any other
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
 from retuner.adaptive.diagnosis.one_tone import one_tone
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing_verdict
 from retuner.adaptive.fit.record import setpoint_changes
@@ -74,10 +74,10 @@ class Identification:
         return f"Identification({m.type}: k {m.k:.4g}{lags} theta {m.theta_s:.4g} s; settings {self.settings!r})"
 
     def __str__(self) -> str:
-        return shown.text(self)
+        return display_hook.text(self)
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return display_hook.html(self)
 
     @property
     def identifiable(self) -> bool:
@@ -101,7 +101,7 @@ class Identification:
 
     def plot(self) -> "Figure":
         """The picture that a notebook shows; ValueError where the record was not kept."""
-        figure: Figure = shown.figure(self)
+        figure: Figure = display_hook.figure(self)
         return figure
 
     def to_dict(self) -> dict[str, object]:

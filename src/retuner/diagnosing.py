@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import numpy.typing as npt
 
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
 from retuner.adaptive.cause_odds.odds import diagnose_records
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -60,10 +60,10 @@ class RecordDiagnosis:
         return f"RecordDiagnosis({told.cause}, confidence {told.confidence:.0%}: {told.reason})"
 
     def __str__(self) -> str:
-        return shown.text(self)
+        return display_hook.text(self)
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return display_hook.html(self)
 
     @property
     def cause(self) -> Cause:
@@ -95,7 +95,7 @@ class RecordDiagnosis:
         ValueError
             The record was not kept.
         """
-        figure: Figure = shown.figure(self)
+        figure: Figure = display_hook.figure(self)
         return figure
 
     def to_dict(self) -> dict[str, object]:

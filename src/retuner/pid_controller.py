@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
 from retuner.adaptive.orders import operator_orders
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
@@ -209,11 +209,11 @@ class PidController:
 
     def plot(self) -> "Figure":
         """The picture of the newest samples, as a notebook shows it."""
-        figure: Figure = shown.figure(self)
+        figure: Figure = display_hook.figure(self)
         return figure
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return display_hook.html(self)
 
     @property
     def decision(self) -> Decision | None:

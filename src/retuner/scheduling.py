@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.indexes.days import at_gaps
 from retuner.adaptive.process.model import ProcessModel
@@ -93,10 +93,10 @@ class ScheduleDesign:
         return f"ScheduleDesign(by {self.variable}: {self.reason}; {sets} sets, {len(self.places)} places)"
 
     def __str__(self) -> str:
-        return shown.text(self)
+        return display_hook.text(self)
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return display_hook.html(self)
 
     @property
     def variable(self) -> str:

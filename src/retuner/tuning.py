@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.registry import RULES as REGISTRY
@@ -40,10 +40,10 @@ class TuneResult:
         return f"TuneResult({self.tuning.rule} {self.kind}: kp {g.kp:.4g}, ki {g.ki:.4g}, kd {g.kd:.4g}{ms})"
 
     def __str__(self) -> str:
-        return shown.text(self)
+        return display_hook.text(self)
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return display_hook.html(self)
 
     @property
     def gains(self) -> PidGains:

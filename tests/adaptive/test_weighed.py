@@ -4,8 +4,8 @@ from dataclasses import FrozenInstanceError, dataclass
 
 import pytest
 
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.supervision.admission import AdmissionNumbers
-from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 
 
 @dataclass(frozen=True, slots=True)

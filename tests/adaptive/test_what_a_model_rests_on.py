@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from retuner.adaptive.decision_numbers import NO_NUMBERS
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Ruling
@@ -15,7 +16,6 @@ from retuner.adaptive.supervision import causes, pipeline
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.weighed import NO_NUMBERS
 from retuner.schedule.table import Lookup
 
 SETTINGS = RetunerSettings(1.0, 100.0)

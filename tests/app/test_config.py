@@ -17,7 +17,7 @@ from retuner.config import Config, load_config
 from retuner.config.adaptation import AdaptationConfig
 from retuner.config.loading import LARGEST_FILE, ConfigFlaw, UnusableError, load_session, parse_config
 from retuner.config.plants import OvenPlantConfig
-from retuner.config.setting import Section
+from retuner.config.section import Section
 from retuner.drivers.plants.oven_plant import OvenSettings
 from retuner.errors import ConfigError
 from retuner.schedule.gains import PidGains

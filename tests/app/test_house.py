@@ -20,11 +20,11 @@ MAY_IMPORT = {
 ORDER = (
     "schedule",
     *(f"adaptive.{name}" for name in (
-        "setting", "shown", "weighed", "signals", "process", "loop", "interaction", "rules", "indexes",
-        "controller_settings", "experiments",
+        "declared_setting", "display_hook", "decision_numbers", "signals", "process", "loop", "interaction", "rules",
+        "indexes", "controller_settings", "experiments",
         "fit", "identification", "valve", "explanations", "schedule_design", "schedule_choice", "region_model", "guard",
         "trial", "choice", "diagnosis", "cause_odds", "without_model",
-        "supervision", "orders", "nudge", "audit",
+        "supervision", "orders", "setpoint_bumps", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
@@ -69,7 +69,7 @@ PURE_OF_SYS = {"float_info", "maxsize"}
 MOST_FILES = 16  # in a package, beside its __init__.py
 LONGEST_FILE = 600  # lines: one whole story
 LONGEST_FUNCTION = 60  # lines of code without docstring, comments and blank lines
-# what these weigh are typed values (adaptive/weighed.py)
+# what these weigh are typed values (adaptive/decision_numbers.py)
 DECIDING = ("guard", "trial", "choice", "without_model", "supervision", "orders")
 EDGE = {"to_dict", "gains_dict", "_seen_out"}  # functions that write the plain form
 

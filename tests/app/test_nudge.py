@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from retuner.adaptive.nudge.planner import NudgePhase
-from retuner.adaptive.nudge.settings import NudgeSettings
-from retuner.adaptive.nudge.watching import Nudger
+from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
+from retuner.adaptive.setpoint_bumps.planner import NudgePhase
+from retuner.adaptive.setpoint_bumps.watching import Nudger
 from retuner.adaptive.supervision.decision import Mode
 from retuner.cli import main
 from retuner.ledger.chain import Row

@@ -12,7 +12,7 @@ import pytest
 
 import retuner
 from retuner import PidGains, ProcessModel, ProcessType
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
 from retuner.api import window_of
 
 DATA = Path(__file__).resolve().parents[1] / "data"
@@ -104,7 +104,7 @@ def test_a_decision_shows_its_reason_and_its_page() -> None:
 
 
 def test_what_is_no_result_is_refused() -> None:
-    for show in (shown.text, shown.html):
+    for show in (display_hook.text, display_hook.html):
         with pytest.raises(TypeError, match="int is no result"):
             show(3)
 

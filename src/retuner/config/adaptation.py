@@ -5,7 +5,7 @@ from typing import Literal
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.config.learning import AdmissionConfig, LimitsConfig, NudgeConfig, PatternConfig
-from retuner.config.setting import Many, Problem, Section, setting
+from retuner.config.section import Many, Problem, Section, setting
 
 
 class AdaptationConfig(Section):

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from retuner.config.plants import PlantConfig
-from retuner.config.setting import Many, Problem, Section, setting
+from retuner.config.section import Many, Problem, Section, setting
 
 NODES = 63  # the identifier is node << 5 | command in 11 bits; node 0 is for all
 

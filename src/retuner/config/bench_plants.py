@@ -21,7 +21,7 @@ from retuner.config.plants import (
     PythonPlantConfig,
     StateSpacePlantConfig,
 )
-from retuner.config.setting import Problem
+from retuner.config.section import Problem
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.plants.boiler_plant import BoilerPlant

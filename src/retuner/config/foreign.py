@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from retuner.config.plants import PlantConfig
-from retuner.config.setting import CrossCheckError, Many, Problem, Section, setting
+from retuner.config.section import CrossCheckError, Many, Problem, Section, setting
 from retuner.drivers.profiles.mapping import Ask, DeviceMapping, GainAt, ObjectOf, Protection, SignalOf, States
 from retuner.drivers.profiles.ready import profile_names, profile_settings
 from retuner.schedule.gains import PidGains

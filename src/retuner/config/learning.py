@@ -6,10 +6,10 @@ settings are declared where they are used.
 from collections.abc import Iterator
 
 from retuner.adaptive.guard.settings import GuardSettings
-from retuner.adaptive.nudge.settings import NudgeSettings
+from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
-from retuner.config.setting import Problem, Section, holding, setting
+from retuner.config.section import Problem, Section, holding, setting
 
 
 @holding(GuardSettings)

@@ -14,8 +14,8 @@ from pydantic_core import ErrorDetails
 
 from retuner.config.model import SCHEMA, Config
 from retuner.config.schedule import AxisConfig
+from retuner.config.section import CrossCheckError, Problem, Section
 from retuner.config.session_config import SessionConfig, loop_documents, written_at
-from retuner.config.setting import CrossCheckError, Problem, Section
 from retuner.config.toml_lines import Path, toml_lines
 from retuner.drivers.host.key_file import KeyFileError, read_key
 from retuner.drivers.protocol.codec import DbcError

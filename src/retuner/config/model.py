@@ -11,7 +11,7 @@ from retuner.config.adaptation import AdaptationConfig
 from retuner.config.bench import CONFIRM_SAMPLES, BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
 from retuner.config.foreign import CanOpenDeviceConfig, DbcDeviceConfig
 from retuner.config.schedule import AxisConfig, RegionConfig, ScheduleConfig
-from retuner.config.setting import Problem, Section, setting
+from retuner.config.section import Problem, Section, setting
 from retuner.drivers.controller.firmware_settings import SAMPLES_MAX
 from retuner.schedule.controller_units import DEFAULT, Acting, ControllerUnits
 from retuner.schedule.gains import PidGains, in_form

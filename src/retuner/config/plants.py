@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from retuner.config.setting import Many, Problem, Section, setting
+from retuner.config.section import Many, Problem, Section, setting
 from retuner.drivers.plants.boiler_plant import BoilerSettings
 from retuner.drivers.plants.model import Parameter
 from retuner.drivers.plants.oven_plant import OvenSettings

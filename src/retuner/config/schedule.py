@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from retuner.config.setting import Many, Problem, Section, setting
+from retuner.config.section import Many, Problem, Section, setting
 from retuner.config.toml_lines import Path
 from retuner.schedule.controller_units import Acting, ControllerUnits
 from retuner.schedule.dials import KEYS, Dial

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from retuner.config.bench import OutputConfig
 from retuner.config.model import Config
 from retuner.config.plants import ModelSection
-from retuner.config.setting import Problem
+from retuner.config.section import Problem
 from retuner.config.toml_lines import Path
 from retuner.errors import UserError
 

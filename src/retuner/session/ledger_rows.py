@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from retuner.adaptive.nudge.planner import NudgePhase
 from retuner.adaptive.orders.operator_orders import accept, acts, approve, pretune, propose, revert, set_mode, unlock
 from retuner.adaptive.orders.pending_proposal import Proposal
+from retuner.adaptive.setpoint_bumps.planner import NudgePhase
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pipeline import decide

@@ -11,9 +11,9 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from enum import Enum
 
-from retuner.adaptive.nudge.planner import NudgeNews, NudgePhase
-from retuner.adaptive.nudge.watching import Nudger
 from retuner.adaptive.orders.operator_orders import acts
+from retuner.adaptive.setpoint_bumps.planner import NudgeNews, NudgePhase
+from retuner.adaptive.setpoint_bumps.watching import Nudger
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.adaptive.supervision.pipeline import WRONG_WAY

@@ -11,8 +11,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from retuner.adaptive.nudge.settings import NudgeSettings
-from retuner.adaptive.nudge.watching import Nudger, hour_of_samples
+from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
+from retuner.adaptive.setpoint_bumps.watching import Nudger, hour_of_samples
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import Config

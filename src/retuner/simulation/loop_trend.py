@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from retuner.adaptive import shown
+from retuner.adaptive import display_hook
 from retuner.adaptive.loop.replayed import mean_error, way
 from retuner.adaptive.signals.sample import FloatArray, Window
 
@@ -45,11 +45,11 @@ class LoopTrend:
         return f"LoopTrend({len(self.t_s)} samples: {told}, gains changed {len(self.changes_s)} times)"
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return display_hook.html(self)
 
     def plot(self) -> "Figure":
         """The picture: setpoint and pv above, co below, a line where gains changed."""
-        figure: Figure = shown.figure(self)
+        figure: Figure = display_hook.figure(self)
         return figure
 
     @property

@@ -12,13 +12,13 @@ import pytest
 
 from retuner import PidController, PidGains
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers
+from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import ODD, Book, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.region_model.update import Agreement
-from retuner.adaptive.setting import declared
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision import pipeline, retuner
 from retuner.adaptive.supervision.by_book import by_all_samples, look_of, one_tone

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.guard import GuardSettings, change_factor, within_limits
 from retuner.adaptive.guard.step_size import Parameter, extent, less_of_everything, logs, step_limit, within_factor
-from retuner.adaptive.setting import declared
 from retuner.schedule.gains import PidGains
 
 SETTINGS = GuardSettings()

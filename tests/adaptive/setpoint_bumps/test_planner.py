@@ -11,7 +11,10 @@ from loop_bench import GOOD, made
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.nudge.planner import (
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.sequences import unsure
+from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
+from retuner.adaptive.setpoint_bumps.planner import (
     COURSE,
     HOLDS,
     SENT_AGAIN_SAMPLES,
@@ -21,10 +24,7 @@ from retuner.adaptive.nudge.planner import (
     NudgePhase,
     NudgePlanner,
 )
-from retuner.adaptive.nudge.settings import NudgeSettings
-from retuner.adaptive.nudge.watching import Nudger
-from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.region_model.sequences import unsure
+from retuner.adaptive.setpoint_bumps.watching import Nudger
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 
 ALLOWED = NudgeSettings(allowed=True, after_h=1.0, announce_s=60.0, longest_s=600.0)

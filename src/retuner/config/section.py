@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, Strict, create_model, model_validator
 from pydantic_core import PydanticUndefined
 
-from retuner.adaptive.setting import Declared, declared
+from retuner.adaptive.declared_setting import Declared, declared
 from retuner.config.toml_lines import Path
 
 T = TypeVar("T")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from retuner.adaptive.setting import Setting, require_in_range
+from retuner.adaptive.declared_setting import Setting, require_in_range
 
 HOURS = 24.0
 

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.nudge.planner import SECONDS_PER_HOUR, LoopAround, NudgeNews, NudgePlanner
-from retuner.adaptive.nudge.settings import HOURS, NudgeSettings
 from retuner.adaptive.region_model.sequences import unsure
 from retuner.adaptive.region_model.update import Agreement
+from retuner.adaptive.setpoint_bumps.bump_settings import HOURS, NudgeSettings
+from retuner.adaptive.setpoint_bumps.planner import SECONDS_PER_HOUR, LoopAround, NudgeNews, NudgePlanner
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner

@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from retuner.adaptive.nudge.settings import HOURS, NudgeSettings
+from retuner.adaptive.setpoint_bumps.bump_settings import HOURS, NudgeSettings
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.signals.step_sequence import STANDS
 
