@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.fit.dynamics import Clock
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, state_space
+from retuner.adaptive.loop.simulate import HeldInput
+from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule import pid
 from retuner.schedule.gains import PidGains
@@ -110,56 +111,15 @@ def _with(record: Window, dt_s: float, process: LinearProcess, gains: PidGains) 
     ends = PERCENT if PERCENT[0] <= low <= high <= PERCENT[1] else (2 * low - high - 1, 2 * high - low + 1)
     tau_f_s = abs(gains.kd / gains.kp) / FILTERED if gains.kd and gains.kp else 0.0
     law = pid.law(gains, tau_f_s=tau_f_s, co_min=ends[0], co_max=ends[1])
-    moved = _Moved(process, dt_s)
+    moved = HeldInput(process, dt_s)
     sp, pv, co = record.sp.tolist(), record.pv.tolist(), record.co.tolist()
     state: pid.StateTuple = pid.start(law, sp[0], pv[0], co[0])
     errors, outputs = [sp[0] - pv[0]], [co[0]]
     for i in range(1, len(sp)):
-        there = pv[i] + moved.after(outputs[-1] - co[i - 1])
+        there = pv[i] + moved.step(outputs[-1] - co[i - 1])
         if not abs(there) < math.inf:
             return _Counted(math.inf, math.inf)
         state, out = pid.step(law, state, sp[i], there, dt_s)
         errors.append(sp[i] - there)
         outputs.append(out)
     return _counted(np.array(errors), np.array(outputs), dt_s)
-
-
-class _Moved:
-    """What a process makes of an input that is held between samples, a sample at a time, from rest."""
-
-    def __init__(self, process: LinearProcess, dt_s: float) -> None:
-        late = process.theta_s / dt_s
-        whole = math.floor(late)
-        space = state_space(process, dt_s)
-        before, after = _held(space.a, space.b, late - whole), _held(space.a, space.b, 1 - late + whole)
-        self._phi: list[list[float]] = (after[0] @ before[0]).tolist()
-        self._old: list[float] = (after[0] @ before[1]).tolist()
-        self._new: list[float] = after[1].tolist()
-        self._out: list[float] = space.c.tolist()
-        self._through = space.d
-        self._x = [0.0] * len(space.b)
-        self._inputs = [0.0] * (whole + 2)
-        self._at = 0
-
-    def after(self, u: float) -> float:
-        """One interval later; u : the input during it."""
-        held, at = self._inputs, self._at
-        held[at] = u
-        old, new = held[(at + 1) % len(held)], held[(at + 2) % len(held)]
-        self._at = (at + 1) % len(held)
-        self._x = [
-            sum(p * x for p, x in zip(row, self._x, strict=True)) + a * old + b * new
-            for row, a, b in zip(self._phi, self._old, self._new, strict=True)
-        ]
-        return sum(c * x for c, x in zip(self._out, self._x, strict=True)) + self._through * new
-
-
-def _held(a: FloatArray, b: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
-    """exp(A length) and its integral times B (Van Loan 1978)."""
-    n = len(b)
-    whole = np.zeros((n + 1, n + 1))
-    whole[:n, :n], whole[:n, n] = a, b
-    from scipy.linalg import expm  # noqa: PLC0415  half a second of every other audit command
-
-    moved = np.asarray(expm(length * whole), dtype=np.float64)
-    return moved[:n, :n], moved[:n, n]

@@ -14,12 +14,13 @@ is far below 1e-6 (Bellen & Zennaro, Numerical methods for delay differential eq
 import math
 from dataclasses import dataclass
 from functools import cache
+from operator import mul
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from retuner.adaptive.process.model import LinearProcess, StateSpace, state_space
+from retuner.adaptive.process.model import LinearProcess, state_space
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 
@@ -393,27 +394,24 @@ class HeldInput:
         space = state_space(process, dt_s)
         samples = max(math.ceil(process.theta_s / dt_s - ROUNDING), 1)
         late = min(max(process.theta_s / dt_s - (samples - 1), 0.0), 1.0)
-        phi_late, g_late = _held(space, late)
-        phi_rest, g_rest = _held(space, 1.0 - late)
-        self._phi, self._g1, self._g0 = phi_rest @ phi_late, phi_rest @ g_late, g_rest
-        self._space = space
-        self._x = np.zeros(len(space.b))
+        phi_late, g_late = held_over(space.a, space.b, late)
+        phi_rest, g_rest = held_over(space.a, space.b, 1.0 - late)
+        self.matrices = HeldMatrices(phi_rest @ phi_late, phi_rest @ g_late, g_rest, space.c, space.d, samples)
+        """What it steps with: in plain numbers, which is faster than arrays of a few states."""
+        self._rows = list(zip(*(part.tolist() for part in self.matrices[:3]), strict=True))
+        self._out: list[float] = space.c.tolist()
+        self._x = [0.0] * len(space.b)
         self._inputs = [0.0] * samples
         self._at = 0
 
-    @property
-    def matrices(self) -> HeldMatrices:
-        """What it steps with."""
-        return HeldMatrices(self._phi, self._g1, self._g0, self._space.c, self._space.d, len(self._inputs))
-
     def step(self, co: float) -> float:
         """Hold co for one interval; pv at its end."""
-        old = self._inputs[self._at]
+        old, x = self._inputs[self._at], self._x
         self._inputs[self._at] = co
         self._at = (self._at + 1) % len(self._inputs)
         new = self._inputs[self._at]
-        self._x = self._phi @ self._x + self._g1 * old + self._g0 * new
-        return float(self._space.c @ self._x) + self._space.d * new
+        self._x = [sum(map(mul, row, x)) + g1 * old + g0 * new for row, g1, g0 in self._rows]
+        return float(sum(map(mul, self._out, self._x)) + self.matrices.d * new)
 
     def over(self, co: FloatArray) -> FloatArray:
         """pv at the times of n outputs, each held until the next one: shape (n,), the first 0."""
@@ -423,12 +421,15 @@ class HeldInput:
         return found
 
 
-def _held(space: StateSpace, share: float) -> tuple[FloatArray, FloatArray]:
-    """exp(A h) and its integral times B for a share h of an interval (Van Loan's augmented exponential)."""
-    n = len(space.b)
-    augmented = np.zeros((n + 1, n + 1))
-    augmented[:n, :n], augmented[:n, n] = space.a, space.b
+def held_over(a: FloatArray, b: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
+    """exp(A h) and its integral times B over a length h: the augmented exponential of Van Loan (1978).
+
+    a : (n, n). b : (n,) of one input, or (n, m) of several.
+    """
+    n, m = len(b), b.reshape(len(b), -1).shape[1] if b.size else 1
+    augmented = np.zeros((n + m, n + m))
+    augmented[:n, :n], augmented[:n, n:] = a, b.reshape(n, m)
     from scipy.linalg import expm
 
-    whole = np.asarray(expm(augmented * share), dtype=np.float64)
-    return whole[:n, :n], whole[:n, n]
+    whole = np.asarray(expm(augmented * length), dtype=np.float64)
+    return whole[:n, :n], whole[:n, n:].reshape(b.shape)

@@ -29,7 +29,7 @@ def model_of(path: Path) -> LinearProcess:
     Raises
     ------
     PlantFaultError
-        There is no such file, no model in it, or one that swings by itself.
+        There is no such file, or no model in it.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -39,12 +39,9 @@ def model_of(path: Path) -> LinearProcess:
     if not isinstance(found, dict):
         raise PlantFaultError(f'= "{path}" holds no model; make it by retuner identify RECORD --json', "file")
     try:
-        model = ProcessModel(**{KEYS.get(str(name), str(name)): value for name, value in found.items()})
+        return ProcessModel(**{KEYS.get(str(name), str(name)): value for name, value in found.items()}).linear()
     except (TypeError, ValueError) as error:
         raise PlantFaultError(f'= "{path}": {error}', "file") from None
-    if model.zeta < 1:
-        raise PlantFaultError(f'= "{path}": the process oscillates by itself; give it as state_space', "file")
-    return model.linear()
 
 
 def load_of(process: LinearProcess, t_s: FloatArray, pv: FloatArray, co: FloatArray) -> RecordedLoad:

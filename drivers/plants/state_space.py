@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from retuner.adaptive.loop.simulate import held_over
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.plants.model import PlantFaultError
 
@@ -103,15 +104,9 @@ class _Copy:
         """exp(A h) and its integral times B (Van Loan's augmented exponential)."""
         key = float(f"{h:.{DIGITS - 1}e}")
         if key not in self._known:
-            from scipy.linalg import expm  # noqa: PLC0415  slow to load
-
             if len(self._known) >= STEPS_KEPT:
                 self._known.clear()
-            n, m = self._b.shape
-            augmented = np.zeros((n + m, n + m))
-            augmented[:n, :n], augmented[:n, n:] = self._a, self._b
-            whole = np.asarray(expm(augmented * key), dtype=np.float64)
-            self._known[key] = whole[:n, :n], whole[:n, n:]
+            self._known[key] = held_over(self._a, self._b, key)
         return self._known[key]
 
 

@@ -191,9 +191,8 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
     text = _composed(answers, f"of {record.name}: range of pv with room, interval and gains as the record shows them")
     with user_input(str(record)):
         found = identify_record(window, gains=gains)
-    if found.model is None or found.model.zeta < 1:
-        why = found.estimate.reason if found.model is None else "the process oscillates by itself"
-        return {file: f"{text}\n# No plant to try it on: {why}\n"}
+    if found.model is None:
+        return {file: f"{text}\n# No plant to try it on: {found.estimate.reason}\n"}
     model = file.with_suffix(".model.json")
     return {
         model: json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n",
