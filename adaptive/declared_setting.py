@@ -17,7 +17,7 @@ class Setting(NamedTuple):
     """meaning : one sentence without a full stop. low, high : least and greatest value. unit : "1" for ratios.
 
     source : where the default comes from; empty: not in the configuration file. absent : the file may leave it out for
-    no limit, or for another setting's value.
+    no limit, or for another setting's value. positive : `low` itself is too little.
     """
 
     meaning: str
@@ -26,6 +26,7 @@ class Setting(NamedTuple):
     unit: str = "1"
     source: str = ""
     absent: bool = False
+    positive: bool = False
 
 
 class Declared(NamedTuple):
@@ -58,7 +59,7 @@ def require_in_range(settings: object, of: str) -> None:
         A value is outside its range, or no number; of : whose settings these are.
     """
     kind: Any = type(settings)
-    for name, _, _, (_, low, high, *_) in declared(kind):
+    for name, _, _, (_, low, high, *_, positive) in declared(kind):
         value = getattr(settings, name)
-        if value is not None and not low <= value <= high:
+        if value is not None and (not low <= value <= high or (positive and value == low)):
             raise ValueError(f"{of}: {name} = {value} is outside {low:g} to {high:g}")

@@ -14,8 +14,10 @@ Process Control Systems, section 2.
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
+from retuner.adaptive.declared_setting import Setting, require_in_range
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.plants.plant import MeasurementNoise, check_step
 
@@ -28,40 +30,36 @@ LEAST_FLOW = 0.05  # share of the nominal flow that always runs
 class BoilerSettings:
     """The boiler's physics, in units of the nominal flow's heat capacity rate w c.
 
-    Parameters
-    ----------
-    inlet_c : temperature of the water that comes in, degC.
-    power_max_c : power at 100 % over the nominal heat capacity rate: how much it heats the nominal flow, K.
-    rangeability : R of the fuel valve, more than 1.
-    tank_s : lag M/w of the tank at nominal flow, s. pipe_s : delay V/w of the pipe at nominal flow, s.
-    tau_sensor_s : sensor lag, s.
-    noise_c : standard deviation of the temperature's measurement noise, degC.
-    flow_noise_pct : the same of the flow's, percent of the nominal flow.
-
     Raises
     ------
     ValueError
         A number is not finite or outside its physical range (named).
     """
 
-    inlet_c: float = 10.0
-    power_max_c: float = 160.0
-    rangeability: float = 20.0
-    tank_s: float = 40.0
-    pipe_s: float = 8.0
-    tau_sensor_s: float = 4.0
-    noise_c: float = 0.1
-    flow_noise_pct: float = 0.5
+    inlet_c: Annotated[float, Setting("Temperature of the water that comes in", -50, 500, "degC", "plant")] = 10.0
+    power_max_c: Annotated[
+        float, Setting("How much full power heats the nominal flow", 0, 1e4, "K", "plant", positive=True)
+    ] = 160.0
+    rangeability: Annotated[
+        float, Setting("Rangeability of the fuel valve (equal percentage)", 1.001, 1000, "1", "plant")
+    ] = 20.0
+    tank_s: Annotated[float, Setting("Lag of the tank at nominal flow", 0, 1e5, "s", "plant", positive=True)] = 40.0
+    pipe_s: Annotated[float, Setting("Delay of the pipe at nominal flow", 0, 1e5, "s", "plant", positive=True)] = 8.0
+    tau_sensor_s: Annotated[float, Setting("Sensor lag", 0, 1e5, "s", "plant", positive=True)] = 4.0
+    noise_c: Annotated[float, Setting("Standard deviation of the measurement noise", 0, 100, "degC", "plant")] = 0.1
+    flow_noise_pct: Annotated[
+        float,
+        Setting(
+            "Standard deviation of the measured flow's noise, which the device publishes as PLANT.aux",
+            0,
+            100,
+            "%",
+            "plant",
+        ),
+    ] = 0.5
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value: float = getattr(self, field.name)
-            low = {"inlet_c": -273.15, "rangeability": 1.001}.get(field.name, 0.0)
-            if not low <= value < math.inf:
-                raise ValueError(f"boiler: {field.name} = {value}; give a finite number of at least {low}")
-        for name in ("power_max_c", "tank_s", "pipe_s", "tau_sensor_s"):
-            if getattr(self, name) == 0:
-                raise ValueError(f"boiler: {name} = 0; give a positive number")
+        require_in_range(self, "boiler")
 
     def power(self, co: float) -> float:
         """Power in K of nominal flow at co percent (held to 0..100)."""

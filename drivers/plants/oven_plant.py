@@ -14,8 +14,10 @@ Runge-Kutta method with steps of at most MAX_STEP_S: with tau_s = 12 s its error
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
+from retuner.adaptive.declared_setting import Setting, require_in_range
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.plants.plant import MeasurementNoise, check_step
 
@@ -31,18 +33,7 @@ SPAN_C = 200.0  # theta_hot_s holds this much above
 class OvenSettings:
     """The oven's physics. Defaults: a 600 W oven of about 12 litres with a water-cooled jacket, 20 to 220 degC.
 
-    Parameters
-    ----------
-    power_w : heater power P at 100 %, W.
-    phase_share : w, share of the power under phase-angle control, 0..1.
-    jacket_c : temperature Ta of the cooled jacket, degC.
-    convection_w_k : h, W/K.
-    radiating_area_m2 : emissivity times area eps_a, m^2.
-    heat_capacity_j_k : C0, J/K at 20 degC.
-    capacity_growth_1_k : c, 1/K.
-    theta_cold_s, theta_hot_s : transport delay at 20 and at 220 degC, s.
-    tau_sensor_s : sensor lag, s.
-    noise_c : standard deviation of the measurement noise, degC.
+    The file's head has the symbols: w phase_share, Ta jacket_c, h convection_w_k, eps_a radiating_area_m2.
 
     Raises
     ------
@@ -50,28 +41,22 @@ class OvenSettings:
         A number is not finite or outside its physical range (named).
     """
 
-    power_w: float = 600.0
-    phase_share: float = 0.2
-    jacket_c: float = 5.0
-    convection_w_k: float = 1.2
-    radiating_area_m2: float = 0.08
-    heat_capacity_j_k: float = 380.0
-    capacity_growth_1_k: float = 0.005
-    theta_cold_s: float = 45.0
-    theta_hot_s: float = 12.0
-    tau_sensor_s: float = 12.0
-    noise_c: float = 0.06
+    power_w: Annotated[float, Setting("Heater power at 100 %", 0, 1e6, "W", "plant", positive=True)] = 600.0
+    phase_share: Annotated[float, Setting("Share of the power under phase-angle control", 0, 0.9, "1", "plant")] = 0.2
+    jacket_c: Annotated[float, Setting("Temperature of the cooled jacket", -273.15, 500, "degC", "plant")] = 5.0
+    convection_w_k: Annotated[float, Setting("Heat lost by convection", 0, 1e4, "W/K", "plant", positive=True)] = 1.2
+    radiating_area_m2: Annotated[float, Setting("Emissivity times radiating area", 0, 100, "m2", "plant")] = 0.08
+    heat_capacity_j_k: Annotated[float, Setting("Heat capacity at 20 degC", 0, 1e8, "J/K", "plant", positive=True)] = (
+        380.0
+    )
+    capacity_growth_1_k: Annotated[float, Setting("Growth of the heat capacity", 0, 1, "1/K", "plant")] = 0.005
+    theta_cold_s: Annotated[float, Setting("Transport delay at 20 degC", 0, 1e5, "s", "plant", positive=True)] = 45.0
+    theta_hot_s: Annotated[float, Setting("Transport delay at 220 degC", 0, 1e5, "s", "plant", positive=True)] = 12.0
+    tau_sensor_s: Annotated[float, Setting("Sensor lag", 0, 1e5, "s", "plant", positive=True)] = 12.0
+    noise_c: Annotated[float, Setting("Standard deviation of the measurement noise", 0, 100, "degC", "plant")] = 0.06
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value: float = getattr(self, field.name)
-            low = -KELVIN if field.name == "jacket_c" else 0.0
-            high = 0.9 if field.name == "phase_share" else math.inf  # 0.9: the heater must still respond at its ends
-            if not (math.isfinite(value) and low <= value <= high):
-                raise ValueError(f"oven: {field.name} = {value}; give a finite number from {low} to {high}")
-        for name in ("power_w", "convection_w_k", "heat_capacity_j_k", "theta_cold_s", "theta_hot_s", "tau_sensor_s"):
-            if getattr(self, name) == 0:
-                raise ValueError(f"oven: {name} = 0; give a positive number")
+        require_in_range(self, "oven")
 
     def power(self, co: float) -> float:
         """Heater power in W at co percent (held to 0..100)."""

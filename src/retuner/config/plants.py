@@ -5,12 +5,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from retuner.config.section import Many, Problem, Section, setting
+from retuner.config.section import Many, Problem, Section, holding, setting
 from retuner.drivers.plants.boiler_plant import BoilerSettings
 from retuner.drivers.plants.model import Parameter
 from retuner.drivers.plants.oven_plant import OvenSettings
 
-OVEN, BOILER = OvenSettings(), BoilerSettings()  # the defaults of oven and boiler are the plants' own
 LARGE = 1e9
 """What a number of a model may be: no physical one is larger in any usual unit."""
 
@@ -41,50 +40,12 @@ class _PlantSection(Section):
     loads: Many[LoadConfig] = setting("Recorded loads", unit="-", default=(), source="none")
 
 
+@holding(OvenSettings)
 class OvenPlantConfig(_PlantSection):
     """[device.plant] with kind = "oven": a laboratory oven, 20 to 220 degC."""
 
     kind: Literal["oven"] = setting("Which plant", unit="-", source="the user")
     start_c: float = setting("Temperature at the start", unit="degC", low=-50, high=500, default=20.0, source="a room")
-    power_w: float = setting("Heater power at 100 %", unit="W", above=0, high=1e6, default=OVEN.power_w, source="plant")
-    phase_share: float = setting(
-        "Share of the power under phase-angle control",
-        unit="1",
-        low=0,
-        high=0.9,
-        default=OVEN.phase_share,
-        source="plant",
-    )
-    jacket_c: float = setting(
-        "Temperature of the cooled jacket", unit="degC", low=-273.15, high=500, default=OVEN.jacket_c, source="plant"
-    )
-    convection_w_k: float = setting(
-        "Heat lost by convection", unit="W/K", above=0, high=1e4, default=OVEN.convection_w_k, source="plant"
-    )
-    radiating_area_m2: float = setting(
-        "Emissivity times radiating area", unit="m2", low=0, high=100, default=OVEN.radiating_area_m2, source="plant"
-    )
-    heat_capacity_j_k: float = setting(
-        "Heat capacity at 20 degC", unit="J/K", above=0, high=1e8, default=OVEN.heat_capacity_j_k, source="plant"
-    )
-    capacity_growth_1_k: float = setting(
-        "Growth of the heat capacity", unit="1/K", low=0, high=1, default=OVEN.capacity_growth_1_k, source="plant"
-    )
-    theta_cold_s: float = setting(
-        "Transport delay at 20 degC", unit="s", above=0, high=1e5, default=OVEN.theta_cold_s, source="plant"
-    )
-    theta_hot_s: float = setting(
-        "Transport delay at 220 degC", unit="s", above=0, high=1e5, default=OVEN.theta_hot_s, source="plant"
-    )
-    tau_sensor_s: float = setting("Sensor lag", unit="s", above=0, high=1e5, default=OVEN.tau_sensor_s, source="plant")
-    noise_c: float = setting(
-        "Standard deviation of the measurement noise",
-        unit="degC",
-        low=0,
-        high=100,
-        default=OVEN.noise_c,
-        source="plant",
-    )
 
     def settings(self) -> OvenSettings:
         """The oven's physics as the plant takes it."""
@@ -122,55 +83,12 @@ class LinearPlantConfig(_PlantSection):
             )
 
 
+@holding(BoilerSettings)
 class BoilerPlantConfig(_PlantSection):
     """[device.plant] with kind = "boiler": a continuous-flow boiler: gain by temperature, lag and delay by flow."""
 
     kind: Literal["boiler"] = setting("Which plant; a load is the change of its flow", unit="-", source="the user")
     start_c: float = setting("Temperature at the start", unit="degC", low=0, high=500, default=30.0, source="the user")
-    inlet_c: float = setting(
-        "Temperature of the water that comes in", unit="degC", low=-50, high=500, default=BOILER.inlet_c, source="plant"
-    )
-    power_max_c: float = setting(
-        "How much full power heats the nominal flow",
-        unit="K",
-        above=0,
-        high=1e4,
-        default=BOILER.power_max_c,
-        source="plant",
-    )
-    rangeability: float = setting(
-        "Rangeability of the fuel valve (equal percentage)",
-        unit="1",
-        low=1.001,
-        high=1000,
-        default=BOILER.rangeability,
-        source="plant",
-    )
-    tank_s: float = setting(
-        "Lag of the tank at nominal flow", unit="s", above=0, high=1e5, default=BOILER.tank_s, source="plant"
-    )
-    pipe_s: float = setting(
-        "Delay of the pipe at nominal flow", unit="s", above=0, high=1e5, default=BOILER.pipe_s, source="plant"
-    )
-    tau_sensor_s: float = setting(
-        "Sensor lag", unit="s", above=0, high=1e5, default=BOILER.tau_sensor_s, source="plant"
-    )
-    noise_c: float = setting(
-        "Standard deviation of the measurement noise",
-        unit="degC",
-        low=0,
-        high=100,
-        default=BOILER.noise_c,
-        source="plant",
-    )
-    flow_noise_pct: float = setting(
-        "Standard deviation of the measured flow's noise, which the device publishes as PLANT.aux",
-        unit="%",
-        low=0,
-        high=100,
-        default=BOILER.flow_noise_pct,
-        source="plant",
-    )
 
     def settings(self) -> BoilerSettings:
         """The boiler's physics as the plant takes it."""

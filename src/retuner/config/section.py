@@ -117,7 +117,7 @@ def holding(settings: type) -> Callable[[type[AnySection]], type[AnySection]]:
 def _field(one: Declared) -> tuple[object, object]:
     """Type and declaration of a setting in the file."""
     s = one.setting
-    limits: Any = {"low": s.low, "high": s.high}
+    limits: Any = {"above" if s.positive else "low": s.low, "high": s.high}
     if s.low == 0 and s.high == math.inf:
         limits = {"above": 0, "high": GREATEST}
     default = None if s.absent else one.default
