@@ -43,7 +43,7 @@ DIGITS = 4
 
 COARSE = 4
 """Every so many frequencies of the grid one is kept where an oscillation dies away: its peak is broad."""
-WIDE = 3
+FREQUENCIES_KEPT = 3
 """Frequencies kept either side of the oscillation's own: two thirds of an octave."""
 
 
@@ -89,7 +89,10 @@ def damped_track(t_s: FloatArray, error: FloatArray, period_s: float) -> SwingTr
     """The track of an oscillation that dies away after every upset; period_s : roughly. See swing_track."""
     own = round(-OCTAVE / COARSE * math.log2(period_s))
     return SwingTrack(
-        {COARSE * k: _amplitudes(t_s, error, 2 ** (COARSE * k / OCTAVE)) for k in range(own - WIDE, own + WIDE + 1)}
+        {
+            COARSE * k: _amplitudes(t_s, error, 2 ** (COARSE * k / OCTAVE))
+            for k in range(own - FREQUENCIES_KEPT, own + FREQUENCIES_KEPT + 1)
+        }
     )
 
 

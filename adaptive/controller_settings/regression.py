@@ -32,7 +32,7 @@ SHORTEST_STRETCH = 64
 MAD_TO_SIGMA = 1.4826
 OUTLIER = 6.0
 """Remainders beyond so many (robust) standard deviations are moves that no law made."""
-ROUNDS = 6
+OUTLIER_ROUNDS = 6
 """Rounds of leaving out outliers."""
 FILTER_STEP = 1e-3
 """Step of the derivative by the filter time, as a share of it."""
@@ -177,7 +177,7 @@ def by_increments(
     kept = usable.copy()
     values = _solve(x[kept], y[kept])
     remainder = y - x @ values
-    for _ in range(ROUNDS if trim else 0):
+    for _ in range(OUTLIER_ROUNDS if trim else 0):
         size = np.abs(remainder)
         sigma = max(MAD_TO_SIGMA * float(np.median(size[kept])), float(np.quantile(size[kept], 0.95)) / 1.96)
         fresh = usable & (size <= OUTLIER * sigma + EXACT * float(np.max(np.abs(y))))

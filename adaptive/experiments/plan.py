@@ -241,7 +241,7 @@ def _come_to_rest(pv: FloatArray, rest: Rest, part: float) -> bool:
 # Reading levels, crossings and peaks off a record that is noisy: what the graphical methods do with ruler and eye.
 
 
-CLEAR = 4.0
+CLEAR_MOVE_STDS = 4.0
 """A move of this many standard deviations of the noise is one; 1 in 16000 samples of noise alone is further out."""
 SMOOTHED = 0.02
 """A smoothed record's noise is brought down to this share of the move that is looked for."""

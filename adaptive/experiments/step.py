@@ -19,7 +19,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from retuner.adaptive.experiments.plan import CLEAR, crossing, peak, smoothed
+from retuner.adaptive.experiments.plan import CLEAR_MOVE_STDS, crossing, peak, smoothed
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning, tuning
 from retuner.adaptive.signals.noise import noise_sigma
@@ -97,13 +97,13 @@ def step_response(window: Window, *, rest: bool = True) -> RecordedStep:
     tail = window.pv[-max(int(REST_SHARE * (len(window.pv) - i)), 2) :]
     after = float(np.mean(tail))
     b = after - before
-    if abs(b) <= CLEAR * sigma:
+    if abs(b) <= CLEAR_MOVE_STDS * sigma:
         raise ValueError(
             f"pv answers the step by {b:.3g}, and its noise has a standard deviation of {sigma:.2g}; make a larger step"
         )
     last = window.pv[-max(int(DRIFT_SHARE * (len(window.pv) - i)), 3) :]
     moved = float(np.polyfit(np.linspace(-0.5, 0.5, len(last)), last, 1)[0])
-    if rest and abs(moved) > max(REST_DRIFT * abs(b), CLEAR * sigma * math.sqrt(12 / len(last))):
+    if rest and abs(moved) > max(REST_DRIFT * abs(b), CLEAR_MOVE_STDS * sigma * math.sqrt(12 / len(last))):
         raise ValueError(
             f"pv has not come to rest: it still moves by {moved:.3g} over the last fifth of the record; "
             "record longer, or use the fit"
@@ -165,7 +165,7 @@ def _reaction_curve(response: RecordedStep) -> tuple[float, float]:
 
 def _start(response: RecordedStep) -> float:
     """Time until the response starts: where it leaves the old level for good."""
-    share = max(STARTED, min(CLEAR * response.sigma_left / abs(response.pv_change), 0.5))
+    share = max(STARTED, min(CLEAR_MOVE_STDS * response.sigma_left / abs(response.pv_change), 0.5))
     return _share_time(response, share)
 
 
@@ -286,7 +286,7 @@ def measure(window: Window) -> Overshoot:
     sign = math.copysign(1.0, dy_s)
     raw = (window.pv[i:] - before) * sign
     y, left = smoothed(raw, float(np.ptp(raw)))
-    clear = 2 * CLEAR * max(left, noise_sigma(y))  # both ends of a move back are the extremes of many samples
+    clear = 2 * CLEAR_MOVE_STDS * max(left, noise_sigma(y))  # both ends of a move back are the extremes of many samples
     top = _first_peak(y, clear)
     if top is None:
         raise ValueError("pv shows no overshoot: no peak that it clearly comes back from; repeat with a larger gain")
@@ -442,7 +442,9 @@ def swing(window: Window) -> Swing:
     times, spans = _upward(window.t_s, window.pv - level)
     periods = np.diff(np.array(times))
     heights = np.array([float(np.ptp(window.pv[a:b])) / 2 for a, b in spans])
-    whole = heights > 2 * CLEAR * noise_sigma(window.pv)  # what has died into the noise shows no period any more
+    whole = heights > 2 * CLEAR_MOVE_STDS * noise_sigma(
+        window.pv
+    )  # what has died into the noise shows no period any more
     last = len(whole) if np.all(whole) else int(np.argmin(whole))
     periods, heights = periods[:last], heights[:last]
     if last < FEWEST_PERIODS:
@@ -456,7 +458,7 @@ def swing(window: Window) -> Swing:
 
 def _upward(t_s: FloatArray, y: FloatArray) -> tuple[list[float], list[tuple[int, int]]]:
     """Times of upward crossings of zero (interpolated), and the samples between each two."""
-    band = CLEAR * noise_sigma(y)
+    band = CLEAR_MOVE_STDS * noise_sigma(y)
     times, indices = [], []
     armed = False
     for i in range(1, len(y)):

@@ -32,7 +32,7 @@ RESOLUTIONS = np.array([0.0, *np.arange(1.25, 4.01, 0.25)])
 """Resolutions that are tried, in small steps: one below a step moves with every step and cannot be told from none."""
 NEITHER = 0.5
 """Odds beforehand of a valve with neither."""
-SURE = 0.9
+RANGE_ODDS = 0.9
 """Share of the odds that a range holds."""
 FEWEST_HOLDS, FEWEST_SAMPLES = 12, 4
 """Holds in a record, and samples in each, below which nothing is read."""
@@ -40,7 +40,7 @@ SAME = 0.02
 """co within this share of the smallest move is held."""
 LAST = 0.25
 """A hold's level is the mean of its last share of samples."""
-LARGE = 2.5
+LARGE_MOVE = 2.5
 """Moves of this many usual ones are large."""
 
 
@@ -153,9 +153,9 @@ def _fit(x: FloatArray, y: FloatArray) -> float:
 
 
 def _range(values: FloatArray, odds: FloatArray) -> tuple[float, float]:
-    """The values between which SURE of the odds lie."""
+    """The values between which RANGE_ODDS of the odds lie."""
     run = np.cumsum(odds)
-    tail = (1.0 - SURE) / 2
+    tail = (1.0 - RANGE_ODDS) / 2
     low, high = (int(np.searchsorted(run, share)) for share in (tail, 1.0 - tail))
     return float(values[min(low, len(values) - 1)]), float(values[min(high, len(values) - 1)])
 
@@ -169,8 +169,8 @@ def _stroke(window: Window, holds: list[tuple[int, int]], step: float) -> float 
         half = _half_time(window, (a0, b0), (a, b))
         size = abs(float(window.co[b - 1] - window.co[b0 - 1]))
         if half is not None:
-            (large if size > LARGE * step else small).append(half)
-            sizes += [size] if size > LARGE * step else []
+            (large if size > LARGE_MOVE * step else small).append(half)
+            sizes += [size] if size > LARGE_MOVE * step else []
     if not large or not small:
         return None
     later = float(np.median(large)) - float(np.median(small))

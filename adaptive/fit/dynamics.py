@@ -205,9 +205,9 @@ def run_mode(clock: Clock, u: FloatArray, s: complex) -> Array:
 # before a zero, which makes w_j (1 + b s_j) of w_j, so by ln b the rates stand and dw_j = +-b s_j / r
 #
 # and the derivative of h(s) = int_0^x exp(-s y) dy is (x exp(-s x) - h) / s. Near equal lags all this cancels;
-# there the derivative is that of lags a little further apart (LEAST in D changes it by a millionth).
+# there the derivative is that of lags a little further apart (LEAST_LAG_DIFFERENCE in D changes it by a millionth).
 
-LEAST = 1e-5
+LEAST_LAG_DIFFERENCE = 1e-5
 """Equal lags are told apart by this much in D when derivatives are asked for."""
 
 
@@ -221,7 +221,7 @@ class By(IntEnum):
 
 def told_apart(dynamics: Dynamics) -> Dynamics:
     """The same dynamics as derivatives see them."""
-    return replace(dynamics, least=LEAST)
+    return replace(dynamics, least=LEAST_LAG_DIFFERENCE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,7 @@ DAMPING = 1e-2
 LESS, MORE = 0.2, 5.0
 """Factors on lambda after a step that helped, and one that did not."""
 MOST_DAMPING = 1e8
-ENOUGH = 1e-5
+LEAST_DECREASE = 1e-5
 """A relative decrease below this, twice, is the end of a fit that is only compared with others."""
 EXACT = 1e-10
 """The same for fits whose estimate is used."""
@@ -150,7 +150,7 @@ def bounds(misfit: Misfit) -> tuple[FloatArray, FloatArray]:
 
 
 def refine(
-    misfit: Misfit, start: FloatArray, prior: Prior | None = None, evaluations: int = 60, enough: float = ENOUGH
+    misfit: Misfit, start: FloatArray, prior: Prior | None = None, evaluations: int = 60, enough: float = LEAST_DECREASE
 ) -> Fit:
     """Minimise the misfit (and the prior's share) from a start, until a step lowers it by a share below `enough`."""
     low, high = bounds(misfit)

@@ -200,7 +200,7 @@ SWINGING_THIRD = 0.5
 """c2 over T of a pair of poles (zeta 0.7) that takes the place of a dead time beside a long lag."""
 SWING = (0.25, 1.0)
 """c2 over T of equal lags and of a process that swings (zeta 0.5)."""
-LONG = 30.0
+INTEGRATOR_LAG_RECORDS = 30.0
 """An integrator as a lag: this many record lengths."""
 WORSE = 1.001
 """The bigger structure's deviance may exceed the smaller one's by this factor (rounding, its own prior)."""
@@ -323,6 +323,6 @@ def long_lag(integrating: Fit, type_: ProcessType) -> FloatArray:
     """p of the structure with a lag T in place of the integrator."""
     misfit = integrating.misfit
     x = integrating.x
-    lag = [math.log(LONG * misfit.record.span_s)]
+    lag = [math.log(INTEGRATOR_LAG_RECORDS * misfit.record.span_s)]
     second = [float(x[SECOND[misfit.type]])] if misfit.type in SECOND and type_ in SECOND else []
     return np.concatenate([x[: THETA + 1], lag, second, integrating.p[SIZE[misfit.type] :]])

@@ -17,7 +17,7 @@ from retuner.adaptive.signals.sample import FloatArray
 
 LARGEST = 0.05
 """Share of the increments that counts as jumps."""
-FEWEST = 40
+FEWEST_INCREMENTS = 40
 """Increments needed: two jumps in a twentieth."""
 NOISE_BAND = 3.0
 """Standard deviations of the difference of two means within which a signal stands still."""
@@ -36,7 +36,7 @@ def _in_largest(x: FloatArray, width: int) -> float | None:
     """Share of the travel in the largest increments."""
     steps = np.sort(np.abs(np.diff(x[::width])))
     travel = float(np.sum(steps))
-    if len(steps) < FEWEST or travel <= 0:
+    if len(steps) < FEWEST_INCREMENTS or travel <= 0:
         return None
     return float(np.sum(steps[len(steps) - round(LARGEST * len(steps)) :])) / travel
 

@@ -16,7 +16,7 @@ LEAD = 10
 """Points before a move whose mean is where all stood."""
 POINTS = 120
 """Most points of a window."""
-LEAST = 12
+FEWEST_POINTS_AFTER_MOVE = 12
 """Fewest points after a move."""
 NEWEST = 8
 """Windows that are taken, the newest; an older plant may have been another one."""
@@ -68,8 +68,8 @@ def _spans(records: Sequence[Record]) -> list[tuple[int, int]] | None:
             until = int(every[np.searchsorted(every, at, "right")])
             e = np.abs(records[loop].sp[at:until] - records[loop].pv[at:until])
             out = np.flatnonzero(e > SETTLED * e.max())
-            end = min(until, int(at + AS_LONG_AGAIN * (out[-1] + 1)) + LEAST)
-            if end - at >= LEAST:
+            end = min(until, int(at + AS_LONG_AGAIN * (out[-1] + 1)) + FEWEST_POINTS_AFTER_MOVE)
+            if end - at >= FEWEST_POINTS_AFTER_MOVE:
                 spans.append((int(at), end, loop))
     spans = sorted(spans)[-NEWEST:]
     if {loop for _, _, loop in spans} != set(range(len(records))):
@@ -83,7 +83,7 @@ def _moved(outputs: Sequence[FloatArray], pv: FloatArray, span: tuple[int, int],
     at, end = span
     begin = at - LEAD * thin
     points = (end - at) // thin
-    if begin < 0 or points < LEAST:
+    if begin < 0 or points < FEWEST_POINTS_AFTER_MOVE:
         return None
     co = np.array([one[begin : at + points * thin].reshape(-1, thin).mean(axis=1) for one in outputs])
     y = pv[begin : at + points * thin : thin]

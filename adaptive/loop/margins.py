@@ -13,7 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.loop.open_loop import FAR, OpenLoop, gain_crossovers, grid, is_stable, open_loop, phase_crossovers
+from retuner.adaptive.loop.open_loop import (
+    PHASE_AT_INFINITY,
+    OpenLoop,
+    gain_crossovers,
+    grid,
+    is_stable,
+    open_loop,
+    phase_crossovers,
+)
 from retuner.adaptive.loop.sensitivity import falling_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
@@ -141,7 +149,7 @@ def _ends(loop: OpenLoop) -> tuple[tuple[float, float], tuple[float, float]]:
         return zero, (0.0, 1.0)
     if loop.theta or size == 0:
         return zero, (1 / (1 - size), size / (1 - size))
-    sign = math.cos(loop.phase_at(FAR * max(loop.corners())))
+    sign = math.cos(loop.phase_at(PHASE_AT_INFINITY * max(loop.corners())))
     end = math.copysign(size, sign)
     return zero, (1 / abs(1 + end), abs(end / (1 + end)))
 

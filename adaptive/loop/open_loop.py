@@ -321,7 +321,7 @@ def turns_at(loop: OpenLoop, w: float) -> int:
 # time with |L| >= 1 in the end, are unstable at once. No Pade approximation, no grid in the decision.
 
 
-FAR = 1e6
+PHASE_AT_INFINITY = 1e6
 """Frequency over the last crossover at which the phase counts as that at infinity (used without dead time only)."""
 
 
@@ -341,6 +341,6 @@ def is_stable(loop: OpenLoop, crossovers: list[float]) -> bool:
     if not above:
         return turns == 0
     # The same for a loop without dead time whose gain stays above 1 for ever
-    end = loop.phase_at(FAR * max((*crossovers, *loop.corners())))
+    end = loop.phase_at(PHASE_AT_INFINITY * max((*crossovers, *loop.corners())))
     expected = -min(loop.excess, 0) * math.pi / 2
     return round((end - expected) / (math.pi / 2)) + 4 * turns == 0

@@ -24,7 +24,7 @@ MOST_SAMPLES = 20_000
 """Samples of a replay: of a longer record the newest ones. Thinning would give the controller another interval."""
 MOST_STEPS, FEWEST_MODELS, MOST_MODELS = 120_000, 3, 12
 """Samples over all models that are replayed, and how many models at the least and at the most."""
-SLACK = 1e-6
+GRID_SLACK = 1e-6
 """Share of an interval by which a time of the grid may miss a sample and still be it."""
 WILD = 100.0
 """A replay that leaves the record's pv by so many of its ranges runs away, and ends there."""
@@ -71,7 +71,7 @@ def even(window: Window, most: int = MOST_SAMPLES) -> Window:
     n = min(max(round((end - float(window.t_s[0])) / dt_s), 2) + 1, most)
     t_s = np.maximum(end - dt_s * np.arange(n - 1, -1, -1, dtype=np.float64), window.t_s[0])
     t_s[0] = min(t_s[0], t_s[1] - dt_s / 2)
-    last = np.clip(np.searchsorted(window.t_s, t_s + dt_s * SLACK, side="right") - 1, 0, len(window.t_s) - 1)
+    last = np.clip(np.searchsorted(window.t_s, t_s + dt_s * GRID_SLACK, side="right") - 1, 0, len(window.t_s) - 1)
     return Window(t_s, window.sp[last], np.interp(t_s, window.t_s, window.pv), window.co[last], window.noise_std)
 
 

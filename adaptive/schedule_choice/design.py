@@ -246,7 +246,7 @@ def _second_hysteresis(two: Candidate | None, layout: Layout | Cells) -> float:
     return _hysteresis(two, layout.lookup, layout.edges2)
 
 
-NEAR = 0.25
+NEAR_VISITED_RANGES = 0.25
 """Distance from where the records have been, in visited ranges of each variable, within which a place may be known."""
 
 
@@ -286,7 +286,7 @@ def _near(found: Curves, places: Sequence[Place]) -> list[bool]:
     low, high = np.array([[one.low, two.axis.low], [one.high, two.axis.high]])
     been = np.concatenate([np.stack([s.x, s.x2], axis=1) for s in found.joint.stretches if s.x2 is not None])
     away = [np.linalg.norm((been - [p.x, p.x2]) / (high - low), axis=1) for p in places]
-    return [float(np.min(distance)) <= NEAR for distance in away]
+    return [float(np.min(distance)) <= NEAR_VISITED_RANGES for distance in away]
 
 
 def _refused(chosen: _Chosen, places: Sequence[Place]) -> str:

@@ -24,7 +24,7 @@ from retuner.adaptive.signals.sample import FloatArray
 
 DIFFERENCES = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
 """Standard deviations of ln p between stretches that are tried."""
-ROUNDS = 3
+VARIANCE_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def agreement(form: Form, now: At, sizes: Sequence[int], c: float) -> Agreement:
 def _likeliest(pieces: Sequence[_Piece], count: int) -> FloatArray:
     """The variances with the largest likelihood, one after the other."""
     v = np.zeros(count)
-    for _ in range(ROUNDS):
+    for _ in range(VARIANCE_ROUNDS):
         for i in range(count):
             tried = {std: v.copy() for std in DIFFERENCES}
             for std, other in tried.items():

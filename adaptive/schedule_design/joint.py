@@ -457,7 +457,7 @@ COARSE = 6
 """Every so many rows a load step is tried, then every row near the best."""
 MOST_LOADS = 4
 """In a stretch."""
-PRICE = 12.0
+LOAD_STEP_PRICE = 12.0
 """Fall of the misfit, beyond 2 ln n, that a load step must bring."""
 
 
@@ -500,7 +500,7 @@ def _waves(batch: Batch, local: Local, outside: Sequence[FloatArray]) -> tuple[F
 def _greedy(y: FloatArray, columns: FloatArray, steps: FloatArray, allowed: range) -> tuple[int, ...]:
     """Rows of the load steps that pay, one after the other, none within COARSE rows of another."""
     chosen: list[int] = []
-    price = PRICE + 2 * math.log(max(len(y), 2))
+    price = LOAD_STEP_PRICE + 2 * math.log(max(len(y), 2))
     while len(chosen) < 2 * MOST_LOADS:
         q = np.linalg.qr(np.concatenate([columns, steps[:, chosen]], axis=1))[0]
         left = y - q @ (q.T @ y)

@@ -12,7 +12,7 @@ from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
 
-ROOM = 2.0
+BUMPS_TO_BORDER = 2.0
 """Bumps between the setpoint and a border of the region or the end of pv's range: it overshoots."""
 ONCE = 1
 """Records after which a region has shown its process only once: a second one is to agree."""
@@ -107,4 +107,4 @@ class Nudger:
             if axis.variable in TO_THE_SETPOINT:
                 edges = (low, *axis.bounds, high)
                 low, high = max(low, edges[part]), min(high, edges[part + 1])
-        return low + (ROOM - 1) * size, high - (ROOM - 1) * size
+        return low + (BUMPS_TO_BORDER - 1) * size, high - (BUMPS_TO_BORDER - 1) * size

@@ -14,7 +14,7 @@ from retuner.adaptive.signals.recogniser import START_BANDS
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import FloatArray, LoopSample
 
-FEWEST = 60
+FEWEST_SAMPLES_AT_REST = 60
 """Samples at rest of which noise that wanders is told."""
 OUTSIDE = 0.05
 """Share of them that may lie outside of what begins a response: the band is too narrow for such noise."""
@@ -28,7 +28,7 @@ def wander_before(samples: Sequence[LoopSample], response: Response) -> float:
     samples : kept, the newest last, with the response at their end.
     """
     rest = _rest_before(samples, response)
-    if len(rest) < FEWEST:
+    if len(rest) < FEWEST_SAMPLES_AT_REST:
         return 0.0
     length = sum(sample.t_s >= response.t_start_s for sample in samples)
     return coloured_sigma(rest, length // PARTS)

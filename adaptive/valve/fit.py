@@ -35,7 +35,7 @@ THETAS_PER_PERIOD = (0.01, 0.06, 0.12, 0.2, 0.32)
 """Dynamics tried for every band, as shares of the period: lag and second lag, dead time."""
 VALLEYS = 8
 """Valves that are scanned again and refined, each of another valley."""
-APART = 0.09
+VALLEY_WIDTH = 0.09
 """Bands of one valley differ by less than this (in logarithms)."""
 APART_JUMPS = 0.31
 """Jumps of one valley differ by less than this share of the band."""
@@ -53,9 +53,9 @@ FINE_STARTS = (-0.06, -0.03, -0.015, 0.015, 0.03, 0.06)
 """Steps of it: the first slip comes earlier or later with it, and the beginning of the record hangs on that."""
 POLISHED = 3
 """Number of starts that are scanned and refined until nothing helps."""
-ROUNDS = 8
+MOST_POLISH_ROUNDS = 8
 """Rounds of fine scan and refinement at the most."""
-ENOUGH = 0.5
+LEAST_FALL = 0.5
 """A round must lower the criterion by this."""
 UNKNOWN_START = 0.6
 """Periods after which a valve has slipped at least once, and where it stood first no longer matters."""
@@ -132,9 +132,9 @@ def _played(fit: Fit, misfit: Misfit, p: FloatArray) -> Sticking:
 
 def settled(at: Sticking) -> Sticking:
     """Fine scans and refinements in turn, until neither helps."""
-    for _ in range(ROUNDS):
+    for _ in range(MOST_POLISH_ROUNDS):
         after = fine(at)
-        if after.fit.criterion >= at.fit.criterion - ENOUGH:
+        if after.fit.criterion >= at.fit.criterion - LEAST_FALL:
             return with_lag(at)
         at = after
     return with_lag(at)
@@ -178,7 +178,7 @@ def valleys(valves: Sequence[StuckValve], left: FloatArray) -> list[int]:
 
 def _beside(a: StuckValve, b: StuckValve) -> bool:
     """Whether two valves are of one valley."""
-    close = abs(math.log(a.stick / b.stick)) < APART and abs(a.jump / a.stick - b.jump / b.stick) < APART_JUMPS
+    close = abs(math.log(a.stick / b.stick)) < VALLEY_WIDTH and abs(a.jump / a.stick - b.jump / b.stick) < APART_JUMPS
     return close and a.family == b.family
 
 

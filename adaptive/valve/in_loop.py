@@ -65,9 +65,9 @@ VALVE_UNKNOWNS = 3
 """Band, jump, and where the valve stood."""
 LOADS_BESIDE = 1
 """Loads that it may need where the linear explanation needs fewer."""
-ROUNDS = 3
+MOST_SEARCH_ROUNDS = 3
 """Rounds of search and refinement of the valve."""
-ENOUGH = 0.5
+LEAST_FALL = 0.5
 """A round must lower the criterion by this."""
 
 
@@ -140,13 +140,13 @@ def _searched(window: Window, sign: int, at: Sticking, settings: FitSettings) ->
     """
     record, valve = at.fit.fit.misfit.record, at.valve
     best: tuple[StuckValve, Fits] | None = None
-    for _ in range(ROUNDS):
+    for _ in range(MOST_SEARCH_ROUNDS):
         seen = _moved_by(window, valve)
         if seen.co.max() == seen.co.min():
             break
         fits = Fits(seen, (sign,), settings)
         found = fits.free[0]
-        if best is not None and found.criterion > best[1].free[0].criterion - ENOUGH:
+        if best is not None and found.criterion > best[1].free[0].criterion - LEAST_FALL:
             break
         best = valve, fits
         as_recorded = replace(found.fit, misfit=replace(found.fit.misfit, record=record))

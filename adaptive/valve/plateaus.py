@@ -29,7 +29,7 @@ MOST_JUMPS = 16
 LEAST_SIGMA = 0.004
 """Noise is at least this share of pv's range."""
 MEDIAN_TO_SIGMA = 1.4826
-NEW = 1e-6
+LEAST_NEW_SHARE = 1e-6
 """A column of which less than this share is not explained by the others is no further jump."""
 MOVED_PASSES = 2
 """Times that every jump is moved to its best row."""
@@ -165,10 +165,10 @@ def _with_lag(pv: FloatArray, lag: float, sigma: float) -> tuple[float, list[int
     rest = _rest(n, lag)
     if (engine := compiled()) is not None:
         response = responses.to_jump
-        rows, left = engine.steps_chosen(pv, response, rest, NEW, MOST_JUMPS)
+        rows, left = engine.steps_chosen(pv, response, rest, LEAST_NEW_SHARE, MOST_JUMPS)
         prices = [price(float(rss), n, sigma, jumps) for jumps, rss in enumerate(left)]
         chosen, rss = engine.steps_moved(
-            pv, response, rest, NEW, rows[: prices.index(min(prices))], MOVED_ROWS, MOVED_PASSES
+            pv, response, rest, LEAST_NEW_SHARE, rows[: prices.index(min(prices))], MOVED_ROWS, MOVED_PASSES
         )
     else:
         chosen = _chosen(pv, responses, rest, sigma)
@@ -188,7 +188,7 @@ def _chosen(pv: FloatArray, responses: _Responses, rest: FloatArray, sigma: floa
     found: list[int] = []
     best, kept = price(float(left @ left), n, sigma, 0), 0
     for _ in range(MOST_JUMPS):
-        usable = free > NEW * whole
+        usable = free > LEAST_NEW_SHARE * whole
         taken = np.where(usable, responses.against(left) ** 2 / np.where(usable, free, 1.0), 0.0)
         j = int(np.argmax(taken))
         if taken[j] <= 0:
@@ -219,7 +219,7 @@ def _moved(pv: FloatArray, responses: _Responses, rest: FloatArray, chosen: list
         shared = columns[:, others].T @ tried
         explained = np.linalg.solve(products[np.ix_(others, others)], np.column_stack([onto[others], shared]))
         size = np.einsum("ij,ij->j", tried, tried) - np.einsum("ij,ij->j", shared, explained[:, 1:])
-        usable = size > NEW * len(pv)
+        usable = size > LEAST_NEW_SHARE * len(pv)
         if not usable.any():
             continue
         taken = np.where(usable, (pv @ tried - explained[:, 0] @ shared) ** 2 / np.where(usable, size, 1.0), 0.0)

@@ -84,7 +84,7 @@ class PageSeen(NamedTuple):
 
 
 @dataclass
-class Known:
+class KnownOfDevice:
     """What the examiner knows of the device: its boot epoch, sample counter, and running set."""
 
     epoch: int = 0
@@ -110,7 +110,7 @@ class Conversation:
     def __init__(self, far: Counterpart, node: int, key: bytes | None = None) -> None:
         self.far, self.node, self.key = far, node, key
         self.codec = Codec(node)
-        self.known = Known()
+        self.known = KnownOfDevice()
         self.owner = OWNER_TAG * secrets.randbelow(1000) + 9
         self._counter = secrets.randbelow(COUNTERS)
         self._token = secrets.randbelow(TOKENS)

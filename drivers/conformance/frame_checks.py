@@ -44,7 +44,7 @@ READ, STAGE = 2, 4
 HEARTBEATS_MAX = 100  # samples between two heartbeats at most
 SHORT_LEASE = 4  # samples
 OTHER = 77  # another host
-NEAR = 4  # samples to the next stamp, within which it may have come by the time that a request is there
+SAMPLES_TO_STAMP = 4  # samples to the next stamp, within which it may have come by the time that a request is there
 
 
 def connecting(found: Examination) -> None:
@@ -235,8 +235,8 @@ def stamps(found: Examination) -> None:
     """A request counts that was stamped within the last 64 samples, and no older one."""
     talk = found.talk
     talk.samples(max(2 * STAMP_SAMPLES - talk.known.sample, 0))
-    if talk.known.sample % STAMP_SAMPLES > STAMP_SAMPLES - NEAR:
-        talk.samples(2 * NEAR)
+    if talk.known.sample % STAMP_SAMPLES > STAMP_SAMPLES - SAMPLES_TO_STAMP:
+        talk.samples(2 * SAMPLES_TO_STAMP)
     talk.look()
     for back, wanted in ((1, Reason.OK), (2, Reason.STALE)):
         stamp = lease_stamp(talk.known.epoch, talk.known.sample - back * STAMP_SAMPLES)

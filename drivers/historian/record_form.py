@@ -19,7 +19,7 @@ from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from retuner.drivers.historian.scaling import Scaling
-from retuner.drivers.historian.tags import APART, SEPARATORS
+from retuner.drivers.historian.tags import SEPARATED, SEPARATORS
 from retuner.drivers.recorded.recording import RecordingError
 
 SIGNALS = ("sp", "pv", "co")
@@ -98,7 +98,7 @@ class RecordForm:
         """A signal's name as it is understood: by `signals`, by its last word in `words`, else as it stands."""
         if name in self.signals:
             return self.signals[name]
-        parts = [part for part in APART.split(name) if part] if self.words else []
+        parts = [part for part in SEPARATED.split(name) if part] if self.words else []
         role = {word.lower(): role for word, role in self.words.items()}.get(parts[-1].lower()) if parts else None
         return f"{name[: name.rindex(parts[-1])].rstrip(SEPARATORS)}.{role.upper()}".lstrip(".") if role else name
 

@@ -12,7 +12,7 @@ from retuner.adaptive.signals.sample import FloatArray, all_finite
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import RecordingError
 
-FEW = 0.01
+FEW_OUT_OF_ORDER = 0.01
 """Share of rows that may be out of order and are put in place; more of them are two records in one file."""
 SHARED = 0.95
 """Share of the stamps of pv from which another signal has the same clock."""
@@ -42,7 +42,7 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
     if len(places) < len(t_s):
         told.append(Assumption(f"{len(t_s) - len(places)} rows without a stamp: left out"))
     steps = np.diff(t_s[places])
-    if len(steps) and np.mean(steps <= 0) > 1 - FEW and np.any(steps < 0):
+    if len(steps) and np.mean(steps <= 0) > 1 - FEW_OUT_OF_ORDER and np.any(steps < 0):
         places = places[::-1]
         told.append(Assumption("newest first: turned round"))
         steps = np.diff(t_s[places])
@@ -50,7 +50,7 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
         return places, t_s[places], told
     back = np.flatnonzero(steps < 0)
     displaced = _displaced(t_s[places]) if len(back) else 0
-    if displaced > FEW * len(places):
+    if displaced > FEW_OUT_OF_ORDER * len(places):
         i = places[back[0] + 1]
         raise RecordingError(
             f"{source}: sample {i + 1}: t = {t_s[i]:.12g} follows {t_s[places[back[0]]]:.12g}; time must increase, "

@@ -26,7 +26,7 @@ WORDS = MappingProxyType(
 )
 """Names of each role, written together in small letters. K-Spice calls its time "Tag-names"."""
 ROLE_OF = MappingProxyType({word: role for role, words in WORDS.items() for word in words.split()})
-APART = re.compile(r"[\s._/\\|:\-()\[\]]+")
+SEPARATED = re.compile(r"[\s._/\\|:\-()\[\]]+")
 SEPARATORS = " ._/\\|:-()[]"
 """What may stand between a tag and its role."""
 UNIT = re.compile(r"[\[(]([^\[()\]]*)[\])]\s*$")
@@ -55,7 +55,7 @@ def named(name: str) -> Named:
     unit = UNIT.search(name)
     bare = UNIT.sub("", name).strip() if unit and UNIT.sub("", name).strip() else name.strip()
     inside = unit.group(1).strip().lower() if unit else ""
-    parts = [part for part in APART.split(bare) if part]
+    parts = [part for part in SEPARATED.split(bare) if part]
     for taken in range(min(3, len(parts)), 0, -1):
         word = "".join(parts[-taken:]).lower()
         role = "mv" if word == "mv" else ROLE_OF.get(word, "")
@@ -68,7 +68,7 @@ def named(name: str) -> Named:
 
 def last_word(name: str) -> str:
     """The last word of a column's name without its unit, in small letters."""
-    parts = [part for part in APART.split(UNIT.sub("", name)) if part]
+    parts = [part for part in SEPARATED.split(UNIT.sub("", name)) if part]
     return parts[-1].lower() if parts else ""
 
 

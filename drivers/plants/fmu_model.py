@@ -22,7 +22,7 @@ except ModuleNotFoundError as missing:
 CO_SIMULATION, MODEL_EXCHANGE = "co_simulation", "model_exchange"
 FMI_TYPES = {CO_SIMULATION: "CoSimulation", MODEL_EXCHANGE: "ModelExchange"}
 REAL, REAL_32 = {"Real", "Float64"}, "Float32"
-ROUNDS = 1000
+MOST_EVENT_ITERATIONS = 1000
 """Iterations that an FMU may take to settle its discrete states at one instant."""
 LEAST_SHARE = 1e-9
 """Share of a step below which what is left of it counts as rounding."""
@@ -156,14 +156,14 @@ class _Exchange:
 
     def _settled(self) -> float:
         """Discrete states brought to rest; when the next time event is due."""
-        for _ in range(ROUNDS):
+        for _ in range(MOST_EVENT_ITERATIONS):
             update = self._unit.newDiscreteStates if self._is_2 else self._unit.updateDiscreteStates
             again, over, _, _, defined, at_s = update()
             if over:
                 raise PlantFaultError("the FMU asked to end the simulation")
             if not again:
                 return float(at_s) if defined else math.inf
-        raise PlantFaultError(f"the FMU's discrete states do not settle in {ROUNDS} rounds")
+        raise PlantFaultError(f"the FMU's discrete states do not settle in {MOST_EVENT_ITERATIONS} rounds")
 
     def advance(self, t_s: float, until_s: float) -> None:
         """Integrate, event by event. The inputs have jumped at the start, so the solver begins anew there."""

@@ -52,7 +52,7 @@ TOGETHER = 0.5
 
 AGREED = 3
 """Whole sets that are read without a second answer before anything is believed again."""
-ROUNDS = 16
+ANSWERS_A_POLL = 16
 """Questions and answers in one poll, where the answer comes at once."""
 
 
@@ -128,7 +128,7 @@ class ForeignDevice:
         """Take what has arrived, send what is due, tell what happened: see device.Device."""
         self._contact.polled(now_s)
         self._now_s = now_s
-        for _ in range(ROUNDS):
+        for _ in range(ANSWERS_A_POLL):
             for message in self.link.receive_all():
                 self._tap.take(message)
                 for one in self._access.take(message):

@@ -56,14 +56,14 @@ class RecordedGains:
         """Those in force when the variable was nearest to x. visited : its value at each of these samples."""
         away = np.abs(visited - x)
         rows = np.argsort(away)[:NEAREST]
-        if not len(rows) or away[rows[0]] > NEAR * float(np.ptp(visited)):
+        if not len(rows) or away[rows[0]] > NEAR_SHARE * float(np.ptp(visited)):
             return None
         return PidGains(*(float(np.median(values[rows])) for values in (self.kp, self.ki, self.kd)))
 
 
 NEAREST = 25
 """Samples whose median counts."""
-NEAR = 0.05
+NEAR_SHARE = 0.05
 """Share of the range within which a sample is near."""
 
 

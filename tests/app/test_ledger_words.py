@@ -11,7 +11,7 @@ from retuner.cli import main
 from retuner.decision_page.explain import one_line, response_text
 from retuner.decision_page.row_values import brief
 from retuner.ledger import Ledger, Row
-from retuner.report.ledger_words import Told, told
+from retuner.report.ledger_words import LedgerLine, told
 
 CONFIG = {"loop": {"name": "tank", "pv_unit": "bar"}}
 GAINS, OTHER = {"kp": 2.0, "ki": 0.1, "kd": 0.0}, {"kp": 1.0, "ki": 0.1, "kd": 0.0}
@@ -24,7 +24,7 @@ def decision(number: int, action: str, **more: object) -> Mapping[str, object]:
     return {**body, "gains_before": GAINS, "gains_after": OTHER if action != "none" else None, **more}
 
 
-def tell(*rows: tuple[str, Mapping[str, object]]) -> list[Told]:
+def tell(*rows: tuple[str, Mapping[str, object]]) -> list[LedgerLine]:
     return told(
         Row(i, float(i), kind, json.dumps(body), "", "")
         for i, (kind, body) in enumerate((("session", {"config": CONFIG}), *rows), 1)

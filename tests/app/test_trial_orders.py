@@ -20,7 +20,7 @@ from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed
-from retuner.session.order_queue import Before, OrderDesk, Shown
+from retuner.session.order_queue import Before, OrderDesk, OrderState
 from retuner.session.orders import REGIONAL, Order, OrderBox, OrderKind, put_order
 
 P = TrialPhase
@@ -190,7 +190,7 @@ def test_a_rejection_that_comes_after_the_write_is_told_so(desk: Desk) -> None:
 def test_a_rejection_of_a_proposal_of_the_session_before(desk: Desk, tmp_path: Path, approved: bool) -> None:
     proposal, session = proposed(desk), desk.wire.session
     digest = proposal.digest()
-    shown = Shown({digest: Proposal.of(proposal)}, approved={digest} if approved else set())
+    shown = OrderState({digest: Proposal.of(proposal)}, approved={digest} if approved else set())
     folder = tmp_path / "before"
     folder.mkdir()
     put_order(folder, Order(OrderKind.REJECT, "Ada", "2030-01-31T12:00:00Z", digest=digest))

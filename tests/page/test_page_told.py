@@ -10,7 +10,7 @@ import pytest
 from served import AFTER, Served, Session
 
 from retuner.cli import main
-from retuner.report.ledger_words import Told
+from retuner.report.ledger_words import LedgerLine
 from retuner.serve import hub as hubs
 from retuner.serve.documents import rows_csv
 from retuner.serve.runs import Runs
@@ -96,9 +96,9 @@ def test_the_ledger_is_filtered_and_exported(session: Session, served: Served) -
 
 
 def test_no_cell_of_an_export_is_a_formula() -> None:
-    told = Told(1, 0.0, "order", "=cmd()", "oven", "@low", "-1", "+2", "new", "evidence", "verdict")
+    told = LedgerLine(1, 0.0, "order", "=cmd()", "oven", "@low", "-1", "+2", "new", "evidence", "verdict")
     assert rows_csv([told]).splitlines()[1] == "1,0.0,order,'=cmd(),oven,'@low,'-1,'+2,new,evidence,verdict"
-    nothing = Told(1, 0.0, "session", "", "", "", "", "", "", "", "")
+    nothing = LedgerLine(1, 0.0, "session", "", "", "", "", "", "", "", "")
     assert rows_csv([nothing]).splitlines()[1] == "1,0.0,session" + 8 * ","
 
 

@@ -16,7 +16,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.decision_page.html import palette
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.report.what_if import Asked, page_script, panel_style, what_if
+from retuner.report.what_if import WhatIfQuestion, page_script, panel_style, what_if
 from retuner.schedule import pid
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.dials import CONTROLLERS
@@ -49,7 +49,7 @@ def asked(name: str) -> tuple[Window, dict[str, Any]]:
     model = MODELS[name]
     window = record(model)
     others = (model.linear(), model.linear().seen_by_controller(2.0))
-    return window, what_if(Asked(window, others, model, 1.0, ACTIVE, NEW, (0.0, 100.0)))
+    return window, what_if(WhatIfQuestion(window, others, model, 1.0, ACTIVE, NEW, (0.0, 100.0)))
 
 
 def open_page(seen: Seen, folder: Path, what: dict[str, Any], options: str = "{}") -> None:

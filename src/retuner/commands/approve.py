@@ -23,7 +23,7 @@ from retuner.gain_export.schedule_into import schedule_into
 from retuner.ledger.lock import WriterLock
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
-from retuner.session.order_queue import SHORT, Shown, shown, superseded
+from retuner.session.order_queue import SHORT, OrderState, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
 from retuner.session.outputs import CONFIG, GAINS, LEDGER, believed_rows, ledger_path, loop_folder, rows_by_loop
 
@@ -80,7 +80,7 @@ class LoopPlace:
     ledger : of the session. config : of the loop. several : it is one of several. shown : what the ledger tells of it.
     """
 
-    def __init__(self, ledger: Path, config: Config, several: bool, shown: Shown) -> None:
+    def __init__(self, ledger: Path, config: Config, several: bool, shown: OrderState) -> None:
         self.session, self.config, self.shown = ledger.parent, config, shown
         self.name = config.loop.name if several else ""
         self.folder = loop_folder(self.session, self.name)

@@ -26,7 +26,7 @@ from retuner.schedule.gains import Form, PidGains, from_form, in_form
 from retuner.templates import profiles, starter
 
 OVEN, NATIVE = "oven", "retuner"
-ROOM = 0.25
+RANGE_MARGIN = 0.25
 """Of a record's range, on both sides, for the range of the transmitter that the record does not tell."""
 MOST_STEPS = 40
 """Setpoint changes of a record that a scenario takes over; more are a ramp, and then the first value stays."""
@@ -205,7 +205,10 @@ def _range(pv: FloatArray) -> tuple[float, float]:
     low, high = float(pv.min()), float(pv.max())
     size = max(high - low, 1e-6 * max(abs(low), abs(high), 1.0))
     unit = 10.0 ** math.floor(math.log10(size))
-    ends = (math.floor((low - ROOM * size) / unit) * unit, math.ceil((high + ROOM * size) / unit) * unit)
+    ends = (
+        math.floor((low - RANGE_MARGIN * size) / unit) * unit,
+        math.ceil((high + RANGE_MARGIN * size) / unit) * unit,
+    )
     return float(f"{ends[0]:.9g}"), float(f"{ends[1]:.9g}")
 
 

@@ -23,7 +23,7 @@ from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
 from retuner.live_view.what_next import what_next
-from retuner.report.ledger_words import ABOUT_A_TRIAL, Told, no_formula, told
+from retuner.report.ledger_words import ABOUT_A_TRIAL, LedgerLine, no_formula, told
 from retuner.session.outputs import ledger_path, rows_by_loop
 
 SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
@@ -162,7 +162,7 @@ def show(options: ShowOptions) -> int:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
     else:
         console = Console()
-        if console.width >= WIDE:
+        if console.width >= TABLE_WIDTH:
             console.print(_table(_folded(chosen, lines)))
         elif chosen:
             console.print(_list(_folded(chosen, lines)), highlight=False, soft_wrap=True)
@@ -190,11 +190,11 @@ def _left_to_do(folder: Path, rows: list[Row]) -> list[str]:
     return lines
 
 
-WIDE = 160
+TABLE_WIDTH = 160
 """Characters of a terminal from which a table is easier to read than a list."""
 
 
-def _table(lines: list[Told]) -> Table:
+def _table(lines: list[LedgerLine]) -> Table:
     """A table with a column for each question."""
     table = Table(box=None, pad_edge=False)
     shown = {head: name for head, name in COLUMNS.items() if head != "loop" or _several(lines)}
@@ -206,20 +206,20 @@ def _table(lines: list[Told]) -> Table:
     return table
 
 
-def _several(lines: list[Told]) -> bool:
+def _several(lines: list[LedgerLine]) -> bool:
     """Whether rows are of several loops, so that each must say of which."""
     return len({line.loop for line in lines if line.loop}) > 1
 
 
-def _in_words(rows: list[Row], chosen: list[Row]) -> list[Told]:
+def _in_words(rows: list[Row], chosen: list[Row]) -> list[LedgerLine]:
     """The chosen ones of all rows in words: a row is told by those before it."""
     wanted = {row.seq for row in chosen}
     return [line for line in told(rows) if line.row in wanted]
 
 
-def _folded(rows: list[Row], lines: list[Told]) -> list[Told]:
+def _folded(rows: list[Row], lines: list[LedgerLine]) -> list[LedgerLine]:
     """The steps of a bump to and fro, and that the controller took each, as one line while nothing else happens."""
-    found, going = list[Told](), False
+    found, going = list[LedgerLine](), False
     for row, line in zip(rows, lines, strict=True):
         last = found[-1] if found else None
         if last is not None and going and _is_step(row) and last.loop == line.loop:
@@ -235,7 +235,7 @@ def _is_step(row: Row) -> bool:
     return row.kind == "nudge" and row.body.get("cause") in {"next", "taken"}
 
 
-def _list(lines: list[Told]) -> str:
+def _list(lines: list[LedgerLine]) -> str:
     """The same for a narrow terminal: a head line a row, and an indented line for each answer."""
     out, several = [], _several(lines)
     for line in lines:
@@ -275,7 +275,7 @@ def _csv(rows: list[Row]) -> str:
     """The rows in words, with the whole body and the hash beside them."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = [field.name for field in fields(Told)]
+    names = [field.name for field in fields(LedgerLine)]
     writer.writerow([*names, "body", "hash"])
     for row, one in zip(rows, told(rows), strict=True):
         line = one.to_dict()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 WHOLE_STEP = 0.999
 """A step of at least this share is the whole one to a reader."""
-FAR = 3.0
+SWINGING_PEAK_RATIO = 3.0
 """From this ratio of the second peak to the first, or to the step, nobody speaks of overshoot."""
 VERBS = {"commit": "written", "advise": "proposed", "restore": "rolled back"}
 LATER = "in the table, to be written when the loop enters the region"
@@ -62,7 +62,7 @@ def response_text(decision: "Decision | Document") -> str:
     overshoot, damping, period = (number(r, name) for name in ("overshoot", "damping", "period_s"))
     if overshoot is not None:
         far = f", second peak {brief(overshoot)} times the first"  # the first was hardly one
-        text += far if overshoot >= FAR else f", overshoot {overshoot:.0%}"
+        text += far if overshoot >= SWINGING_PEAK_RATIO else f", overshoot {overshoot:.0%}"
     if damping is not None:
         text += f", half-cycle decay ratio {damping:.2f}"
     if period is not None:

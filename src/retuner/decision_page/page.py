@@ -49,7 +49,7 @@ FIRST_GROUPS = ("margins with the active settings", "competing explanations")
 """Groups of evidence that are shown at once; the others unfold."""
 SWINGS = 0.25
 """Ratio of successive half swings from which a response looks like an oscillation: a quarter decay."""
-LARGE = 1e4
+WRITTEN_IN_FULL = 1e4
 """Numbers from here on are written out in full."""
 SAME = 1e-6
 """Gains that a formula gives are the proposal's to this share, or the formula is not shown."""
@@ -298,7 +298,7 @@ def _value(value: object, none: str) -> str:
     known = finite(value)
     if known is None:
         return none
-    return f"{known:,.0f}" if abs(known) >= LARGE else f"{known:.4g}"
+    return f"{known:,.0f}" if abs(known) >= WRITTEN_IN_FULL else f"{known:.4g}"
 
 
 def _margins(view: DecisionView) -> str:

@@ -9,7 +9,7 @@ from retuner.decision_page.decision_view import DecisionView, Samples
 from retuner.decision_page.row_values import number, numbers
 from retuner.decision_page.svg import AFTER, FAINT, LIMIT, MODEL, SETPOINT, settings, steps, svg, thinned
 
-FAR = 3.0
+FAR_SETPOINT_RANGES = 3.0
 """A setpoint farther from pv than this many ranges of pv would leave no room for the curves."""
 NOISE_STDS = 2.0
 """Half width of the band in which 95 % of what noise leaves lies."""
@@ -65,7 +65,7 @@ def time_unit(span_s: float) -> tuple[float, str]:
 def _signals(axes: Axes, view: DecisionView, samples: Samples, x: FloatArray) -> None:
     """pv, setpoint with the band in which the error counted as zero, and the model's pv."""
     band = number(view.response, "band")
-    near = abs(float(np.median(samples.sp - samples.pv))) < FAR * float(np.ptp(samples.pv))
+    near = abs(float(np.median(samples.sp - samples.pv))) < FAR_SETPOINT_RANGES * float(np.ptp(samples.pv))
     if near or np.ptp(samples.sp) > 0:
         if band:
             at, low = thinned(*steps(x, samples.sp - band))

@@ -75,7 +75,7 @@ HIDDEN = {
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class LedgerLine:
     """One row as a person reads it.
 
     row : its number. when_s : time of the run's clock, s. old, new : settings in words.
@@ -109,7 +109,7 @@ class Teller:
         self._units: dict[str, str] = {}
         self._several = False
 
-    def told(self, row: Row) -> Told:
+    def told(self, row: Row) -> LedgerLine:
         """The next row in words."""
         body: Document = row.body
         where, kind = (words(body, "loop") if self._several else "", words(body, "region")), row.kind
@@ -133,7 +133,7 @@ class Teller:
         texts = [_in_unit(text, words(about, "pv_unit")) for text in plain]
         self._propose(kind, body, where)
         head = kind, _who(kind, body), words(body, "loop"), words(body, "region")
-        return Told(row.seq, row.clock_s, *map(one_line, (*head, *texts)))
+        return LedgerLine(row.seq, row.clock_s, *map(one_line, (*head, *texts)))
 
     def _begin(self, config: Document) -> None:
         """Take note of the loops that the rows will be about, and of the units of their pv."""
@@ -154,7 +154,7 @@ class Teller:
         return f"decision {count if digest == newest else digest[:8]}" if digest else ""
 
 
-def told(rows: Iterable[Row]) -> list[Told]:
+def told(rows: Iterable[Row]) -> list[LedgerLine]:
     """The rows of a ledger in words, all from the first."""
     return list(map(Teller().told, rows))
 

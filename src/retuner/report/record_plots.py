@@ -17,7 +17,7 @@ from retuner.report.plots import PV, SP, floors, time_axis
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FAR = 2.0
+FAR_SETPOINT_RANGES = 2.0
 """A setpoint further from pv than this many ranges of pv would leave no room for the curves."""
 HEIGHT, HEIGHT_OF_CHANGE = 8.2, 5.4
 """Inches of the picture, and of what before and after add to it."""
@@ -121,7 +121,7 @@ def _signals(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
     """pv, setpoint, and the explanations of pv."""
     window = picture.window
     axes.plot(x, window.pv, color=PV, lw=0.9, label="pv")
-    near = abs(float(window.sp[0]) - float(np.mean(window.pv))) < FAR * float(np.ptp(window.pv))
+    near = abs(float(window.sp[0]) - float(np.mean(window.pv))) < FAR_SETPOINT_RANGES * float(np.ptp(window.pv))
     if picture.closed_loop and (near or np.ptp(window.sp) > 0):
         axes.plot(x, window.sp, color=SP, lw=0.9, ls="--", label="sp")
     for i, curve in enumerate(picture.explanations):

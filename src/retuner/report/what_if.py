@@ -56,7 +56,7 @@ PAGE_UNITS = ("kc-s", "kc-min", "gain-min", "pb-s", "pb-min", "pb-rpm")
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class WhatIfQuestion:
     """What is asked about a loop.
 
     window : the record; None for step responses alone. models : of the process, the best first. dt_s : interval of the
@@ -79,7 +79,7 @@ def of_diagnosis(window: Window, result: RecordDiagnosis) -> dict[str, object] |
         return None
     models = processes_of(result)
     return what_if(
-        Asked(
+        WhatIfQuestion(
             window,
             models,
             result.model,
@@ -111,10 +111,10 @@ def of_region(
         return None
     t_s, sp, pv, co = (np.asarray(run[name][stay], dtype=np.float64) for name in ("t", "sp", "pv", "co"))
     window = Window(t_s, sp, pv, co)
-    return what_if(Asked(window, [model.linear()], model, window.sample_time_s, *sets, ms_limit=ms_limit))
+    return what_if(WhatIfQuestion(window, [model.linear()], model, window.sample_time_s, *sets, ms_limit=ms_limit))
 
 
-def what_if(asked: Asked) -> dict[str, object]:
+def what_if(asked: WhatIfQuestion) -> dict[str, object]:
     """The document of the page.
 
     Keys

@@ -14,7 +14,7 @@ from retuner.decision_page.row_values import number, part, words
 from retuner.decision_page.shown_units import units_of
 from retuner.errors import one_line
 from retuner.live_view.live_file import FIELDS
-from retuner.report.ledger_words import Told, no_formula
+from retuner.report.ledger_words import LedgerLine, no_formula
 from retuner.report.what_if import MS_LIMIT, of_region
 from retuner.schedule.gains import PidGains
 from retuner.serve.ledger_tail import Decided, Document, LedgerTail
@@ -248,13 +248,13 @@ def rows(ledger: LedgerTail, wanted: str, after: int) -> Document:
     return {"rows": [one.to_dict() for one in found[-ROWS:]], "more": max(len(found) - ROWS, 0)}
 
 
-def fits(told: Told, wanted: str) -> bool:
+def fits(told: LedgerLine, wanted: str) -> bool:
     """Whether a row holds every word that is wanted."""
     text = " ".join(str(value) for value in told.to_dict().values()).lower()
     return all(word in text for word in wanted.lower().split())
 
 
-def rows_csv(found: Iterable[Told]) -> str:
+def rows_csv(found: Iterable[LedgerLine]) -> str:
     """Rows as CSV; what a spreadsheet would take for a formula is made text."""
     out = io.StringIO()
     writer = csv.writer(out)

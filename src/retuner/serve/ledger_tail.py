@@ -8,8 +8,8 @@ from retuner.decision_page.shown_units import show_units_told
 from retuner.errors import LedgerError
 from retuner.ledger import LedgerReader, Row
 from retuner.ledger.chain import GENESIS, next_row, without_place
-from retuner.report.ledger_words import Teller, Told
-from retuner.session.order_queue import Shown, shown
+from retuner.report.ledger_words import LedgerLine, Teller
+from retuner.session.order_queue import OrderState, shown
 
 ROWS_KEPT = 20_000
 """Rows in words that are kept, the newest ones; `retuner ledger` has all of them."""
@@ -49,10 +49,10 @@ class LedgerTail:
         self.count, self.head = 0, GENESIS
         self.broken = ""
         self.names: list[str] = []
-        self.told: deque[Told] = deque(maxlen=ROWS_KEPT)
+        self.told: deque[LedgerLine] = deque(maxlen=ROWS_KEPT)
         self._teller = Teller()
         self.decisions: deque[Decided] = deque(maxlen=DECISIONS_KEPT)
-        self.shown: dict[str, Shown] = {}
+        self.shown: dict[str, OrderState] = {}
         self.ended = False
         self.interrupted = False
 
@@ -78,9 +78,9 @@ class LedgerTail:
         own = (one for one in reversed(self.decisions) if words(one.document, "loop") == loop)
         return next((one for one in own if one.number == number), None)
 
-    def shown_of(self, loop: str) -> Shown:
+    def shown_of(self, loop: str) -> OrderState:
         """What of a loop a person may refer to."""
-        return self.shown.get(loop) or Shown()
+        return self.shown.get(loop) or OrderState()
 
     def close(self) -> None:
         """Close the file."""
@@ -104,7 +104,7 @@ class LedgerTail:
             config = part(body, "config")
             show_units_told(config)
             self.names = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
-            self.shown = {name: Shown() for name in self.names}
+            self.shown = {name: OrderState() for name in self.names}
         for name in self._about(body):
             shown((row,), self.shown[name])
         if row.kind == "decision":

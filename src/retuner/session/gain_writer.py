@@ -98,7 +98,7 @@ OPEN = frozenset({P.FOLLOWING, P.FOLLOWING_ASKED, P.CHANGING, P.RESTORING})
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class WantedSet:
     """A set that should run. stored : what the region's place in the table holds then, for a decision.
 
     later : it was decided on while the loop was in another region, so that it runs when the loop comes.
@@ -127,8 +127,8 @@ class GainWriter:
         self.t_s = 0.0
         self.machine = StateMachine(WRITING, WriterPhase.IDLE)
         self._record = record
-        self._under_way: Wanted | None = None
-        self._pending: Wanted | None = None
+        self._under_way: WantedSet | None = None
+        self._pending: WantedSet | None = None
         self._retry_at_s = self._hold_until_s = 0.0
         self._restore_at_s = float("-inf")
         self._refusals = 0  # of the verified set, in a row
@@ -166,7 +166,7 @@ class GainWriter:
             return
         region = self.retuner.table.regions.names.index(decision.region)
         later = region != self.retuner.region and self.retuner.table.lookup is Lookup.HARD
-        wanted = Wanted(Why.RETUNE, region, decision.gains_after, decision, decision.gains_after, later)
+        wanted = WantedSet(Why.RETUNE, region, decision.gains_after, decision, decision.gains_after, later)
         if self.machine.take(WriterInput.ASK):
             self._pending = wanted
         elif self.machine.phase is WriterPhase.RESTORING:
@@ -203,7 +203,7 @@ class GainWriter:
             return
         self._came_about(write, event.seq, event.running)
 
-    def _came_about(self, write: Wanted, seq: int, running: RunningSet) -> None:
+    def _came_about(self, write: WantedSet, seq: int, running: RunningSet) -> None:
         """A set runs, as read back: recorded, then the table has it."""
         body = {
             "why": write.why,
@@ -221,7 +221,7 @@ class GainWriter:
         if write.why == Why.RETUNE:
             self._in_table_now(write, stored)
 
-    def _for_later(self, write: Wanted) -> None:
+    def _for_later(self, write: WantedSet) -> None:
         """A set of a region where the loop is not: the table has it from now on."""
         self._pending = None
         self.machine.take(WriterInput.DROP)
@@ -230,7 +230,7 @@ class GainWriter:
         self._record("committed", self.t_s, body)
         self._in_table_now(write, gains)
 
-    def _in_table_now(self, write: Wanted, stored: PidGains) -> None:
+    def _in_table_now(self, write: WantedSet, stored: PidGains) -> None:
         """What was decided on is in the table, and on trial."""
         before = self.retuner.table
         if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being taken back
@@ -276,7 +276,7 @@ class GainWriter:
         ours = (gains for gains in (*table.gains, *tried) if gains is not None)
         return all(change_factor(running, gains) > SAME_GAINS for gains in ours)
 
-    def _start(self, running: RunningSet, wanted: Wanted, now_s: float) -> None:
+    def _start(self, running: RunningSet, wanted: WantedSet, now_s: float) -> None:
         """Record what is meant, then begin to write it; what could not be recorded is not written, but the way back.
 
         Leaving gains in force that nothing vouches for would be worse than a missing row.
@@ -313,7 +313,7 @@ class GainWriter:
             trial = trials.of(at)
             if trial.ran or trial.new is None or self.machine.phase is not WriterPhase.IDLE:
                 continue
-            wanted = Wanted(Why.RETUNE, at, trial.new, None, trial.new)
+            wanted = WantedSet(Why.RETUNE, at, trial.new, None, trial.new)
             if at == region and change_factor(self._here(wanted).gains, running.gains) <= SAME_GAINS:
                 self._came_about(wanted, running.seq, running)
             elif trial.phase is TrialPhase.WRITING:
@@ -322,7 +322,7 @@ class GainWriter:
                 self._record("dropped", self.t_s, body)
                 self.retuner.not_written(at)
 
-    def _to_restore(self, running: RunningSet, now_s: float) -> Wanted | None:
+    def _to_restore(self, running: RunningSet, now_s: float) -> WantedSet | None:
         """The verified set, unless it runs: then this is the proof of it.
 
         It has run before, so it needs no probation; but the controller must hold it for confirmed, for else it may go
@@ -339,7 +339,7 @@ class GainWriter:
             if self.device.confirm(now_s):
                 self._restored(running)
             return None
-        return Wanted(Why.RESTORE, region, gains) if now_s >= self._restore_at_s else None
+        return WantedSet(Why.RESTORE, region, gains) if now_s >= self._restore_at_s else None
 
     def _restored(self, running: RunningSet) -> None:
         """What the controller reports is the verified set: recorded, and told."""
@@ -363,7 +363,7 @@ class GainWriter:
             if trials.phase(region) == TrialPhase.LOCKED:
                 self._record("lockout", self.t_s, {"region": self._name(region), "undos": trials.of(region).undos})
 
-    def _wanted(self, running: PidGains) -> Wanted | None:
+    def _wanted(self, running: PidGains) -> WantedSet | None:
         """What should be written now, if anything: a decision for the region in force first, then the schedule."""
         region = self.retuner.region
         if region is None:
@@ -384,9 +384,9 @@ class GainWriter:
             return None
         gains = self._in_table()
         far = gains is not None and change_factor(running, gains) > self._tolerance
-        return Wanted(Why.SCHEDULE, region, gains) if gains is not None and far else None
+        return WantedSet(Why.SCHEDULE, region, gains) if gains is not None and far else None
 
-    def _here(self, wanted: Wanted) -> Wanted:
+    def _here(self, wanted: WantedSet) -> WantedSet:
         """What a decision means here and now: in an interpolated table the region's new set is a part of a mean."""
         table = self.retuner.table
         if table.lookup != Lookup.INTERPOLATED:
@@ -400,7 +400,7 @@ class GainWriter:
         if pending is not None and self.machine.take(WriterInput.DROP):
             self._dropped(pending, reason)
 
-    def _dropped(self, wanted: Wanted, reason: str) -> None:
+    def _dropped(self, wanted: WantedSet, reason: str) -> None:
         """A decision is not written: recorded, and told."""
         if wanted.decision is not None:
             self._record(
@@ -416,7 +416,7 @@ class GainWriter:
             self.retuner.not_written(wanted.region)
 
     def _give_up(
-        self, wanted: Wanted, reason: str, now_s: float, running: PidGains | None = None, *, written: bool = False
+        self, wanted: WantedSet, reason: str, now_s: float, running: PidGains | None = None, *, written: bool = False
     ) -> None:
         """A write that did not come about. written : something else than before runs."""
         self.wait()

@@ -21,7 +21,7 @@ from retuner.ledger import Recorder, Row
 from retuner.ledger.chain import digest_of, without_place
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed, gains_of
-from retuner.session.orders import LONGEST, Found, Order, OrderBox, OrderKind
+from retuner.session.orders import LONGEST, Order, OrderBox, OrderFile, OrderKind
 from retuner.session.outputs import LEDGER, ORDERS, believed_rows, loop_folder
 
 # What a session has shown and a person may refer to, read from its ledger: open proposals, changes, tried sets.
@@ -47,7 +47,7 @@ class Change(NamedTuple):
 
 
 @dataclass(slots=True)
-class Shown:
+class OrderState:
     """proposals : by hash. newest : hash of the newest proposal, by region. changes : by number of the decision.
     tried : region by hash of the decision that changed it. waiting : hash of the change that has passed and waits for
     a person, by region. in_force : gains by region, as far as decisions and writes tell. last_s : time of the last row,
@@ -91,9 +91,9 @@ def superseded(successor: str) -> str:
     return f"a newer proposal of its region supersedes it: {successor[:SHORT]}" if successor else ""
 
 
-def shown(rows: Iterable[Row], found: Shown | None = None) -> Shown:
+def shown(rows: Iterable[Row], found: OrderState | None = None) -> OrderState:
     """Read it off the rows of a ledger; found : what was read off the rows before them, which is changed."""
-    found = found or Shown()
+    found = found or OrderState()
     for row in rows:
         found.last_s = max(found.last_s, row.clock_s)
         body = row.body
@@ -113,12 +113,12 @@ def shown(rows: Iterable[Row], found: Shown | None = None) -> Shown:
     return found
 
 
-def _last_tried(found: Shown, region: str) -> str:
+def _last_tried(found: OrderState, region: str) -> str:
     """Hash of the newest change of a region."""
     return next((digest for digest in reversed(found.tried) if found.tried[digest] == region), "")
 
 
-def _order(found: Shown, body: Mapping[str, Any]) -> None:
+def _order(found: OrderState, body: Mapping[str, Any]) -> None:
     found.files.add(str(body.get("file")))
     if body.get("accepted") is True:
         taken = found.rejected if body.get("order") == OrderKind.REJECT else found.approved
@@ -127,7 +127,7 @@ def _order(found: Shown, body: Mapping[str, Any]) -> None:
             del found.waiting[str(body["region"])]
 
 
-def _decision(found: Shown, body: Mapping[str, Any]) -> None:
+def _decision(found: OrderState, body: Mapping[str, Any]) -> None:
     number, region, before = int(body["number"]), str(body["region"]), gains_of(body["gains_before"])
     digest = digest_of(body)
     found.changes[number] = Change(region, before)
@@ -155,7 +155,7 @@ class Before(NamedTuple):
     """Orders left for a session that has ended: its box, and what it had shown; trouble: why that is not known."""
 
     box: OrderBox
-    shown: Shown
+    shown: OrderState
     trouble: str = ""
 
 
@@ -170,7 +170,7 @@ def left_before(session: Path | None, loop: str = "", known: Iterable[Row] | Non
     try:
         past = shown(known if known is not None else believed_rows(session / LEDGER))
     except LedgerError as error:
-        return Before(OrderBox(folder), Shown(), str(error))
+        return Before(OrderBox(folder), OrderState(), str(error))
     return Before(OrderBox(folder, past.files), past)
 
 
@@ -198,7 +198,7 @@ class OrderDesk:
         self._decisions = decisions
         self._expires_after_s = expires_after_s
         self._before = before
-        self._queue: deque[tuple[Found, Before | None]] = deque()
+        self._queue: deque[tuple[OrderFile, Before | None]] = deque()
         self._waiting: list[Waiting] = []
         self._look_at_s = float("-inf")
         self._rejected: set[str] = set()
@@ -221,7 +221,7 @@ class OrderDesk:
             decision = self._one(*self._queue.popleft(), t_s)
         return (decision,) if decision is not None else ()
 
-    def _one(self, found: Found, before: Before | None, t_s: float) -> Decision | None:
+    def _one(self, found: OrderFile, before: Before | None, t_s: float) -> Decision | None:
         """Record an order, then tell the retuner of it, or keep it until the loop is in its region."""
         body: dict[str, object] = {"file": one_line(found.name)[:LONGEST], "accepted": False, "due": False}
         if found.order is None:

@@ -222,7 +222,7 @@ def read_order(path: Path) -> Order:
     return Order.from_dict(body if isinstance(body, dict) else {})
 
 
-class Found(NamedTuple):
+class OrderFile(NamedTuple):
     """A file in the folder: its name, and the order in it or why there is none."""
 
     name: str
@@ -246,7 +246,7 @@ class OrderBox:
         self._more = False
         self._done = set(done)
 
-    def take(self) -> list[Found]:
+    def take(self) -> list[OrderFile]:
         """Orders that came since the last call, oldest first; most turns cost one look at the folder's time."""
         self._turns += 1
         try:
@@ -267,15 +267,15 @@ class OrderBox:
                 if not entry.name.startswith(".") and entry.name not in self._done | {TAKEN, REFUSED}:
                     yield entry.name
 
-    def _one(self, name: str) -> Found:
+    def _one(self, name: str) -> OrderFile:
         """Read a file and put it away; what cannot be put away is remembered."""
         self._done.add(name)
         try:
-            found = Found(name, read_order(self._folder / name), "")
+            found = OrderFile(name, read_order(self._folder / name), "")
         except ValueError as error:
-            found = Found(name, None, str(error))
+            found = OrderFile(name, None, str(error))
         except OSError as error:
-            found = Found(name, None, f"cannot be read: {error.strerror}")
+            found = OrderFile(name, None, f"cannot be read: {error.strerror}")
         self._put_away(name, TAKEN if found.order else REFUSED)
         return found
 
