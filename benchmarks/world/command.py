@@ -4,6 +4,7 @@
     python benchmarks/world --data FOLDER --next ...      with the test made that each answer proposes
     python benchmarks/world --data FOLDER --real          what is said of the real records themselves
     python benchmarks/world --data FOLDER --invariance    and whether it stays under changes that mean nothing
+    python benchmarks/world --data FOLDER --alike         whether its records can be told from real ones
 
 FOLDER holds index.csv (file, tag, label) and records (t, sp, pv, co) of real loops; their co are the loads (draw.py).
 --fold takes the loads of every second tag only, so that what was chosen on one half is counted on the other. Right: the
@@ -29,6 +30,7 @@ from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
+from world.alike import alike
 from world.draw import BENDS, CLASSES, DT_S, SETS, drawn, tested
 from world.invariance import invariance
 from world.process import margins
@@ -59,10 +61,11 @@ class Score:
     then_odds: dict[str, float] = field(default_factory=dict)
 
 
-def scored(seed: int, kind: str, folder: str, fold: int | None, test: bool, index: int) -> Score:
+def scored(seed: int, kind: str, folder: str, fold: int | None, test: bool, historian: bool, index: int) -> Score:
     """Draw a loop, diagnose its record with its gains told, judge the answer. test : make the test that it proposes."""
-    case = drawn(seed, index, kind, folder, fold)
-    gains = PidGains(case.kc, case.kc / (case.tau_i * DT_S))
+    case = drawn(seed, index, kind, folder, fold, historian=historian)
+    interval_s = case.scene.interval_s
+    gains = PidGains(case.kc, case.kc / (case.tau_i * interval_s))
     begun = time.process_time()
     result = diagnosing.diagnose(case.t, case.sp, case.pv, case.co, gains=gains)
     cpu_s = time.process_time() - begun
@@ -81,7 +84,7 @@ def scored(seed: int, kind: str, folder: str, fold: int | None, test: bool, inde
     after = math.nan
     if result.recommended is not None:
         new = result.recommended
-        after = margins(case.process, new.kp, new.kp / new.ki / DT_S if new.ki else 1e9)[0]
+        after = margins(case.process, new.kp, new.kp / new.ki / interval_s if new.ki else 1e9)[0]
     said = AS.get(str(told.cause), str(told.cause))
     return Score(index, case.cause, said, odds, case.ms, after, size, cpu_s, then, then_odds)
 
@@ -156,14 +159,21 @@ def main() -> int:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--real", action="store_true")
     parser.add_argument("--invariance", action="store_true")
+    parser.add_argument("--alike", action="store_true")
+    parser.add_argument("--historian", action="store_true", help="records as a historian keeps them")
     options = parser.parse_args()
     if options.real:
         print("\n".join(real(options.data)))
         return 0
+    if options.alike:
+        print("\n".join(alike(options.data, options.seed, options.cases, historian=options.historian)))
+        return 0
     if options.invariance:
         print("\n".join(invariance(options.data, options.cases, options.jobs)))
         return 0
-    work = functools.partial(scored, options.seed, options.kind, options.data, options.fold, options.next)
+    work = functools.partial(
+        scored, options.seed, options.kind, options.data, options.fold, options.next, options.historian
+    )
     scores = []
     for score in spread(work, range(options.cases), options.jobs):
         scores.append(score)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from world.historian import kept
 from world.process import FloatArray, TrueProcess, drawn_process, margins, simc, simulated
 
 CLASSES = ("ok", "sluggish", "aggressive", "stiction")
@@ -26,6 +27,10 @@ BENDS = "nonlinear"
 """The cause of every loop of the set bends."""
 SAMPLES, DT_S = 751, 10.0
 TRIES = 80
+MOST_EVERY, SLOW = 8.0, 0.7
+"""Where a historian keeps the record: samples of the controller from row to row, at most; share of loads that are as
+slow as they were recorded, by rows.
+"""
 CALM = 1.76
 """The largest Ms of a loop that is in order, sluggish, or behind a valve."""
 
@@ -52,13 +57,21 @@ class WorldCase:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What stays from record to record: noise, steps of the recorded pv and co, the valve's band, the load's source."""
+    """What stays from record to record: noise, steps of the recorded pv and co, the valve's band, the load's source,
+    and how many samples of the controller pass from row to row.
+    """
 
     noise: float
     steps: tuple[float, float]
     band: float
     sign: int
     source: FloatArray
+    every: int = 1
+
+    @property
+    def interval_s(self) -> float:
+        """The controller's."""
+        return DT_S / self.every
 
 
 @lru_cache(maxsize=4)
@@ -78,9 +91,9 @@ def real_loops(folder: str, fold: int | None) -> tuple[tuple[str, FloatArray, Fl
     return tuple(found)
 
 
-def piece(rng: np.random.Generator, x: FloatArray, samples: int = SAMPLES) -> FloatArray:
-    """A piece of a signal, stretched by 0.5 to 1.5, from zero; what is too short goes on backwards."""
-    stretch = rng.uniform(0.5, 1.5)
+def piece(rng: np.random.Generator, x: FloatArray, samples: int = SAMPLES, slower: int = 1) -> FloatArray:
+    """A piece of a signal, stretched by 0.5 to 1.5, times slower, from zero; what is too short goes on backwards."""
+    stretch = slower * rng.uniform(0.5, 1.5)
     length = int(samples / stretch) + 2
     while len(x) < length:
         x = np.concatenate([x, x[::-1]])
@@ -110,26 +123,28 @@ def settings(rng: np.random.Generator, process: TrueProcess, cause: str) -> tupl
 
 
 def setpoint(
-    rng: np.random.Generator, kind: str, std: float, loops: tuple[tuple[str, FloatArray, FloatArray], ...]
+    rng: np.random.Generator, kind: str, std: float, loops: tuple[tuple[str, FloatArray, FloatArray], ...], n: int
 ) -> FloatArray:
-    """The setpoint of a set. std : of pv under the load."""
-    sp = np.zeros(SAMPLES)
+    """The setpoint of a set, n samples. std : of pv under the load."""
+    sp = np.zeros(n)
     if kind == "bends":
-        levels = np.repeat([0, 1, 2, 3, 2, 1, 0, 1], -(-SAMPLES // 8))[:SAMPLES]
+        levels = np.repeat([0, 1, 2, 3, 2, 1, 0, 1], -(-n // 8))[:n]
         sp = levels * 4.0 * std * (1 if rng.random() < 0.5 else -1)
     elif SETS[kind] > 1:
-        first = int(rng.integers(SAMPLES // 8, SAMPLES // 3))
-        last = first + int(rng.integers(SAMPLES // 5, SAMPLES // 2))
+        first = int(rng.integers(n // 8, n // 3))
+        last = first + int(rng.integers(n // 5, n // 2))
         sp[first:last] = SETS[kind] * std * (1 if rng.random() < 0.5 else -1)
     elif kind == "real" and rng.random() < 0.6:
-        moved = piece(rng, loops[int(rng.integers(len(loops)))][1])
+        moved = piece(rng, loops[int(rng.integers(len(loops)))][1], n, n // SAMPLES)
         if np.std(moved) > 0:
             sp = moved / np.std(moved) * std * np.exp(rng.uniform(np.log(0.3), np.log(3.0)))
     return sp
 
 
-def drawn(seed: int, index: int, kind: str, folder: str, fold: int | None = None) -> WorldCase:
-    """One loop of a set.
+def drawn(
+    seed: int, index: int, kind: str, folder: str, fold: int | None = None, *, historian: bool = False
+) -> WorldCase:
+    """One loop of a set. historian : its record as a historian keeps it.
 
     Raises
     ------
@@ -139,10 +154,17 @@ def drawn(seed: int, index: int, kind: str, folder: str, fold: int | None = None
     rng = np.random.default_rng([seed, index, SETS[kind]])
     cause, loops = BENDS if kind == "bends" else CLASSES[index % len(CLASSES)], real_loops(folder, fold)
     for _ in range(TRIES):
-        found = _tried(rng, cause, kind, loops)
+        every = round(math.exp(rng.uniform(0.0, math.log(MOST_EVERY)))) if historian else 1
+        found = _tried(rng, cause, kind, loops, every)
         if found is not None:
-            return found
+            return kept_by_historian(found, rng) if historian else found
     raise RuntimeError(f"seed {seed}, case {index}: no loop of class {cause} could be drawn")
+
+
+def kept_by_historian(case: WorldCase, rng: np.random.Generator) -> WorldCase:
+    """The same with pv and co as a historian gives them back."""
+    pv, co = kept(rng, case.pv, case.co)
+    return replace(case, pv=pv, co=co)
 
 
 def bending(rng: np.random.Generator, process: TrueProcess, pv: FloatArray) -> TrueProcess:
@@ -157,28 +179,32 @@ def bending(rng: np.random.Generator, process: TrueProcess, pv: FloatArray) -> T
 
 
 def _tried(
-    rng: np.random.Generator, cause: str, kind: str, loops: tuple[tuple[str, FloatArray, FloatArray], ...]
+    rng: np.random.Generator, cause: str, kind: str, loops: tuple[tuple[str, FloatArray, FloatArray], ...], every: int
 ) -> WorldCase | None:
-    """One try; None where the loop is not of its class, the load is still, or the valve does not matter."""
+    """One try; None where the loop is not of its class, the load is still, or the valve does not matter.
+
+    every : samples of the controller of which one is recorded.
+    """
+    n, coarse = SAMPLES * every, 0.7 if every == 1 else 0.1
     process = drawn_process(rng)
     gains = settings(rng, process, cause)
     ms = margins(process, *gains)[0]
     tag, _, co = loops[int(rng.integers(len(loops)))]
-    load, rest = piece(rng, co), np.zeros(SAMPLES)
+    load, rest = piece(rng, co, n, every if every > 1 and rng.random() < SLOW else 1), np.zeros(n)
     if not np.isfinite(ms) or (cause != "aggressive" and ms > CALM) or np.std(load) == 0:
         return None
     sign = 1 if rng.random() < 0.5 else -1
     source, load = sign * co / np.std(load), sign * load / np.std(load)
     std = float(np.std(simulated(process, gains, (rest, load, rest))[0]))
-    sp = setpoint(rng, kind, std, loops)
+    sp = setpoint(rng, kind, std, loops, n)
     pv, co = simulated(process, gains, (sp, load, rest))
     if cause == BENDS:
         process = bending(rng, process, pv)
         pv, co = simulated(process, gains, (sp, load, rest))
     spans = float(np.ptp(pv)), float(np.ptp(co))
     noise_std = spans[0] * float(np.exp(rng.uniform(np.log(0.002), np.log(0.06))))
-    noise = rng.normal(size=SAMPLES) * noise_std
-    steps = [s * np.exp(rng.uniform(np.log(0.001), np.log(0.02))) if rng.random() < 0.7 else 0.0 for s in spans]
+    noise = rng.normal(size=n) * noise_std
+    steps = [s * np.exp(rng.uniform(np.log(0.001), np.log(0.02))) if rng.random() < coarse else 0.0 for s in spans]
     signals, recorded = (sp, load, noise), (float(steps[0]), float(steps[1]))
     pv, co = simulated(process, gains, signals, 0.0, recorded)
     band = 0.0
@@ -191,8 +217,10 @@ def _tried(
     if not np.all(np.isfinite(pv)) or np.std(pv) > 100 * std:
         return None
     t = np.arange(SAMPLES) * DT_S
-    scene = Scene(noise_std, recorded, band, sign, source)
-    return WorldCase(cause, process, gains[0], gains[1], ms, tag, t, sp + 50.0, pv + 50.0, co + 50.0, scene)
+    scene = Scene(noise_std, recorded, band, sign, source, every)
+    late = int(rng.integers(every)) if every > 1 else 0
+    sp, pv, co = (x[::every] + 50.0 for x in (sp, pv, np.roll(co, -late)))
+    return WorldCase(cause, process, gains[0], gains[1], ms, tag, t, sp, pv, co, scene)
 
 
 def tested(case: WorldCase, seed: int, kind: str, size: float, hold: int) -> tuple[FloatArray, ...]:
@@ -202,13 +230,15 @@ def tested(case: WorldCase, seed: int, kind: str, size: float, hold: int) -> tup
     """
     rng = np.random.default_rng([seed, hold])
     levels = {"setpoint": (0.0, size, 0.0), "valve": (0.0, size, 2 * size, size, 0.0)}[kind]
-    wanted = np.repeat(levels, [BEFORE, *([hold] * (len(levels) - 1))])
+    every = case.scene.every
+    wanted = np.repeat(levels, [every * BEFORE, *([every * hold] * (len(levels) - 1))])
     load, noise = piece(rng, case.scene.source, len(wanted)), rng.normal(size=len(wanted)) * case.scene.noise
     signals = (wanted, load, noise)
     gains = (case.kc, case.tau_i)
     pv, co = simulated(case.process, gains, signals, case.scene.band, case.scene.steps, manual=kind == "valve")
     sp = wanted if kind == "setpoint" else pv
-    return np.arange(len(wanted)) * DT_S, sp + 50.0, pv + 50.0, co + 50.0
+    sp, pv, co = (x[::every] + 50.0 for x in (sp, pv, co))
+    return np.arange(len(sp)) * DT_S, sp, pv, co
 
 
 BEFORE = 40
