@@ -30,13 +30,14 @@ from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, sta
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found, linear_verdict
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
-from retuner.adaptive.fit.record import Record, setpoint_changes
+from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.condition import Condition
 from retuner.adaptive.indexes.limits import switches_between
 from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.indexes.screening import Screening, screen
+from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.valve.fit import Sticking, sticking, turns_s
 from retuner.schedule.gains import PidGains
@@ -261,7 +262,50 @@ def _diagnosed(
         return Found(Diagnosis(Cause.UNKNOWN, 0.9, dict(seen.evidence), short))
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
-    return _compared(window, gains, found, seen, settings)
+    told = _compared(window, gains, found, seen, settings)
+    return _in_parts(window, gains, limits, told, settings) or told
+
+
+def _in_parts(
+    window: Window,
+    gains: PidGains | None,
+    limits: tuple[float | None, float | None],
+    whole: Found,
+    settings: DiagnosisSettings,
+) -> Found | None:
+    """What parts of a record show that has too many loads as a whole, where it swings as slowly as a level loop does.
+
+    Only too little k' Kc tau_I makes so slow a swing. Two parts, each explained to the noise with few loads, must show
+    an integrating process of one slope, which no rival would; the one with most loads is told of.
+    """
+    best, most = whole.fits.get("linear"), settings.fit.choice.most_loads
+    if best is None or whole.diagnosis.cause is not Cause.UNKNOWN or best.fit.misfit.loads < most:
+        return None
+    error = window.sp - window.pv
+    swing_s = 2 * math.pi / _peak(error, window.sample_time_s)
+    if gains is None or not gains.ki or swing_s < SLOW_SWING * abs(gains.kp / gains.ki):
+        return None
+    length, shown = len(error) // PARTS, list[tuple[float, Window, list[Candidate]]]()
+    for i in range(PARTS):
+        part = window.part(slice(i * length, (i + 1) * length))
+        found = linear(part, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
+        fit = found[0].fit
+        if fit.misfit.type in INTEGRATES and fit.misfit.loads < most and _left(found[0]) <= settings.tone_explains:
+            shown.append((float(fit.x[0]), part, found))
+    alike = [one for one in shown if any(abs(one[0] - two[0]) < SAME_SLOPE for two in shown if two is not one)]
+    if not alike:
+        return None
+    _, part, found = max(alike, key=lambda one: one[2][0].fit.misfit.loads)
+    seen = screen(part, gains, *limits, in_auto=settings.in_auto)
+    evidence = dict(seen.evidence) | {"linear_left": _left(found[0]), "loads": float(found[0].fit.misfit.loads)}
+    told = linear_verdict(part, gains, found, evidence, {"linear": found[0]}, False, settings)
+    return told if told.diagnosis.cause in TUNING_CAUSES else None
+
+
+PARTS, SLOW_SWING, SAME_SLOPE = 4, 4.0, 0.1
+"""Parts of such a record; its period in integral times in force (k' Kc tau_I under 2.5); how far the logarithms of two
+slopes may lie apart."""
+INTEGRATES = frozenset({ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG})
 
 
 def _switched(window: Window, seen: Screening) -> Diagnosis | None:
@@ -470,14 +514,16 @@ def _left(candidate: Candidate) -> float:
 def _time_scale(best: Candidate) -> float:
     """A typical time of the record's movement where no period was seen: where co moves most."""
     record = best.fit.misfit.record
-    return 2 * math.pi / _peak(record.co - np.linspace(record.co[0], record.co[-1], len(record.co)), record)
+    return (
+        2 * math.pi / _peak(record.co - np.linspace(record.co[0], record.co[-1], len(record.co)), record.sample_time_s)
+    )
 
 
-def _peak(x: FloatArray, record: Record) -> float:
+def _peak(x: FloatArray, sample_time_s: float) -> float:
     """Frequency at which a signal moves most, rad/s, of those with two cycles in the record."""
     power = np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(len(x)), PADDED * len(x))) ** 2
     first = FEWEST_CYCLES * PADDED
-    return 2 * math.pi * (first + int(np.argmax(power[first:]))) / (PADDED * len(x) * record.sample_time_s)
+    return 2 * math.pi * (first + int(np.argmax(power[first:]))) / (PADDED * len(x) * sample_time_s)
 
 
 def _periods(valve: Sticking, period_s: float) -> list[float]:
@@ -492,7 +538,7 @@ def _frequencies(best: Candidate, periods_s: Sequence[float]) -> list[float]:
     """Where to look for a tone, rad/s: at periods that were seen, and at the peak of what the linear fit leaves."""
     record = best.fit.misfit.record
     found: list[float] = []
-    for w in (*(2 * math.pi / p for p in periods_s), _peak(record.pv - best.fit.explained, record)):
+    for w in (*(2 * math.pi / p for p in periods_s), _peak(record.pv - best.fit.explained, record.sample_time_s)):
         if all(abs(math.log(w / other)) > SAME_TONE for other in found):
             found.append(w)
     return found

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from retuner.adaptive.diagnosis.cause import Cause
 from retuner.api import identify
 from retuner.diagnosing import RecordDiagnosis, diagnose
 from retuner.schedule.gains import PidGains
@@ -10,9 +11,12 @@ from retuner.schedule.gains import PidGains
 SLOPE, TAU_I, DT = 0.01, 60.0, 6.0
 
 
-def swinging(product: float, *, setpoint: bool) -> tuple[tuple[np.ndarray, ...], PidGains]:
-    """A tank behind a fast valve under PI with that k' Kc tau_I, every 6 s: one step of its setpoint or of its load."""
+def swinging(product: float, *, setpoint: bool, loads: int = 1) -> tuple[tuple[np.ndarray, ...], PidGains]:
+    """A tank behind a fast valve under PI with that k' Kc tau_I, every 6 s: a step of its setpoint, or of its load."""
     kc, parts, n = product / (SLOPE * TAU_I), 12, 500
+    pushed = np.zeros(n)
+    for at in np.linspace(60, 440, loads).round().astype(int) if not setpoint else ():
+        pushed[at:] += 5.0 * (-1) ** (at % 3)
     rng, h = np.random.default_rng(5), DT / parts
     pv, co, sp = np.zeros(n), np.zeros(n), np.zeros(n)
     level = valve = total = 0.0
@@ -21,10 +25,9 @@ def swinging(product: float, *, setpoint: bool) -> tuple[tuple[np.ndarray, ...],
         pv[i] = level + 0.05 * rng.standard_normal()
         total += kc / TAU_I * DT * (sp[i] - pv[i])
         co[i] = kc * (sp[i] - pv[i]) + total
-        load = 5.0 if not setpoint and i >= 60 else 0.0
         for _ in range(parts):
             valve += h / 2.0 * (co[i] - valve)
-            level += h * SLOPE * (valve + load)
+            level += h * SLOPE * (valve + pushed[i])
     return (np.arange(n) * DT, sp, pv, co), PidGains(kc, kc / TAU_I)
 
 
@@ -41,6 +44,13 @@ def test_after_a_load_the_swing_is_named_and_cured_whatever_the_dead_time(produc
     assert product_after(found) == pytest.approx(4.0, abs=0.2)
     assert found.recommended is not None
     assert found.recommended.kp >= gains.kp
+
+
+def test_under_more_loads_than_are_looked_for_parts_of_the_record_show_it() -> None:
+    record, gains = swinging(0.3, setpoint=False, loads=10)
+    found = diagnose(*record, gains=gains)
+    assert found.cause is Cause.SLOW_INTEGRATING
+    assert product_after(found) == pytest.approx(4.0, abs=0.2)
 
 
 def test_after_a_setpoint_step_diagnose_has_settings_as_identify_has() -> None:
