@@ -54,11 +54,13 @@ def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Dia
 
 def _lead(window: Window, direction: int, settings: FitSettings) -> float | None:
     """By how much a process of the other sign explains the record better; None where it is not by far."""
-    own, other = (_best(window, sign, settings) for sign in (direction, -direction))
+    other = _best(window, -direction, settings)
     record = other.fit.misfit.record
     explained = 1 - float(np.var(record.pv - other.fit.explained) / np.var(record.pv))
-    lead = own.criterion - other.criterion
-    return lead if lead >= LEAD and explained >= EXPLAINED and other.fit.misfit.loads <= MOST_LOADS else None
+    if explained < EXPLAINED or other.fit.misfit.loads > MOST_LOADS:
+        return None
+    lead = _best(window, direction, settings).criterion - other.criterion
+    return lead if lead >= LEAD else None
 
 
 def _while_co_moved(window: Window) -> Window:
