@@ -186,7 +186,8 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
     slips = [b.first for a, b in pairwise(found)]
     agreed = _agreed(rows, found, gains.direction, settings)
-    lasts = _long_enough(counted, settings)
+    lasts = sum(leg.travel for leg in counted) >= settings.idle and len(counted) >= settings.legs
+    lasts = lasts and max(leg.dwell for leg in counted) >= settings.dwell
     stands = lasts and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
     silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
@@ -214,12 +215,6 @@ def _may_stand(rows: Window, tau_i: float, settings: StandingSettings) -> bool:
     error = running_mean(rows.sp - rows.pv, max(len(rows.pv) // SMOOTHED, 1))
     longest = max((end - first for sign in (1.0, -1.0) for first, end in runs(sign * error > 0)), default=0)
     return longest >= ABOUT * settings.dwell * tau_i
-
-
-def _long_enough(legs: Sequence[Leg], settings: StandingSettings) -> bool:
-    """Whether pv stood for long, and more than once, while co travelled."""
-    enough = sum(leg.travel for leg in legs) >= settings.idle and len(legs) >= settings.legs
-    return enough and max((leg.dwell for leg in legs), default=0.0) >= settings.dwell
 
 
 def _agree(agreed: int, slips: int) -> bool:

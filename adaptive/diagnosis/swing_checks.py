@@ -109,7 +109,8 @@ def not_seen(response: Response, foretold: Trace, settings: SwingSettings) -> st
         return ""
     least = settings.unseen_bands * response.band
     said = [abs(e) for e in peaks_of(foretold.e, THIRD + 1)]
-    unnoticed = int(_is_unnoticed(said, seen[0], least))
+    # the model's first peak may be none that a response shows: pv goes the wrong way at first, by hardly anything
+    unnoticed = int(len(said) > 1 and said[0] < said[1] and said[0] / said[1] * seen[0] < least)
     said = said[unnoticed:]
     if len(said) < THIRD or not said[0]:
         return ""
@@ -121,14 +122,6 @@ def not_seen(response: Response, foretold: Trace, settings: SwingSettings) -> st
     if seen[2] + least > settings.shown * third:
         return ""
     return f"{_says(third)}, and was {seen[2]:.3g}"
-
-
-def _is_unnoticed(said: list[float], first: float, least: float) -> bool:
-    """Whether the model's first peak is none that a response shows: pv goes the wrong way at first, by hardly anything.
-
-    said : its peaks. first : peak that was seen. least : what stands out.
-    """
-    return len(said) > 1 and said[0] < said[1] and said[0] / said[1] * first < least
 
 
 def _due(response: Response, trace: Trace, said: list[float], unnoticed: int, settings: SwingSettings) -> float:

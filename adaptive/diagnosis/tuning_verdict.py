@@ -34,7 +34,7 @@ from retuner.adaptive.identification.robust_simc import RobustTuning, robust_sim
 from retuner.adaptive.indexes.condition import one_sided
 from retuner.adaptive.indexes.harmonics import pure_tone_s
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
-from retuner.adaptive.loop.margins import Margins, margins, sensitivity_peak
+from retuner.adaptive.loop.margins import margins, sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
@@ -120,7 +120,10 @@ def _by_margins(loop: Loop, found: Found, oscillates: bool) -> Found:
         slow = verdict.cause is Cause.SLOW_INTEGRATING and _doubt(verdict, loop, oscillates) is None
         return (_slow_oscillation(loop, Found(verdict, estimate)) if slow else None) or found
     if verdict.cause in TUNING_CAUSES and estimate.explained < settings.fit.explained_limit:
-        return Found(_hardly_explained(estimate, verdict), estimate)
+        cause, sure, why = Cause.UNKNOWN, 0.5, estimate.reason
+        if verdict.evidence.get("noise_share", 0.0) > NOISY:
+            cause, sure, why = Cause.NOISE, 0.8, "only noise moves this loop"
+        return Found(replace(verdict, cause=cause, confidence=sure, reason=why), estimate)
     if verdict.cause not in TUNING_CAUSES:
         return _if_agreed(loop, Found(verdict, estimate))
     doubt = _doubt(verdict, loop, oscillates)
@@ -151,18 +154,14 @@ def _in_order(loop: Loop, found: Found) -> Found:
     told = f"the loop follows its setpoint without much overshoot, Ms {peaks[0]:.2f}"
     open_because = CONTRADICTED if verdict.reason == UNSTABLE else verdict.reason
     room = robust_simc(estimate, dt, settings.robust).tuning.gains.ki / gains.ki if gains.ki else math.inf
-    evidence = _evidence_of(margins(estimate.plausible[0].model.seen_by_controller(dt).linear(), gains), verdict)
+    seen = margins(estimate.plausible[0].model.seen_by_controller(dt).linear(), gains)  # of the model that is told of
+    kept = {name: value for name, value in verdict.evidence.items() if name not in RATIOS}
+    evidence = kept | {"ms": seen.ms, "gm": seen.gm, "pm_deg": seen.pm_deg}
     if max(room, verdict.evidence.get("ki_ratio", 0.0)) > settings.cause.slack:
         slow = f"{told}, and is perhaps slower than necessary: {open_because}"
         return replace(found, diagnosis=replace(verdict, evidence=evidence, reason=slow))
     reason = f"{told}. The record does not show how fast it could be: {open_because}"
     return replace(found, diagnosis=Diagnosis(Cause.OK, 0.6, evidence, reason))
-
-
-def _evidence_of(found: Margins, verdict: Diagnosis) -> dict[str, float]:
-    """The evidence of a verdict with the margins of the model that its words rest on; how fast it could be is open."""
-    kept = {name: value for name, value in verdict.evidence.items() if name not in RATIOS}
-    return kept | {"ms": found.ms, "gm": found.gm, "pm_deg": found.pm_deg}
 
 
 RATIOS = frozenset({"ki_ratio", "kp_ratio"})
@@ -471,13 +470,6 @@ def _grows(window: Window) -> bool:
 
 GROWTH = 1.3
 """Ratio of the last third's standard deviation to the middle third's from which a loop is running away."""
-
-
-def _hardly_explained(estimate: ModelEstimate, verdict: Diagnosis) -> Diagnosis:
-    """The cause, where what a model explains of pv is too little for its margins to mean anything."""
-    if verdict.evidence.get("noise_share", 0.0) > NOISY:
-        return replace(verdict, cause=Cause.NOISE, confidence=0.8, reason="only noise moves this loop")
-    return replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=estimate.reason)
 
 
 def _undisturbed(window: Window, estimate: ModelEstimate, evidence: dict[str, float], oscillates: bool) -> Diagnosis:

@@ -12,7 +12,6 @@ differences, and no finer than 0.4 % of pv's range.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -110,12 +109,7 @@ class _Responses:
     def columns(self, at: npt.ArrayLike) -> FloatArray:
         """Some of them, shape (n, number)."""
         since = np.arange(self.n)[:, None] - (np.atleast_1d(np.asarray(at, dtype=np.intp))[None, :] + 1)
-        return np.asarray(self._padded[since + self.n])
-
-    @cached_property
-    def _padded(self) -> FloatArray:
-        """The response to a jump at row n, shape (2 n,)."""
-        return np.concatenate([np.zeros(self.n), self.to_jump])
+        return np.asarray(np.concatenate([np.zeros(self.n), self.to_jump])[since + self.n])
 
     def against(self, x: FloatArray) -> FloatArray:
         """Products of a signal with all of them, shape (n - 1,)."""
