@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.fit.damped import descended
 from retuner.adaptive.fit.structure import LAG, LEAST_ZETA, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
 from retuner.adaptive.identification.plausible import MOST_EXCESS, Plausible
 from retuner.adaptive.loop.sampled import SampledLaw, setpoint_response
@@ -57,10 +58,8 @@ BENT = 0.1
 """Standard deviation with which more is unusual than the least damping that is fitted."""
 STEP = 1e-3
 """Of a logarithm, for derivatives."""
-STEPS, TRIES, ENOUGH = 14, 5, 1e-2
-"""Of a refinement at the most; of one step, each shorter; a fall of the deviance that is the end."""
-DAMPING, LESS, MORE = 1e-2, 0.2, 5.0
-"""First lambda, and factors on it after a step that helped, and one that did not (Marquardt 1963)."""
+LIMITS = (14, 5, 1e-2)
+"""Of a refinement: most steps, tries of one step, and a fall of the deviance that is the end."""
 WIDEST = 3.0
 """Standard deviation of a logarithm that is known of any process."""
 STRENGTHS = (0.01, 0.1, 1.0)
@@ -199,8 +198,11 @@ class Likelihood:
             max(rings, 0.0),
         ])  # fmt: skip
 
-    def curvature(self, p: FloatArray, here: Told) -> tuple[FloatArray, FloatArray] | None:
+    def curvature(self, p: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Half the deviance's slope, and the information (Whittle 1953); None at the edge of what is stable."""
+        here = self.told(p)
+        if not math.isfinite(here.deviance):
+            return None
         ahead = [self.told(p + e) for e in STEP * np.eye(len(p))]
         if not all(math.isfinite(one.deviance) for one in ahead):
             return None
@@ -217,40 +219,13 @@ class Likelihood:
 
     def refined(self, p: FloatArray) -> Likely | None:
         """Down from a start by scoring (Fisher), damped."""
-        here, damping = self.told(p), DAMPING
-        curved = self.curvature(p, here) if math.isfinite(here.deviance) else None
-        for _ in range(STEPS):
-            if curved is None:
-                return None
-            there, damping = self._ahead(p, here, curved, damping)
-            if there is None:
-                break
-            told = self.told(there)
-            fell, p, here = here.deviance - told.deviance, there, told
-            curved = self.curvature(p, here)
-            if fell < ENOUGH:
-                break
-        if curved is None:
+        found = descended((p, self.told(p).deviance), self.curvature, _ahead, lambda x: self.told(x).deviance, LIMITS)
+        if found is None:
             return None
-        values = np.linalg.eigvalsh(curved[1])
-        return (
-            Likely(p, np.asarray(np.linalg.inv(curved[1]), dtype=np.float64), here.deviance, self.samples)
-            if values[0] > 0
-            else None
-        )
-
-    def _ahead(
-        self, p: FloatArray, here: Told, curved: tuple[FloatArray, FloatArray], damping: float
-    ) -> tuple[FloatArray | None, float]:
-        """One damped step, None where none helps; and the damping after it."""
-        half, information = curved
-        for _ in range(TRIES):
-            step = np.linalg.solve(information + damping * np.diag(np.diag(information)), -half)
-            there = p + step / max(float(np.max(np.abs(step))), 1.0)
-            if self.told(there).deviance < here.deviance:
-                return there, damping * LESS
-            damping *= MORE
-        return None, damping
+        p, deviance, (_, information) = found
+        if not np.linalg.eigvalsh(information)[0] > 0:
+            return None
+        return Likely(p, np.asarray(np.linalg.inv(information), dtype=np.float64), deviance, self.samples)
 
     def best(self, starts: Sequence[FloatArray]) -> Likely | None:
         """The best of the refined starts, each with several strengths of the load. starts : of the process alone."""
@@ -277,6 +252,13 @@ class Likelihood:
             if excess <= MOST_EXCESS:
                 found.append((p[:N], max(excess, 0.0)))
         return found
+
+
+def _ahead(p: FloatArray, curved: tuple[FloatArray, FloatArray], damping: float) -> FloatArray:
+    """A damped step from p. curved : half the deviance's slope and the information there."""
+    half, information = curved
+    step = np.linalg.solve(information + damping * np.diag(np.diag(information)), -half)
+    return np.asarray(p + step / max(float(np.max(np.abs(step))), 1.0), dtype=np.float64)
 
 
 def middle(found: Sequence[tuple[FloatArray, float]], sign: int, dt_s: float) -> int:

@@ -20,11 +20,13 @@ Goodwin, Gevers & Ninness 1992). Records of many sequences are fitted as one, th
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
+from retuner.adaptive.fit.damped import descended
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
 from retuner.adaptive.identification.by_likelihood import Likelihood, Likely, as_plausible, middle, runs_away
 from retuner.adaptive.identification.estimate import (
@@ -52,16 +54,10 @@ LAGS = (0.3, 1.0, 3.0, 10.0)
 """First guesses of the lag over the integral time."""
 STARTS = 3
 """Of all first guesses so many are refined."""
-STEPS = 15
-"""Of a refinement at the most."""
+LIMITS = (15, 6, 1e-3)
+"""Of a refinement: most steps, tries of one step, and a fall of the deviance that is the end."""
 SLOPE_STEP = 1e-3
 """Of a logarithm, for derivatives."""
-DAMPING, LESS, MORE = 1e-2, 0.2, 5.0
-"""First lambda, and factors on it after a step that helped, and one that did not (Marquardt 1963)."""
-TRIES = 6
-"""Of one step, each shorter than the one before."""
-ENOUGH = 1e-3
-"""A fall of the deviance that is the end."""
 PRICE = 2.0
 """Of a parameter, in deviance (Akaike 1974): a lag that is left out because it hardly shows would pass for known, and
 the integral time with it."""
@@ -217,32 +213,22 @@ class Fitting:
         return min(refined, key=lambda found: found.deviance, default=None)
 
     def _refined(self, type_: ProcessType, x: FloatArray, cost: float) -> Found:
-        damping, here = DAMPING, self.residuals(type_, x)
-        slopes = self._slopes(type_, x, here)
-        for _ in range(STEPS):
-            there, ahead = x, math.inf
-            for _ in range(TRIES):
-                there = _stepped(type_, x, here, slopes, damping)
-                ahead = self.deviance(type_, there)
-                if ahead < cost:
-                    break
-                damping *= MORE
-            if not ahead < cost:
-                break
-            fell, x, cost, damping = cost - ahead, there, ahead, damping * LESS
-            here = self.residuals(type_, x)
-            slopes = self._slopes(type_, x, here)
-            if fell < ENOUGH:
-                break
+        found = descended(
+            (x, cost), partial(self._slopes, type_), partial(_stepped, type_), partial(self.deviance, type_), LIMITS
+        )
+        assert found is not None  # residuals have slopes everywhere
+        x, cost, (here, slopes) = found
         return Found(type_, x, here, slopes, cost)
 
-    def _slopes(self, type_: ProcessType, x: FloatArray, here: FloatArray) -> FloatArray:
-        """Of the residuals, shape (n, d). here : the residuals at x."""
-        return np.stack([(self.residuals(type_, x + e) - here) / SLOPE_STEP for e in SLOPE_STEP * np.eye(len(x))], 1)
+    def _slopes(self, type_: ProcessType, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The residuals at x, shape (n,), and their slopes, shape (n, d)."""
+        here, steps = self.residuals(type_, x), SLOPE_STEP * np.eye(len(x))
+        return here, np.stack([(self.residuals(type_, x + e) - here) / SLOPE_STEP for e in steps], 1)
 
 
-def _stepped(type_: ProcessType, x: FloatArray, here: FloatArray, slopes: FloatArray, damping: float) -> FloatArray:
-    """A damped step (Levenberg 1944, Marquardt 1963)."""
+def _stepped(type_: ProcessType, x: FloatArray, seen: tuple[FloatArray, FloatArray], damping: float) -> FloatArray:
+    """A damped step from x. seen : residuals and slopes there."""
+    here, slopes = seen
     normal, gradient = slopes.T @ slopes, slopes.T @ here
     known = usual(type_, x)
     if known is not None:
@@ -341,7 +327,7 @@ def _plausible(fitting: Fitting, ranked: Sequence[Found], log: LogModel, inflati
     values, vectors = np.linalg.eigh(log.p)
     for (value, axis), side in product(zip(values, vectors.T, strict=True), (1.0, -1.0)):
         x = best.x + side * OUT * math.sqrt(max(float(value), 0.0)) * axis
-        for _ in range(TRIES):
+        for _ in range(LIMITS[1]):
             excess = (fitting.deviance(best.type, x) - best.deviance) / inflation
             if excess <= MOST_EXCESS:
                 yield Plausible(model_at(best.type, x, fitting.sign), max(excess, 0.0))
