@@ -2,12 +2,26 @@
 
 import math
 from collections.abc import Callable
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from retuner.adaptive.signals.sample import FloatArray
 
-DAMPING, LESS, MORE = 1e-2, 0.2, 5.0
-"""First lambda, and factors on it after a step that helped, and one that did not (Marquardt 1963)."""
+LESS, MORE = 0.2, 5.0
+"""Factors on lambda after a step that helped, and one that did not (Marquardt 1963)."""
+
+
+class Limits(NamedTuple):
+    """steps : at the most. tries : of one step, each shorter than the one before. fall : of the misfit that is the end.
+    damping, least : the first and the smallest lambda. in_all : tries of all steps together.
+    """
+
+    steps: int
+    tries: int
+    fall: float
+    damping: float = 1e-2
+    least: float = 0.0
+    in_all: int = 1000
+
 
 Slopes = TypeVar("Slopes")
 
@@ -17,31 +31,30 @@ def descended(
     slopes_at: Callable[[FloatArray], Slopes | None],
     stepped: Callable[[FloatArray, Slopes, float], FloatArray],
     misfit: Callable[[FloatArray], float],
-    limits: tuple[int, int, float],
+    limits: Limits,
 ) -> tuple[FloatArray, float, Slopes] | None:
     """Where it ends, the misfit there and its slopes; None where a place on the way has none.
 
     Parameters
     ----------
     start : where it begins, and the misfit there. stepped : from a place with its slopes and lambda to the next one.
-    limits : most steps; tries of one step, each shorter than the one before; a fall of the misfit that is the end.
     """
-    (x, cost), (steps, tries, enough), damping = start, limits, DAMPING
-    slopes = slopes_at(x)
-    for _ in range(steps):
+    (x, cost), damping = start, limits.damping
+    slopes, left = slopes_at(x), limits.in_all
+    for _ in range(limits.steps):
         if slopes is None:
             return None
         there, ahead = x, math.inf
-        for _ in range(tries):
+        for _ in range(min(limits.tries, left)):
             there = stepped(x, slopes, damping)
-            ahead = misfit(there)
+            ahead, left = misfit(there), left - 1
             if ahead < cost:
                 break
             damping *= MORE
         if not ahead < cost:
             break
-        fell, x, cost, damping = cost - ahead, there, ahead, damping * LESS
+        fell, x, cost, damping = cost - ahead, there, ahead, max(damping * LESS, limits.least)
         slopes = slopes_at(x)
-        if fell < enough:
+        if fell < limits.fall:
             break
     return None if slopes is None else (x, cost, slopes)

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from retuner.adaptive.fit.damped import descended
+from retuner.adaptive.fit.damped import Limits, descended
 from retuner.adaptive.fit.structure import LAG, LEAST_ZETA, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
 from retuner.adaptive.identification.plausible import MOST_EXCESS, Plausible
 from retuner.adaptive.loop.sampled import SampledLaw, setpoint_response
@@ -58,8 +58,8 @@ BENT = 0.1
 """Standard deviation with which more is unusual than the least damping that is fitted."""
 STEP = 1e-3
 """Of a logarithm, for derivatives."""
-LIMITS = (14, 5, 1e-2)
-"""Of a refinement: most steps, tries of one step, and a fall of the deviance that is the end."""
+LIMITS = Limits(14, 5, 1e-2)
+"""Of a refinement."""
 WIDEST = 3.0
 """Standard deviation of a logarithm that is known of any process."""
 STRENGTHS = (0.01, 0.1, 1.0)

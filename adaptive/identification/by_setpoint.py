@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.fit.damped import descended
+from retuner.adaptive.fit.damped import Limits, descended
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
 from retuner.adaptive.identification.by_likelihood import Likelihood, Likely, as_plausible, middle, runs_away
 from retuner.adaptive.identification.estimate import (
@@ -54,8 +54,8 @@ LAGS = (0.3, 1.0, 3.0, 10.0)
 """First guesses of the lag over the integral time."""
 STARTS = 3
 """Of all first guesses so many are refined."""
-LIMITS = (15, 6, 1e-3)
-"""Of a refinement: most steps, tries of one step, and a fall of the deviance that is the end."""
+LIMITS = Limits(15, 6, 1e-3)
+"""Of a refinement."""
 SLOPE_STEP = 1e-3
 """Of a logarithm, for derivatives."""
 PRICE = 2.0
@@ -327,7 +327,7 @@ def _plausible(fitting: Fitting, ranked: Sequence[Found], log: LogModel, inflati
     values, vectors = np.linalg.eigh(log.p)
     for (value, axis), side in product(zip(values, vectors.T, strict=True), (1.0, -1.0)):
         x = best.x + side * OUT * math.sqrt(max(float(value), 0.0)) * axis
-        for _ in range(LIMITS[1]):
+        for _ in range(LIMITS.tries):
             excess = (fitting.deviance(best.type, x) - best.deviance) / inflation
             if excess <= MOST_EXCESS:
                 yield Plausible(model_at(best.type, x, fitting.sign), max(excess, 0.0))

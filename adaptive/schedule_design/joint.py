@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from retuner.adaptive.fit.damped import Limits, descended
 from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_ways, response
 from retuner.adaptive.schedule_design.stretches import Axis, Characteristic, Second, Shape, Stretch
 from retuner.adaptive.signals.noise import noise_sigma
@@ -20,9 +21,7 @@ from retuner.adaptive.signals.sample import FloatArray
 
 STEP = 1e-4
 """Step of z for derivatives."""
-ITERATIONS = 30
-SETTLED = 0.02
-"""Fall of the misfit that ends the search."""
+LIMITS = Limits(30, 12, 0.02, damping=1e-3, least=1e-9, in_all=30)
 LARGEST_MOVE = 0.7
 """Largest change of any ln p in one iteration."""
 WIDTH = 48
@@ -306,24 +305,22 @@ def white(values: FloatArray, ar: Sequence[float]) -> FloatArray:
     return found
 
 
-def refined(joint: Joint, form: Form, z: FloatArray, noise: Noise, iterations: int = ITERATIONS) -> At:
-    """The smallest misfit near z (Levenberg and Marquardt)."""
-    now = at(joint, form, z, noise, derivatives=True)
-    damping = 1e-3
-    for _ in range(iterations):
-        step = _step(form, now, damping)
-        trial = at(joint, form, now.z + step, noise, derivatives=False)
-        if trial.cost < now.cost:
-            fall = now.cost - trial.cost
-            now = at(joint, form, trial.z, noise, derivatives=True)
-            damping = max(damping / 5, 1e-9)
-            if fall < SETTLED:
-                break
-        else:
-            damping *= 5
-            if damping > 1e6 or float(np.max(np.abs(step))) < 1e-6:
-                break
-    return now
+def refined(joint: Joint, form: Form, z: FloatArray, noise: Noise, tries: int = LIMITS.in_all) -> At:
+    """The smallest misfit near z, after so many tries at the most."""
+
+    def seen(z: FloatArray, *, derivatives: bool = True) -> At:
+        return at(joint, form, z, noise, derivatives=derivatives)
+
+    start = seen(z)
+    found = descended(
+        (start.z, start.cost),
+        seen,
+        lambda z, now, damping: z + _step(form, now, damping),
+        lambda z: seen(z, derivatives=False).cost,
+        LIMITS._replace(in_all=tries),
+    )
+    assert found is not None
+    return found[2]
 
 
 def _step(form: Form, now: At, damping: float) -> FloatArray:
