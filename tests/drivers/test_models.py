@@ -1,5 +1,6 @@
 """Models of somebody else behind a bench: against analytic answers, on shared plants, and with faults injected."""
 
+import json
 import math
 import re
 import sys
@@ -447,6 +448,10 @@ def test_a_bench_repeats_the_plant_of_a_record(tmp_path: Path) -> None:
         '{"model": {"type": "fopdt", "k": 1.5, "tau1": 30.0, "tau2": 0.0, "theta": 4.0}}'
     )
     assert model_of(tmp_path / "found.json") == process
+    swings = {"model": {"type": "sopdt", "k": 2.0, "tau1": 5.0, "tau2": 5.0, "theta": 1.0, "zeta": 0.4}}
+    (tmp_path / "swings.json").write_text(json.dumps(swings))
+    plant = LinearPlant(model_of(tmp_path / "swings.json"), start_co=0.0)
+    assert max(plant.step(1.0, 0.0, 0.5) for _ in range(100)) == pytest.approx(2 * 1.254, rel=0.01)
     again = LoadedPlant(
         LinearPlant(process, start_pv=float(record.pv[0]), start_co=float(record.co[0])),
         RecordedLoads([load_of(process, record.t_s, record.pv, record.co)]),
