@@ -1,1 +1,1 @@
-"""The commands of cli.py with their options, one a file; what they do is in work and recorded, loaded when called."""
+"""The commands of cli.py: what each does, a file each; those on records and models are in recorded/."""
