@@ -32,7 +32,8 @@ LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
 DEAD_TIMES = (0.0, 1.0, 2.0, 4.0, 7.0, 12.0)
 FREE_DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 12.0)
 """Of co itself: half a sample that a grid lacks was taken for a valve, where the noise is small."""
-LOADS = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
+Loads = Sequence[tuple[float, int]]
+LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 """Bandwidth and order of the loads that are tried."""
 
 
@@ -54,20 +55,13 @@ def log_odds_of_valve(record: Prepared, direction: int) -> float:
     if not len(valves) or not len(slips):
         return 0.0
 
-    def weighed(
-        rows: FloatArray,
-        lag: float,
-        loads: Sequence[tuple[float, int]],
-        *,
-        first_only: bool,
-        dead: tuple[float, ...] = DEAD_TIMES,
-    ) -> FloatArray:
+    def weighed(rows: FloatArray, lag: float, loads: Loads, dead: tuple[float, ...], *, first_only: bool) -> FloatArray:
         """Tempered log-likelihoods, shape (loads, second lags, inputs, dead times); no gain of the wrong sign."""
         fits = under_loads(record, rows, lag, loads, dead, first_only=first_only)
         right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
         return fits.tempered(right[..., None]).reshape(len(loads), -1, len(rows), len(dead))
 
-    free = [weighed(record.co[None], lag, LOADS, first_only=False, dead=FREE_DEAD_TIMES) for lag in LAGS]
+    free = [weighed(record.co[None], lag, LOADS, FREE_DEAD_TIMES, first_only=False) for lag in LAGS]
     coarse = [FREE_DEAD_TIMES.index(dead) for dead in DEAD_TIMES]
     # a second lag, or a finer dead time, that is not needed costs nothing
     linear = max(
@@ -75,11 +69,12 @@ def log_odds_of_valve(record: Prepared, direction: int) -> float:
         for lags in (1, None)
         for dead in (coarse, slice(None))
     )
-    behind = [weighed(valves, lag, LOADS, first_only=True) for lag in LAGS]
+    behind = [weighed(valves, lag, LOADS, DEAD_TIMES, first_only=True) for lag in LAGS]
     best = max(range(len(LOADS)), key=lambda i: max(float(found[i].max()) for found in (*free, *behind)))
-    screened = np.max([weighed(slips, lag, LOADS[best : best + 1], first_only=True) for lag in LAGS], axis=(0, 1, 2, 4))
+    load = LOADS[best : best + 1]
+    screened = np.max([weighed(slips, lag, load, DEAD_TIMES, first_only=True) for lag in LAGS], axis=(0, 1, 2, 4))
     likeliest = slips[np.argsort(-screened, kind="stable")[:LIKELIEST]]
-    closer = np.concatenate([weighed(likeliest, lag, LOADS, first_only=False).ravel() for lag in LAGS])
+    closer = np.concatenate([weighed(likeliest, lag, LOADS, DEAD_TIMES, first_only=False).ravel() for lag in LAGS])
     slipped = log_mean(closer) + math.log(len(likeliest) / len(slips))
     return float(np.logaddexp(log_mean(np.array(behind)), slipped)) - math.log(2.0) - linear
 

@@ -298,7 +298,8 @@ def _through(record: Record, valves: list[StuckValve], nodes: Nodes) -> tuple[Fl
     left, gain = np.full((len(valves), many), np.inf), np.zeros((len(valves), many))
     for i, valve in enumerate(valves):
         moved = _moved(record, valve)
-        late = [_lagging(record, moved, second) for second in nodes.seconds_s.tolist()] if np.ptp(moved) > 0 else []
+        seconds = nodes.seconds_s.tolist() if np.ptp(moved) > 0 else []
+        late = [Dynamics(0.0, 1 / s).held(record.clock, moved, 0.0) / s if s else moved for s in seconds]
         for j in range(many) if late else ():
             lag, theta = divmod(j, len(nodes.thetas_s))
             q, y = nodes.basis[lag], nodes.free[lag]
@@ -306,11 +307,6 @@ def _through(record: Record, valves: list[StuckValve], nodes: Nodes) -> tuple[Fl
             column = through.held(record.clock, late[lag], float(nodes.thetas_s[theta]))[nodes.rows]
             gain[i, j], left[i, j] = _projected(y, column, column - q.T @ (q @ column))
     return left, gain
-
-
-def _lagging(record: Record, moved: FloatArray, lag_s: float) -> FloatArray:
-    """A valve's position through a lag, held from sample to sample; itself where there is none."""
-    return Dynamics(0.0, 1 / lag_s).held(record.clock, moved, 0.0) / lag_s if lag_s else moved
 
 
 def _projected(y: FloatArray, column: FloatArray, free: FloatArray) -> tuple[float, float]:
