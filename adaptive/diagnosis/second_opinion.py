@@ -96,14 +96,9 @@ def runs_away(samples: Sequence[LoopSample], response: Response, explained: floa
 def calm_before(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
     """Whether the error moved little before a response, against the swing in it (its last peak)."""
     swing = abs(response.peaks[-1].e) if response.peaks else 0.0
-    before = _moved_before(samples, response, response.t_end_s - response.t_start_s)
+    since = 2 * response.t_start_s - response.t_end_s
+    before = max((abs(s.sp - s.pv) for s in samples if since <= s.t_s < response.t_start_s), default=0.0)
     return before <= max(settings.calm * swing, response.band)
-
-
-def _moved_before(samples: Sequence[LoopSample], response: Response, length_s: float) -> float:
-    """Largest error in so long a time before a response."""
-    since = response.t_start_s - length_s
-    return max((abs(s.sp - s.pv) for s in samples if since <= s.t_s < response.t_start_s), default=0.0)
 
 
 def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings, share: float = 1.0) -> bool:
