@@ -1,7 +1,7 @@
 """Settings of the guard, each with its meaning, range and source."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 from retuner.adaptive.declared_setting import Setting, require_in_range
@@ -165,6 +165,12 @@ class GuardSettings:
             integral_up_max=_wide(self.integral_up_max),
             integral_down_max=_wide(self.integral_down_max),
         )
+
+    def held_to(self, factor: float) -> "GuardSettings":
+        """The same with every limit on the size of one change at this factor at the most."""
+        names = [f.name for f in fields(self) if f.name.endswith(("up_max", "down_max", "shorter_max", "longer_max"))]
+        own = {name: limit for name in names if (limit := getattr(self, name)) is not None}
+        return replace(self, **{name: min(limit, factor) for name, limit in own.items()})
 
     def opened(self, factor: float) -> "GuardSettings":
         """The same with every limit on the size of a change at one factor, the commissioned set's among them."""

@@ -90,7 +90,7 @@ def decide(question: Question) -> StageResult:
             if due:
                 stage.run(found)
         result = found.result()
-        return question.after(result) if question.after else result
+        return question.after(question, result) if question.after else result
     except MemoryError:
         raise
     except Exception as error:  # noqa: BLE001  a record that breaks one stage must not end the supervision

@@ -17,6 +17,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.settings_by_book import BookNumbers
 from retuner.adaptive.guard import Verdict
+from retuner.adaptive.guard.step_size import extent
 from retuner.adaptive.region_model.across import ways_of
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Learned, TrackerSettings, predicted
@@ -175,7 +176,7 @@ class Question:
     sample_number : of the sample that raised it, counted by the retuner from 1. trial : where the region stood then.
     free : the other regions that no trial, hold or mode keeps from a change. away : those whose trial waits until the
     loop comes. look : the samples that are due to be looked at, None for none. alone : no response has completed, so
-    nothing but that is asked. after : what loops on the same plant make of the answer; None for a loop by itself.
+    nothing but that is asked. after : what loops on the same plant make of this and its answer; None for none.
     """
 
     record: ResponseRecord
@@ -186,7 +187,7 @@ class Question:
     away: tuple[int, ...] = ()
     look: Look | None = None
     alone: bool = False
-    after: Callable[[StageResult], StageResult] | None = None
+    after: "Callable[[Question, StageResult], StageResult] | None" = None
 
     @property
     def t_s(self) -> float:
@@ -475,6 +476,22 @@ NOT_SURVIVED = "not_survived"
 def without_change(outcome: StageResult, reason: str) -> StageResult:
     """What was learned, and no change."""
     return replace(outcome, code=NOT_SURVIVED, reason=reason, verdict=None, basis=None, promise=None)
+
+
+IN_PART = "half of a change that was "
+"""How the reason begins of a change that the other loops survive in half."""
+
+
+def in_part(half: StageResult, refused: str) -> StageResult:
+    """A decision on half of a change. refused : why not the whole."""
+    return replace(half, reason=f"{IN_PART}{refused}: {half.reason}")
+
+
+def half_way(question: Question, refused: PidGains) -> Question:
+    """The same question, where one change may go half the way (of logarithms) to gains that were refused."""
+    factor = math.exp(extent(question.record.in_force, refused) / 2)
+    guard = question.settings.guard.held_to(factor)
+    return replace(question, settings=replace(question.settings, guard=guard), after=None)
 
 
 # A setpoint that another loop leads. The slave of a cascade completes a response every few samples, and none of them

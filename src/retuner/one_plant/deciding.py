@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from retuner.adaptive.interaction.together import Closed
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.pipeline_types import NOT_SURVIVED, OTHER_LOOP, Question
+from retuner.adaptive.supervision.pipeline_types import IN_PART, NOT_SURVIVED, OTHER_LOOP, Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
 from retuner.decisions.decider import Answer, Decider, without_decision
@@ -119,11 +119,11 @@ class DecideAmong:
 
     def _in_place_of(self, answer: Answer) -> Answer | None:
         """What is entered for an answer that changes gains; None for itself."""
+        verdict, reason = answer.result.verdict, answer.result.reason
         if answer.result.code == NOT_SURVIVED:
-            return Answer(answer.result, answer.result.reason)
-        verdict = answer.result.verdict
+            return Answer(answer.result, reason)
         if verdict is None or not verdict.accepted or self._other_gains() == self._others:
-            return None
+            return Answer(answer.result, reason) if reason.startswith(IN_PART) else None
         return without_decision(OTHER_LOOP, "another loop on the same plant has got other gains meanwhile")
 
     def _other_gains(self) -> tuple[PidGains, ...]:

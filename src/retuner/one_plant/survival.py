@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.interaction.windows import Record, seen_in
-from retuner.adaptive.supervision.pipeline_types import StageResult, without_change
+from retuner.adaptive.supervision.pipeline import decide
+from retuner.adaptive.supervision.pipeline_types import Question, StageResult, half_way, in_part, without_change
 from retuner.schedule.gains import PidGains
 
 NO_WORSE = 1.05
@@ -30,11 +31,15 @@ class Among:
     own: int
     ms_most: float
 
-    def answered(self, result: StageResult) -> StageResult:
-        """The answer to a question of the loop; without its change, where the others do not survive it."""
+    def answered(self, question: Question, result: StageResult) -> StageResult:
+        """The answer to a question; with half of its change, or none, where the others do not survive it."""
         gains = None if result.verdict is None else result.verdict.gains
         words = "" if gains is None else self._against(gains)
-        return without_change(result, words) if words else result
+        if gains is None or not words:
+            return result
+        half = decide(half_way(question, gains))
+        less = half.verdict.gains if half.verdict is not None and half.verdict.accepted else None
+        return without_change(result, words) if less is None or self._against(less) else in_part(half, words)
 
     def _against(self, gains: PidGains) -> str:
         """What speaks against these gains; empty for nothing, or where the plant is not known."""

@@ -1,7 +1,7 @@
 """What the ledger keeps of a controller's events, and which of them end a trial."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from retuner.adaptive.setpoint_bumps.planner import NudgePhase
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import NOT_SURVIVED, without_change
+from retuner.adaptive.supervision.pipeline_types import IN_PART, NOT_SURVIVED, half_way, without_change
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import Answer, without_decision
@@ -159,6 +159,11 @@ def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
     trouble, code = str(body["reason"]), str(body["code"])
     if trouble and code == NOT_SURVIVED:
         answer = Answer(without_change(decide(question), trouble))
+    elif trouble.startswith(IN_PART):
+        whole = decide(question).verdict
+        assert whole is not None
+        assert whole.gains is not None
+        answer = Answer(replace(decide(half_way(question, whole.gains)), reason=trouble))
     else:
         answer = without_decision(code, trouble) if trouble else Answer(decide(question))
     return retuner.enter(question, answer.result, retuner.sample_number)

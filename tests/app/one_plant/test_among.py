@@ -1,22 +1,31 @@
 """A loop that is not alone on its plant: what the others do is no verdict, and what they do not survive is not made."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from wood_berry import BLT, DT_S, records
 
 from retuner import PidController, PidGains
-from retuner.adaptive.guard import Verdict
+from retuner.adaptive.guard import GuardSettings, Verdict
 from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.interaction.together import Closed
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.pipeline_types import NOT_SURVIVED, OTHER_LOOP, StageResult
+from retuner.adaptive.supervision.pipeline_types import NOT_SURVIVED, OTHER_LOOP, Question, StageResult, half_way
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.decider import Answer
+from retuner.one_plant import survival
 from retuner.one_plant.controllers import on_one_plant
 from retuner.one_plant.deciding import DecideAmong, OnePlant
 from retuner.one_plant.survival import Among, on_one_clock
+
+
+@dataclass
+class Kept:
+    """Settings of which only the guard's count."""
+
+    guard: GuardSettings
 
 
 def wanted(gains: PidGains) -> StageResult:
@@ -31,8 +40,41 @@ def among(moves: tuple[int, ...] = (0, 1, 0, 1)) -> Among:
     return Among(("top", "bottom"), closed, tuple(records(0.01, moves)), DT_S, 0, 2.1)
 
 
-def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_learned_stays() -> None:
-    found = among().answered(wanted(PidGains(4 * BLT[0].kp, 4 * BLT[0].ki)))
+def times(factor: float) -> StageResult:
+    """A change of the first loop's gains by a factor."""
+    return wanted(PidGains(factor * BLT[0].kp, factor * BLT[0].ki))
+
+
+def test_half_of_a_change_that_the_other_loop_does_not_survive_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, half, asked = times(4.0), times(1.3), []
+    monkeypatch.setattr(survival, "half_way", lambda question, refused: asked.append(refused) or question)
+    monkeypatch.setattr(survival, "decide", lambda _: half)
+    found = among().answered(question(0, 1), whole)
+    assert whole.verdict is not None
+    assert asked == [whole.verdict.gains]
+    assert found.verdict is half.verdict
+    assert found.reason.startswith("half of a change that was refused: with bottom on the same plant")
+    assert found.reason.endswith(": proved")
+
+
+def test_half_the_way_holds_every_limit_of_one_change_to_the_root_of_the_factor() -> None:
+    settings = GuardSettings(kc_up_max=1.2)
+    asked = Question(
+        cast("Any", SimpleNamespace(in_force=BLT[0])), cast("Any", Kept(settings)), 1, cast("Any", None), after=min
+    )
+    found = half_way(asked, PidGains(2.25 * BLT[0].kp, 2.25 * BLT[0].ki))
+    guard = found.settings.guard
+    assert found.after is None
+    assert (guard.kc_up_max, guard.step_up_max, guard.step_down_max) == pytest.approx((1.2, 1.5, 1.5))
+    assert guard.total_ratio_max == settings.total_ratio_max
+
+
+def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_learned_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(survival, "half_way", lambda question, _: question)
+    monkeypatch.setattr(survival, "decide", lambda _: times(3.0))
+    found = among().answered(question(0, 1), times(4.0))
     assert found.verdict is None
     assert found.code == NOT_SURVIVED
     assert "bottom on the same plant: Ms of top" in found.reason
@@ -41,12 +83,12 @@ def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_
 
 def test_a_change_that_all_survive_is_made() -> None:
     result = wanted(PidGains(1.3 * BLT[0].kp, 1.3 * BLT[0].ki))
-    assert among().answered(result) is result
+    assert among().answered(question(0, 1), result) is result
 
 
 def test_what_is_not_known_of_the_plant_counts_nothing() -> None:
     result = wanted(PidGains(4 * BLT[0].kp, 4 * BLT[0].ki))
-    assert among((0, 0)).answered(result) is result
+    assert among((0, 0)).answered(question(0, 1), result) is result
 
 
 def test_records_of_controllers_that_count_from_different_times_are_put_on_one_clock() -> None:
