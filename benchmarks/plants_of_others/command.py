@@ -5,6 +5,8 @@ Each part needs the package that brings its plant, and says so when it is missin
   pip install tclab                                                        lab
   pip install --no-deps tep-studio; pip install cffi pandas gymnasium      eastman
   pip install --no-deps bsm2-python; pip install control numba tqdm        wastewater
+  pip install --no-deps gym-electric-motor gymnasium cloudpickle farama-notifications    motor
+  pip install --no-deps pcgym; pip install jax                             pc-gym
   pip install jsbsim                                                       aircraft
 
 Examples
@@ -24,6 +26,8 @@ from online.runner import collect, rows_of
 from plants_of_others import aircraft, eastman, session
 from plants_of_others.columns import COLUMNS, Distillation
 from plants_of_others.loop import Card, Plant
+from plants_of_others.motor import Motor
+from plants_of_others.pc_gym import PcGym
 from plants_of_others.picture import draw
 from plants_of_others.temperature_lab import TemperatureLab
 from plants_of_others.truth import StepTest, Truth, truth
@@ -34,11 +38,15 @@ PLANTS: dict[str, Callable[[], Plant]] = {
     "lab": TemperatureLab,
     "eastman": eastman.Eastman,
     "wastewater": Wastewater,
+    "motor": Motor,
+    "pc-gym": PcGym,
     **{name: partial(Distillation, name) for name in COLUMNS},
 }
 TESTS: dict[str, Callable[[str], StepTest]] = {
     "lab": lambda _loop: StepTest(2400.0, 1500.0),
     "wastewater": lambda _loop: StepTest(0.5 * 24 * HOUR, HOUR, 0.02),
+    "motor": lambda _loop: StepTest(0.05, 0.015, 0.01),
+    "pc-gym": lambda _loop: StepTest(1800.0, 900.0, 0.01, "published"),
     **{name: lambda _loop: StepTest(HOUR, 5 * HOUR, 0.01, "search") for name in COLUMNS},
     "eastman": lambda loop: StepTest(
         6 * HOUR, eastman.LOOPS[loop].answer_h * HOUR, 0.005, "published" if loop == "reactor_temperature" else "search"
