@@ -44,6 +44,10 @@ class FmuModel:
         for name in spec.parameters:
             if name not in self._known:
                 raise PlantFaultError(missing_name("variable of the FMU", name, self._known), "parameters", name)
+            if isinstance(spec.parameters[name], str) and self._known[name].type in {*REAL, REAL_32}:
+                raise PlantFaultError(
+                    f'= "{spec.parameters[name]}": {_shown(self._known[name])} is a number', "parameters", name
+                )
         self._t_s = 0.0
         self._folder = fmpy.extract(spec.source)
         self._unit: Any = fmpy.instantiate_fmu(self._folder, self._about, FMI_TYPES[self._interface])

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from retuner.adaptive.identification.identify import identify_manual
+from retuner.adaptive.identification.identify import OPEN_LOOP, identify_window
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.drivers.plants.model import PlantFaultError
@@ -91,7 +91,10 @@ class SteppedPlant:
         given[LEAD - 1 :] += step  # held from the last sample of the lead on
         try:
             window = Window(np.arange(float(len(pv))) * self._dt_s, np.full(len(pv), pv[0]), pv, given)
-            found = identify_manual(window)
+            sign = (
+                1 if (pv[-1] - pv[0]) * step >= 0.0 else -1
+            )  # else a tail explains a slow rise, with a gain of nothing
+            found = identify_window(window, sign, settings=OPEN_LOOP)
         except ValueError as error:
             raise PlantFaultError(f"a step of its copy tells no process: {error}") from None
         if found.residual_std > EXPLAINED * float(np.ptp(pv)):  # gains are not asked for: a dead time may be open

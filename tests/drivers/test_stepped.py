@@ -48,6 +48,14 @@ def test_a_step_on_a_copy_finds_the_process(a: Matrix, b: Matrix, c: Matrix, tru
     assert sensitivity_peak(found, gains) == pytest.approx(sensitivity_peak(truth, gains), rel=0.01)
 
 
+def test_a_rise_that_is_slow_against_the_sampling_is_no_tail_of_an_earlier_one() -> None:
+    """A pH of a fermenter: 2500 s, sampled every 2 s, its sensor 15 s; it had been found with a gain of nothing."""
+    plant, _ = stepped([[-0.0008, 0.0], [0.133, -0.133]], [[0.0008], [0.0]], [[0.0, 0.9]], 0.0, {50.0: 40.0})
+    found = plant.linearise(50.0)
+    assert found.k == pytest.approx(0.9, rel=0.02)
+    assert found.lags_s[0] == pytest.approx(1250.0, rel=0.02)
+
+
 def simc_of(truth: LinearProcess) -> PidGains:
     """Gains that the process bears."""
     if truth.integrators:
