@@ -1,7 +1,7 @@
 """Settings of the guard, each with its meaning, range and source."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from retuner.adaptive.declared_setting import Setting, require_in_range
@@ -19,9 +19,10 @@ def _bound(what: str) -> Setting:
     return Setting(f"{what}; absent: no limit", 0.0, unit="s", source="user", absent=True)
 
 
-def _wide(limit: float | None) -> float | None:
-    """A parameter's own limit per change where none holds; factor 1 says that it may not move."""
-    return limit if limit == 1.0 else None
+GENERAL = ("step_up_max", "step_down_max")
+_OF_PI = ("kc_up_max", "kc_down_max", "tau_i_shorter_max", "tau_i_longer_max")
+OWN = (*_OF_PI, "tau_d_up_max", "tau_d_down_max", "integral_up_max", "integral_down_max")
+"""Limits on the size of one change: of all parameters, and a parameter's own, None for the general one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,39 +153,15 @@ class GuardSettings:
 
     def whole_step(self) -> "GuardSettings":
         """The same without a limit per change: a whole way at once. What may not move at all (factor 1) stays."""
-        return replace(
-            self,
-            step_up_max=1.0 if self.step_up_max == 1.0 else 100.0,
-            step_down_max=1.0 if self.step_down_max == 1.0 else 100.0,
-            kc_up_max=_wide(self.kc_up_max),
-            kc_down_max=_wide(self.kc_down_max),
-            tau_i_shorter_max=_wide(self.tau_i_shorter_max),
-            tau_i_longer_max=_wide(self.tau_i_longer_max),
-            tau_d_up_max=_wide(self.tau_d_up_max),
-            tau_d_down_max=_wide(self.tau_d_down_max),
-            integral_up_max=_wide(self.integral_up_max),
-            integral_down_max=_wide(self.integral_down_max),
-        )
+        general = {name: 1.0 if getattr(self, name) == 1.0 else 100.0 for name in GENERAL}
+        return replace(self, **general, **{name: None for name in OWN if getattr(self, name) != 1.0})
 
     def held_to(self, factor: float) -> "GuardSettings":
         """The same with every limit on the size of one change at this factor at the most."""
-        names = [f.name for f in fields(self) if f.name.endswith(("up_max", "down_max", "shorter_max", "longer_max"))]
-        own = {name: limit for name in names if (limit := getattr(self, name)) is not None}
-        return replace(self, **{name: min(limit, factor) for name, limit in own.items()})
+        limits = {name: getattr(self, name) for name in (*GENERAL, *OWN)}
+        return replace(self, **{name: min(limit, factor) for name, limit in limits.items() if limit is not None})
 
     def opened(self, factor: float) -> "GuardSettings":
         """The same with every limit on the size of a change at one factor, the commissioned set's among them."""
-        return replace(
-            self,
-            step_up_max=factor,
-            step_down_max=factor,
-            total_ratio_max=factor,
-            kc_up_max=None,
-            kc_down_max=None,
-            tau_i_shorter_max=None,
-            tau_i_longer_max=None,
-            tau_d_up_max=None,
-            tau_d_down_max=None,
-            integral_up_max=factor,
-            integral_down_max=None,
-        )
+        limits = dict.fromkeys(OWN) | dict.fromkeys((*GENERAL, "total_ratio_max", "integral_up_max"), factor)
+        return replace(self, **limits)

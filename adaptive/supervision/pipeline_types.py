@@ -482,15 +482,9 @@ IN_PART = "half of a change that was "
 """How the reason begins of a change that the other loops survive in half."""
 
 
-def in_part(half: StageResult, refused: str) -> StageResult:
-    """A decision on half of a change. refused : why not the whole."""
-    return replace(half, reason=f"{IN_PART}{refused}: {half.reason}")
-
-
 def half_way(question: Question, refused: PidGains) -> Question:
     """The same question, where one change may go half the way (of logarithms) to gains that were refused."""
-    factor = math.exp(extent(question.record.in_force, refused) / 2)
-    guard = question.settings.guard.held_to(factor)
+    guard = question.settings.guard.held_to(math.exp(extent(question.record.in_force, refused) / 2))
     return replace(question, settings=replace(question.settings, guard=guard), after=None)
 
 

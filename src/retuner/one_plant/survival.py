@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.interaction.windows import Record, seen_in
 from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import Question, StageResult, half_way, in_part, without_change
+from retuner.adaptive.supervision.pipeline_types import IN_PART, Question, StageResult, half_way, without_change
 from retuner.schedule.gains import PidGains
 
 NO_WORSE = 1.05
@@ -39,7 +39,9 @@ class Among:
             return result
         half = decide(half_way(question, gains))
         less = half.verdict.gains if half.verdict is not None and half.verdict.accepted else None
-        return without_change(result, words) if less is None or self._against(less) else in_part(half, words)
+        if less is None or self._against(less):
+            return without_change(result, words)
+        return replace(half, reason=f"{IN_PART}{words}: {half.reason}")
 
     def _against(self, gains: PidGains) -> str:
         """What speaks against these gains; empty for nothing, or where the plant is not known."""
