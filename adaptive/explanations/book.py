@@ -44,9 +44,11 @@ ODD = 0.02
 GRID = (len(shapes()), len(DEAD_TIMES), len(GAINS))
 
 
-BEYOND, LEAST = 1.25, 25.0
-"""Loop gains so many times beyond the limit of stability are left out, and those so many times within it. A loop at
-work comes from neither: one that does next to nothing looks like one that works well, whose co undoes its load.
+BEYOND = 1.25
+"""Loop gains so many times beyond the limit of stability are left out."""
+MOST_ROOM, MS_OF_ROOM = 12.0, 1.7
+"""Processes on which so many times all actions keep Ms under this are left out. A loop at work comes from neither: one
+that does next to nothing looks like one that works well, whose co undoes its load.
 """
 
 
@@ -75,7 +77,7 @@ class Book:
     def begun(cls, gains: PidGains, dt_s: float, t_s: float) -> "Book":
         """Before any record. gains : in force. dt_s : interval of the condensed samples."""
         known = robustness(gains, dt_s)
-        possible = np.broadcast_to((known.ultimate * BEYOND >= GAINS) & (known.ultimate <= LEAST * GAINS), GRID)
+        possible = (known.ultimate * BEYOND >= GAINS) & (known.room(MS_OF_ROOM) <= MOST_ROOM)
         levels = _levels(np.where(possible, 0.0, -math.inf))
         return cls(gains.direction, gain_unit(gains, dt_s), dt_s, t_s, 0, 0, levels, levels, levels)
 

@@ -4,6 +4,9 @@
     rw:   z is a random walk at the process input, seen through the first lag          (1 - q)(1 - a q) z = w
     rw2:  the same of a load whose slope is the random walk: it ramps and pauses     (1 - q)^2 (1 - a q) z = w
 
+For the book (log_likelihood) a walk goes through both lags, as a load at the process input does: behind the first alone
+it made processes of two lags look tight.
+
 Real loads wander, pause, step and oscillate. The output of a well-controlled loop is its load with the sign turned, so
 a fit that knows only steps and ramps must buy steps that never were. Here the load is a state with its own variance.
 For given lags and ratio of load to noise the Kalman filter of (z, v) in its steady state is the filter A/C, with C from
@@ -36,7 +39,6 @@ from retuner.adaptive.explanations.process_grid import (
     LAGS,
     ComplexArray,
     second_lags,
-    shapes,
     units,
 )
 from retuner.adaptive.fit.engine import compiled
@@ -51,6 +53,10 @@ BANDWIDTHS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, math.inf)
 ORDERS = (1, 2)
 """Of the walk: the load's value, or its slope."""
 LOADS = tuple((bandwidth, order) for order in ORDERS for bandwidth in BANDWIDTHS)
+FINE = (0.02, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, math.inf)
+"""Of the walk, for the book: between octaves the likelihood of a thousand samples falls by 50, and a process that is
+wrong takes the place of a bandwidth that is missing."""
+LOADS_OF_BOOK = (*((bandwidth, 1) for bandwidth in FINE), *((bandwidth, 2) for bandwidth in BANDWIDTHS[1:-1]))
 TEMPER = 6.0
 """What the logarithm of a likelihood is divided by as it is computed."""
 T_LOADS, T_SETPOINT = 11.0, 3.5
@@ -73,9 +79,12 @@ class LoadModel:
 
 
 @cache
-def load_model(lag: float, bandwidth: float, order: int) -> LoadModel:
-    """The filter that whitens a load behind a first lag. lag : in samples. order : of the walk. See the head."""
-    roots = (_pole(lag),) + (1.0,) * order
+def load_model(lag: float, bandwidth: float, order: int, second: float = 0.0) -> LoadModel:
+    """The filter that whitens a load behind a first lag and a second one (0: none), in samples. order : of the walk.
+
+    See the head.
+    """
+    roots = (_pole(lag), *((_pole(second),) if second else ())) + (1.0,) * order
     a = np.poly(roots)
     if math.isinf(bandwidth):
         return LoadModel(roots, (1.0,) + (0.0,) * (len(a) - 1))
@@ -166,16 +175,20 @@ def under_loads(
     dead_times: tuple[float, ...],
     *,
     first_only: bool = False,
+    through: int | None = None,
 ) -> UnderLoads:
     """What inputs through a first lag, each second one and each dead time explain of a record under each load.
 
     inputs : held between samples, shape (inputs, n). loads : bandwidth and order of each. first_only : without second
-    lags. The rows of the answer are second lags by inputs.
+    lags. through : the number of the only second lag, through which a walk of order 1 goes as well; None for all of
+    them. The rows of the answer are second lags by inputs.
     """
-    models = [load_model(lag, *load) for load in loads]
-    seconds = second_lags(lag)[: 1 if first_only else None]
+    rows = slice(through, None if through is None else through + 1) if not first_only else slice(1)
+    seconds, behind = second_lags(lag)[rows], 0.0 if through is None else second_lags(lag)[through]
+    models = [load_model(lag, *load, behind if load[1] == 1 else 0.0) for load in loads]
     falls = [_pole(second) for second in second_lags(lag)[1:]]
-    freedom = np.array([len(record.pv) - len(model.roots) - len(falls) for model in models], dtype=np.float64)
+    unknown = [len({*falls} - {*model.roots}) + len(model.roots) for model in models]
+    freedom = len(record.pv) - np.array(unknown, dtype=np.float64)
     size = float(np.var(record.pv)) or 1.0
     if (engine := compiled()) is not None:
         poles = [0.0 if not second else _pole(second) for second in seconds]
@@ -183,7 +196,7 @@ def under_loads(
         noise = record.resolution**2
         gain, information, left = engine.walks(record.pv, inputs, lag, walks, poles, falls, dead_times, noise)
         return UnderLoads(gain, information, left, freedom, size)
-    moved = responses(inputs, lag)[: len(seconds)].reshape(-1, len(record.pv))
+    moved = responses(inputs, lag)[rows].reshape(-1, len(record.pv))
     each = [_whitened(record, moved, lag, model, dead_times) for model in models]
     gain, information, left = (np.array(part) for part in zip(*each, strict=True))
     return UnderLoads(gain, information, left, freedom, size)
@@ -278,7 +291,8 @@ def _whitening(n: int, lag: float, model: LoadModel) -> tuple[FloatArray, FloatA
     """
     memory = impulse_response((1.0,), model.c, n)
     starts = [np.concatenate([np.zeros(i), memory[: n - i]]) for i in range(len(model.roots))]
-    falls = [_pole(second) ** np.arange(n) for second in second_lags(lag)[1:]]
+    poles = [_pole(second) for second in second_lags(lag)[1:]]
+    falls = [pole ** np.arange(n) for pole in poles if pole not in model.roots]
     if falls:
         starts.extend(filtered(spectrum(reduced(np.array(falls), model.roots)), n, memory))
     return memory, np.asarray(np.linalg.qr(np.array(starts).T)[0], dtype=np.float64)
@@ -314,9 +328,9 @@ def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatA
     Returns shape (shapes, dead times, gains); the largest is not zero: differences between records count.
     """
     gains = direction * GAINS * units() / gain_unit
-    found, at = np.empty((len(shapes()), len(DEAD_TIMES), len(GAINS))), 0
-    for lag in LAGS:
-        rows = slice(at, at + len(second_lags(lag)))
-        found[rows] = under_loads(record, record.co[None], lag, LOADS, DEAD_TIMES).mixed(gains[rows])
-        at = rows.stop
-    return found
+    each = ((lag, second) for lag in LAGS for second in range(len(second_lags(lag))))
+    found = [
+        under_loads(record, record.co[None], lag, LOADS_OF_BOOK, DEAD_TIMES, through=second).mixed(gains[at : at + 1])
+        for at, (lag, second) in enumerate(each)
+    ]
+    return np.concatenate(found)

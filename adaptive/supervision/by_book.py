@@ -1,13 +1,14 @@
 """All samples, not only those of recognised responses: what the book of a region says, and what follows.
 
     look      so many samples since the last one: a question of its own, or with the response that completes then
-    speak     where the pipeline cannot tell (no response, nothing identifiable, a residual that no load step explains)
-              and the odds are clear: settings worth having over the book, proved, on trial, with a sentence
+    speak     where the pipeline cannot tell (no response, nothing identifiable, a residual that no load step explains,
+              a record that contradicts) and the odds are clear: settings worth having over the book, proved, on trial,
+              with a sentence; also where clear setpoint steps have shown the process, and its models bear them too
     object    where the pipeline changes gains, and the book speaks against it
     excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
 
-The book does not speak where one tone moves the loop, where the output stands at a limit, where a valve may not
-follow, and where clear setpoint steps have shown the process: such a case is not the book's. It objects there too.
+The book does not speak where one tone moves the loop, where the output stands at a limit, and where a valve may not
+follow: such a case is not the book's. Nor where clear steps have shown the process and the loop mostly rests.
 """
 
 import math
@@ -26,6 +27,7 @@ from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.border import borders_of
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
+from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
@@ -39,7 +41,9 @@ from retuner.schedule.table import Lookup
 
 LOOKED = "looked"
 """Code: all samples were looked at, without a response."""
-OPEN = frozenset({LOOKED, "not_identifiable", "unconfirmed", "unknown", "external", "low_excitation"})
+OPEN = frozenset({
+    LOOKED, "not_identifiable", "unconfirmed", "unknown", "external", "low_excitation", "contradicted", "one_record",
+})  # fmt: skip
 """Codes with which the pipeline says that it cannot tell."""
 LOOK, WHOLE = 500, 1000
 """Samples of the book's interval after which it is looked at, and after which a window is entered for good."""
@@ -97,8 +101,9 @@ def by_all_samples(found: Findings) -> None:
         found.book = Book.begun(gains, interval_s(gains, dt_s), found.question.t_s)  # all before is of another process
         return
     changes = found.verdict is not None and found.verdict.accepted
-    if look is not None and not (look.due or changes):
-        look = None
+    doubts = not shown or (found.end is not None and found.end.code in OPEN and not found.question.alone)
+    if look is not None and not ((look.due and doubts) or changes):
+        look = None  # a look is dear
     if look is not None:
         now_s, first_s = float(look.window.t_s[-1]), float(look.window.t_s[0])
         known = look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)
@@ -108,8 +113,8 @@ def by_all_samples(found: Findings) -> None:
         told = by_book(book, gains, settings)
         if changes:
             _object(found, book, told, settings, shown=shown)
-        elif not shown and look is not None and _may_speak(found, look):
-            _speak(found, look, book, told)
+        elif look is not None and _may_speak(found, look) and not (shown and _rests(found, look)):
+            _speak(found, look, book, told, shown=shown)
         found.all_samples = told.numbers
         if look is not None:
             found.book = replace(book, leans=told.leans)
@@ -127,7 +132,7 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
     assert verdict.gains is not None
     if record.table.lookup is not Lookup.HARD or not book.records or found.growth is not None:
         return
-    if shown and (look is None or _away(look.window, record.response.band) < settings.restless):
+    if shown and (look is None or _rests(found, look)):
         return
     now, new, numbers, drawn = record.in_force, verdict.gains, found.numbers, book.drawn(settings.drawn)
     worth, better = gain(drawn, now, new, settings)
@@ -142,9 +147,10 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
         found.stop("unconfirmed", f"{told.words}; by that, {by_that}")
 
 
-def _away(window: Window, band: float) -> float:
-    """Share of samples with an error outside the noise band."""
-    return float(np.mean(np.abs(window.sp - window.pv) > band))
+def _rests(found: Findings, look: Look) -> bool:
+    """Whether the error mostly lies within the noise band, so that no load wanders."""
+    away = np.abs(look.window.sp - look.window.pv) > found.record.response.band
+    return float(np.mean(away)) < found.settings.book.restless
 
 
 NEARLY = 0.95
@@ -204,8 +210,8 @@ TONE_SHARE = 0.5
 """Share of the error's power in one line: loops near instability under real loads wander in amplitude and phase."""
 
 
-def _speak(found: Findings, look: Look, book: Book, told: ByBook) -> None:
-    """The change that is worth having over the book, proved as any other."""
+def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool) -> None:
+    """The change that is worth having over the book, proved as any other; on what clear steps have shown besides."""
     settings = found.settings
     if told.tuning is None or not told.models:
         return
@@ -213,7 +219,8 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook) -> None:
     valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
     if valve > (MOST_VALVE if less else 0.0):
         return
-    verdict = prove(_request(found, book, told), settings.guard)
+    known = found.record.region_models[found.record.region].plausible if shown and not less else ()
+    verdict = prove(_request(found, book, told, known), settings.guard)
     if not verdict.accepted:
         return
     odds = told.numbers.book_high if less else told.numbers.book_room
@@ -231,8 +238,8 @@ MOST_VALVE, MOST_SURE = 1.5, 0.97
 """Tempered logarithm of the odds of a valve from which not even less action follows; no cause is told surer."""
 
 
-def _request(found: Findings, book: Book, told: ByBook) -> ChangeRequest:
-    """The guard's question: the processes on which it is proved are those of the book."""
+def _request(found: Findings, book: Book, told: ByBook, also: Sequence[Plausible]) -> ChangeRequest:
+    """The guard's question: the processes on which it is proved are those of the book, and others."""
     record, settings = found.record, found.settings
     region, now_s = record.region, float(record.window.t_s[-1])
     assert told.tuning is not None
@@ -241,7 +248,7 @@ def _request(found: Findings, book: Book, told: ByBook) -> ChangeRequest:
         record.table.gains_of(region),
         record.commissioned.gains_of(region),
         told.tuning,
-        told.models,
+        (*told.models, *(Plausible(one.model, 0.0) for one in also)),
         settings.sample_time_s,
         Evidence(records=book.records + 1),
         borders_of(record.table, region, {i: models for i, models in known.items() if i != region}),

@@ -195,7 +195,7 @@ class Retuner:
 
     def _looked(self) -> Step:
         """Where no response has completed for long, all samples are looked at by themselves."""
-        region, look = self.region, self._look(PATIENCE)
+        region, look = self.region, self._look(alone=True)
         if look is None or not look.due or region is None or self._open is not None:
             return NOTHING
         if self.settings.mode_of(region) == Mode.OFF:
@@ -208,8 +208,8 @@ class Retuner:
         nothing = Response(*times, (), Ending.QUIET, bool(np.ptp(window.sp) > 0.0), self.band)
         return self._asked(Completed(region, nothing, self._finder.entered_s), alone=look)
 
-    def _look(self, patience: float = 1.0, *, on_trial: bool = False) -> Look | None:
-        """What of all samples is due to be looked at; None for not yet. patience : so many times as long is waited."""
+    def _look(self, *, alone: bool = False, on_trial: bool = False) -> Look | None:
+        """What of all samples is due to be looked at; None for not yet. alone : without a response."""
         region, samples, settings = self.region, self._finder.samples, self.settings
         if region is None or not samples or self.table.lookup is not Lookup.HARD:
             self._alone_s = math.inf if samples else -math.inf
@@ -220,10 +220,10 @@ class Retuner:
         self._alone_s = from_s + PATIENCE * after_s
         known, rests_on = self.region_models.get(region), self.excitation.get(region, Excitation())
         shown = not self.trials.busy and shown_clearly(known, rests_on, self.foreign.get(region, 0))
-        waited = on_trial or self.now_s >= from_s + patience * after_s
+        waited = on_trial or self.now_s >= from_s + (PATIENCE if alone else 1.0) * after_s
         if waited:
             self._alone_s = self.now_s + PATIENCE * after_s
-        due = waited and not shown  # a look is dear
+        due = waited and not (alone and shown)
         return look_of(samples, self.books.get(region), gains, since_s, after_s, dt_s, on_trial or not due, due)
 
     @property

@@ -20,6 +20,7 @@ from retuner.adaptive.explanations.settings_by_odds import WorthSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
+from retuner.adaptive.supervision import by_book as by_book_stage
 from retuner.adaptive.supervision import pipeline, retuner
 from retuner.adaptive.supervision.by_book import by_all_samples, look_of, one_tone
 from retuner.adaptive.supervision.decision import Action
@@ -195,7 +196,8 @@ def test_the_book_is_in_the_memory() -> None:
 def test_nothing_is_looked_at_where_clear_setpoint_steps_have_shown_the_process(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(retuner, "shown_clearly", lambda *_: True)
+    for module in (retuner, by_book_stage):
+        monkeypatch.setattr(module, "shown_clearly", lambda *_: True)
     _, pid = watched(controller(2.7), 4, 2200)
     assert not pid.retuner.books
 
