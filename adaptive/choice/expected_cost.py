@@ -63,7 +63,6 @@ class Seen:
     loads : load steps that the fit of this one needed. limited : its output stood at a limit. left : more than noise
     is left of it.
     decay : half-cycle decay ratio of the response; None where it does not tell.
-    odd : probability that the newest record is odd (odd_record.py).
     """
 
     records: int
@@ -72,7 +71,6 @@ class Seen:
     limited: bool = False
     left: bool = False
     decay: float | None = None
-    odd: float = 0.0
 
 
 def doubt(seen: Seen, settings: ChoiceSettings) -> float:
@@ -264,9 +262,9 @@ class ChoiceNumbers(Numbers):
     """What was weighed, of the best set that may be written.
 
     gain : expected, as a natural logarithm of IAE, with its price. spread : its standard deviation over the models.
-    doubt : probability of something else. odd : that the newest record is odd, so that what was known before it holds.
+    doubt : probability of something else.
     iae : J over J in force on the most likely model. ms, ms_most : Ms there and on the worst one; ms_before : in force.
-    -1 where it is not known or unstable; odd is None where it is not worth telling.
+    -1 where it is not known or unstable.
     """
 
     gain: float
@@ -277,7 +275,6 @@ class ChoiceNumbers(Numbers):
     ms_most: float
     ms_before: float
     spread: float = 0.0
-    odd: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,7 +295,6 @@ def choose(
     way: Outlook | None,
     seen: Seen,
     settings: ChoiceSettings,
-    agreed: Sequence[Outlook] = (),
 ) -> Choice:
     """Which set shall run.
 
@@ -306,7 +302,6 @@ def choose(
     ----------
     found : the set in force first, then at least one that is proved.
     way : of the whole way on which limits allow a step only; such a step need not bring its price by itself.
-    agreed : the same as found if the next record agrees with the newest, where that may be odd.
     """
     p = doubt(seen, settings)
     gains = [_gain(found[0], outlook, p) for outlook in found]
@@ -320,23 +315,18 @@ def choose(
     pays = gains[best] > 0.0 and brings > settings.price
     goes = danger or (pays and brings > settings.price + sure * spread)
     more = doubt(_once_more(seen), settings)
-    then_found = agreed or found
-    waits = not goes and (pays or _gain(then_found[0], then_found[best], more) > settings.price)
+    waits = not goes and (pays or _gain(found[0], found[best], more) > settings.price)
     now, then = found[0], found[best]
     iae = then.j / now.j if math.isfinite(now.j) and math.isfinite(then.j) else -1.0
     told = storable(then.ms), storable(then.ms_most), storable(now.ms)
-    odd = seen.odd if seen.odd >= LEAST_SAID else None
-    numbers = ChoiceNumbers(brings, settings.price, p, iae, *told, spread, odd)
+    numbers = ChoiceNumbers(brings, settings.price, p, iae, *told, spread)
     return Choice(best if goes else 0, best, waits, numbers, _words(numbers, goes=goes, waits=waits, pays=pays))
 
 
 def in_danger(found: Sequence[Outlook], seen: Seen) -> bool:
-    """Whether the set in force is unstable and what was proved in its place is to run, whatever it costs.
-
-    Where that is said by one record that is rather odd than not, what was known before it is weighed as well.
-    """
+    """Whether the set in force is unstable and what was proved in its place is to run, whatever it costs."""
     now = found[0]
-    return not now.stable and (now.lost or seen.records > 1) and seen.odd < RATHER
+    return not now.stable and (now.lost or seen.records > 1)
 
 
 def _safest(found: Sequence[Outlook], gains: Sequence[float]) -> int:
@@ -360,8 +350,6 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool, pays: bool) -> st
     iae = f"IAE {percent(numbers.iae)} of the present" if numbers.iae >= 0 else "IAE not comparable"
     then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
     sure = f"{_chance(numbers.doubt)} chance that something other than the tuning explains this"
-    if numbers.odd is not None:
-        sure += f", {_chance(numbers.odd)} that this record is odd"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
     why = "a second record must agree first" if waits else _too_little(numbers)
@@ -390,8 +378,6 @@ def _chance(p: float) -> str:
     return percent(p) if p >= LEAST_SAID else f"less than {percent(LEAST_SAID)}"
 
 
-RATHER = 0.5
-"""Probability from which something is rather so than not."""
 LEAST_SAID = 0.01
 """Probability below which its digits say nothing."""
 

@@ -94,36 +94,6 @@ class ChoiceSettings:
     most_agree: Annotated[
         int, Setting("Further records that count", 1, 20, "records", source="odds of 1 in 250 are no longer counted")
     ] = 3
-    odd: Annotated[
-        float,
-        Setting(
-            "Odds that a record is odd, before it is looked at",
-            0.0,
-            1.0,
-            source="one in ten: innovations over the 95 % point in four loops of harm, seed 9531",
-        ),
-    ] = 0.1
-    odd_spread: Annotated[
-        float, Setting("How many times farther an odd record lies", 1.5, 10.0, source="contaminated normal, Tukey 1960")
-    ] = 3.0
-    odd_most: Annotated[
-        float,
-        Setting(
-            "Of records that look odd, the share that is; the others are the first of a changed process",
-            0.0,
-            1.0,
-            source="one in five has changed, as in way_back.py",
-        ),
-    ] = 0.8
-    odd_least: Annotated[
-        float,
-        Setting(
-            "Least innovation that is usual in a region, over what is foretold",
-            0.01,
-            1.0,
-            source="a third of the foretold spread: no record repeats better",
-        ),
-    ] = 0.1
     risk: Annotated[
         float,
         Setting("Risk of more action on an unknown process, per unit of ln", 0.0, 10.0, source="kc x2 costs kc x2"),

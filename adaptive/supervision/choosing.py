@@ -1,5 +1,5 @@
-"""Which of the proved sets shall run: what staying, the proved change and steps on its way are expected to cost, on
-which models, and how much of that hangs on the newest record alone (choice/expected_cost.py, choice/odd_record.py).
+"""Which of the proved sets shall run: what staying, the proved change and steps on its way are expected to cost, and on
+which models (choice/expected_cost.py).
 """
 
 import math
@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from retuner.adaptive.choice.expected_cost import (
-    LEAST_SAID,
     Choice,
     Choosable,
     LoopSettings,
@@ -16,14 +15,12 @@ from retuner.adaptive.choice.expected_cost import (
     choose,
     outlooks,
 )
-from retuner.adaptive.choice.odd_record import by_odds, oddness
 from retuner.adaptive.guard import GuardSettings, Verdict, prove
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import Agreement
-from retuner.adaptive.supervision.guard_request import choosable, request_of, still_allowed
+from retuner.adaptive.supervision.guard_request import choosable, request_of
 from retuner.adaptive.supervision.pipeline_types import Findings
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -53,13 +50,9 @@ def chosen(found: Findings, model: RegionModel, wanted: RobustProposal, verdict:
     known = {**record.region_models, record.region: model}
     placed = [choosable(record, known, gains, settings) for gains in sets if gains is not None]
     seen, asked = _seen(found, model), 1 + len(ways)
-    agreed = _looked(found, verdict.allowed, placed, seen)
-    looked = agreed
-    if seen.odd >= LEAST_SAID:
-        before = still_allowed(record.region_models[record.region], float(record.window.t_s[-1]), settings)
-        looked = by_odds(agreed, _looked(found, before, placed, seen), seen.odd)
+    looked = _looked(found, verdict.allowed, placed, seen)
     way = looked[asked] if len(looked) > asked else None
-    choice = choose(looked[:asked], way, seen, settings.choice, agreed[:asked])
+    choice = choose(looked[:asked], way, seen, settings.choice)
     return choice, ways[choice.best - 1]
 
 
@@ -102,17 +95,4 @@ def _seen(found: Findings, model: RegionModel) -> Seen:
         any(sample.limited for sample in record.own),
         found.unexplained > found.settings.swing.unexplained,
         decay_seen(record.pattern),
-        _odd(found, model),
     )
-
-
-def _odd(found: Findings, model: RegionModel) -> float:
-    """Probability that the newest record is odd; 0 where what was known carries no settings, or is what decides."""
-    record, learned = found.record, found.learned
-    before = record.region_models.get(record.region)
-    if learned is None or learned.agreement is not Agreement.AGREES:
-        return 0.0
-    if before is None or before is model or not (before.records and before.identifiable):
-        return 0.0
-    usual = [point.innovation for point in before.points if point.innovation > 0.0]
-    return oddness(learned.innovation, usual, len(before.log.x), found.settings.choice)
