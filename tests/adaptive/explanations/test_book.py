@@ -232,9 +232,12 @@ def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to:
 
 def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
-    at_rest: bool = False, first: bool = False,
+    at_rest: bool = False, first: bool = False, code: str = "",
 ) -> Findings:  # fmt: skip
-    """A change that the pipeline accepted. times : of the good gains, in force. expected : benefit by the models."""
+    """A change that the pipeline accepted, or with a code how it ended without. times : of the good gains, in force.
+
+    expected : benefit by the models.
+    """
     now = scaled(times)
     window = recorded(now, 5)
     book = begun(now) if first else after(now, 3)
@@ -244,9 +247,14 @@ def put_to_the_book(
         table=SimpleNamespace(lookup=Lookup.HARD), response=SimpleNamespace(band=100.0 if at_rest else 0.1),
     )  # fmt: skip
     look = Look(book, window, grows=True, limited=0.0)
-    question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0)
+    question: Any = SimpleNamespace(
+        record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0, alone=False
+    )
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
     found = Findings(question, verdict=verdict, learned=SimpleNamespace(agreement=agreement, valve=None))  # type: ignore[arg-type]
+    if code:
+        found.verdict = None
+        found.stop(code, "")
     if expected is not None:
         found.numbers = ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8)
     by_all_samples(found)
@@ -278,6 +286,21 @@ def test_the_book_objects_to_a_change_that_it_holds_for_the_worse(
 def test_more_action_that_would_take_robustness_is_not_taken_where_no_step_has_shown_the_process() -> None:
     assert put_to_the_book(1.0, 2.6, 2.0).verdict
     assert put_to_the_book(1.0, 2.6, 2.0, shown=False, at_rest=True).verdict is None
+
+
+@pytest.mark.parametrize(
+    ("code", "at_rest", "speaks"),
+    [("unconfirmed", False, True), ("contradicted", False, True), ("one_record", False, True), ("ok", False, False),
+     ("not_worth", False, False), ("unconfirmed", True, False)],
+)  # fmt: skip
+def test_on_a_process_that_steps_have_shown_it_speaks_where_the_pipeline_cannot_tell_and_a_load_wanders(
+    monkeypatch: pytest.MonkeyPatch, code: str, *, at_rest: bool, speaks: bool
+) -> None:
+    monkeypatch.setattr(by_book_stage, "_may_speak", lambda *_: code in by_book_stage.OPEN)
+    asked: list[bool] = []
+    monkeypatch.setattr(by_book_stage, "_speak", lambda *_, shown: asked.append(shown))
+    put_to_the_book(0.25, 1.0, None, code=code, at_rest=at_rest)
+    assert asked == [True] * speaks
 
 
 def test_a_process_that_has_changed_begins_a_new_book() -> None:
