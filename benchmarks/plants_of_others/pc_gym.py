@@ -4,7 +4,7 @@
 
 Bloor et al. (2024). Only the package's equations are used: its reinforcement learning needs more libraries. Reactor:
 temperature by jacket temperature, feed temperature and composition as loads; between 318 and 334 K its gain grows
-fivefold and its poles turn complex. Tanks: pumps and levels are paired crosswise, since most of each pump's flow goes
+threefold and its poles turn complex. Tanks: pumps and levels are paired crosswise, since most of each pump's flow goes
 to the upper tanks; the other loop's setpoint is the load. Nobody publishes PI gains for them: "published" are ours, the
 best PI (truth.py) at the working point, rounded.
 """
