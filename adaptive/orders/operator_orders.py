@@ -22,7 +22,7 @@ from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
-from retuner.adaptive.supervision.guard_request import change_request, known_of, promise_of, tuning_of
+from retuner.adaptive.supervision.guard_request import Known, change_request, known_of, promise_of, tuning_of
 from retuner.adaptive.supervision.pipeline import NOT_KNOWN
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
@@ -110,10 +110,9 @@ def _proof(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Verdic
     """The guard's word on a person's gains; None where nothing is known of the region."""
     if region not in retuner.region_models:
         return None
-    tables = (retuner.table, retuner.commissioned)
     wanted = Tuning("approved", "parallel", gains)
-    settings = retuner.settings
-    return prove(change_request(wanted, region, tables, retuner.region_models, None, t_s, settings), settings.guard)
+    known = Known(retuner.table, retuner.region_models, t_s, retuner.settings)
+    return prove(change_request(wanted, region, retuner.commissioned, known, None), retuner.settings.guard)
 
 
 def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict | None) -> str:
@@ -156,7 +155,7 @@ def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
         return "they are active already"
     if not guard.kc_min <= abs(gains.kp) <= guard.kc_max:
         return f"kc {gains.kp:g} lies outside kc_min and kc_max"
-    known = known_of(retuner.region_models, retuner.table, region, t_s, settings)
+    known = known_of(Known(retuner.table, retuner.region_models, t_s, settings), region)
     why = unstable_again(SetsThatRan(gains, in_force), known)
     return why.replace("the previous gains", "they")
 
@@ -299,15 +298,14 @@ def _outcome(retuner: Retuner, region: int, window: Window) -> StageResult:
         return StageResult(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
     retuner.region_models[region] = learned.region_model
     retuner.excitation[region] = Excitation(setpoints=1, clear=1)  # from rest: the loop's own doing
-    wanted = tuning_of(retuner.table, region, retuner.region_models, in_force, t_s, settings)
+    known = Known(retuner.table, retuner.region_models, t_s, settings)
+    wanted = tuning_of(known, region, in_force)
     if not wanted.ready:
         return StageResult(NOT_KNOWN, f"{WORDS}: {learned.region_model.reason}", learned, diagnosis=wanted.diagnosis)
     if not wanted.diagnosis.retune:
         cause = wanted.diagnosis
         return StageResult(str(cause.cause), f"{WORDS}: {cause.reason}", learned, diagnosis=cause)
-    tables = (retuner.table, retuner.commissioned)
-    request = change_request(wanted.tuning, region, tables, retuner.region_models, learned, t_s, settings)
-    verdict = prove(request, settings.guard)
+    verdict = prove(change_request(wanted.tuning, region, retuner.commissioned, known, learned), settings.guard)
     return StageResult(
         verdict.code,
         f"{WORDS}: {wanted.diagnosis.reason if verdict.accepted else verdict.sentence}",

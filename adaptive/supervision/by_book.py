@@ -25,7 +25,6 @@ from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook,
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import prove
-from retuner.adaptive.guard.border import borders_of
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -33,7 +32,7 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import allowed_where_gains_run, may_follow
+from retuner.adaptive.supervision.guard_request import Known, may_follow
 from retuner.adaptive.supervision.held_process import runaway
 from retuner.adaptive.supervision.pipeline_types import Findings, Look, admitted
 from retuner.schedule.gains import PidGains
@@ -243,7 +242,7 @@ def _request(found: Findings, book: Book, told: ByBook, also: Sequence[Plausible
     record, settings = found.record, found.settings
     region, now_s = record.region, float(record.window.t_s[-1])
     assert told.tuning is not None
-    known = allowed_where_gains_run(record.table, record.region_models, now_s, settings)
+    known = Known(record.table, record.region_models, now_s, settings)
     return ChangeRequest(
         record.table.gains_of(region),
         record.commissioned.gains_of(region),
@@ -251,7 +250,7 @@ def _request(found: Findings, book: Book, told: ByBook, also: Sequence[Plausible
         (*told.models, *(Plausible(one.model, 0.0) for one in also)),
         settings.sample_time_s,
         Evidence(records=book.records + 1),
-        borders_of(record.table, region, {i: models for i, models in known.items() if i != region}),
+        known.borders(region),
         filter_s=settings.filter_s,
         locks=settings.locks_of(region),
         units=settings.units,

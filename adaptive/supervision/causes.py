@@ -45,7 +45,7 @@ from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import setpoint_steps
 from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, StepSequence, step_sequence
-from retuner.adaptive.supervision.guard_request import tuning_of
+from retuner.adaptive.supervision.guard_request import known_with, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -236,8 +236,7 @@ def known_of_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionM
 
 def wanted_of(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
     """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
-    now_s, models = float(record.window.t_s[-1]), {**record.region_models, record.region: model}
-    return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
+    return tuning_of(known_with(record, model, settings), record.region, record.in_force)
 
 
 NOT_CONFIRMED = "by what is known of the region, {wanted}; {doubt}"

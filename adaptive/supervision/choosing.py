@@ -20,7 +20,8 @@ from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.supervision.guard_request import choosable, request_of
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.supervision.guard_request import Known, change_request, choosable, known_with
 from retuner.adaptive.supervision.pipeline_types import Findings
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -30,8 +31,14 @@ from retuner.schedule.gains import PidGains
 
 def proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: GuardSettings | None = None) -> Verdict:
     """The guard's word on what the rule gives for a model. guard : its settings, None for those of the loop."""
-    request = request_of(found.record, model, wanted.tuning, found.learned, found.settings)
-    return prove(request, guard or found.settings.guard)
+    return _proved(found, known_with(found.record, model, found.settings), wanted.tuning, guard or found.settings.guard)
+
+
+def _proved(found: Findings, known: Known, tuning: Tuning, guard: GuardSettings) -> Verdict:
+    """The guard's word on a tuning for the response's region."""
+    record = found.record
+    damping = record.pattern.damping if record.pattern is not None else None
+    return prove(change_request(tuning, record.region, record.commissioned, known, found.learned, damping), guard)
 
 
 def lost_on_all(allowed: Sequence[Plausible], gains: PidGains, settings: RetunerSettings) -> bool:
@@ -44,11 +51,11 @@ def lost_on_all(allowed: Sequence[Plausible], gains: PidGains, settings: Retuner
 def chosen(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> tuple[Choice, Verdict]:
     """The choice between the gains in force, the proved change and steps on its way; and the proof of the best one."""
     record, settings = found.record, found.settings
-    ways = [verdict, *_steps(found, model, wanted, verdict)]
-    whole = proved(found, model, wanted, settings.guard.whole_step()) if verdict.step < 1.0 else None
+    known = known_with(record, model, settings)
+    ways = [verdict, *_steps(found, known, wanted, verdict)]
+    whole = _proved(found, known, wanted.tuning, settings.guard.whole_step()) if verdict.step < 1.0 else None
     sets = [record.table.gains_of(record.region), *(one.gains for one in ways), whole.gains if whole else None]
-    known = {**record.region_models, record.region: model}
-    placed = [choosable(record, known, gains, settings) for gains in sets if gains is not None]
+    placed = [choosable(record, known, gains) for gains in sets if gains is not None]
     seen, asked = _seen(found, model), 1 + len(ways)
     looked = _looked(found, verdict.allowed, placed, seen)
     way = looked[asked] if len(looked) > asked else None
@@ -64,13 +71,13 @@ def _looked(found: Findings, allowed: Sequence[Plausible], sets: Sequence[Choosa
     return outlooks(allowed, sets, seen.decay, loop, settings.choice if by_setpoint else settings.choice.by_loads())
 
 
-def _steps(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> list[Verdict]:
+def _steps(found: Findings, known: Known, wanted: RobustProposal, verdict: Verdict) -> list[Verdict]:
     """Parts of a proved change that are proved as well."""
     now, accepted = found.record.table.gains_of(found.record.region), []
     assert verdict.gains is not None
     for share in PARTS:
-        part = replace(wanted, tuning=replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None))
-        one = proved(found, model, part)
+        part = replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None)
+        one = _proved(found, known, part, found.settings.guard)
         if one.accepted:
             notes = (
                 *verdict.notes,

@@ -25,7 +25,7 @@ from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, predicted
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import BETWEEN, change_request, promise_of, tuning_of
+from retuner.adaptive.supervision.guard_request import BETWEEN, Known, change_request, promise_of, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit
 from retuner.adaptive.trial.batch_responses import Loop
@@ -74,12 +74,11 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Stag
     if model is None or not model.identifiable:
         return None
     model = _as_the_table(found, region, known, model)
-    models, gains = {**known, region: model}, table.gains_of(region)
-    wanted = tuning_of(table, region, models, gains, now_s, settings)
+    asked = Known(table, {**known, region: model}, now_s, settings)
+    wanted = tuning_of(asked, region, table.gains_of(region))
     if not wanted.ready or not wanted.diagnosis.retune:
         return None
-    tables = (table, record.commissioned)
-    request = change_request(wanted.tuning, region, tables, models, None, now_s, settings)
+    request = change_request(wanted.tuning, region, record.commissioned, asked, None)
     verdict = prove(_counted(request, known), settings.guard)
     place = (*centre_of(table.regions, region), 0.0)
     promised = promise_of(verdict, table, region, (place[0], place[1]), None, settings)

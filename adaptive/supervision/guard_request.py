@@ -4,8 +4,8 @@ shown of gains on trial: what they promise, what was seen, and what is known by 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import islice
 
 import numpy as np
@@ -18,7 +18,8 @@ from retuner.adaptive.guard import Verdict
 from retuner.adaptive.guard.between import eased, worst_between
 from retuner.adaptive.guard.border import borders_of, likeliest_between, mixed
 from retuner.adaptive.guard.model_set import allowed
-from retuner.adaptive.guard.request import ChangeRequest, Evidence, Support
+from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBorder, Support
+from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed
 from retuner.adaptive.region_model.at_knots import at_knots
@@ -45,43 +46,88 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
 
+@dataclass(frozen=True)
+class Known:
+    """What is known of the processes where the regions' own sets run, worked out once a question.
+
+    table : in force. region_models : by region, from records. t_s : now, s.
+    """
+
+    table: GainTable
+    region_models: Mapping[int, RegionModel]
+    t_s: float
+    settings: RetunerSettings
+
+    @cached_property
+    def where_gains_run(self) -> Mapping[int, RegionModel]:
+        """The models there: in an interpolated table at the knots. Of every region, by what the others lend where
+        nothing is known of it itself.
+        """
+        regions, sign, settings = self.table.regions, self.table.gains[0].direction, self.settings
+        hard, models = self.table.lookup is Lookup.HARD, self.region_models
+        own = dict(models) if hard else at_knots(models, regions, self.t_s, settings.tracker)
+        found = dict(own)
+        for region in range(len(regions)):
+            if region not in found:
+                lent = borrowed(own, region, regions, self.t_s, sign, settings.borrowing, settings.tracker)
+                found.update({} if lent is None else {region: lent})
+        return found
+
+    @cached_property
+    def allowed(self) -> Mapping[int, tuple[Plausible, ...]]:
+        """The models that are still allowed there, by region.
+
+        A step ends at its border: of what is only lent beyond it, the likeliest model is asked. A mean of two sets runs
+        all the way, and is asked of all.
+        """
+        found = {}
+        for region, model in self.where_gains_run.items():
+            only_lent = self.table.lookup is Lookup.HARD and region not in self.region_models
+            found[region] = still_allowed(model, self.t_s, self.settings)[: 1 if only_lent else None]
+        return found
+
+    def borders(self, region: int) -> tuple[NeighbourBorder, ...]:
+        """The ways from a region to its neighbours."""
+        return borders_of(self.table, region, {i: models for i, models in self.allowed.items() if i != region})
+
+    def likeliest(self, region: int) -> LogModel:
+        """The likeliest process of a region where its gains run, as it may be met now."""
+        return predicted(self.where_gains_run[region], self.t_s, self.settings.tracker)
+
+
 def change_request(
     proposal: Tuning,
     region: int,
-    tables: tuple[GainTable, GainTable],
-    region_models: Mapping[int, RegionModel],
+    commissioned: GainTable,
+    known: Known,
     learned: Learned | None,
-    t_s: float,
-    settings: RetunerSettings,
     damping: float | None = None,
 ) -> ChangeRequest:
     """The question on a proposal that a model supports.
 
     Parameters
     ----------
-    region : index. tables : in force, and as commissioned. region_models : of all
-        regions, that of this one as it is now.
-    learned : outcome of the last record; None when none is at hand. t_s : now.
+    region : index. known : of all regions, that of this one as it is now.
+    learned : outcome of the last record; None when none is at hand.
     damping : of the response, None when it did not swing.
     """
-    in_force, commissioned = tables
-    known = allowed_where_gains_run(in_force, region_models, t_s, settings)
+    settings, model = known.settings, known.region_models[region]
     contradicting = learned is not None and learned.agreement == Agreement.CONTRADICTS
     return ChangeRequest(
-        in_force=in_force.gains_of(region),
+        in_force=known.table.gains_of(region),
         commissioned=commissioned.gains_of(region),
         proposal=proposal,
-        models=known[region],
+        models=known.allowed[region],
         sample_time_s=settings.sample_time_s,
         evidence=Evidence(
-            records=region_models[region].records,
-            age_s=max(t_s - region_models[region].t_s, 0.0),
+            records=model.records,
+            age_s=max(known.t_s - model.t_s, 0.0),
             innovation=learned.innovation if learned is not None and contradicting else 0.0,
-            gate=gate(len(region_models[region].log.x), settings.tracker.gate),
-            borrowed=region_models[region].records == 0,
-            settled=region_models[region].identifiable,
+            gate=gate(len(model.log.x), settings.tracker.gate),
+            borrowed=model.records == 0,
+            settled=model.identifiable,
         ),
-        borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),
+        borders=known.borders(region),
         filter_s=settings.filter_s,
         urgent=_urgent(damping, settings),
         locks=settings.locks_of(region),
@@ -89,46 +135,10 @@ def change_request(
     )
 
 
-def request_of(
-    record: ResponseRecord, model: RegionModel, proposal: Tuning, learned: Learned | None, settings: RetunerSettings
-) -> ChangeRequest:
-    """The same of a response and what is known with it."""
-    known, now_s = {**record.region_models, record.region: model}, float(record.window.t_s[-1])
-    damping = record.pattern.damping if record.pattern is not None else None
-    tables = (record.table, record.commissioned)
-    return change_request(proposal, record.region, tables, known, learned, now_s, settings, damping)
-
-
-def where_gains_run(
-    table: GainTable, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
-) -> Mapping[int, RegionModel]:
-    """What is known where the regions' own sets run: in an interpolated table at the knots. Of every region, by what
-    the others lend where nothing is known of it itself.
-    """
-    regions, sign = table.regions, table.gains[0].direction
-    hard = table.lookup is Lookup.HARD
-    own = dict(region_models) if hard else at_knots(region_models, regions, t_s, settings.tracker)
-    found = dict(own)
-    for region in range(len(regions)):
-        if region not in found:
-            lent = borrowed(own, region, regions, t_s, sign, settings.borrowing, settings.tracker)
-            found.update({} if lent is None else {region: lent})
-    return found
-
-
-def allowed_where_gains_run(
-    table: GainTable, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
-) -> dict[int, tuple[Plausible, ...]]:
-    """The models that are still allowed there, by region.
-
-    A step ends at its border: of what is only lent beyond it, the likeliest model is asked. A mean of two sets runs all
-    the way, and is asked of all.
-    """
-    found = {}
-    for region, model in where_gains_run(table, region_models, t_s, settings).items():
-        only_lent = table.lookup is Lookup.HARD and region not in region_models
-        found[region] = still_allowed(model, t_s, settings)[: 1 if only_lent else None]
-    return found
+def known_with(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> Known:
+    """What is known at a response, its region's model as it is with it."""
+    models = {**record.region_models, record.region: model}
+    return Known(record.table, models, float(record.window.t_s[-1]), settings)
 
 
 BEYOND = 1.05
@@ -139,41 +149,28 @@ BETWEEN = "ms_between"
 """Evidence that a set is over its limit on the way to a neighbour: the Ms there."""
 
 
-def choosable(
-    record: ResponseRecord, region_models: Mapping[int, RegionModel], gains: PidGains, settings: RetunerSettings
-) -> Choosable:
+def choosable(record: ResponseRecord, known: Known, gains: PidGains) -> Choosable:
     """A set of the record's region as it would run there, with its Ms on the ways to the neighbours."""
-    table, region, now_s = record.table, record.region, float(record.window.t_s[-1])
-    runs = table.with_gains(region, gains).at(region, *record.at)
-    if len(table.regions) == 1:
+    region, settings = record.region, known.settings
+    runs = known.table.with_gains(region, gains).at(region, *record.at)
+    if len(known.table.regions) == 1:
         return Choosable(runs)
-    model = where_gains_run(table, region_models, now_s, settings)[region]
-    known = allowed_where_gains_run(table, region_models, now_s, settings)
-    borders = borders_of(table, region, {i: models for i, models in known.items() if i != region})
-    process = predicted(model, now_s, settings.tracker).model()
-    worst = worst_between(borders, process, gains, settings.sample_time_s, settings.filter_s)
+    process = known.likeliest(region).model()
+    worst = worst_between(known.borders(region), process, gains, settings.sample_time_s, settings.filter_s)
     return Choosable(runs, worst.ms / settings.guard.ms_border if worst is not None else 0.0)
 
 
-def tuning_of(
-    table: GainTable,
-    region: int,
-    region_models: Mapping[int, RegionModel],
-    in_force: PidGains,
-    t_s: float,
-    settings: RetunerSettings,
-) -> RobustProposal:
+def tuning_of(known: Known, region: int, in_force: PidGains) -> RobustProposal:
     """What the rule gives for a region, eased to what its part of the ways to the neighbours bears (guard/between.py);
     and whether its tuning is a cause.
 
     In an interpolated table what ran, in_force, is a mean of several sets: asked is what the region's own does.
     """
-    hard, dt_s, guard = table.lookup is Lookup.HARD, settings.sample_time_s, settings.guard
-    model = where_gains_run(table, region_models, t_s, settings)[region]
-    log, own = predicted(model, t_s, settings.tracker), in_force if hard else table.gains_of(region)
+    settings, hard = known.settings, known.table.lookup is Lookup.HARD
+    dt_s, guard, model = settings.sample_time_s, settings.guard, known.where_gains_run[region]
+    log, own = known.likeliest(region), in_force if hard else known.table.gains_of(region)
     found, process = propose(model, log, own, settings), log.model()
-    known = allowed_where_gains_run(table, region_models, t_s, settings)
-    borders = borders_of(table, region, {i: models for i, models in known.items() if i != region})
+    borders = known.borders(region)
     limit, high = guard.ms_nominal, settings.cause.ms_high * (BEYOND if hard else 1.0)
     easier = eased(found.tuning.gains, borders, process, limit, dt_s, settings.filter_s)
     if easier == found.tuning.gains:
@@ -213,31 +210,27 @@ def unproved_request(
     )
 
 
-def known_of(
-    region_models: Mapping[int, RegionModel], table: GainTable, region: int, t_s: float, settings: RetunerSettings
-) -> StillAllowed:
+def known_of(known: Known, region: int) -> StillAllowed:
     """What is known of a region's process now, as it is asked which of its sets is to run.
 
     In an interpolated table that is asked at the region's knot, and half way to its neighbours. Of a region without
     records the others tell: its gains were proved on what they lend.
     """
-    own = where_gains_run(table, region_models, t_s, settings).get(region)
+    own, settings = known.where_gains_run.get(region), known.settings
     if own is None:
         return NOTHING_KNOWN
-    models, dt_s = allowed_where_gains_run(table, region_models, t_s, settings), settings.sample_time_s
-    asked = still_allowed(own, t_s, settings)
+    dt_s, asked = settings.sample_time_s, still_allowed(own, known.t_s, settings)
     alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in asked)
     likely = tuple(math.exp(-found.excess / (2.0 * settings.choice.temper)) for found in asked)
-    if table.lookup is Lookup.HARD:
+    if known.table.lookup is Lookup.HARD:
         return StillAllowed(alone, settings.filter_s, weights=likely)
-    borders = borders_of(table, region, {i: allowed for i, allowed in models.items() if i != region})
-    best = models[region][0].model
+    best = known.allowed[region][0].model
     halves = [
         (
             likeliest_between(border, best, HALF).seen_by_controller(dt_s).linear(),
             partial(mixed, border=border, share=HALF),
         )
-        for border in borders
+        for border in known.borders(region)
     ]
     return StillAllowed(alone, settings.filter_s, tuple(halves), likely)
 

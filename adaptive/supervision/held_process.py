@@ -18,7 +18,7 @@ from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import LoopMode, Window
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import known_of, unproved_request
+from retuner.adaptive.supervision.guard_request import Known, known_of, unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
@@ -117,7 +117,7 @@ def cut_refuted(found: Findings) -> None:
 def _kept_out(record: ResponseRecord, trial: Trial, before: PidGains, settings: RetunerSettings) -> str:
     """Why the set before a cut does not come back, by all that is known; empty where it may."""
     now_s = float(record.window.t_s[-1])
-    known = known_of(record.region_models, record.table, record.region, now_s, settings)
+    known = known_of(Known(record.table, record.region_models, now_s, settings), record.region)
     if known.processes:
         return less_stable(before, record.in_force, known, settings.trial.harmless_ms)
     return LOST_WORDS if trial.sets.lost else ""

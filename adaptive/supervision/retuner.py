@@ -37,7 +37,7 @@ from retuner.adaptive.supervision.decision import (
     restoring,
     staying,
 )
-from retuner.adaptive.supervision.guard_request import known_of, promise_of, seen_of
+from retuner.adaptive.supervision.guard_request import Known, known_of, promise_of, seen_of
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
     NOBODY,
@@ -340,7 +340,7 @@ class Retuner:
 
     def _still_allowed(self, region: int) -> StillAllowed:
         """What is known of a region's process now."""
-        return known_of(self.region_models, self.table, region, self.now_s, self.settings)
+        return known_of(Known(self.table, self.region_models, self.now_s, self.settings), region)
 
     def _person_decides(self, region: int) -> bool:
         """Whether a person has the next word on what is tried in a region."""

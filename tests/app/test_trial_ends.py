@@ -1,9 +1,14 @@
 """Ends of a trial that look like the end and are not: what the controller runs a while after the host is content."""
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import can
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
 from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry
 
 from retuner.adaptive.orders.operator_orders import revert
@@ -17,6 +22,19 @@ from retuner.session.running import to_the_end
 
 P = TrialPhase
 NEW = PidGains(4 * GOOD.kp, 4 * GOOD.ki)
+
+
+@pytest.fixture
+def make_wire() -> Iterator[Callable[..., Wire]]:
+    made: list[Wire] = []
+
+    def make(**arguments: object) -> Wire:
+        made.append(Wire(**arguments))
+        return made[-1]
+
+    yield make
+    for wire in made:
+        wire.close()
 
 
 def on_trial(wire: Wire, seen: int = 10) -> Wire:

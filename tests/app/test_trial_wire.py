@@ -1,11 +1,16 @@
 """Trial and undo on the whole stack: every phase under every abort cause ends with the verified set running."""
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).parent))
+
 from wire import FOREIGN, GOOD, OTHER, PROMISE, Wire, is_telemetry
 
 from retuner.adaptive.supervision.decision import Action, Mode
@@ -24,6 +29,19 @@ BAD = {
     "tau_i x4": PidGains(GOOD.kp, GOOD.ki / 4),
 }
 NEW = BAD["kc x4"]
+
+
+@pytest.fixture
+def make_wire() -> Iterator[Callable[..., Wire]]:
+    made: list[Wire] = []
+
+    def make(**arguments: object) -> Wire:
+        made.append(Wire(**arguments))
+        return made[-1]
+
+    yield make
+    for wire in made:
+        wire.close()
 
 
 def into(wire: Wire, phase: TrialPhase) -> None:

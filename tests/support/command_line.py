@@ -1,11 +1,10 @@
 """A command, run in this process as the console script does."""
 
 import io
-import json
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from retuner import cli
 
@@ -28,18 +27,3 @@ def run(*arguments: str | Path) -> Done:
     finally:
         sys.excepthook = hook
     return Done(status, out.getvalue(), err.getvalue())
-
-
-def answer(*arguments: str | Path, status: int = 0) -> dict[str, Any]:
-    """The JSON document of a command that says nothing else."""
-    done = run(*arguments, "--json")
-    assert (done.returncode, done.stderr) == (status, "")
-    document: dict[str, Any] = json.loads(done.stdout)
-    return document
-
-
-def refused(*arguments: str | Path) -> str:
-    """The one line with which a command refuses."""
-    done = run(*arguments)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    return done.stderr
