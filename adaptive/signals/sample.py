@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 from itertools import groupby
+from operator import itemgetter
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -117,7 +118,7 @@ class Window:
     @classmethod
     def of(cls, samples: list[LoopSample]) -> "Window":
         """Collect samples into a window."""
-        t_s, sp, pv, co = (np.array([s[i] for s in samples], dtype=np.float64) for i in range(4))
+        t_s, sp, pv, co = (np.fromiter(map(itemgetter(i), samples), np.float64, len(samples)) for i in range(4))
         return cls(t_s, sp, pv, co)
 
     def part(self, rows: slice) -> "Window":

@@ -196,7 +196,7 @@ class Retuner:
     def _looked(self) -> Step:
         """Where no response has completed for long, all samples are looked at by themselves."""
         region, look = self.region, self._look(alone=True)
-        if look is None or not look.due or region is None or self._open is not None:
+        if look is None or region is None or self._open is not None:
             return NOTHING
         if self.settings.mode_of(region) == Mode.OFF:
             return NOTHING
@@ -209,14 +209,18 @@ class Retuner:
         return self._asked(Completed(region, nothing, self._finder.entered_s), alone=look)
 
     def _look(self, *, alone: bool = False, on_trial: bool = False) -> Look | None:
-        """What of all samples is due to be looked at; None for not yet. alone : without a response."""
+        """What of all samples is due to be looked at; None for not yet. alone : without a response, and then nothing
+        that is not due is looked at.
+        """
         region, samples, settings = self.region, self._finder.samples, self.settings
         if region is None or not samples or self.table.lookup is not Lookup.HARD:
             self._alone_s = math.inf if samples else -math.inf
             return None
         gains, since_s, dt_s = self.table.gains_of(region), self._finder.entered_s, settings.sample_time_s
         after_s = look_after_s(gains, dt_s, settings.history)
-        from_s = max(self._looked_s, samples[0].t_s, since_s)
+        if math.isinf(self._looked_s):
+            self._looked_s = samples[0].t_s  # the first of all: the oldest that is kept moves on with time
+        from_s = max(self._looked_s, since_s)
         self._alone_s = from_s + PATIENCE * after_s
         known, rests_on = self.region_models.get(region), self.excitation.get(region, Excitation())
         shown = not self.trials.busy and shown_clearly(known, rests_on, self.foreign.get(region, 0))
@@ -224,6 +228,8 @@ class Retuner:
         if waited:
             self._alone_s = self.now_s + PATIENCE * after_s
         due = waited and not (alone and shown)
+        if alone and not due:
+            return None
         return look_of(samples, self.books.get(region), gains, since_s, after_s, dt_s, on_trial or not due, due)
 
     @property

@@ -22,7 +22,7 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision import by_book as by_book_stage
 from retuner.adaptive.supervision import pipeline, retuner
-from retuner.adaptive.supervision.by_book import by_all_samples, look_of, one_tone
+from retuner.adaptive.supervision.by_book import KEPT_LOOKS, by_all_samples, look_of, one_tone
 from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.pipeline_types import Findings, Look
 from retuner.adaptive.supervision.settings import RetunerSettings, demanded
@@ -198,8 +198,22 @@ def test_nothing_is_looked_at_where_clear_setpoint_steps_have_shown_the_process(
 ) -> None:
     for module in (retuner, by_book_stage):
         monkeypatch.setattr(module, "shown_clearly", lambda *_: True)
+    looks: list[int] = []
+    monkeypatch.setattr(retuner, "look_of", lambda *given: looks.append(1) or look_of(*given))
     _, pid = watched(controller(2.7), 4, 2200)
     assert not pid.retuner.books
+    assert len(looks) < 100  # with responses, not with samples
+
+
+@pytest.mark.usefixtures("by_itself")
+def test_what_is_kept_is_looked_at_by_itself_though_it_is_no_longer_than_the_wait(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(retuner, "look_after_s", lambda _gains, sample_s, history: history / KEPT_LOOKS * sample_s)
+    monkeypatch.setattr(retuner.Retuner, "_seen", lambda *_: retuner.NOTHING)  # no response completes
+    pid = controller(2.7)
+    _, pid = watched(pid, 4, pid.retuner.settings.history + 200)
+    assert pid.retuner.books
 
 
 @pytest.mark.parametrize(("count", "on_trial", "looks"), [(1000, False, True), (120, False, False), (120, True, True)])
