@@ -48,16 +48,15 @@ COMMANDS = {
     "doctor": "Check what works on this machine, and what to do about the rest.",
 }
 """Every command and what `retuner --help` says of it."""
-ON_RECORDS = frozenset({"audit", "diagnose", "identify", "reduce", "schedule", "tune"})
-"""Those that stand in commands/recorded/: they work on records and models, and write to no controller."""
-SIGNED = frozenset({"approve", "experiment", "init", "ledger", "replay", "report", "run"})
+SIGNED = frozenset({"approve", "experiment", "init", "ledger", "replay", "report", "run"}) | frozenset(
+    {"audit", "diagnose", "identify", "reduce", "schedule", "tune"}  # on records and models: commands/recorded/
+)
 """Those whose signature stands apart, in commands/signatures/: what they load, `--help` does not need."""
 
 
 def module_of(command: str) -> str:
     """The module that has a command's signature."""
-    room = "recorded." if command in ON_RECORDS else "signatures." if command in SIGNED else ""
-    return f"retuner.commands.{room}{command}"
+    return f"retuner.commands.{'signatures.' if command in SIGNED else ''}{command}"
 
 
 class Commands(TyperGroup):

@@ -19,6 +19,7 @@ from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, audit_task
 from retuner.cli import main
 from retuner.commands.recorded import schedule
+from retuner.commands.signatures.schedule import ScheduleOptions
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -74,7 +75,7 @@ def test_diagnose_identify_schedule_audit_and_the_retuner_say_one_cause_of_a_rec
     (row,) = audit_task(Task(("X",), (path,), separate=True), AuditSettings(4))
     main(["identify", str(path), "--json"])
     identified = json.loads(capsys.readouterr().out)
-    scheduled = schedule._other([window_of(path)], schedule.ScheduleOptions(files=[path]))
+    scheduled = schedule._other([window_of(path)], ScheduleOptions(files=[path]))
 
     assert online(window_of(path), known) == told.cause
     assert row["cause"] == told.cause

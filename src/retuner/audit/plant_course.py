@@ -5,10 +5,9 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 from retuner.adaptive.audit.verdict import SWINGS
+from retuner.audit import AREA
 from retuner.audit.loop_row import Row
 
-AREA = r"^[A-Za-z_]+-?(\d\d)"
-"""Area in a tag: the first two digits behind its letters, as in FIC46005."""
 SHARES = ("in_automatic", "at_limits", "oscillating")
 MEANS = (*SHARES, "reversals_per_day")
 WHOLE = "all"

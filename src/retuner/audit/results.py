@@ -19,9 +19,10 @@ from retuner.adaptive.audit.loop_screen import DAY_S
 from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades, twins
 from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, Action
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
+from retuner.audit import AREA
 from retuner.audit.catalogue import Catalogue
 from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault, smaller
-from retuner.audit.plant_course import AREA, PlantCourse
+from retuner.audit.plant_course import PlantCourse
 from retuner.decision_page.html import palette
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole

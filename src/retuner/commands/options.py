@@ -38,6 +38,7 @@ ActionOption = Annotated[
     typer.Option("--action", help="With --controller: reverse or direct acting; else the sign of the gain says it."),
 ]
 PvSpan = Annotated[float | None, typer.Option(help="Span of pv, in its own unit; gain and pb refer to it.")]
+Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the record with the result: .png or .svg.")]
 CONTROLLER = "--controller, --action, --pv-span"
 
 PANEL = "The form of the record (else detected, and reported)"
@@ -83,6 +84,32 @@ class FormOptions:
     ] = False
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordOptions(FormOptions):
+    """A recorded loop and the controller that was in force; times in seconds, limits in units of co."""
+
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="A record as exported: text or Parquet, or a file for each signal."),
+    ]
+    open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
+    kc: Annotated[float | None, typer.Option(help="Active controller gain.")] = None
+    tau_i: Annotated[float | None, typer.Option(help="Its integral time, s.")] = None
+    tau_d: Annotated[float, typer.Option(help="Its derivative time, s.")] = 0.0
+    form: Annotated[str, typer.Option(help="Form of these: series, ideal or parallel.")] = "series"
+    controller: Controller = None
+    action: ActionOption = None
+    pv_span: PvSpan = None
+    co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
+    co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
+    begin: Annotated[
+        str, typer.Option("--from", metavar="WHEN", help="Begin here: seconds of the record, or 2026-05-04T08:30.")
+    ] = ""
+    end: Annotated[str, typer.Option("--to", metavar="WHEN", help="End here, likewise.")] = ""
+    plot: Plot = None
+    as_json: Json = False
+
+
 Options = TypeVar("Options")
 
 
@@ -101,7 +128,7 @@ def signed_by(options: type[Options]) -> Callable[[Callable[[Options], int]], Ca
 
 def command(app: typer.Typer, options: type[Any], work: str, epilog: str) -> None:
     """Give an app a command whose work is loaded when it is called. work : module in commands/, and its function."""
-    module, _, name = work.partition(".")
+    module, _, name = work.rpartition(".")
 
     @signed_by(options)
     def called(given: object) -> int:

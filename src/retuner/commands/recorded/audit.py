@@ -3,59 +3,26 @@
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from retuner.audit.catalogue import Catalogue, Task, catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row, is_fault
-from retuner.audit.plant_course import AREA
 from retuner.audit.result_store import ResultStore, rows_of
 from retuner.audit.results import mean_error, summary, write_joined, write_results
 from retuner.audit.working import Pass, diagnosing, expected, on_a_cluster, on_this_machine, processes, screening
-from retuner.commands.options import Controller, FormOptions, Json, PvSpan, controller_units, signed_by
+from retuner.commands.options import controller_units
 from retuner.commands.recorded.record_form import record_form
+from retuner.commands.signatures.audit import AuditOptions
 from retuner.errors import UserError, user_input
 from retuner.report.console import screen_console
 from retuner.verbosity import quiet
 
-app = typer.Typer(add_completion=False)
 JOINED = "names.toml"
 SHOWN = 10
 """Loops that are told on the screen; the page has all."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AuditOptions(FormOptions):
-    """Rank the loops of a plant by what a visit would bring; nothing is written to any controller."""
-
-    sources: Annotated[list[Path], typer.Argument(metavar="FOLDER...", help="Folders, files or patterns of trends.")]
-    out: Annotated[Path, typer.Option(help="Folder of the page and the results; an audit in it goes on.")] = Path(
-        "audit"
-    )
-    tag_pattern: Annotated[
-        str, typer.Option(help=r"Tag in the names of files without tags: ^([A-Z]+\d+)_", metavar="REGEX")
-    ] = ""
-    stretches: Annotated[
-        int, typer.Option(help="Stretches of each record that are diagnosed at most, up to 24; 0 screens only.")
-    ] = 4
-    diagnose: Annotated[
-        float, typer.Option(help="Share of the loops that is diagnosed, in percent: the worst by the screening.")
-    ] = 100.0
-    area: Annotated[str, typer.Option(help="Area in a tag: its first group.", metavar="REGEX")] = AREA
-    controller: Controller = None
-    pv_span: PvSpan = None
-    since: Annotated[Path | None, typer.Option(help="Folder of an earlier audit: what became worse?")] = None
-    jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0
-    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A dask cluster that does the work.")] = ""
-    as_json: Json = False
-
-
-@app.command(epilog="Example: retuner audit trends/ --out audit/ --stretches 6")
-@signed_by(AuditOptions)
 def audit(options: AuditOptions) -> int:
     """Audit; the exit status: 0, or 1 when no loop could be judged.
 

@@ -8,10 +8,9 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import typer
 
 from retuner import diagnosing
 from retuner.adaptive.audit.loop_screen import LoopScreen, screen_loop
@@ -24,7 +23,6 @@ from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
-from retuner.commands.options import signed_by
 from retuner.commands.recorded.record_form import tell_assumed
 from retuner.commands.recorded.recorded_loop import (
     RecordOptions,
@@ -33,6 +31,7 @@ from retuner.commands.recorded.recorded_loop import (
     require_direction,
     require_length,
 )
+from retuner.commands.signatures.diagnose import DiagnoseOptions
 from retuner.decision_page.evidence_words import REGULAR, evidence_lines
 from retuner.decision_page.explain import settings_text
 from retuner.decision_page.shown_units import chosen_units
@@ -44,8 +43,6 @@ from retuner.report.change_of_settings import Change, change_of, change_words, s
 from retuner.schedule.gains import PidGains
 from retuner.tuning import tune, tuning_lines
 from retuner.verbosity import busy
-
-app = typer.Typer(add_completion=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,27 +67,6 @@ class DiagnosedRecord:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DiagnoseOptions(RecordOptions):
-    """Find the cause of a loop's behaviour, with evidence and recommended settings."""
-
-    files: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILE...", help="Records of one loop, oldest first; or one, a file for each signal."),
-    ]
-    kc: Annotated[float | None, typer.Option(help="Active controller gain; else identified from the record.")] = None
-    aim: Annotated[
-        str, typer.Option(help="tight; smooth: as slow as --ymax allows; averaging: a tank moves, its flow does not.")
-    ] = "tight"
-    ymax: Annotated[float | None, typer.Option(help="With these aims: how far pv may go, in its unit.")] = None
-    u0: Annotated[
-        float | None, typer.Option(help="For this step of the load, co units; default what co had to move.")
-    ] = None
-    with_evidence: Annotated[bool, typer.Option("--evidence", help="All numbers behind it, and other forms.")] = False
-
-
-@app.command(epilog="Example: retuner diagnose loop.csv --kc 0.8 --tau-i 40 --co-min 0 --co-max 100 --plot loop.png")
-@signed_by(DiagnoseOptions)
 def diagnose(options: DiagnoseOptions) -> int:
     """Diagnose and show; the exit status: 0, or 1 when no cause can be named.
 

@@ -2,11 +2,7 @@
 
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from retuner.adaptive.indexes.days import days_of
 from retuner.api import (
@@ -16,7 +12,6 @@ from retuner.api import (
     identify_by_region,
     identify_record,
 )
-from retuner.commands.options import signed_by
 from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_form import tell_assumed
 from retuner.commands.recorded.recorded_loop import (
@@ -26,6 +21,7 @@ from retuner.commands.recorded.recorded_loop import (
     require_direction,
     require_length,
 )
+from retuner.commands.signatures.identify import IdentifyOptions
 from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording, require_excitation
@@ -35,20 +31,7 @@ from retuner.schedule.gains import PidGains
 from retuner.tuning import tuning_lines
 from retuner.verbosity import busy
 
-app = typer.Typer(add_completion=False)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IdentifyOptions(RecordOptions):
-    """Identify the process from a record: model, standard deviations and settings."""
-
-    open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
-    region_by: Annotated[str, typer.Option(help="A model for each region of pv, sp or co; needs --bounds.")] = ""
-    bounds: Annotated[str, typer.Option(help="Boundaries of the regions, increasing: 20,40,60.")] = ""
-
-
-@app.command(epilog="Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")
-@signed_by(IdentifyOptions)
 def identify(options: IdentifyOptions) -> int:
     """Identify and show; the exit status: 0, or 1 when the record does not say enough.
 

@@ -1,13 +1,8 @@
 """--plot: where a command draws its picture."""
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from retuner.errors import UserError
-
-Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the record with the result: .png or .svg.")]
 
 
 def check_plot(path: Path | None) -> None:

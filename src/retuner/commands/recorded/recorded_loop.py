@@ -1,18 +1,15 @@
 """What identify and diagnose share: a recorded loop with its columns, and the controller that was in force."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Annotated
 from zoneinfo import ZoneInfo
 
 import numpy as np
-import typer
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.commands.options import ActionOption, Controller, FormOptions, Json, PvSpan, controller_units
-from retuner.commands.recorded.plot_option import Plot, check_plot
+from retuner.commands.options import RecordOptions, controller_units
+from retuner.commands.recorded.plot_option import check_plot
 from retuner.commands.recorded.record_form import read_record, read_several
 from retuner.decision_page.shown_units import show_units
 from retuner.drivers.historian.loop_record import LoopRecord
@@ -25,32 +22,6 @@ MOST_BEYOND = 0.9
 """Share of co beyond a limit from which the limit is meant in another unit."""
 FEWEST_SAMPLES = 20
 """Shorter records are refused: a model has four numbers, a load two, and noise must show besides."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordOptions(FormOptions):
-    """A recorded loop and the controller that was in force; times in seconds, limits in units of co."""
-
-    files: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILE...", help="A record as exported: text or Parquet, or a file for each signal."),
-    ]
-    open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
-    kc: Annotated[float | None, typer.Option(help="Active controller gain.")] = None
-    tau_i: Annotated[float | None, typer.Option(help="Its integral time, s.")] = None
-    tau_d: Annotated[float, typer.Option(help="Its derivative time, s.")] = 0.0
-    form: Annotated[str, typer.Option(help="Form of these: series, ideal or parallel.")] = "series"
-    controller: Controller = None
-    action: ActionOption = None
-    pv_span: PvSpan = None
-    co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
-    co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
-    begin: Annotated[
-        str, typer.Option("--from", metavar="WHEN", help="Begin here: seconds of the record, or 2026-05-04T08:30.")
-    ] = ""
-    end: Annotated[str, typer.Option("--to", metavar="WHEN", help="End here, likewise.")] = ""
-    plot: Plot = None
-    as_json: Json = False
 
 
 def read_loop(options: RecordOptions) -> LoopRecord:

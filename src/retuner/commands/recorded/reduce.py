@@ -3,52 +3,38 @@
 import json
 import math
 import sys
-from typing import Annotated
-
-import typer
 
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.process.reduction import Leads, Reduction
 from retuner.adaptive.process.reduction import reduce as reduce_process
-from retuner.commands.options import Json
+from retuner.commands.signatures.reduce import ReduceOptions
 from retuner.errors import UserError, user_input
 
 GAIN_UNIT = {ProcessType.INTEGRATING: "/s", ProcessType.INTEGRATING_LAG: "/s", ProcessType.DOUBLE_INTEGRATING: "/s2"}
 
 
-app = typer.Typer(add_completion=False)
+def reduce(options: ReduceOptions) -> int:
+    """Reduce and show; the exit status.
 
-
-@app.command(epilog="Example: retuner reduce --num-t 15 --den-t 20,1,0.1,0.1 --k 2 --order 2")
-def reduce(
-    num_t: Annotated[
-        list[str] | None, typer.Option("--num-t", help="Numerator time constants, s; negative: inverse response.")
-    ] = None,
-    den_t: Annotated[list[str] | None, typer.Option("--den-t", help="Lags, s, separated by commas.")] = None,
-    integrators: Annotated[int, typer.Option(help="Pure integrators.")] = 0,
-    delay: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0,
-    order: Annotated[int, typer.Option(help="Order of the model: 1 for PI, 2 for PID.")] = 1,
-    k: Annotated[float, typer.Option(help="Steady-state gain; slope gain per second with an integrator.")] = 1.0,
-    leads: Annotated[
-        str, typer.Option(help="auto; rules: T1 to T3 for all positive numerator time constants; subtract: none.")
-    ] = "auto",
-    as_json: Json = False,
-) -> int:
-    """Reduce a process model to first or second order by the half rule."""
-    if leads not in set(Leads):
-        raise UserError(f"--leads {leads}: give one of {', '.join(Leads)}")
-    zeros, lags = time_constants("--num-t", num_t or []), time_constants("--den-t", den_t or [])
+    Raises
+    ------
+    UserError
+        An option is out of its range.
+    """
+    if options.leads not in set(Leads):
+        raise UserError(f"--leads {options.leads}: give one of {', '.join(Leads)}")
+    zeros, lags = time_constants("--num-t", options.num_t or []), time_constants("--den-t", options.den_t or [])
     if min(lags, default=1.0) <= 0:
         raise UserError(
             f"--den-t {min(lags):g}: a lag must be positive; a negative one is an unstable pole, and an "
             "integrator is counted by --integrators"
         )
-    if integrators < 0:
-        raise UserError(f"--integrators {integrators}: give 0, 1 or 2")
+    if options.integrators < 0:
+        raise UserError(f"--integrators {options.integrators}: give 0, 1 or 2")
     with user_input("retuner reduce"):
-        process = LinearProcess(k, lags, zeros, delay, integrators)
-        found = reduce_process(process, order, Leads(leads))
-    if as_json:
+        process = LinearProcess(options.k, lags, zeros, options.delay, options.integrators)
+        found = reduce_process(process, options.order, Leads(options.leads))
+    if options.as_json:
         sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
     else:
         sys.stdout.write("\n".join(described(found)) + "\n")

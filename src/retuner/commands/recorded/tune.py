@@ -3,17 +3,14 @@
 import json
 import math
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.registry import Explanation
-from retuner.commands.options import ActionOption, Controller, Json, controller_units, signed_by
+from retuner.commands.options import controller_units
 from retuner.commands.recorded.plot_option import check_plot
+from retuner.commands.signatures.tune import TuneOptions
 from retuner.errors import UserError, user_input
 from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
 from retuner.schedule.controller_units import ControllerUnits
@@ -22,90 +19,9 @@ from retuner.tuning import TuneResult, tuning_lines
 from retuner.tuning import tune as tune_model
 from retuner.verbosity import busy
 
-app = typer.Typer(add_completion=False)
-
 HEADINGS = ("rule", "kind", "form", "Kc", "tau_I", "tau_D", "tau_c", "Ms", "GM", "PM", "J", "IAE sp", "IAE load")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TuneOptions:
-    """Compute settings for a known process by a tuning rule, with margins."""
-
-    type: Annotated[
-        str | None,
-        typer.Option(
-            help="fopdt, sopdt, integrating, integrating-lag, double-integrating, delay, sopdt-inverse, topdt."
-        ),
-    ] = None
-    k: Annotated[float | None, typer.Option(help="Steady-state gain; slope gain of integrating types.")] = None
-    tau1: Annotated[float, typer.Option(help="Lag, s.")] = 0.0
-    tau2: Annotated[float, typer.Option(help="Second lag, s.")] = 0.0
-    theta: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0
-    inverse: Annotated[float, typer.Option(help="Inverse response b of 1 - b s, s (sopdt-inverse).")] = 0.0
-    tau3: Annotated[float, typer.Option(help="Third lag, s (topdt).")] = 0.0
-    rule: Annotated[str, typer.Option(help="Tuning rule; a wrong name shows the list.")] = "simc"
-    kind: Annotated[str | None, typer.Option(help="p, pi or pid; default pi where the rule has it.")] = None
-    form: Annotated[str | None, typer.Option(help="series, ideal or parallel; default the rule's own.")] = None
-    tau_c: Annotated[float | None, typer.Option(help="Closed-loop time constant (or lambda), s.")] = None
-    ms: Annotated[float | None, typer.Option(help="Demanded Ms (simc rules, optimal).")] = None
-    gm: Annotated[float | None, typer.Option(help="Demanded gain margin (simc rules).")] = None
-    c: Annotated[float | None, typer.Option(help="c in tau_I = min(tau1, c (tau_c + theta)); default 4.")] = None
-    u0: Annotated[float | None, typer.Option(help="Largest disturbance, co units (simc-smooth, averaging).")] = None
-    ymax: Annotated[float | None, typer.Option(help="Deviation allowed, pv units (simc-smooth, averaging).")] = None
-    ku: Annotated[float | None, typer.Option(help="Ultimate gain; from the model if left out.")] = None
-    pu: Annotated[float | None, typer.Option(help="Ultimate period, s.")] = None
-    kq: Annotated[float | None, typer.Option(help="Gain at quarter decay.")] = None
-    pq: Annotated[float | None, typer.Option(help="Period at quarter decay, s.")] = None
-    controller: Controller = None
-    action: ActionOption = None
-    pv_span: Annotated[
-        float | None, typer.Option(help="Span of pv: also as proportional band, percent, and repeats per minute.")
-    ] = None
-    everything: Annotated[bool, typer.Option("--all", help="Every rule that applies, in one table.")] = False
-    explain: Annotated[bool, typer.Option("--explain", help="Also formula, numbers put in and source.")] = False
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Draw the responses (.png, .svg); of rule optimal the Pareto curve J against Ms."
-        ),
-    ] = None
-    as_json: Json = False
-
-    @property
-    def wishes(self) -> dict[str, float | None]:
-        """What the rule is to reach, and what it works from beside the process."""
-        names = ("tau_c", "ms", "gm", "c", "u0", "ku", "pu", "kq", "pq")
-        return {"y_max": self.ymax, **{name: getattr(self, name) for name in names}}
-
-    def model(self) -> ProcessModel | None:
-        """The model, or None when the options describe none.
-
-        Raises
-        ------
-        UserError
-            Only a part of a model is given, or a value is out of its range.
-        """
-        if self.type is None:
-            if self.k is not None or any((self.tau1, self.tau2, self.theta, self.inverse, self.tau3)):
-                raise UserError(f"--type is missing: give one of {', '.join(ProcessType)}")
-            return None
-        if self.type not in set(ProcessType):
-            raise UserError(f"--type {self.type}: give one of {', '.join(ProcessType)}")
-        if self.k is None:
-            raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
-        # Refuse an inverse response out of its range, or where the type has none
-        if self.inverse < 0 or not math.isfinite(self.inverse):
-            raise UserError(f"--inverse {self.inverse:g}: give seconds, above 0, with --type sopdt-inverse only")
-        if (self.inverse > 0) != (self.type == ProcessType.SOPDT_INVERSE):
-            needs = "needs one above 0, in seconds" if not self.inverse else "has none; leave it out"
-            raise UserError(f"--inverse {self.inverse:g}: --type {self.type} {needs}")
-        with user_input("retuner tune"):
-            lags = (self.tau1, self.tau2, self.theta)
-            return ProcessModel(ProcessType(self.type), self.k, *lags, inverse_s=self.inverse, tau3_s=self.tau3)
-
-
-@app.command(epilog="Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")
-@signed_by(TuneOptions)
 def tune(options: TuneOptions) -> int:
     """Work out and show settings; the exit status: 0, or 1 when no loop that follows would be stable.
 
@@ -115,14 +31,47 @@ def tune(options: TuneOptions) -> int:
         An option is out of its range, or no rule has an answer for this process.
     """
     check_plot(options.plot)
-    model = options.model()
+    model = _model(options)
     return _by_every_rule(model, options) if options.everything else _by_one_rule(model, options)
+
+
+def _wishes(options: TuneOptions) -> dict[str, float | None]:
+    """What the rule is to reach, and what it works from beside the process."""
+    names = ("tau_c", "ms", "gm", "c", "u0", "ku", "pu", "kq", "pq")
+    return {"y_max": options.ymax, **{name: getattr(options, name) for name in names}}
+
+
+def _model(options: TuneOptions) -> ProcessModel | None:
+    """The process that the options describe, or None when they describe none.
+
+    Raises
+    ------
+    UserError
+        Only a part of a model is given, or a value is out of its range.
+    """
+    if options.type is None:
+        if options.k is not None or any((options.tau1, options.tau2, options.theta, options.inverse, options.tau3)):
+            raise UserError(f"--type is missing: give one of {', '.join(ProcessType)}")
+        return None
+    if options.type not in set(ProcessType):
+        raise UserError(f"--type {options.type}: give one of {', '.join(ProcessType)}")
+    if options.k is None:
+        raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
+    # Refuse an inverse response out of its range, or where the type has none
+    if options.inverse < 0 or not math.isfinite(options.inverse):
+        raise UserError(f"--inverse {options.inverse:g}: give seconds, above 0, with --type sopdt-inverse only")
+    if (options.inverse > 0) != (options.type == ProcessType.SOPDT_INVERSE):
+        needs = "needs one above 0, in seconds" if not options.inverse else "has none; leave it out"
+        raise UserError(f"--inverse {options.inverse:g}: --type {options.type} {needs}")
+    with user_input("retuner tune"):
+        lags = (options.tau1, options.tau2, options.theta)
+        return ProcessModel(ProcessType(options.type), options.k, *lags, inverse_s=options.inverse, tau3_s=options.tau3)
 
 
 def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
     """Settings by the rule that is named."""
     with user_input("retuner tune"), busy("tuning"):
-        result = tune_model(model, options.rule, kind=options.kind, form=options.form, **options.wishes)
+        result = tune_model(model, options.rule, kind=options.kind, form=options.form, **_wishes(options))
     if options.plot is not None:
         _draw_one(model, result, options.plot)
     units = controller_units(options.controller, options.pv_span, options.action)
@@ -145,7 +94,7 @@ def _by_every_rule(model: ProcessModel | None, options: TuneOptions) -> int:
     if model is None:
         raise UserError("--all needs the process: give --type, --k, --tau1, --tau2, --theta")
     with user_input("retuner tune --all"):
-        found = compare_rules(model, kind=options.kind, form=options.form, **options.wishes)
+        found = compare_rules(model, kind=options.kind, form=options.form, **_wishes(options))
     if options.plot is not None:
         _draw(model, found.rows, options.plot)
     if options.as_json:
