@@ -10,14 +10,12 @@ from matplotlib.figure import Figure
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.decision_page.svg import AFTER, BANDS, BEFORE, MARK, SETPOINT, settings, svg, thinned
-from retuner.report.scores import Columns, Twin
+from retuner.report.scores import CO_FLOOR, NOISE_BANDS, Columns, Twin
 from retuner.schedule.regions import Regions
 
 PV, SP, FIXED = AFTER, SETPOINT, BEFORE
 DENSE = 2400
 """Points of a curve over a whole run."""
-NOISE_BANDS, CO_FLOOR = 8.0, 10.0
-"""Least height of an axis: noise bands of pv (standard deviations), and co units. A loop at rest looks at rest."""
 
 
 def at_least(axes: Axes, floor: float) -> None:

@@ -20,6 +20,9 @@ from retuner.adaptive.supervision.decision import gains_dict
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 
+NOISE_BANDS, CO_FLOOR = 8.0, 10.0
+"""Least height of a drawn axis: noise bands of pv (standard deviations), and co units. A loop at rest looks at rest."""
+
 Linearise = Callable[..., LinearProcess]
 """True process at a pv, and at a load where that is not 0."""
 Columns = dict[str, FloatArray]

@@ -26,8 +26,7 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.decision_page.row_values import Document, decided_on
 from retuner.diagnosing import RecordDiagnosis
 from retuner.report.change_of_settings import processes_of, settling_s
-from retuner.report.plots import CO_FLOOR, NOISE_BANDS
-from retuner.report.scores import Columns
+from retuner.report.scores import CO_FLOOR, NOISE_BANDS, Columns
 from retuner.schedule.controller_units import DEFAULT, ControllerUnits
 from retuner.schedule.dials import CONTROLLERS
 from retuner.schedule.gains import PidGains

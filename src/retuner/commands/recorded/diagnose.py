@@ -23,9 +23,9 @@ from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
+from retuner.commands.options import RecordOptions
 from retuner.commands.recorded.record_form import tell_assumed
 from retuner.commands.recorded.recorded_loop import (
-    RecordOptions,
     controller,
     read_records_of_loop,
     require_direction,

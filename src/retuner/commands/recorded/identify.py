@@ -12,10 +12,10 @@ from retuner.api import (
     identify_by_region,
     identify_record,
 )
+from retuner.commands.options import RecordOptions
 from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_form import tell_assumed
 from retuner.commands.recorded.recorded_loop import (
-    RecordOptions,
     controller,
     read_loop,
     require_direction,

@@ -6,8 +6,7 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop, command
-from retuner.commands.recorded.plot_option import Plot
+from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop, Plot, command
 
 app = typer.Typer(
     no_args_is_help=True,
