@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 from retuner.adaptive.declared_setting import Setting, require_in_range
 
@@ -153,8 +153,9 @@ class GuardSettings:
 
     def whole_step(self) -> "GuardSettings":
         """The same without a limit per change: a whole way at once. What may not move at all (factor 1) stays."""
-        general = {name: 1.0 if getattr(self, name) == 1.0 else 100.0 for name in GENERAL}
-        return replace(self, **general, **{name: None for name in OWN if getattr(self, name) != 1.0})
+        general: dict[str, Any] = {name: 1.0 if getattr(self, name) == 1.0 else 100.0 for name in GENERAL}
+        own: dict[str, Any] = {name: None for name in OWN if getattr(self, name) != 1.0}
+        return replace(self, **general, **own)
 
     def held_to(self, factor: float) -> "GuardSettings":
         """The same with every limit on the size of one change at this factor at the most."""
@@ -163,5 +164,6 @@ class GuardSettings:
 
     def opened(self, factor: float) -> "GuardSettings":
         """The same with every limit on the size of a change at one factor, the commissioned set's among them."""
-        limits = dict.fromkeys(OWN) | dict.fromkeys((*GENERAL, "total_ratio_max", "integral_up_max"), factor)
+        limits: dict[str, Any] = dict.fromkeys(OWN)
+        limits |= dict.fromkeys((*GENERAL, "total_ratio_max", "integral_up_max"), factor)
         return replace(self, **limits)
