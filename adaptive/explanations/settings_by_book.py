@@ -54,7 +54,7 @@ class BookSettings:
     bad_share: Annotated[float, Setting("Share of the odds that may come out badly", 0.05, 0.4)] = 0.1
     unstable_share: Annotated[float, Setting("Share of the odds that may be unstable", 0.0, 0.05)] = 0.02
     less_odds: Annotated[float, Setting("Odds of ms_high from which less action follows", 0.5, 0.9)] = 0.85
-    sure_odds: Annotated[float, Setting("Odds from which it does at the first look", 0.9, 0.99)] = 0.95
+    sure_odds: Annotated[float, Setting("Odds from which it does at the first look behind a whole window", 0.9, 0.99)] = 0.95
     more_odds: Annotated[float, Setting("Odds of room from which more action follows", 0.5, 0.9)] = 0.85
     restless: Annotated[
         float, Setting("Share of samples outside the noise band from which a load wanders", 0.1, 0.9)
@@ -130,7 +130,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records))
     leans = (room >= settings.more_odds) - (high >= settings.less_odds)
-    if not leans or (leans != book.leans and high < settings.sure_odds):
+    sure = high >= settings.sure_odds and book.records > 0  # a part of a window may be one tone, and looks sure
+    if not leans or (leans != book.leans and not sure):
         return ByBook(numbers, leans)
     more = _more(gains, _integral_times(book, drawn), settings)
     best = _best(drawn, gains, more if leans > 0 else _less(gains), settings, more=leans > 0)
