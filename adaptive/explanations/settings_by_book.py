@@ -54,7 +54,7 @@ class BookSettings:
     bad_share: Annotated[float, Setting("Share of the odds that may come out badly", 0.05, 0.4)] = 0.1
     unstable_share: Annotated[float, Setting("Share of the odds that may be unstable", 0.0, 0.05)] = 0.02
     less_odds: Annotated[float, Setting("Odds of ms_high from which less action follows", 0.5, 0.9)] = 0.85
-    sure_odds: Annotated[float, Setting("Odds from which it does at the first look behind a whole window", 0.9, 0.99)] = 0.95
+    sure_odds: Annotated[float, Setting("Odds from which it does at once, behind a whole window", 0.9, 0.99)] = 0.95
     more_odds: Annotated[float, Setting("Odds of room from which more action follows", 0.5, 0.9)] = 0.85
     restless: Annotated[
         float, Setting("Share of samples outside the noise band from which a load wanders", 0.1, 0.9)

@@ -9,6 +9,7 @@ the reading (or the dict of them) at the start, without which the first one is t
 """
 
 import contextlib
+import copy
 import importlib
 import importlib.util
 import inspect
@@ -77,12 +78,17 @@ class PythonModel:
             self.step(spec.start, spec.settle_s)
         first = getattr(self._plant, "pv", None)
         self.readings = self._told(first) if first is not None else self.step(spec.start, FIRST_STEP_S)
+        if first is not None and (other := _copied(self._plant)) is not None:
+            self._stepped(other, spec.start, FIRST_STEP_S)  # a name that the class does not know is told before the run
 
     def step(self, inputs: Sequence[float], dt_s: float) -> Sequence[float]:
         """See model.PlantModel."""
+        return self._stepped(self._plant, inputs, dt_s)
+
+    def _stepped(self, plant: Any, inputs: Sequence[float], dt_s: float) -> Sequence[float]:  # noqa: ANN401  the user's
         names = self._spec.inputs
         co: object = dict(zip(names, inputs, strict=True)) if names else inputs[0]
-        return self._told(self._plant.step(co, dt_s))
+        return self._told(plant.step(co, dt_s))
 
     def close(self) -> None:
         """The object goes with its process."""
@@ -107,6 +113,14 @@ class PythonModel:
             if name not in given:
                 raise PlantFaultError(missing_name("output", name, [*map(str, given)]), "output")
         return [_number(name, given[name]) for name in names]
+
+
+def _copied(plant: object) -> Any:  # noqa: ANN401  the user's
+    """The same object once more; None for one that cannot be copied."""
+    try:
+        return copy.deepcopy(plant)
+    except Exception:  # noqa: BLE001  a user's class may raise anything there
+        return None
 
 
 def _number(name: str, value: Any) -> float:  # noqa: ANN401  whatever a user's class returns

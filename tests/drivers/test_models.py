@@ -265,13 +265,14 @@ def test_a_user_s_file_may_import_what_lies_beside_it(tmp_path: Path) -> None:
 # Faults: in a process of its own, as a bench has them.
 
 FAULTY = """
-import math, os, time
+import math, os, threading, time
 
 class Faulty:
     pv = 1.0
 
     def __init__(self, fault, at=3):
         self.fault, self.at, self.n = fault, at, 0
+        self.lock = threading.Lock()  # cannot be copied, so that no step is tried on a copy
         if fault == "beginning":
             raise RuntimeError("no licence")
 
@@ -339,7 +340,7 @@ def bench() -> Iterator[list[Bench]]:
 @pytest.mark.parametrize(
     ("fault", "text"),
     [
-        ("error", r"ZeroDivisionError: division by zero \(line 17 of .*faulty.py\)"),
+        ("error", r"ZeroDivisionError: division by zero \(line 18 of .*faulty.py\)"),
         ("none", "step returned None as pv"),
         ("exit", "its process ended with status 7"),
         ("abort", "its process was killed by SIGABRT"),
@@ -467,3 +468,23 @@ def test_a_bench_repeats_the_plant_of_a_record(tmp_path: Path) -> None:
         with pytest.raises(PlantFaultError, match=told) as wrong:
             model_of(tmp_path / "found.json")
         assert wrong.value.key == ("file",)
+
+
+MIX = """
+class Mix:
+    pv = {"level": 50.0}
+    steps = 0
+    def step(self, co, dt):
+        self.steps += 1
+        return {"level": co["inflow"] * self.steps}
+"""
+
+
+def test_names_that_a_class_does_not_know_are_told_before_a_run_and_nothing_has_moved(tmp_path: Path) -> None:
+    source = tmp_path / "mix.py"
+    source.write_text(MIX)
+    for inputs, outputs, text in (("inflw", "level", "'inflow'"), ("inflow", "lvl", "the nearest: level")):
+        with pytest.raises((PlantFaultError, KeyError), match=text):
+            PythonModel(ModelSpec("python", f"{source}:Mix", (inputs,), (outputs,), (2.0,), {}))
+    model = PythonModel(ModelSpec("python", f"{source}:Mix", ("inflow",), ("level",), (2.0,), {}))
+    assert (model.readings, model.step([2.0], 1.0)) == ([50.0], [2.0])
