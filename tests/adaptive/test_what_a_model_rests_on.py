@@ -45,6 +45,7 @@ def weighed(
         "proved": lambda *_: verdict,
         "chosen": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),
         "not_as_modelled": lambda *_: None,
+        "stands": lambda *_: False,
         "is_sure": lambda *_: False,
         "is_known": lambda *_: False,
         "without_model": lambda *_: SimpleNamespace(sentence="", numbers=NO_NUMBERS, tuning=None),
