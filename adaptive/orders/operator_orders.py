@@ -6,7 +6,7 @@ approved is what was looked at. Where nothing is known of the region (the propos
 the limits per change hold it, but not on the way to less of everything: a proposal that calms may be as large as its
 loop is unstable. Then it is on trial as any change.
 The way back leads to a set that has run before, so the limits per change do not hold it; the absolute ones do, and a
-set that is unstable on more of the allowed models than the active one is refused (trial/way_back.py). While a change is
+set that is unstable on more of the allowed models than the active one is refused (trial/rollback.py). While a change is
 on trial the way back is to undo that.
 """
 
@@ -29,7 +29,7 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.persons_edit import right_words, turned_words
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
-from retuner.adaptive.trial.way_back import SetsThatRan, unstable_again
+from retuner.adaptive.trial.rollback import SetsThatRan, unstable_again
 from retuner.schedule.gains import PidGains
 
 WHOLE = 1.001
@@ -139,13 +139,13 @@ def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decisi
     phase = retuner.trials.phase(region)
     if phase in UNDECIDED or phase is TrialPhase.WAITING:
         return retuner.taken_back(region)
-    reason = _no_way_back(retuner, region, gains, t_s)
+    reason = _no_rollback(retuner, region, gains, t_s)
     if reason:
         return retuner.ordered(region, StageResult("revert_refused", f"rollback refused: {reason}"))
     return retuner.ordered(region, StageResult("ordered_back", "an operator requested this rollback"), gains)
 
 
-def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> str:
+def _no_rollback(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> str:
     """Why a region does not go back to these gains; empty when it does."""
     in_force, settings = retuner.table.gains_of(region), retuner.settings
     guard: GuardSettings = settings.guard

@@ -39,9 +39,9 @@ from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.random_walk import beside_a_walk
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.wander import wander_of
-from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 

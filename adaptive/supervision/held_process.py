@@ -22,8 +22,8 @@ from retuner.adaptive.supervision.guard_request import Known, known_of, unproved
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.rollback import LOST_WORDS, less_stable
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.trial.way_back import LOST_WORDS, less_stable
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -86,7 +86,7 @@ def cut_refuted(found: Findings) -> None:
     Less action was written because a model said that the loop swings by itself. A tone that goes on through that change
     as it was before, and that no process explains under both sets, refutes the model: the swing was not the loop's own.
     What a clear setpoint step has shown of the process is not refuted so. The way back is through the one door of all
-    (trial/way_back.py): where the models that are still allowed call that set less stable, it stays out.
+    (trial/rollback.py): where the models that are still allowed call that set less stable, it stays out.
     """
     record, trial, cause = found.record, found.question.trial, found.diagnosis
     if cause is None or cause.cause is not Cause.EXTERNAL or trial.phase is not TrialPhase.IDLE or record.crossed:

@@ -63,7 +63,7 @@ from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""

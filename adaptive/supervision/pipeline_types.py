@@ -35,8 +35,8 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
+from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 

@@ -68,8 +68,8 @@ from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement, TrialFinding
 from retuner.adaptive.trial.persons_edit import NOT_TAKEN, edit_words, require_action
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.supervisor import TrialSupervisor
-from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
@@ -334,7 +334,7 @@ class Retuner:
 
     def taken_back(self, region: int) -> Decision | None:
         """A person wants the change back that is undecided, or waits for approval; None when there is none."""
-        if reason := self.trials.no_way_back(region):
+        if reason := self.trials.no_rollback(region):
             return self.ordered(region, StageResult("revert_refused", f"rollback refused: {reason}"))
         back = self.trials.event(region, TrialEvent.ORDERED_BACK, self.now_s)
         return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None

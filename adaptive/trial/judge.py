@@ -37,8 +37,8 @@ from retuner.adaptive.signals.sample import FloatArray, Window, trapezoid
 from retuner.adaptive.trial.expectation import Expected, Promise
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, PosteriorNumbers, against, in_favour
 from retuner.adaptive.trial.response_numbers import storable, swing, three
+from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.settings import TrialSettings
-from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
 
 NOT_ITSELF = "the response itself is not judged"

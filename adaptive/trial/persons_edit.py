@@ -1,6 +1,6 @@
 """What is said of gains that a person has set: what they are by what is known of the process, and for how long."""
 
-from retuner.adaptive.trial.way_back import Robustness, StillAllowed, models_words, robustness_words
+from retuner.adaptive.trial.rollback import Robustness, StillAllowed, models_words, robustness_words
 from retuner.schedule.gains import PidGains
 
 NOT_TAKEN = (

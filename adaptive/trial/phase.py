@@ -1,7 +1,7 @@
 """Where a change of gains stands in its region: one enum of phases, one of events, one table.
 
     IDLE -> WRITING -> TRIAL -> IDLE (or WAITING for a person)      the good way
-    a cause that ends trials, in WRITING, TRIAL, AWAY or PAUSED     way_back.py says which set is to run:
+    a cause that ends trials, in WRITING, TRIAL, AWAY or PAUSED     rollback.py says which set is to run:
         another one than the tried set -> RESTORING -> COOLING -> IDLE (or LOCKED)
         the tried set stays            -> PAUSED (or ENSURING first, where it may not run) -> TRIAL
     a person's edit, in any phase      -> HELD -> IDLE

@@ -22,7 +22,7 @@ import numpy as np
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType, state_space
 from retuner.adaptive.signals.sample import FloatArray, LoopSample
-from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 
 LONGEST = 2.5

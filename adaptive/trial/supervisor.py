@@ -1,6 +1,6 @@
 """The trials of one loop: which region's change is being written, on trial, taken back, cooling down.
 
-A thin shell round phase.py (what follows what), judge.py and runaway.py (what a response and a sample say), way_back.py
+A thin shell round phase.py (what follows what), judge.py and runaway.py (what a response and a sample say), rollback.py
 (which set is to run after a cause that is no response). It keeps one Trial a region and has one effect: ENTERING the
 phase puts what is to run into the table, at once and whatever led there, so that nothing writes anything else. That the
 controller runs it is told by `restored`.
@@ -28,10 +28,10 @@ from retuner.adaptive.trial.phase import (
     TrialPhase,
     after,
 )
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN, Rollback, StillAllowed, rollback, unstable_again
 from retuner.adaptive.trial.runaway import law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed, WayBack, unstable_again, way_back
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
@@ -191,7 +191,7 @@ class TrialSupervisor:
         if trial.phase != P.RESTORING or trial.ran or cause is None or cause in UNDOS:
             return False
         self._trials[region] = replace(trial, new=gains, ran=True)
-        found = self._way_back(region, cause)
+        found = self._rollback(region, cause)
         if found.stays:
             self._trials[region] = replace(self.of(region), back=found)
             self._move(region, E.ENSURED, t_s)
@@ -233,8 +233,8 @@ class TrialSupervisor:
         """The controller runs the table's set as read back: what was to run does; the regions."""
         return tuple(region for region in self.restoring if self._move(region, E.RESTORED, t_s))
 
-    def no_way_back(self, region: int) -> str:
-        """Why a person's order does not lead back to the set before the trial; empty when it does (see way_back.py)."""
+    def no_rollback(self, region: int) -> str:
+        """Why a person's order does not lead back to the set before the trial; empty when it does (see rollback.py)."""
         trial = self.of(region)
         return "" if trial.old is None else unstable_again(trial.sets, self._known(region))
 
@@ -329,13 +329,13 @@ class TrialSupervisor:
         put = trial.cause == cause or (trial.cause == E.STOPPED and cause in LASTING)
         return stays and put and trial.phase in {P.TRIAL, P.PAUSED, P.AWAY, P.ENSURING}
 
-    def _way_back(self, region: int, cause: TrialEvent, known: StillAllowed | None = None) -> WayBack:
+    def _rollback(self, region: int, cause: TrialEvent, known: StillAllowed | None = None) -> Rollback:
         """What is to run after a cause. known : of the process; None for what the region's models say."""
-        return way_back(cause, self.of(region).sets, known or self._known(region), self.settings)
+        return rollback(cause, self.of(region).sets, known or self._known(region), self.settings)
 
     def _end(self, region: int, cause: TrialEvent, t_s: float, known: StillAllowed | None = None) -> bool:
-        """A cause that may end an undecided trial; whether anything was decided by it. known : see _way_back."""
-        found = self._way_back(region, cause, known)
+        """A cause that may end an undecided trial; whether anything was decided by it. known : see _rollback."""
+        found = self._rollback(region, cause, known)
         if not found.stays or cause in UNDOS:
             return self._move(region, cause, t_s, found)
         self._trials[region] = replace(self.of(region), cause=cause, back=found)
@@ -357,7 +357,7 @@ class TrialSupervisor:
         """What concerns one region's trial, if anything; comings and goings are taken note of."""
         if region != at:
             left = blended and self.phase(at) in {P.TRIAL, P.PAUSED}
-            if left and not self._way_back(at, E.LEFT_INTERPOLATED).stays:
+            if left and not self._rollback(at, E.LEFT_INTERPOLATED).stays:
                 return E.LEFT_INTERPOLATED
             self._move(at, E.LEFT, sample.t_s)
             return self._watch(at, sample, band) if blended and self.phase(at) == P.AWAY else None
@@ -386,7 +386,7 @@ class TrialSupervisor:
             self._trials[at] = replace(trial, seen=seen)
         return found
 
-    def _move(self, region: int, event: TrialEvent, t_s: float, back: WayBack | None = None) -> bool:
+    def _move(self, region: int, event: TrialEvent, t_s: float, back: Rollback | None = None) -> bool:
         """The one way from phase to phase, with what belongs to entering each. back : what is to run, and why."""
         trial = self.of(region)
         now = after(trial.phase, event)
@@ -394,7 +394,7 @@ class TrialSupervisor:
             return False
         trial = replace(trial, phase=now, seen=None)
         if now == P.RESTORING:
-            found = back or self._way_back(region, event)
+            found = back or self._rollback(region, event)
             trial = replace(trial, cause=event, back=found, undos=trial.undos + (event in UNDOS))
         elif now == P.COOLING:
             trial = replace(trial, until_s=t_s + self._cool_down_s(trial))

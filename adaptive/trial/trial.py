@@ -7,8 +7,8 @@ from typing import Any
 
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.adaptive.trial.rollback import Rollback, RollbackNumbers, SetsThatRan
 from retuner.adaptive.trial.runaway import RunawayState
-from retuner.adaptive.trial.way_back import SetsThatRan, WayBack, WayBackNumbers
 from retuner.schedule.gains import PidGains
 
 MOST_EARLIER = 4
@@ -24,7 +24,7 @@ class Trial:
     kept : responses that kept the promise; silent : that said nothing for or against it.
     undos : changes undone in a row in this region, since one has passed. edits : how often a person took ours away.
     until_s : end of the cool-down, or of the time for which a person's gains are held, s.
-    cause : the last one that could have ended the trial. back : what it led to (see way_back.py).
+    cause : the last one that could have ended the trial. back : what it led to (see rollback.py).
     earlier : sets that ran here before the old one, the newest first. seen : where the watch stands.
     """
 
@@ -40,7 +40,7 @@ class Trial:
     edits: int = 0
     until_s: float = 0.0
     cause: TrialEvent | None = None
-    back: WayBack | None = None
+    back: Rollback | None = None
     earlier: tuple[PidGains, ...] = ()
     seen: RunawayState | None = None
 
@@ -123,18 +123,18 @@ def _gains_in(values: list[float] | None) -> PidGains | None:
     return PidGains(*values) if values else None
 
 
-def _back_out(back: WayBack | None) -> dict[str, object] | None:
+def _back_out(back: Rollback | None) -> dict[str, object] | None:
     if back is None:
         return None
     numbers = back.numbers.to_dict() if back.numbers else None
     return {"gains": _gains_out(back.gains), "stays": back.stays, "reason": back.reason, "numbers": numbers}
 
 
-def _back_in(body: Mapping[str, Any] | None) -> WayBack | None:
+def _back_in(body: Mapping[str, Any] | None) -> Rollback | None:
     if body is None:
         return None
-    numbers = WayBackNumbers(**body["numbers"]) if body["numbers"] else None
-    return WayBack(PidGains(*body["gains"]), bool(body["stays"]), str(body["reason"]), numbers)
+    numbers = RollbackNumbers(**body["numbers"]) if body["numbers"] else None
+    return Rollback(PidGains(*body["gains"]), bool(body["stays"]), str(body["reason"]), numbers)
 
 
 def _seen_out(seen: RunawayState | None) -> dict[str, float | None] | None:

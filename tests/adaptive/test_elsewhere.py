@@ -27,8 +27,8 @@ from retuner.adaptive.supervision.pipeline_types import End, Findings, Question,
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.trial.way_back import NOTHING_KNOWN
 from retuner.report.console import live_line
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

@@ -104,7 +104,7 @@ def test_an_approved_proposal_is_written_by_the_running_session_and_replayed(
     assert "identical" in capsys.readouterr().out
 
 
-def test_the_way_back_is_taken_and_replayed(with_person: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_rollback_is_taken_and_replayed(with_person: Any, capsys: pytest.CaptureFixture[str]) -> None:
     folder, person = with_person([("revert", written)], "--mode", "auto")
     assert person.statuses == [0]
     (order,) = bodies(folder, "order")

@@ -167,7 +167,7 @@ def test_in_an_interpolated_table_a_small_change_is_taken_back_as_well(
     assert wire.runs == before
 
 
-def test_the_way_back_is_open_while_the_telemetry_is_garbage(make_wire: Callable[..., Wire]) -> None:
+def test_the_rollback_is_open_while_the_telemetry_is_garbage(make_wire: Callable[..., Wire]) -> None:
     wire = on_trial(make_wire())
     step = wire.device.step
 

@@ -86,7 +86,7 @@ def test_an_approval_of_another_change_does_not_release_the_one_that_waits(desk:
 
 
 @pytest.mark.parametrize("phase", [P.TRIAL, P.AWAY, P.WAITING])
-def test_the_way_back_during_a_trial_undoes_it(desk: Desk, phase: TrialPhase) -> None:
+def test_the_rollback_during_a_trial_undoes_it(desk: Desk, phase: TrialPhase) -> None:
     tried = desk.tried(4.0)
     if phase is P.WAITING:
         desk.happens(TrialEvent.PASSED_FOR_APPROVAL)

@@ -22,10 +22,10 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.expectation import Promise, promise
 from retuner.adaptive.trial.judge import Judgement, TrialFinding, TrialNumbers
 from retuner.adaptive.trial.phase import ABORTS, SILENT, TO_BE_SEEN, UNDECIDED, UNDOS, TrialEvent, TrialPhase
+from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent

@@ -167,7 +167,7 @@ def test_what_is_no_proposal_is_refused(changed: dict[str, object], told: str) -
         replace(OFFERED, **changed)
 
 
-def test_the_way_back_is_whole_and_not_on_trial() -> None:
+def test_the_rollback_is_whole_and_not_on_trial() -> None:
     bench = Bench(GOOD)
     decision = revert(bench.retuner, 0, BAD["kc /4"], 60.0)
     assert decision is not None
@@ -178,7 +178,7 @@ def test_the_way_back_is_whole_and_not_on_trial() -> None:
     assert bench.retuner.table.gains == (BAD["kc /4"],)
 
 
-def test_the_way_back_from_a_change_that_is_not_decided_is_to_undo_it() -> None:
+def test_the_rollback_from_a_change_that_is_not_decided_is_to_undo_it() -> None:
     bench = Bench(GOOD)
     bench.retuner.ordered(0, StageResult("injected", "for a test"), BAD["kc x4"], PROMISE)
     bench.retuner.committed(0, BAD["kc x4"])
@@ -198,7 +198,7 @@ def test_the_way_back_from_a_change_that_is_not_decided_is_to_undo_it() -> None:
         (PidGains(90.0, 1.0), "kc_max"),
     ],
 )
-def test_a_way_back_that_leads_nowhere_is_refused(gains: PidGains, told: str) -> None:
+def test_a_rollback_that_leads_nowhere_is_refused(gains: PidGains, told: str) -> None:
     bench = Bench()
     retuner = Retuner(
         bench.retuner.table, replace(bench.retuner.settings, guard=replace(bench.retuner.settings.guard, kc_max=50.0))
@@ -211,7 +211,7 @@ def test_a_way_back_that_leads_nowhere_is_refused(gains: PidGains, told: str) ->
     assert told in decision.reason
 
 
-def test_a_way_back_that_would_be_unstable_now_is_refused() -> None:
+def test_a_rollback_that_would_be_unstable_now_is_refused() -> None:
     bench = Bench(taught=True)
     decision = revert(bench.retuner, 0, PidGains(GOOD.kp * 8, GOOD.ki * 8), bench.t_s)
     assert decision is not None
@@ -223,7 +223,7 @@ def test_a_way_back_that_would_be_unstable_now_is_refused() -> None:
     ("wanted", "unstable"),
     [(PidGains(0.1, 0.1), True), (PidGains(1.5, 0.02), False), (PidGains(0.2, 0.01), False)],
 )
-def test_the_way_back_is_judged_on_a_swinging_process_with_its_damping(wanted: PidGains, unstable: bool) -> None:
+def test_the_rollback_is_judged_on_a_swinging_process_with_its_damping(wanted: PidGains, unstable: bool) -> None:
     # without its poles it would be a gain with dead time: the first set is stable there, the second is not
     swinging = ProcessModel(ProcessType.SOPDT, 1.0, 20.0, 20.0, 2.0, 0.4)
     bench = Bench(PidGains(0.1, 0.005))

@@ -27,7 +27,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.phase import SILENT, UNDECIDED, TrialEvent, TrialPhase
-from retuner.adaptive.trial.way_back import Robustness
+from retuner.adaptive.trial.rollback import Robustness
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable

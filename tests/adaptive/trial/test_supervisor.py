@@ -15,9 +15,9 @@ from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, TrialNumbers
 from retuner.adaptive.trial.phase import ABORTS, UNDECIDED, UNDOS, TrialEvent, TrialPhase
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import DECIDED, WITH_GAINS, TrialSupervisor
-from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent

@@ -17,10 +17,7 @@ from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessT
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.expectation import Promise, promise
 from retuner.adaptive.trial.phase import ABORTS, SILENT, UNDECIDED, UNDOS, TrialEvent, TrialPhase
-from retuner.adaptive.trial.settings import TrialSettings
-from retuner.adaptive.trial.supervisor import TrialSupervisor
-from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.trial.way_back import (
+from retuner.adaptive.trial.rollback import (
     NOTHING_KNOWN,
     PRICE,
     Robustness,
@@ -29,8 +26,11 @@ from retuner.adaptive.trial.way_back import (
     StillAllowed,
     expected_losses,
     loss_of,
-    way_back,
+    rollback,
 )
+from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.supervisor import TrialSupervisor
+from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
@@ -156,10 +156,10 @@ def test_a_cure_whose_write_was_given_up_and_came_through_stays() -> None:
 def test_evidence_against_a_set_leads_to_what_is_expected_to_lose_least_of_all_that_ran() -> None:
     known, worse = StillAllowed((PROCESS,)), E.WORSE
     old, tried = SETS["swinging more"], SETS["swinging"]
-    assert way_back(worse, SetsThatRan(old, tried, swings=0.6), known, TrialSettings()).gains == tried
-    assert way_back(worse, SetsThatRan(tried, old, swings=0.1), known, TrialSettings()).gains == tried, "it has worked"
+    assert rollback(worse, SetsThatRan(old, tried, swings=0.6), known, TrialSettings()).gains == tried
+    assert rollback(worse, SetsThatRan(tried, old, swings=0.1), known, TrialSettings()).gains == tried, "it has worked"
     earlier = (SETS["unstable"], SETS["right"])
-    found = way_back(worse, SetsThatRan(old, tried, earlier, swings=0.6), known, TrialSettings())
+    found = rollback(worse, SetsThatRan(old, tried, earlier, swings=0.6), known, TrialSettings())
     assert found.gains == SETS["right"]
     assert "an earlier set" in found.reason
     assert not found.stays
@@ -170,9 +170,9 @@ def test_no_evidence_leads_back_to_more_action_that_is_unstable_on_every_model(c
     """The old gains have worked, then the process changed: what swings under less of them runs away under them."""
     known, old, tried = StillAllowed((PROCESS,)), SETS["unstable"], PidGains(9.5, 0.22)
     assert ms(tried) > HARMLESS
-    assert way_back(cause, SetsThatRan(old, tried, swings=0.1), known, TrialSettings()).gains == tried
+    assert rollback(cause, SetsThatRan(old, tried, swings=0.1), known, TrialSettings()).gains == tried
     earlier = (SETS["swinging more"], SETS["right"], SETS["weak"])
-    found = way_back(cause, SetsThatRan(old, tried, earlier, swings=0.1), known, TrialSettings())
+    found = rollback(cause, SetsThatRan(old, tried, earlier, swings=0.1), known, TrialSettings())
     assert found.gains == SETS["right"]
 
 
@@ -201,7 +201,7 @@ def test_an_unlikely_model_counts_for_as_much_as_it_is_likely() -> None:
     calm = LinearProcess(0.3, (50.0,), (), 5.5)
     for weights, stays in (((1.0, 0.02), True), ((1.0, 1.0), False)):
         known = StillAllowed((calm, PROCESS), weights=weights)
-        assert way_back(E.STOPPED, SetsThatRan(old, tried, swings=0.1), known, TrialSettings()).stays is stays
+        assert rollback(E.STOPPED, SetsThatRan(old, tried, swings=0.1), known, TrialSettings()).stays is stays
 
 
 def test_without_a_model_what_was_seen_decides() -> None:
@@ -213,18 +213,18 @@ def test_without_a_model_what_was_seen_decides() -> None:
         (1.0, PidGains(1.2 * SETS["right"].kp, 1.2 * SETS["right"].ki), False),
     ):
         ran = SetsThatRan(SETS["right"], tried, swung=swung)
-        assert way_back(E.STOPPED, ran, NOTHING_KNOWN, TrialSettings()).stays is stays
-        assert not way_back(E.RUNAWAY, ran, NOTHING_KNOWN, TrialSettings()).stays
+        assert rollback(E.STOPPED, ran, NOTHING_KNOWN, TrialSettings()).stays is stays
+        assert not rollback(E.RUNAWAY, ran, NOTHING_KNOWN, TrialSettings()).stays
 
 
-def test_a_person_is_told_when_the_way_back_leads_to_an_unstable_loop() -> None:
+def test_a_person_is_told_when_the_rollback_leads_to_an_unstable_loop() -> None:
     for old, tried, said in (
         ("unstable", "right", True),
         ("swinging", "right", False),
         ("unstable", "unstable", False),
     ):
         bench = Bench(P.TRIAL, SETS[old], SETS[tried], StillAllowed((PROCESS,)))
-        assert bool(bench.trials.no_way_back(0)) is said
+        assert bool(bench.trials.no_rollback(0)) is said
 
 
 GAINS = st.builds(PidGains, st.floats(0.3, 30.0), st.floats(0.003, 2.0))
@@ -244,7 +244,7 @@ def test_whatever_is_known_and_ran_a_set_robust_on_all_models_never_gives_way_to
 ) -> None:
     """Where nothing speaks against it: neither was it bad, nor does it act more in everything than what was."""
     old, tried, *earlier = sets
-    found = way_back(
+    found = rollback(
         cause, SetsThatRan(old, tried, tuple(earlier), swings=1.0), StillAllowed(tuple(processes)), TrialSettings()
     )
     assert found.gains in sets
@@ -260,7 +260,7 @@ def test_a_swing_under_calmer_gains_is_no_reason_to_go_back_to_more_action() -> 
     """A loop whose gain had grown in the meantime was made unstable by that."""
     swung = SetsThatRan(SETS["unstable"], SETS["right"], swings=0.0)
     for cause in UNDOS:
-        back = way_back(cause, swung, StillAllowed((PROCESS,)), TrialSettings())
+        back = rollback(cause, swung, StillAllowed((PROCESS,)), TrialSettings())
         assert back.gains == SETS["right"]
         assert "previous gains unstable" in back.reason
 
@@ -273,8 +273,8 @@ def test_what_swung_on_and_is_unstable_on_every_model_does_not_come_back() -> No
     assert not less_of_everything(before, acts_more)
     grew, worked = (SetsThatRan(before, acts_more, swung=s, swings=s) for s in (1.3, 0.1))
     for cause in UNDOS:
-        assert way_back(cause, grew, StillAllowed((PROCESS,)), TrialSettings()).stays
-        assert way_back(cause, worked, StillAllowed((PROCESS,)), TrialSettings()).stays
+        assert rollback(cause, grew, StillAllowed((PROCESS,)), TrialSettings()).stays
+        assert rollback(cause, worked, StillAllowed((PROCESS,)), TrialSettings()).stays
 
 
 # One door: whatever is put to it, nothing comes back that is less stable than what runs.

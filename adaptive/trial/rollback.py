@@ -96,7 +96,7 @@ class Robustness(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class WayBackNumbers(Numbers):
+class RollbackNumbers(Numbers):
     """models : how many were asked. ms_* : greatest where stable; unstable_* : on so many models.
     something_else : probability that none of the models is behind what was seen.
     """
@@ -124,13 +124,13 @@ class SetsThatRan(NamedTuple):
     lost: bool = False
 
 
-class WayBack(NamedTuple):
+class Rollback(NamedTuple):
     """gains : the set that is to run. stays : it is the tried one. reason : why, empty where nothing was weighed."""
 
     gains: PidGains
     stays: bool
     reason: str = ""
-    numbers: WayBackNumbers | None = None
+    numbers: RollbackNumbers | None = None
 
 
 class Seen(NamedTuple):
@@ -151,13 +151,13 @@ class Seen(NamedTuple):
         return (1.0 + self.bad) / (2.0 + self.bad + self.calm)
 
 
-def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> WayBack:
+def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> Rollback:
     """Which set is to run after a cause that ends trials; see the head of this file."""
     if ran.tried is None or ran.tried == ran.before:
-        return WayBack(ran.before, stays=False)
+        return Rollback(ran.before, stays=False)
     if cause is TrialEvent.ORDERED_BACK:
         why = unstable_again(ran, known)
-        return WayBack(ran.tried if why else ran.before, bool(why), why)
+        return Rollback(ran.tried if why else ran.before, bool(why), why)
     stays = cause not in UNDOS and (known.processes or cause is TrialEvent.TIMED_OUT)
     sets = [ran.tried, ran.before] if stays else [ran.before, ran.tried]
     ms = {gains: known.ms(gains) for gains in (*sets, *ran.earlier)}
@@ -170,8 +170,8 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     if known.processes:
         tried, before = Robustness.of(ms[ran.tried]), Robustness.of(ms[ran.before])
         models = len(ms[ran.tried])
-        numbers = WayBackNumbers(models, tried.ms, tried.unstable, before.ms, before.unstable, else_)
-    return WayBack(runs, runs == ran.tried, _words(cause, numbers, runs, ran, settings), numbers)
+        numbers = RollbackNumbers(models, tried.ms, tried.unstable, before.ms, before.unstable, else_)
+    return Rollback(runs, runs == ran.tried, _words(cause, numbers, runs, ran, settings), numbers)
 
 
 def less_stable(to: PidGains, present: PidGains, known: StillAllowed, harmless_ms: float) -> str:
@@ -264,7 +264,7 @@ def expected_losses(
 
 
 def _words(
-    cause: TrialEvent, found: WayBackNumbers | None, runs: PidGains, ran: SetsThatRan, settings: TrialSettings
+    cause: TrialEvent, found: RollbackNumbers | None, runs: PidGains, ran: SetsThatRan, settings: TrialSettings
 ) -> str:
     """The reason for people; empty where nothing was weighed and the set before runs, as is usual then."""
     if found is None and runs == ran.before:
