@@ -165,7 +165,7 @@ def _may_speak(found: Findings, look: Look) -> bool:
         return False
     if found.question.alone and admitted(record, found.settings).ground in SPOILT:
         return False
-    return not one_tone(look.window)
+    return not one_tone(look.window) and not one_tone(Window.of(list(record.samples)), LASTING_PERIODS)
 
 
 SPOILT = frozenset({
@@ -192,19 +192,22 @@ def shown_clearly(known: RegionModel | None, excitation: Excitation, foreign: in
     return known is not None and known.identifiable and excitation.clear > 0 and not foreign
 
 
-def one_tone(window: Window) -> bool:
+FEWEST_PERIODS, LASTING_PERIODS = 2, 5
+"""Periods of a tone in a look, and in all samples that are kept, from which it is one."""
+
+
+def one_tone(window: Window, fewest: int = FEWEST_PERIODS) -> bool:
     """Whether one tone is most of what moves the loop: it identifies no process, whatever fits it.
 
-    A look may hold too few of its periods to show that it lasts.
+    fewest : periods of it; fewer are how a load wanders. A look may hold too few of them, as a tone began or the gains
+    changed in the middle: then all samples that are kept show that it lasts.
     """
     error = window.sp - window.pv
     power = np.abs(np.fft.rfft((error - np.mean(error)) * np.hanning(len(error)))) ** 2
     peak = int(np.argmax(power))
-    return peak >= FEWEST_PERIODS and float(np.sum(power[peak - 2 : peak + 3])) > TONE_SHARE * float(np.sum(power))
+    return peak >= fewest and float(np.sum(power[peak - 2 : peak + 3])) > TONE_SHARE * float(np.sum(power))
 
 
-FEWEST_PERIODS = 2
-"""Periods of a tone in a look; fewer are how a load wanders."""
 TONE_SHARE = 0.5
 """Share of the error's power in one line: loops near instability under real loads wander in amplitude and phase."""
 

@@ -22,7 +22,7 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision import by_book as by_book_stage
 from retuner.adaptive.supervision import pipeline, retuner
-from retuner.adaptive.supervision.by_book import KEPT_LOOKS, by_all_samples, look_of, one_tone
+from retuner.adaptive.supervision.by_book import KEPT_LOOKS, LASTING_PERIODS, by_all_samples, look_of, one_tone
 from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.pipeline_types import Findings, Look
 from retuner.adaptive.supervision.settings import RetunerSettings, demanded
@@ -230,6 +230,10 @@ def test_one_lasting_tone_is_told_from_a_load_that_wanders() -> None:
     assert one_tone(Window(t, np.zeros(800), tone, tone))
     assert not one_tone(Window(t, np.zeros(800), walk(3, 800), walk(3, 800)))
     assert not one_tone(recorded(GOOD, 3))
+    slow = np.sin(np.arange(4000.0) / 90.0)
+    look, kept = (Window(np.arange(float(n)), np.zeros(n), slow[-n:], slow[-n:]) for n in (600, 4000))
+    assert not one_tone(look)  # a period of it
+    assert one_tone(kept, LASTING_PERIODS)
 
 
 @pytest.mark.parametrize(
