@@ -44,6 +44,8 @@ OPEN = frozenset({
     LOOKED, "not_identifiable", "unconfirmed", "unknown", "external", "low_excitation", "contradicted", "one_record",
 })  # fmt: skip
 """Codes with which the pipeline says that it cannot tell."""
+BY_A_STEP = frozenset({"contradicted", "one_record"})
+"""Those of them with which a step has shown a process, and another record is waited for."""
 LOOK, WHOLE = 500, 1000
 """Samples of the book's interval after which it is looked at, and after which a window is entered for good."""
 PER_TAU_I = 100
@@ -218,6 +220,8 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     if told.tuning is None or not told.models:
         return
     less = told.leans < 0
+    if less and found.end is not None and found.end.code in BY_A_STEP:
+        return  # what a step has shown of the process stands against it, and a tone looks like a lack of robustness
     valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
     if valve > (MOST_VALVE if less else 0.0):
         return
