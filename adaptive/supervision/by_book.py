@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, shares
@@ -44,8 +44,6 @@ OPEN = frozenset({
     LOOKED, "not_identifiable", "unconfirmed", "unknown", "external", "low_excitation", "contradicted", "one_record",
 })  # fmt: skip
 """Codes with which the pipeline says that it cannot tell."""
-BY_A_STEP = frozenset({"contradicted", "one_record"})
-"""Those of them with which a step has shown a process, and another record is waited for."""
 LOOK, WHOLE = 500, 1000
 """Samples of the book's interval after which it is looked at, and after which a window is entered for good."""
 PER_TAU_I = 100
@@ -220,8 +218,6 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     if told.tuning is None or not told.models:
         return
     less = told.leans < 0
-    if less and found.end is not None and found.end.code in BY_A_STEP:
-        return  # what a step has shown of the process stands against it, and a tone looks like a lack of robustness
     valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
     if valve > (MOST_VALVE if less else 0.0):
         return
@@ -238,6 +234,15 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     found.proposal, found.verdict, found.basis = told.tuning, verdict, Basis.ALL_SAMPLES
     found.stop(verdict.ruling.name.lower(), words)
     runaway(found)
+
+
+def _robust_by_itself(found: Findings) -> bool:
+    """Whether the loop is robust on the models that the whole diagnosis of the response has: a tone beside them looks
+    like a lack of robustness.
+    """
+    cause = found.diagnosis
+    ms = math.inf if cause is None or cause.cause in TUNING_CAUSES else cause.evidence.get("ms", math.inf)
+    return ms <= found.settings.cause.ms_high
 
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97
