@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
-from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, shares
@@ -234,15 +234,6 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     found.proposal, found.verdict, found.basis = told.tuning, verdict, Basis.ALL_SAMPLES
     found.stop(verdict.ruling.name.lower(), words)
     runaway(found)
-
-
-def _robust_by_itself(found: Findings) -> bool:
-    """Whether the loop is robust on the models that the whole diagnosis of the response has: a tone beside them looks
-    like a lack of robustness.
-    """
-    cause = found.diagnosis
-    ms = math.inf if cause is None or cause.cause in TUNING_CAUSES else cause.evidence.get("ms", math.inf)
-    return ms <= found.settings.cause.ms_high
 
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97
