@@ -8,7 +8,7 @@
 enum { LANES = 8, MOST_DEGREE = 3, MOST_FALLS = 4, MOST_DEADS = 64, MOST_MIXED = 64 };
 enum { DEGREE, ROOTS, BOTTOM = ROOTS + MOST_DEGREE, LOAD = BOTTOM + MOST_DEGREE };
 static const double SILENT = 1e-200;          /* what is left in a filter is nothing below this */
-static const double DEPENDENT_SHARE = 1e-14;  /* a column adds nothing when so little of it is left */
+static const double DEPENDENT_SHARE = 1e-10;  /* less of a column than this is round-off: the others have it already */
 static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHARE = -45;
 
 /* A = (1 - root q)(1 - root q)..., C = 1 + bottom q + ...: loads are rows of degree, roots, bottom. The inputs, held from
@@ -24,9 +24,9 @@ typedef struct {
 
 /* Signals lie LANES abreast, (blocks, n, LANES): pv, the impulse, the falls, the inputs as they come out of the lags.
  * rows : the inputs once whitened, each with `pad` zeros before it. basis : (LANES, wide), pv first; wide : n and
- * zeros, so many that LANES divides it. */
+ * zeros, so many that LANES divides it. starts : columns of the basis that are not zero, without pv's. */
 typedef struct {
-    Py_ssize_t blocks, pad, wide, columns;
+    Py_ssize_t blocks, pad, wide, columns, starts;
     double *source, *reduced, *white, *rows, *basis, *sums, *memory;
 } Lanes;
 
@@ -122,6 +122,7 @@ static double put_starts(const Walk *w, Lanes *lanes, int degree) {
     const double *impulse = lane(lanes->white, n, 1), *pv = lane(lanes->white, n, 0);
     for (Py_ssize_t i = 0; i < n; i++)
         y[i] = pv[i * LANES];
+    lanes->starts = 0;
     for (Py_ssize_t j = 0; j < k; j++) {
         double *column = columns + j * lanes->wide;
         const double *from = j < degree ? impulse : lane(lanes->white, n, 2 + j - degree);
@@ -133,7 +134,9 @@ static double put_starts(const Walk *w, Lanes *lanes, int degree) {
             for (Py_ssize_t m = 0; m < j; m++)
                 add(column, -dot(columns + m * lanes->wide, column, n), columns + m * lanes->wide, n);
         left = dot(column, column, n);
-        multiply(column, left > DEPENDENT_SHARE * DEPENDENT_SHARE * whole && left > 0 ? 1 / sqrt(left) : 0, n);
+        int adds = left > DEPENDENT_SHARE * DEPENDENT_SHARE * whole && left > 0;
+        multiply(column, adds ? 1 / sqrt(left) : 0, n);
+        lanes->starts += adds;
         add(y, -dot(column, y, n), column, n);
     }
     memset(columns + k * lanes->wide, 0, (size_t)((LANES - 1 - k) * lanes->wide) * sizeof *y);
@@ -258,7 +261,7 @@ static int walk(const Walk *w) {
         for (Py_ssize_t i = 0; i < cells; i++)
             most = fmax(most, information[i]);
         double least = LEAST_SHARE * most + LEAST_INFORMATION;
-        double silent = (double)(w->n - lanes.columns + 1) * w->noise;
+        double silent = (double)(w->n - lanes.starts) * w->noise;
         for (Py_ssize_t i = 0; i < cells; i++) {
             double along = gain[i];
             information[i] = fmax(information[i], least);
