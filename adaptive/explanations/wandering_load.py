@@ -78,22 +78,33 @@ class LoadModel:
         return tuple(np.poly(self.roots).tolist())
 
 
-@cache
 def load_model(lag: float, bandwidth: float, order: int, second: float = 0.0) -> LoadModel:
     """The filter that whitens a load behind a first lag and a second one (0: none), in samples. order : of the walk.
 
     See the head.
     """
+    return load_models(lag, (bandwidth,), order, second)[0]
+
+
+@cache
+def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: float = 0.0) -> tuple[LoadModel, ...]:
+    """The same for several bandwidths: their polynomials are factored in one call."""
     roots = (_pole(lag), *((_pole(second),) if second else ())) + (1.0,) * order
-    a = np.poly(roots)
-    if math.isinf(bandwidth):
-        return LoadModel(roots, (1.0,) + (0.0,) * (len(a) - 1))
-    ratio = abs(np.polyval(a[::-1], np.exp(-1j * bandwidth))) ** 2
-    both = np.convolve(a, a[::-1])
-    both[len(a) - 1] += ratio
-    found = np.roots(both)
-    inside = found[np.argsort(np.abs(found))][: len(a) - 1]
-    return LoadModel(roots, tuple(np.real(np.poly(inside)).tolist()))
+    a, degree = np.poly(roots), 1 + order + bool(second)
+    tried = np.array([bandwidth for bandwidth in bandwidths if math.isfinite(bandwidth)])
+    both = np.tile(np.convolve(a, a[::-1]), (len(tried), 1))
+    both[:, degree] += np.abs(np.polyval(a[::-1], np.exp(-1j * tried))) ** 2
+    companions = np.tile(np.eye(2 * degree, k=-1), (len(tried), 1, 1))
+    companions[:, 0] = -both[:, 1:] / both[:, :1]
+    found = np.linalg.eigvals(companions)
+    inside = np.take_along_axis(found, np.argsort(np.abs(found), axis=1)[:, :degree], axis=1)
+    c = np.zeros((len(tried), degree + 1), dtype=np.complex128)
+    c[:, 0] = 1.0
+    for k in range(degree):
+        c[:, 1:] -= inside[:, k : k + 1] * c[:, :-1]
+    models = iter(LoadModel(roots, tuple(row)) for row in c.real.tolist())
+    without = LoadModel(roots, (1.0,) + (0.0,) * degree)
+    return tuple(next(models) if math.isfinite(bandwidth) else without for bandwidth in bandwidths)
 
 
 def _pole(lag: float) -> float:
@@ -185,7 +196,11 @@ def under_loads(
     """
     rows = slice(through, None if through is None else through + 1) if not first_only else slice(1)
     seconds, behind = second_lags(lag)[rows], 0.0 if through is None else second_lags(lag)[through]
-    models = [load_model(lag, *load, behind if load[1] == 1 else 0.0) for load in loads]
+    by_order = {
+        order: iter(load_models(lag, tuple(b for b, o in loads if o == order), order, behind if order == 1 else 0.0))
+        for order in ORDERS
+    }
+    models = [next(by_order[order]) for _, order in loads]
     falls = [_pole(second) for second in second_lags(lag)[1:]]
     unknown = [len({*falls} - {*model.roots}) + len(model.roots) for model in models]
     freedom = len(record.pv) - np.array(unknown, dtype=np.float64)
