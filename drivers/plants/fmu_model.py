@@ -102,6 +102,8 @@ class FmuModel:
         found = self._known[name]
         if found.type not in {*REAL, REAL_32}:
             raise PlantFaultError(f'= "{name}" is of type {found.type}; a loop needs a real number', key)
+        if getattr(found, "dimensions", None):
+            raise PlantFaultError(f'= "{name}" is an array; a loop needs one number', key)
         if key == "input" and found.causality != "input":
             raise PlantFaultError(f'= "{name}" is not an input of the FMU but {found.causality}', key)
         return found
@@ -112,7 +114,10 @@ class FmuModel:
         if is_2:
             unit.setupExperiment(startTime=0.0)
         left: Any = dict(self._spec.parameters)
-        left = apply_start_values(unit, self._about, left, settable=settable_in_instantiated)
+        try:
+            left = apply_start_values(unit, self._about, left, settable=settable_in_instantiated)
+        except Exception as error:  # noqa: BLE001  FMPy raises nothing more special for a value of another type
+            raise PlantFaultError(f"do not fit: {error}", "parameters") from None
         if is_2:
             unit.enterInitializationMode()
         else:
@@ -211,7 +216,10 @@ def _described(spec: ModelSpec) -> tuple[Any, str]:
     offered = [name for name, one in has.items() if one is not None]
     interface = spec.interface or (offered or [""])[0]
     if interface not in offered:
-        raise PlantFaultError(f"the FMU has no {spec.interface or 'interface for it'}; it has {offered}", "interface")
+        raise PlantFaultError(
+            f"the FMU has no {spec.interface or 'interface for it'}; it has {' and '.join(offered) or 'none'}",
+            "interface",
+        )
     platforms = fmpy.supported_platforms(spec.source)
     if fmpy.platform not in platforms and fmpy.platform_tuple not in platforms:
         raise PlantFaultError(f"the FMU is for {', '.join(platforms)}, this machine is {fmpy.platform_tuple}", "file")

@@ -1,5 +1,6 @@
 """The process in which a model of somebody else runs: started by plant_process.py, ends when its pipe does."""
 
+import contextlib
 import json
 import pickle
 import signal
@@ -28,14 +29,11 @@ def main(handle: int) -> None:
     try:
         model = _made(spec)
         told = {"readings": [*map(float, model.readings)], "described": model.described()}
-        pipe.send_bytes(FLOATS + json.dumps(told).encode())
+        _send(pipe, FLOATS + json.dumps(told).encode())
         _answer(pipe, model, len(spec.inputs) or 1)
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        pass
-    except Exception as error:  # noqa: BLE001  whatever it is, the bench tells it in a line
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  whatever it is, the bench tells it in a line
         key = error.key if isinstance(error, PlantFaultError) else ()
-        told = {"message": _in_a_line(error), "key": key}
-        pipe.send_bytes(TROUBLE + json.dumps(told).encode())
+        _send(pipe, TROUBLE + json.dumps({"message": _in_a_line(error), "key": key}).encode())
     finally:
         if model is not None:
             model.close()
@@ -55,17 +53,33 @@ def _answer(pipe: Connection, model: "PythonModel | FmuModel", count: int) -> No
     """Step by step, for as long as somebody asks."""
     question = struct.Struct(f"<{count + 1}d")
     while True:
-        *inputs, dt_s = question.unpack(pipe.recv_bytes())
+        try:
+            asked = pipe.recv_bytes()
+        except (EOFError, OSError):  # nobody asks any more; the model's own errors of this kind are told
+            return
+        *inputs, dt_s = question.unpack(asked)
         readings = model.step(inputs, dt_s)
-        pipe.send_bytes(FLOATS + struct.pack(f"<{len(readings)}d", *readings))
+        _send(pipe, FLOATS + struct.pack(f"<{len(readings)}d", *readings))
 
 
-def _in_a_line(error: Exception) -> str:
+def _send(pipe: Connection, answer: bytes) -> None:
+    with contextlib.suppress(OSError):  # nobody is there any more
+        pipe.send_bytes(answer)
+
+
+def _in_a_line(error: BaseException) -> str:
     """What went wrong, and where in the user's file."""
+    text = "it cannot be printed"
+    with contextlib.suppress(Exception):
+        text = str(error)
     if isinstance(error, PlantFaultError):
-        return str(error)
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} (line {last.lineno} of {last.filename})"
+        return text
+    places = [
+        f" (line {one.lineno} of {one.filename})"
+        for one in traceback.extract_tb(error.__traceback__)
+        if "site-packages" not in one.filename and Path(one.filename).parent != Path(__file__).parent
+    ]
+    return type(error).__name__ + (f": {text}" if text else "") + "".join(places[-1:])
 
 
 if __name__ == "__main__":

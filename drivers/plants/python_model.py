@@ -20,6 +20,8 @@ from typing import Any
 
 from retuner.drivers.plants.model import ModelSpec, PlantFaultError, missing_name
 
+MOST_SHOWN = 60
+"""Letters that are shown of what is no number."""
 FIRST_STEP_S = 1e-3
 """Length of the step that a class without `pv` makes for its first reading, s."""
 
@@ -127,8 +129,10 @@ def _number(name: str, value: Any) -> float:  # noqa: ANN401  whatever a user's 
     """A reading as a number, also one of numpy."""
     try:
         return float(value)
-    except (TypeError, ValueError):
-        raise PlantFaultError(f"step returned {value!r} as {name}; a plant returns numbers") from None
+    except (TypeError, ValueError, OverflowError):
+        told = repr(value)
+        told = told if len(told) <= MOST_SHOWN else f"{told[:MOST_SHOWN]} ..."
+        raise PlantFaultError(f"step returned {told} as {name}; a plant returns numbers") from None
 
 
 def _takes(made: object, parameters: Mapping[str, object]) -> bool:

@@ -18,6 +18,10 @@ from retuner.drivers.plants.model import PlantFaultError, PlantModel, StillBusyE
 from retuner.drivers.plants.plant import MeasurementNoise, check_step
 from retuner.drivers.plants.recorded_load import RecordedLoads
 
+MOST_TOLD = 6
+"""How often it is told that readings are lost or are there again."""
+LARGEST = 3e38
+"""What a reading may be: a bus carries 32-bit floating point."""
 SAME_TIME = 1e-6
 """Share of a step by which times of two devices may differ by rounding."""
 GOES_ON = "the controller goes on without a reading; this is a fault of the bench, not of the device"
@@ -64,7 +68,7 @@ class SharedPlant:
         self.ports: list[PlantPort] = []
         self.t_s = 0.0
         self.stopped = ""
-        self._trouble = ""
+        self._trouble, self._told = "", 0
 
     def port(self, settings: PortSettings, loads: RecordedLoads | None = None) -> "PlantPort":
         """A place for another loop."""
@@ -92,16 +96,26 @@ class SharedPlant:
             self._model.close()
             self._say(self.stopped)
             return
-        lost = [i for i, value in enumerate(self.readings) if not math.isfinite(value)]
-        self._tell(f"plant {source} gives {self.readings[lost[0]]} as output {lost[0] + 1}" if lost else "")
+        lost = [(i, value) for i, value in enumerate(self.readings) if not abs(value) <= LARGEST]
+        if lost:
+            self.readings = [value if abs(value) <= LARGEST else math.nan for value in self.readings]
+        self._tell(f"plant {source} gives {lost[0][1]} as output {lost[0][0] + 1}" if lost else "")
 
     def _tell(self, trouble: str) -> None:
-        """Say once that something begins to be wrong, and once that it is over."""
+        """Say once that something begins to be wrong, and once that it is over; no more where that goes on and on."""
         if bool(trouble) != bool(self._trouble):
             place = f"from {self.t_s:.6g} s of its time on"
             source = self.ports[0].settings.source
-            self._say(f"{trouble} {place}; {GOES_ON}" if trouble else f"plant {source} gives readings again, {place}")
-        self._trouble = trouble
+            self._trouble = f"{trouble} {place}; {GOES_ON}" if trouble else ""
+            self._told += 1
+            if self._told <= MOST_TOLD:
+                last = "; this is not told again" * (self._told == MOST_TOLD)
+                self._say((self._trouble or f"plant {source} gives readings again, {place}") + last)
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with it now: it has stopped, or gives no reading; empty for nothing."""
+        return self.stopped or self._trouble
 
     def close(self) -> None:
         """Let go of the model."""

@@ -130,12 +130,15 @@ def matrices_of(system: object) -> tuple[Rows, Rows, Rows, Rows]:
     dt = getattr(system, "dt", None)
     if dt not in {None, 0}:
         raise PlantFaultError(f"is sampled (dt = {dt}); give a continuous system", "model")
-    if not hasattr(system, "A") and hasattr(system, "to_ss"):  # scipy.signal's transfer functions
-        system = system.to_ss()
-    if not hasattr(system, "A") and type(system).__module__.startswith("control."):
-        import control  # noqa: PLC0415  the user has it: the system is its
+    try:
+        if not hasattr(system, "A") and hasattr(system, "to_ss"):  # a transfer function
+            system = system.to_ss()
+        elif not hasattr(system, "A") and type(system).__module__.startswith("control."):
+            import control  # noqa: PLC0415  the user has it: the system is its
 
-        system = control.ss(system)
+            system = control.ss(system)
+    except (TypeError, ValueError) as error:
+        raise PlantFaultError(f"is a {type(system).__name__} that has no state space: {error}", "model") from None
     if not all(hasattr(system, name) for name in "ABCD"):
         raise PlantFaultError(
             f"is a {type(system).__name__}; give a system of python-control or scipy.signal (ss, tf, StateSpace, lti)",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from command_line import run
 
-from retuner.config.bench_plants import Plants
+from retuner.config.bench_plants import Plants, UnusablePlantError
 from retuner.config.loading import parse_session
 
 LOOP = """schema = 1
@@ -75,6 +75,24 @@ def test_check_shows_a_class_and_its_parameters(tmp_path: Path) -> None:
     assert status == 0
     assert "plant python" in told
     assert "lag.py:Lag(gain=2.0)" in told
+    assert "start: co 40 % is 40 at its input; pv 20 degC" in told
+    assert "!!" not in told
+
+
+def begun(plant: str) -> str:
+    session = parse_session(LOOP + plant + SCENARIO)
+    with Plants(session.loops, [].append) as plants:
+        (lines,) = plants.begun()
+    return lines[-1]
+
+
+def test_check_tells_a_start_that_is_not_at_rest_or_out_of_range(tmp_path: Path) -> None:
+    away = python_plant(tmp_path).replace("start_co_pct = 40.0", "start_co_pct = 60.0")
+    assert "it is not at rest: pv is 4" in begun(away)
+    far = python_plant(tmp_path, more="output_offset = 5000.0\n")
+    assert "pv is outside of pv_min to pv_max" in begun(far)
+    with pytest.raises(UnusablePlantError, match=r"stopped at 7 s of its time: RuntimeError: valve stuck \(line 11 of"):
+        begun(python_plant(tmp_path, dies_at=7))
 
 
 @pytest.mark.parametrize(

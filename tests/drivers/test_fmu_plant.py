@@ -80,9 +80,11 @@ def test_communication_steps_may_be_shorter_than_a_sample(heater: ModelSpec) -> 
         ({"inputs": ("uu",)}, ("input",), "the nearest: u"),
         ({"inputs": ("y",)}, ("input",), "is not an input of the FMU but output"),
         ({"outputs": ("why",)}, ("output",), "the nearest: y"),
+        ({"outputs": ("table",)}, ("output",), "is an array|there is no variable of the FMU"),  # FMI 3, 2
         ({"parameters": {"tua": 3.0}}, ("parameters", "tua"), "the nearest: tau"),
         ({"parameters": {"y": 3.0}}, ("parameters", "y"), "cannot be set"),
-        ({"interface": "co_simulation"}, ("interface",), "has no co_simulation"),
+        ({"parameters": {"tau": "fast"}}, ("parameters", "tau"), "tau = 10.* is a number"),
+        ({"interface": "co_simulation"}, ("interface",), "has no co_simulation; it has model_exchange"),
         ({"source": "nowhere.fmu"}, ("file",), "there is no such file"),
         ({"source": __file__}, ("file",), "cannot be read as an FMU"),
     ],

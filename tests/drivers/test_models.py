@@ -22,7 +22,7 @@ from retuner.drivers.plants.model import ModelSpec, PlantFaultError
 from retuner.drivers.plants.plant_process import ModelInProcess
 from retuner.drivers.plants.python_model import PythonModel, find_object
 from retuner.drivers.plants.recorded_load import LoadedPlant, RecordedLoad, RecordedLoads
-from retuner.drivers.plants.shared_plant import PlantPort, PortSettings, SharedPlant
+from retuner.drivers.plants.shared_plant import MOST_TOLD, PlantPort, PortSettings, SharedPlant
 from retuner.drivers.plants.state_space import StateSpaceModel, matrices_of
 from retuner.drivers.recorded.recording import Recording
 
@@ -81,6 +81,8 @@ def test_systems_of_python_control_and_scipy_are_taken() -> None:
         assert model.step([1.0], 9.0)[0] == pytest.approx(ours[0], rel=1e-9)
     with pytest.raises(PlantFaultError, match="is sampled"):
         matrices_of(control.ss(*LAG[:3], [[0.0]], 0.5))
+    with pytest.raises(PlantFaultError, match="is a TransferFunction that has no state space"):
+        matrices_of(control.tf([1, 0, 0], [1, 1]))
     with pytest.raises(PlantFaultError, match="is a dict"):
         matrices_of({})
 
@@ -267,6 +269,10 @@ def test_a_user_s_file_may_import_what_lies_beside_it(tmp_path: Path) -> None:
 FAULTY = """
 import math, os, threading, time
 
+class Unprintable(Exception):
+    def __str__(self):
+        raise RuntimeError
+
 class Faulty:
     pv = 1.0
 
@@ -286,6 +292,16 @@ class Faulty:
             return math.nan
         if self.fault == "none":
             return None
+        if self.fault == "key":
+            raise KeyboardInterrupt
+        if self.fault == "ask":
+            return input()
+        if self.fault == "unprintable":
+            raise Unprintable
+        if self.fault == "long":
+            return 10**400
+        if self.fault == "huge":
+            return 1e300
         if self.fault == "exit":
             os._exit(7)
         if self.fault == "abort":
@@ -340,7 +356,11 @@ def bench() -> Iterator[list[Bench]]:
 @pytest.mark.parametrize(
     ("fault", "text"),
     [
-        ("error", r"ZeroDivisionError: division by zero \(line 18 of .*faulty.py\)"),
+        ("error", r"ZeroDivisionError: division by zero \(line 22 of .*faulty.py\)"),
+        ("key", r"KeyboardInterrupt \(line 28 of .*faulty.py\)"),
+        ("ask", r"EOFError: EOF when reading a line \(line 30 of .*faulty.py\)"),
+        ("unprintable", r"Unprintable: it cannot be printed \(line 32 of .*faulty.py\)"),
+        ("long", r"step returned 10{57,59} \.\.\. as pv"),
         ("none", "step returned None as pv"),
         ("exit", "its process ended with status 7"),
         ("abort", "its process was killed by SIGABRT"),
@@ -360,12 +380,43 @@ def test_a_plant_that_dies_is_one_line_and_no_reading(
 
 
 def test_a_reading_that_is_no_number_is_told_once_and_may_pass(tmp_path: Path, bench: list[Bench]) -> None:
-    bench.append(Bench(tmp_path, "nan"))
-    got = bench[0].steps(5)
-    assert [math.isnan(one) for one in got] == [False, False, True, False, False]
-    assert len(bench[0].said) == 2
-    assert "gives nan as output 1 from 3 s" in bench[0].said[0]
-    assert "gives readings again, from 4 s" in bench[0].said[1]
+    for fault, told in (("nan", "nan"), ("huge", "1e+300")):
+        bench.append(one := Bench(tmp_path, fault))
+        got = one.steps(5)
+        assert [math.isnan(pv) for pv in got] == [False, False, True, False, False]
+        assert len(one.said) == 2
+        assert f"gives {told} as output 1 from 3 s" in one.said[0]
+        assert "gives readings again, from 4 s" in one.said[1]
+        assert one.port.plant.fault == ""
+
+
+class Flickering:
+    """A model without a reading at every other step."""
+
+    readings = (1.0,)
+
+    def __init__(self) -> None:
+        self.n = 0
+
+    def step(self, inputs: Sequence[float], dt_s: float) -> Sequence[float]:
+        self.n += 1
+        return [math.inf if self.n % 2 else inputs[0] * dt_s]
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def test_readings_that_come_and_go_are_told_a_few_times_and_a_lost_one_at_the_end_is_a_fault() -> None:
+    said: list[str] = []
+    plant = SharedPlant(Flickering(), [0.0], said.append)
+    port = plant.port(PortSettings("flickering"))
+    got = [port.step(2.0, 0.0, 1.0) for _ in range(41)]
+    assert [math.isnan(pv) for pv in got] == [True, False] * 20 + [True]
+    assert len(said) == MOST_TOLD
+    assert said[-1].endswith("; this is not told again")
+    assert "gives inf as output 1 from 41 s of its time on" in plant.fault
+    port.step(2.0, 0.0, 1.0)
+    assert plant.fault == ""
 
 
 def test_what_a_model_prints_does_not_get_among_its_answers(tmp_path: Path, bench: list[Bench]) -> None:

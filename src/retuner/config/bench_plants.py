@@ -1,6 +1,7 @@
 """The plants behind the virtual devices of a session, from its configuration; loops that name one `shared` have one."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -33,7 +34,7 @@ from retuner.drivers.plants.plant import KnownPlant, Plant
 from retuner.drivers.plants.plant_process import ModelInProcess
 from retuner.drivers.plants.python_model import find_object
 from retuner.drivers.plants.recorded_load import LoadedPlant, RecordedLoad, RecordedLoads
-from retuner.drivers.plants.shared_plant import PlantPort, PortSettings, SharedPlant
+from retuner.drivers.plants.shared_plant import GOES_ON, PlantPort, PortSettings, SharedPlant
 from retuner.drivers.plants.state_space import StateSpaceModel, matrices_of
 from retuner.drivers.plants.stepped import SteppedPlant, rests_of
 from retuner.drivers.recorded.recording import RecordingError
@@ -41,6 +42,9 @@ from retuner.errors import UserError
 
 WAIT_SAMPLES, WAIT_FLOOR_S = 2.0, 0.1
 """In real time a model's step is waited for so many samples, at least so long, before the controller goes on alone."""
+
+SAMPLES_AT_REST, AT_REST = 20, 0.02
+"""How long `check` holds a model's start, in samples, and the share of the pv range that pv may move meanwhile."""
 
 ModelConfig = PythonPlantConfig | FmuPlantConfig | StateSpacePlantConfig
 SCALES = ("input_scale", "input_offset", "output_scale", "output_offset")
@@ -170,7 +174,7 @@ class Plants:
     """
 
     def __init__(self, configs: Sequence[Config], say: Callable[[str], None], speed: float | None = None) -> None:
-        self._say, self._speed = say, speed
+        self._configs, self._say, self._speed = configs, say, speed
         self._shared: dict[str, _Model] = {}
         self.plants: list[Plant] = []
         self.described: list[Sequence[str]] = []
@@ -216,13 +220,51 @@ class Plants:
 
     @property
     def stopped(self) -> list[str]:
-        """What is to be said of models that have stopped."""
-        return [one.plant.stopped for one in self._shared.values() if one.plant.stopped]
+        """What is to be said of models that have stopped, or give no reading at the end."""
+        return [one.plant.fault for one in self._shared.values() if one.plant.fault]
+
+    def begun(self) -> list[list[str]]:
+        """What a person should know of each loop's start; the models go on for a few samples.
+
+        Raises
+        ------
+        UnusablePlantError
+            One fails within these.
+        """
+        ports = [one if isinstance(one, PlantPort) else None for one in self.plants]
+        first = [one.pv if one else math.nan for one in ports]
+        for _ in range(SAMPLES_AT_REST):
+            for port, config in zip(ports, self._configs, strict=True):
+                if port:
+                    port.step(port.settings.start_co, 0.0, config.loop.sample_time_s)
+        for i, (port, config) in enumerate(zip(ports, self._configs, strict=True)):
+            if port and port.plant.fault:
+                fault = PlantFaultError(port.plant.fault.removesuffix(f"; {GOES_ON}"))
+                raise UnusablePlantError(i, config.loop.name, fault)
+        return [
+            [*told, *(_start(port, config, pv) if port else ())]
+            for told, port, config, pv in zip(self.described, ports, self._configs, first, strict=True)
+        ]
 
     def close(self) -> None:
         """End the processes."""
         for one in self._shared.values():
             one.close()
+
+
+def _start(port: PlantPort, config: Config, first: float) -> Iterator[str]:
+    """Where a loop begins, and what is odd about it."""
+    loop, place = config.loop, port.settings
+    low, high, dt_s = loop.pv_min, loop.pv_max, loop.sample_time_s
+    value = place.input_scale * place.start_co + place.input_offset
+    yield f"start: co {place.start_co:g} % is {value:g} at its input; pv {first:.6g} {loop.pv_unit}"
+    if not low <= first <= high:
+        yield f"!! pv is outside of pv_min to pv_max ({low:g} to {high:g}): output_scale, or start values?"
+    elif abs(port.pv - first) > AT_REST * (high - low) and not plant_of(config).loads:
+        yield (
+            f"!! it is not at rest: pv is {port.pv:.6g} after {SAMPLES_AT_REST * dt_s:g} s of this co; "
+            "see input_scale, start_co_pct, settle_s"
+        )
 
 
 def _shares(config: Config, name: str) -> bool:
@@ -259,6 +301,9 @@ class _Model:
             rows = theta if isinstance(theta, tuple) else [[theta] * inputs] * outputs
             model: PlantModel = StateSpaceModel(a, b, c, d, rows)
             start = [0.0] * (len(self._inputs) or 1)
+            self.described = [
+                f"{len(a)} states, inputs: {', '.join(first.inputs) or 1}, outputs: {', '.join(first.outputs) or 1}"
+            ]
         else:
             spec = ModelSpec(
                 first.kind,

@@ -404,7 +404,7 @@ def plants_here(session: SessionConfig, text: str) -> list[Sequence[str]]:
     with_plant = [i for i, one in enumerate(session.loops) if one.device is not None and one.device.plant is not None]
     try:
         with behind.Plants([session.loops[i] for i in with_plant], lambda _: None) as plants:
-            told = dict(zip(with_plant, plants.described, strict=True))
+            told = dict(zip(with_plant, plants.begun(), strict=True))
     except behind.UnusablePlantError as error:
         loop = with_plant[error.loop] if session.several else None
         raise UnusableError([_placed(error.problem, toml_lines(text), loop)]) from None
