@@ -91,12 +91,6 @@ static int finite_view(PyObject *object, View *v, const char *name, int writable
     return 0;
 }
 
-static void close_views(View *views, int count) {
-    for (int i = 0; i < count; i++)
-        if (views[i].open)
-            PyBuffer_Release(&views[i].buffer);
-}
-
 static int refuse(const char *sentence) {
     PyErr_SetString(PyExc_ValueError, sentence);
     return -1;
@@ -178,103 +172,82 @@ static int read_record(Work *w, View *views, PyObject *const *from) {
 
 enum { MOST_VIEWS = 16 };
 
-/* Of a call: its views, its workspace. */
+/* What a call needs: its views, its workspace. */
 typedef struct {
     View views[MOST_VIEWS];
-    int count;
     Work work;
 } Call;
 
-static PyObject *ended(Call *call, PyObject *result) {
-    close_views(call->views, MOST_VIEWS);
+typedef PyObject *Answer(View *v, Work *w, PyObject *const *from);
+
+/* Every call goes through here: its arguments are counted, and all that it opened is closed again. */
+static PyObject *called(Answer *answer, PyObject *args, int arguments) {
+    PyObject *from[MOST_VIEWS];
+    if (PyTuple_Size(args) != arguments)
+        return PyErr_Format(PyExc_TypeError, "%d arguments are needed, not %zd", arguments, PyTuple_Size(args));
+    for (int i = 0; i < arguments; i++)
+        from[i] = PyTuple_GetItem(args, i);
+    Call *call = PyMem_Calloc(1, sizeof *call);
+    if (!call)
+        return PyErr_NoMemory();
+    PyObject *result = answer(call->views, &call->work, from);
+    for (int i = 0; i < MOST_VIEWS; i++)
+        if (call->views[i].open)
+            PyBuffer_Release(&call->views[i].buffer);
     free(call->work.memory);
     PyMem_Free(call);
     return PyErr_Occurred() ? NULL : result;
 }
 
-static Call *begun(PyObject *args, PyObject **from, int arguments) {
-    if (PyTuple_Size(args) != arguments) {
-        PyErr_Format(PyExc_TypeError, "%d arguments are needed, not %zd", arguments, PyTuple_Size(args));
-        return NULL;
-    }
-    for (int i = 0; i < arguments; i++)
-        from[i] = PyTuple_GetItem(args, i);
-    Call *call = PyMem_Calloc(1, sizeof *call);
-    if (!call)
-        PyErr_NoMemory();
-    return call;
-}
-
 /* refine(t, pv, co, numbers, p, low, high, stride, root, target, explained, evaluations, enough) -> deviance */
-static PyObject *py_refine(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[13];
-    Call *call = begun(args, from, 13);
-    if (!call)
-        return NULL;
-    View *v = call->views;
-    Work *w = &call->work;
+static PyObject *py_refine(View *v, Work *w, PyObject *const *from) {
     long evaluations = PyLong_AsLong(from[11]);
     double enough = PyFloat_AsDouble(from[12]), cost = 0;
     if (PyErr_Occurred() || read_record(w, v, from) || finite_view(from[4], &v[4], "p", 1) ||
         view(from[5], &v[5], "low", 0) || view(from[6], &v[6], "high", 0) ||
         finite_view(from[7], &v[7], "stride", 0) || finite_view(from[8], &v[8], "root", 0) ||
         finite_view(from[9], &v[9], "target", 0) || view(from[10], &v[10], "explained", 1))
-        return ended(call, NULL);
+        return NULL;
     int size = w->p.size, d = SIZE[w->p.type];
     for (int i = 4; i < 8; i++)
         if (sized(&v[i], size, i == 4 ? "p" : i == 5 ? "low" : i == 6 ? "high" : "stride"))
-            return ended(call, NULL);
+            return NULL;
     if (sized(&v[8], d * v[9].n, "root") || sized(&v[10], w->p.n, "explained"))
-        return ended(call, NULL);
+        return NULL;
     if (v[9].n > 64 || evaluations < 0 || evaluations > 100000 || !(enough >= 0))
-        return refuse("target, evaluations or enough is outside its range"), ended(call, NULL);
+        return refuse("target, evaluations or enough is outside its range"), NULL;
     Search s = {v[8].x, v[9].x, v[5].x, v[6].x, v[7].x, (int)v[9].n, (int)evaluations, enough};
     Py_BEGIN_ALLOW_THREADS
     cost = refine(w, &s, v[4].x);
     put_explained(w, v[10].x);
     Py_END_ALLOW_THREADS
-    return ended(call, PyFloat_FromDouble(cost));
+    return PyFloat_FromDouble(cost);
 }
 
 /* costs(t, pv, co, numbers, points, out): the sum of squares at every point. */
-static PyObject *py_costs(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[6];
-    Call *call = begun(args, from, 6);
-    if (!call)
-        return NULL;
-    View *v = call->views;
-    Work *w = &call->work;
+static PyObject *py_costs(View *v, Work *w, PyObject *const *from) {
     if (read_record(w, v, from) || finite_view(from[4], &v[4], "points", 0) || view(from[5], &v[5], "out", 1) ||
         sized(&v[4], w->p.size * v[5].n, "points"))
-        return ended(call, NULL);
+        return NULL;
     Py_BEGIN_ALLOW_THREADS
     for (Py_ssize_t i = 0; i < v[5].n; i++) {
         solve(w, v[4].x + i * w->p.size);
         v[5].x[i] = w->cost;
     }
     Py_END_ALLOW_THREADS
-    return ended(call, Py_NewRef(Py_None));
+    return Py_NewRef(Py_None);
 }
 
 /* project(t, pv, co, numbers, p, q, r, c, moved, columns, triangle): the linear problem solved at p; shapes (columns,
  * rows), (rows + 1), (columns), (n), (columns, n), (columns, columns). */
-static PyObject *py_project(PyObject *self, PyObject *args) {
-    (void)self;
+static PyObject *py_project(View *v, Work *w, PyObject *const *from) {
     static const char *const NAMES[] = {"q", "r", "c", "moved", "columns", "triangle"};
-    PyObject *from[11];
-    Call *call = begun(args, from, 11);
-    if (!call)
-        return NULL;
-    View *v = call->views;
-    Work *w = &call->work;
     if (read_record(w, v, from) || finite_view(from[4], &v[4], "p", 0) || sized(&v[4], w->p.size, "p"))
-        return ended(call, NULL);
+        return NULL;
     Py_ssize_t n = w->p.n, rows = w->p.rows, k = w->p.columns, sizes[] = {k * rows, rows + 1, k, n, k * n, k * k};
     for (int i = 0; i < 6; i++)
         if (view(from[5 + i], &v[5 + i], NAMES[i], 1) || sized(&v[5 + i], sizes[i], NAMES[i]))
-            return ended(call, NULL);
+            return NULL;
     Py_BEGIN_ALLOW_THREADS
     solve(w, v[4].x);
     put_basis_vectors(w->rotated, rows, (int)k, w->beta, v[5].x);
@@ -286,47 +259,33 @@ static PyObject *py_project(PyObject *self, PyObject *args) {
         for (Py_ssize_t j = 0; j < k; j++)
             v[10].x[i * k + j] = i <= j ? w->rotated[j * rows + i] : 0;
     Py_END_ALLOW_THREADS
-    return ended(call, Py_NewRef(Py_None));
+    return Py_NewRef(Py_None);
 }
 
 /* jacobian(t, pv, co, numbers, p, out): shape (size, rows + 1). */
-static PyObject *py_jacobian(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[6];
-    Call *call = begun(args, from, 6);
-    if (!call)
-        return NULL;
-    View *v = call->views;
-    Work *w = &call->work;
+static PyObject *py_jacobian(View *v, Work *w, PyObject *const *from) {
     if (read_record(w, v, from) || finite_view(from[4], &v[4], "p", 0) || sized(&v[4], w->p.size, "p") ||
         view(from[5], &v[5], "out", 1) || sized(&v[5], w->p.size * (w->p.rows + 1), "out"))
-        return ended(call, NULL);
+        return NULL;
     Py_BEGIN_ALLOW_THREADS
     solve(w, v[4].x);
     put_jacobian(w, v[4].x, v[5].x);
     Py_END_ALLOW_THREADS
-    return ended(call, Py_NewRef(Py_None));
+    return Py_NewRef(Py_None);
 }
 
 /* gains(t, pv, co, numbers, p, instants, corner, out): what a further load step (corner 0), or a change of the load's
  * slope (1), at each instant would bring. */
-static PyObject *py_gains(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[8];
-    Call *call = begun(args, from, 8);
-    if (!call)
-        return NULL;
-    View *v = call->views;
-    Work *w = &call->work;
+static PyObject *py_gains(View *v, Work *w, PyObject *const *from) {
     long corner = PyLong_AsLong(from[6]);
     if (PyErr_Occurred() || read_record(w, v, from) || finite_view(from[4], &v[4], "p", 0) ||
         sized(&v[4], w->p.size, "p") || finite_view(from[5], &v[5], "instants", 0) || view(from[7], &v[6], "out", 1) ||
         sized(&v[6], v[5].n, "out"))
-        return ended(call, NULL);
+        return NULL;
     Py_ssize_t rows = w->p.rows;
     double *memory = malloc((size_t)((w->p.columns + 1) * rows + 1) * sizeof *memory);
     if (!memory)
-        return PyErr_NoMemory(), ended(call, NULL);
+        return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS
     solve(w, v[4].x);
     put_basis_vectors(w->rotated, rows, w->p.columns, w->beta, memory);
@@ -334,28 +293,23 @@ static PyObject *py_gains(PyObject *self, PyObject *args) {
     load_gains(w, memory, memory + w->p.columns * rows, v[5].x, v[5].n, corner != 0, v[6].x);
     free(memory);
     Py_END_ALLOW_THREADS
-    return ended(call, Py_NewRef(Py_None));
+    return Py_NewRef(Py_None);
 }
 
 /* colour(r, least, most_order) -> (std, coefficients) of the whitening filter of a remainder. */
-static PyObject *py_colour(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[3];
-    Call *call = begun(args, from, 3);
-    if (!call)
-        return NULL;
-    View *v = call->views;
+static PyObject *py_colour(View *v, Work *w, PyObject *const *from) {
+    (void)w;
     double least = PyFloat_AsDouble(from[1]), ar[MOST_AR], std;
     long most = PyLong_AsLong(from[2]);
     if (PyErr_Occurred() || finite_view(from[0], &v[0], "r", 0))
-        return ended(call, NULL);
+        return NULL;
     if (v[0].n < 1 || !(least > 0 && isfinite(least)) || most < 0 || most > MOST_AR || most >= v[0].n + (most == 0))
-        return refuse("r, least or most_order is outside its range"), ended(call, NULL);
+        return refuse("r, least or most_order is outside its range"), NULL;
     int order = colour_of(v[0].x, v[0].n, least, (int)most, ar, &std);
     PyObject *found = PyTuple_New(order);
     for (int i = 0; found && i < order; i++)
         PyTuple_SetItem(found, i, PyFloat_FromDouble(ar[i]));
-    return ended(call, Py_BuildValue("dN", std, found));
+    return Py_BuildValue("dN", std, found);
 }
 
 static int positive(const View *v, const char *sentence) {
@@ -367,27 +321,20 @@ static int positive(const View *v, const char *sentence) {
 
 /* search(t, pv, co, numbers, lags, thetas, at, most, deviance, slope, chosen): shapes (nodes, most + 1) twice and (nodes,
  * most); infinity in deviance where a load step more brings nothing. An infinite lag is an integrating process. */
-static PyObject *py_search(PyObject *self, PyObject *args) {
-    (void)self;
+static PyObject *py_search(View *v, Work *w, PyObject *const *from) {
     static const char *const NAMES[] = {"deviance", "slope", "chosen"};
-    PyObject *from[11];
-    Call *call = begun(args, from, 11);
-    if (!call)
-        return NULL;
-    View *v = call->views;
-    Work *w = &call->work;
     long most = PyLong_AsLong(from[7]);
     if (PyErr_Occurred() || read_record(w, v, from) || view(from[4], &v[4], "lags", 0) ||
         finite_view(from[5], &v[5], "thetas", 0) || finite_view(from[6], &v[6], "at", 0) ||
         positive(&v[4], "lags: above 0") || positive(&v[5], "thetas: above 0"))
-        return ended(call, NULL);
+        return NULL;
     Py_ssize_t nodes = v[4].n * v[5].n;
     if (most < 0 || most > MOST_LOADS || v[6].n < most || w->p.n < 3 + most || v[6].n > 100000 || nodes > 1000000)
-        return refuse("search: most or the grid is outside its range"), ended(call, NULL);
+        return refuse("search: most or the grid is outside its range"), NULL;
     Py_ssize_t sizes[] = {nodes * (most + 1), nodes * (most + 1), nodes * most};
     for (int i = 0; i < 3; i++)
         if (view(from[8 + i], &v[8 + i], NAMES[i], 1) || sized(&v[8 + i], sizes[i], NAMES[i]))
-            return ended(call, NULL);
+            return NULL;
     Grid g = {v[4].x, v[5].x, v[6].x, v[4].n,   v[5].n,   v[6].n,
               (int)most, w->p.sigma,  v[8].x, v[9].x, v[10].x};
     int failed;
@@ -396,7 +343,7 @@ static PyObject *py_search(PyObject *self, PyObject *args) {
         v[8].x[i] = INFINITY;
     failed = search(w, &g);
     Py_END_ALLOW_THREADS
-    return failed ? PyErr_NoMemory(), ended(call, NULL) : ended(call, Py_NewRef(Py_None));
+    return failed ? PyErr_NoMemory() : Py_NewRef(Py_None);
 }
 
 static int are_valves(const View *v) {
@@ -411,103 +358,79 @@ static int are_valves(const View *v) {
 }
 
 /* position(valve, co, out): counted from the first value. */
-static PyObject *py_position(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[3];
-    Call *call = begun(args, from, 3);
-    if (!call)
-        return NULL;
-    View *v = call->views;
+static PyObject *py_position(View *v, Work *w, PyObject *const *from) {
+    (void)w;
     if (finite_view(from[0], &v[0], "valve", 0) || sized(&v[0], VALVE, "valve") || are_valves(&v[0]) ||
         finite_view(from[1], &v[1], "co", 0) || view(from[2], &v[2], "out", 1) || sized(&v[2], v[1].n, "out"))
-        return ended(call, NULL);
+        return NULL;
     if (v[1].n < 1)
-        return refuse("co: at least one sample is needed"), ended(call, NULL);
+        return refuse("co: at least one sample is needed"), NULL;
     position(v[0].x, v[1].x, v[1].n, v[2].x);
-    return ended(call, Py_NewRef(Py_None));
+    return Py_NewRef(Py_None);
 }
 
 /* scan(t, pv, co, numbers, valves, lags, seconds, thetas, q, y, first, stride, left, gain) */
-static PyObject *py_scan(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[14];
-    Call *call = begun(args, from, 14);
-    if (!call)
-        return NULL;
-    View *v = call->views;
-    Work *w = &call->work;
+static PyObject *py_scan(View *v, Work *w, PyObject *const *from) {
     Py_ssize_t first = PyLong_AsSsize_t(from[10]), stride = PyLong_AsSsize_t(from[11]);
     if (PyErr_Occurred() || read_record(w, v, from) || finite_view(from[4], &v[4], "valves", 0) ||
         are_valves(&v[4]) || finite_view(from[5], &v[5], "lags", 0) || finite_view(from[6], &v[6], "seconds", 0) ||
         finite_view(from[7], &v[7], "thetas", 0) || positive(&v[5], "lags: above 0") ||
         positive(&v[7], "thetas: above 0") || finite_view(from[8], &v[8], "q", 0) ||
         finite_view(from[9], &v[9], "y", 0) || view(from[12], &v[10], "left", 1) || view(from[13], &v[11], "gain", 1))
-        return ended(call, NULL);
+        return NULL;
     if (first < 0 || first >= w->p.n || stride < 1 || v[5].n > 64 || v[7].n > 64)
-        return refuse("scan: rows or nodes are outside their range"), ended(call, NULL);
+        return refuse("scan: rows or nodes are outside their range"), NULL;
     Py_ssize_t rows = (w->p.n - first - 1) / stride + 1, nodes = v[5].n * v[7].n, many = v[4].n / VALVE;
     if (sized(&v[6], v[5].n, "seconds") || sized(&v[8], 3 * v[5].n * rows, "q") ||
         sized(&v[9], v[5].n * rows, "y") || sized(&v[10], many * nodes, "left") || sized(&v[11], many * nodes, "gain"))
-        return ended(call, NULL);
+        return NULL;
     Scan s = {v[4].x, v[2].x, v[5].x, v[6].x, v[7].x, v[8].x, v[9].x,  many,
               v[5].n, v[7].n, first,  stride, rows,   v[10].x, v[11].x};
     int failed;
     Py_BEGIN_ALLOW_THREADS
     failed = scan(w, &s);
     Py_END_ALLOW_THREADS
-    return failed ? PyErr_NoMemory(), ended(call, NULL) : ended(call, Py_NewRef(Py_None));
+    return failed ? PyErr_NoMemory() : Py_NewRef(Py_None);
 }
 
 /* valve_costs(t, pv, co, numbers, p, valves, out) */
-static PyObject *py_valve_costs(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[7];
-    Call *call = begun(args, from, 7);
-    if (!call)
-        return NULL;
-    View *v = call->views;
-    Work *w = &call->work;
+static PyObject *py_valve_costs(View *v, Work *w, PyObject *const *from) {
     if (read_record(w, v, from) || finite_view(from[4], &v[4], "p", 0) || sized(&v[4], w->p.size, "p") ||
         finite_view(from[5], &v[5], "valves", 0) || are_valves(&v[5]) || view(from[6], &v[6], "out", 1) ||
         sized(&v[5], VALVE * v[6].n, "valves"))
-        return ended(call, NULL);
+        return NULL;
     double *input = malloc((size_t)w->p.n * sizeof *input);
     if (!input)
-        return PyErr_NoMemory(), ended(call, NULL);
+        return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS
     valve_costs(w, v[4].x, v[5].x, v[6].n, v[2].x, input, v[6].x);
     free(input);
     Py_END_ALLOW_THREADS
-    return ended(call, Py_NewRef(Py_None));
+    return Py_NewRef(Py_None);
 }
 
 /* screen(t, sp, pv, co, longest, band, shortest, width, out): the numbers of a record, in the order of Sums. */
-static PyObject *py_screen(PyObject *self, PyObject *args) {
-    (void)self;
+static PyObject *py_screen(View *v, Work *w, PyObject *const *from) {
+    (void)w;
     static const char *const NAMES[] = {"t", "sp", "pv", "co"};
-    PyObject *from[9];
-    Call *call = begun(args, from, 9);
-    if (!call)
-        return NULL;
-    View *v = call->views;
     Measure by = {PyFloat_AsDouble(from[4]), PyFloat_AsDouble(from[5]), PyFloat_AsDouble(from[6]),
                   PyLong_AsSsize_t(from[7])};
     if (PyErr_Occurred())
-        return ended(call, NULL);
+        return NULL;
     for (int i = 0; i < 4; i++)
         if (finite_view(from[i], &v[i], NAMES[i], 0) || sized(&v[i], v[0].n, NAMES[i]))
-            return ended(call, NULL);
+            return NULL;
     if (increasing(&v[0]) || view(from[8], &v[4], "out", 1) || sized(&v[4], SUMS, "out"))
-        return ended(call, NULL);
+        return NULL;
     if (v[0].n < 3 || !(by.longest > 0 && by.band >= 0 && by.shortest >= 1) || by.width < 1 || by.width > v[0].n)
         return refuse("screen: three samples, longest and shortest above 0, band from 0, a width of 1 to all are needed"),
-               ended(call, NULL);
+               NULL;
     Sums sums;
     Py_BEGIN_ALLOW_THREADS
     screen(v[0].x, v[1].x, v[2].x, v[3].x, v[0].n, &by, &sums);
     Py_END_ALLOW_THREADS
     memcpy(v[4].x, &sums, sizeof sums);
-    return ended(call, Py_NewRef(Py_None));
+    return Py_NewRef(Py_None);
 }
 
 /* Whether all of some numbers lie within two bounds. */
@@ -529,68 +452,58 @@ static int are_loads(const View *v) {
 
 /* walk(pv, inputs, loads, seconds, falls, deads, numbers, gain, information, left): see Walk; numbers are pole, rise and
  * noise. */
-static PyObject *py_walk(PyObject *self, PyObject *args) {
-    (void)self;
+static PyObject *py_walk(View *v, Work *w, PyObject *const *from) {
+    (void)w;
     static const char *const NAMES[] = {"pv", "inputs", "loads", "seconds", "falls", "deads", "numbers"};
     static const char *const ANSWERS[] = {"gain", "information", "left"};
-    PyObject *from[10];
-    Call *call = begun(args, from, 10);
-    if (!call)
-        return NULL;
-    View *v = call->views;
     for (int i = 0; i < 7; i++)
         if (finite_view(from[i], &v[i], NAMES[i], 0))
-            return ended(call, NULL);
+            return NULL;
     Py_ssize_t n = v[0].n, inputs = n ? v[1].n / n : 0, rows = inputs * v[3].n;
     if (n < LANES || n > 10000000 || inputs > 4096 || v[3].n > 64 || v[4].n > MOST_FALLS || v[5].n > MOST_DEADS)
-        return refuse("walk: too few samples, or too many inputs, lags or dead times"), ended(call, NULL);
+        return refuse("walk: too few samples, or too many inputs, lags or dead times"), NULL;
     if (sized(&v[1], inputs * n, "inputs") || are_loads(&v[2]) ||
         within(&v[3], 0, 1, "seconds: poles from 0 to 1") || within(&v[4], 0, 1, "falls: poles from 0 to 1") ||
         within(&v[5], 0, 100000, "deads: 0 to 100000 samples") || sized(&v[6], 3, "numbers") ||
         within(&v[6], 0, 1e300, "numbers: none below 0"))
-        return ended(call, NULL);
+        return NULL;
     for (int i = 0; i < 3; i++)
         if (view(from[7 + i], &v[7 + i], ANSWERS[i], 1) ||
             sized(&v[7 + i], v[2].n / LOAD * rows * v[5].n, ANSWERS[i]))
-            return ended(call, NULL);
-    Walk w = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, n, inputs, v[2].n / LOAD, v[3].n, v[4].n, v[5].n,
+            return NULL;
+    Walk of = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, n, inputs, v[2].n / LOAD, v[3].n, v[4].n, v[5].n,
               v[6].x[0], v[6].x[1], v[6].x[2], v[7].x, v[8].x, v[9].x};
     int failed;
     Py_BEGIN_ALLOW_THREADS
-    failed = walk(&w);
+    failed = walk(&of);
     Py_END_ALLOW_THREADS
-    return failed ? PyErr_NoMemory(), ended(call, NULL) : ended(call, Py_NewRef(Py_None));
+    return failed ? PyErr_NoMemory() : Py_NewRef(Py_None);
 }
 
 /* mix(gain, information, left, half, gains, size, rows, out): see Mixture. */
-static PyObject *py_mix(PyObject *self, PyObject *args) {
-    (void)self;
+static PyObject *py_mix(View *v, Work *w, PyObject *const *from) {
+    (void)w;
     static const char *const NAMES[] = {"gain", "information", "left", "half", "gains"};
-    PyObject *from[8];
-    Call *call = begun(args, from, 8);
-    if (!call)
-        return NULL;
-    View *v = call->views;
     double size = PyFloat_AsDouble(from[5]);
     Py_ssize_t rows = PyLong_AsSsize_t(from[6]);
     if (PyErr_Occurred())
-        return ended(call, NULL);
+        return NULL;
     for (int i = 0; i < 5; i++)
         if (finite_view(from[i], &v[i], NAMES[i], 0))
-            return ended(call, NULL);
+            return NULL;
     Py_ssize_t loads = v[3].n, deads = rows > 0 && loads ? v[0].n / loads / rows : 0, many = rows > 0 ? v[4].n / rows : 0;
     if (loads < 1 || loads > MOST_MIXED || rows < 1 || deads < 1 || !(size > 0 && isfinite(size)))
-        return refuse("mix: loads, rows or size are outside their range"), ended(call, NULL);
+        return refuse("mix: loads, rows or size are outside their range"), NULL;
     for (int i = 0; i < 3; i++)
         if (v[0].n / loads / rows != deads || sized(&v[i], loads * rows * deads, NAMES[i]))
-            return ended(call, NULL);
+            return NULL;
     if (sized(&v[4], rows * many, "gains") || view(from[7], &v[5], "out", 1) || sized(&v[5], rows * deads * many, "out"))
-        return ended(call, NULL);
+        return NULL;
     Mixture m = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, loads, rows, deads, many, size, v[5].x};
     Py_BEGIN_ALLOW_THREADS
     mix(&m);
     Py_END_ALLOW_THREADS
-    return ended(call, Py_NewRef(Py_None));
+    return Py_NewRef(Py_None);
 }
 
 /* pv, response and rest, from the first three arguments, and the share from the fourth. */
@@ -612,98 +525,78 @@ static int read_stepped(Stepped *s, View *v, PyObject *const *from) {
 enum { MOST_STEPS = 256 };
 
 /* steps(pv, response, rest, unique, rows, left) -> how many: up to as many as rows has room for; left has one more. */
-static PyObject *py_steps(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[6];
-    Call *call = begun(args, from, 6);
-    if (!call)
-        return NULL;
-    View *v = call->views;
+static PyObject *py_steps(View *v, Work *w, PyObject *const *from) {
+    (void)w;
     Stepped s;
     if (read_stepped(&s, v, from) || view(from[4], &v[3], "rows", 1) || view(from[5], &v[4], "left", 1) ||
         sized(&v[4], v[3].n + 1, "left"))
-        return ended(call, NULL);
+        return NULL;
     if (v[3].n > MOST_STEPS)
-        return refuse("steps: too many"), ended(call, NULL);
+        return refuse("steps: too many"), NULL;
     Py_ssize_t count;
     Py_BEGIN_ALLOW_THREADS
     count = choose_steps(&s, v[3].n, v[3].x, v[4].x);
     Py_END_ALLOW_THREADS
-    return count < 0 ? PyErr_NoMemory(), ended(call, NULL) : ended(call, PyLong_FromSsize_t(count));
+    return count < 0 ? PyErr_NoMemory() : PyLong_FromSsize_t(count);
 }
 
 /* move_steps(pv, response, rest, unique, rows, reach, passes) -> what is left; rows are moved in place. */
-static PyObject *py_move_steps(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[7];
-    Call *call = begun(args, from, 7);
-    if (!call)
-        return NULL;
-    View *v = call->views;
+static PyObject *py_move_steps(View *v, Work *w, PyObject *const *from) {
+    (void)w;
     Stepped s;
     Py_ssize_t reach = PyLong_AsSsize_t(from[5]), passes = PyLong_AsSsize_t(from[6]);
     if (PyErr_Occurred() || read_stepped(&s, v, from) || view(from[4], &v[3], "rows", 1))
-        return ended(call, NULL);
+        return NULL;
     if (v[3].n > MOST_STEPS || reach < 0 || reach > 10000000 || passes < 0 || passes > 100)
-        return refuse("move_steps: steps, reach or passes are outside their range"), ended(call, NULL);
+        return refuse("move_steps: steps, reach or passes are outside their range"), NULL;
     for (Py_ssize_t i = 0; i < v[3].n; i++)
         if (!(v[3].x[i] >= 0 && v[3].x[i] <= (double)(s.n - 2) && v[3].x[i] == floor(v[3].x[i])))
-            return refuse("rows: columns of the record are needed"), ended(call, NULL);
+            return refuse("rows: columns of the record are needed"), NULL;
     double left;
     Py_BEGIN_ALLOW_THREADS
     left = move_steps(&s, v[3].x, v[3].n, reach, (int)passes);
     Py_END_ALLOW_THREADS
-    return left < 0 ? PyErr_NoMemory(), ended(call, NULL) : ended(call, PyFloat_FromDouble(left));
+    return left < 0 ? PyErr_NoMemory() : PyFloat_FromDouble(left);
 }
 
 /* closed(phi, gamma, c, x, numbers, most, e, u): see Closed. */
-static PyObject *py_closed(PyObject *self, PyObject *args) {
-    (void)self;
+static PyObject *py_closed(View *v, Work *w, PyObject *const *from) {
+    (void)w;
     static const char *const NAMES[] = {"phi", "gamma", "c", "x", "numbers"};
-    PyObject *from[8];
-    Call *call = begun(args, from, 8);
-    if (!call)
-        return NULL;
-    View *v = call->views;
     double most = PyFloat_AsDouble(from[5]);
     if (PyErr_Occurred())
-        return ended(call, NULL);
+        return NULL;
     for (int i = 0; i < 5; i++)
         if (finite_view(from[i], &v[i], NAMES[i], 0))
-            return ended(call, NULL);
+            return NULL;
     Py_ssize_t lanes = v[4].n / LANE, states = lanes ? v[1].n / lanes : 0;
     if (lanes < 1 || states < 1 || states > MOST_STATES || !(most > 0))
-        return refuse("closed: too few lanes, too many states, or a limit that is none"), ended(call, NULL);
+        return refuse("closed: too few lanes, too many states, or a limit that is none"), NULL;
     if (sized(&v[0], lanes * states * states, NAMES[0]) || sized(&v[4], lanes * LANE, NAMES[4]))
-        return ended(call, NULL);
+        return NULL;
     for (int i = 1; i < 4; i++)
         if (sized(&v[i], lanes * states, NAMES[i]))
-            return ended(call, NULL);
+            return NULL;
     for (Py_ssize_t i = 0; i < lanes; i++)
         if (!(v[4].x[i * LANE + WHOLE] >= 0 && v[4].x[i * LANE + WHOLE] <= 1e9))
-            return refuse("numbers: a delay is outside its range"), ended(call, NULL);
+            return refuse("numbers: a delay is outside its range"), NULL;
     if (view(from[6], &v[5], "e", 1) || view(from[7], &v[6], "u", 1) || v[5].n % lanes || sized(&v[6], v[5].n, "u"))
-        return PyErr_Occurred() ? ended(call, NULL) : (refuse("e: as many points for each lane"), ended(call, NULL));
+        return PyErr_Occurred() ? NULL : (refuse("e: as many points for each lane"), NULL);
     Closed l = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, lanes, states, v[5].n / lanes, most, v[5].x, v[6].x};
     Py_BEGIN_ALLOW_THREADS
     for (Py_ssize_t i = 0; i < lanes; i++)
         lane_answer(&l, i);
     Py_END_ALLOW_THREADS
-    return ended(call, Py_NewRef(Py_None));
+    return Py_NewRef(Py_None);
 }
 
 /* held(numbers, pv) -> samples of pv that were written: see held_answer. */
-static PyObject *py_held(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *from[2];
-    Call *call = begun(args, from, 2);
-    if (!call)
-        return NULL;
-    View *v = call->views;
+static PyObject *py_held(View *v, Work *w, PyObject *const *from) {
+    (void)w;
     if (view(from[0], &v[0], "numbers", 0) || sized(&v[0], HELD, "numbers") || view(from[1], &v[1], "pv", 1))
-        return ended(call, NULL);
+        return NULL;
     if (!(v[0].x[LATE] >= 0 && v[0].x[LATE] <= 1e7))
-        return refuse("numbers: a delay is outside its range"), ended(call, NULL);
+        return refuse("numbers: a delay is outside its range"), NULL;
     double *u = calloc((size_t)v[1].n + (size_t)v[0].x[LATE] + 2, sizeof *u);
     Py_ssize_t count = 0;
     if (u) {
@@ -712,21 +605,24 @@ static PyObject *py_held(PyObject *self, PyObject *args) {
         Py_END_ALLOW_THREADS
         free(u);
     }
-    return u ? ended(call, PyLong_FromSsize_t(count)) : (PyErr_NoMemory(), ended(call, NULL));
+    return u ? PyLong_FromSsize_t(count) : PyErr_NoMemory();
 }
 
-static PyMethodDef METHODS[] = {
-    {"refine", py_refine, METH_VARARGS, NULL},     {"costs", py_costs, METH_VARARGS, NULL},
-    {"project", py_project, METH_VARARGS, NULL},   {"jacobian", py_jacobian, METH_VARARGS, NULL},
-    {"gains", py_gains, METH_VARARGS, NULL},       {"colour", py_colour, METH_VARARGS, NULL},
-    {"search", py_search, METH_VARARGS, NULL},     {"position", py_position, METH_VARARGS, NULL},
-    {"scan", py_scan, METH_VARARGS, NULL},         {"valve_costs", py_valve_costs, METH_VARARGS, NULL},
-    {"screen", py_screen, METH_VARARGS, NULL},     {"walk", py_walk, METH_VARARGS, NULL},
-    {"mix", py_mix, METH_VARARGS, NULL},           {"steps", py_steps, METH_VARARGS, NULL},
-    {"move_steps", py_move_steps, METH_VARARGS, NULL},
-    {"closed", py_closed, METH_VARARGS, NULL},     {"held", py_held, METH_VARARGS, NULL},
-    {NULL, NULL, 0, NULL},
-};
+/* Every function with how many arguments it has. */
+#define FUNCTIONS(M)                                                                                                  \
+    M(refine, 13) M(costs, 6) M(project, 11) M(jacobian, 6) M(gains, 8) M(colour, 3) M(search, 11) M(position, 3)     \
+    M(scan, 14) M(valve_costs, 7) M(screen, 9) M(walk, 10) M(mix, 8) M(steps, 6) M(move_steps, 7) M(closed, 8)        \
+    M(held, 2)
+#define DOOR(name, arguments)                                                                                         \
+    static PyObject *door_##name(PyObject *self, PyObject *args) {                                                    \
+        (void)self;                                                                                                   \
+        return called(py_##name, args, arguments);                                                                    \
+    }
+#define METHOD(name, arguments) {#name, door_##name, METH_VARARGS, NULL},
+
+FUNCTIONS(DOOR)
+
+static PyMethodDef METHODS[] = {FUNCTIONS(METHOD){NULL, NULL, 0, NULL}};
 
 static int on_load(PyObject *module) { return PyModule_AddStringConstant(module, "version", VERSION); }
 
