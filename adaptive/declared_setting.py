@@ -1,16 +1,18 @@
 """How a setting is declared: once, at the field of the dataclass that uses it.
 
     class Settings:
-        level: Annotated[float, Setting("Standard deviations from which a response is worse", 2, 6)] = 3.0
+        level: float = setting(3.0, "Standard deviations from which a response is worse", 2, 6)
 
 The declaration is what a reader sees, what the dataclass checks itself against, and what the configuration file's
 section and its reference page are made of: a setting with a source stands in the file.
 """
 
 import math
-from dataclasses import fields
+from dataclasses import field, fields
 from functools import cache
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+T = TypeVar("T")
 
 
 class Setting(NamedTuple):
@@ -38,25 +40,37 @@ class Declared(NamedTuple):
     setting: Setting
 
 
+def setting(
+    default: T,
+    meaning: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    unit: str = "1",
+    source: str = "",
+    *,
+    absent: bool = False,
+    positive: bool = False,
+) -> T:
+    """A field of a dataclass with its default and its declaration: see Setting."""
+    note = Setting(meaning, low, high, unit, source, absent, positive)
+    return field(default=default, metadata={Setting.__name__: note})
+
+
 @cache
 def declared(settings: type) -> tuple[Declared, ...]:
     """The declared fields of a dataclass, in their order."""
-    plain, annotated = get_type_hints(settings), get_type_hints(settings, include_extras=True)
+    kinds = get_type_hints(settings)
     return tuple(
-        Declared(field.name, plain[field.name], field.default, note)
-        for field in fields(settings)
-        for note in getattr(annotated[field.name], "__metadata__", ())
-        if isinstance(note, Setting)
+        Declared(one.name, kinds[one.name], one.default, one.metadata[Setting.__name__])
+        for one in fields(settings)
+        if Setting.__name__ in one.metadata
     )
 
 
 def require_in_range(settings: object, of: str) -> None:
     """Check every declared field of a dataclass's instance.
 
-    Raises
-    ------
-    ValueError
-        A value is outside its range, or no number; of : whose settings these are.
+    Raises ValueError: a value is outside its range, or no number; of : whose settings these are.
     """
     kind: Any = type(settings)
     for name, _, _, (_, low, high, *_, positive) in declared(kind):

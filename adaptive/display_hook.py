@@ -41,9 +41,6 @@ def html(result: object) -> str:
 def figure(result: object) -> Any:  # noqa: ANN401  matplotlib's Figure, which this room does not know
     """The picture of a result.
 
-    Raises
-    ------
-    ValueError
-        There is nothing to draw: the record was not kept.
+    Raises ValueError: there is nothing to draw: the record was not kept.
     """
     return _module[0]().figure(result)

@@ -47,7 +47,18 @@ def lasting_swing(error: FloatArray, co: FloatArray) -> LastingSwing | None:
     found, last = [], 1
     for pace in _paces(len(error)):
         error, co, last = _means(error, pace // last), _means(co, pace // last), pace
-        if (swing := _at_pace(error, co, pace)) is not None:
+        # the strongest lasting swing at one pace; error, co : means at it
+        rows = _windows(error), _windows(co)
+        parts = len(rows[0])
+        likely = _stand_out(np.concatenate(rows))
+        waves = []
+        for i in range(parts):
+            signals = (rows[j][i] for j in range(2) if likely[j * parts + i])
+            wave = next((w for w in map(regularity, signals) if w is not None and w.lasting), None)
+            if wave is not None and wave.cycles >= FEWEST_CYCLES:
+                waves.append(replace(wave, period=wave.period * pace))
+        best = max(waves, key=lambda w: w.strength, default=None)
+        if (swing := LastingSwing(best, len(waves) / parts) if best is not None else None) is not None:
             found.append(swing)
     return max(found, key=lambda swing: swing.wave.strength * swing.share, default=None)
 
@@ -65,21 +76,6 @@ def _means(x: FloatArray, many: int) -> FloatArray:
     """Means of so many samples each; what is left over at the end is left out."""
     points = len(x) // many
     return x if many == 1 else np.asarray(x[: points * many].reshape(points, many) @ np.full(many, 1 / many))
-
-
-def _at_pace(error: FloatArray, co: FloatArray, pace: int) -> LastingSwing | None:
-    """The strongest lasting swing at one pace; error, co : means at it."""
-    rows = _windows(error), _windows(co)
-    parts = len(rows[0])
-    likely = _stand_out(np.concatenate(rows))
-    waves = []
-    for i in range(parts):
-        signals = (rows[j][i] for j in range(2) if likely[j * parts + i])
-        wave = next((w for w in map(regularity, signals) if w is not None and w.lasting), None)
-        if wave is not None and wave.cycles >= FEWEST_CYCLES:
-            waves.append(replace(wave, period=wave.period * pace))
-    best = max(waves, key=lambda w: w.strength, default=None)
-    return LastingSwing(best, len(waves) / parts) if best is not None else None
 
 
 def _windows(means: FloatArray) -> FloatArray:

@@ -115,6 +115,8 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
     limits, days = [side for side in (sums.low, sums.high) if sums.limit(n, side)], sums.held_s / DAY_S
     swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
     traits = _traits(record, sums, noise, limits)
+    # how far the error at a limit is all of one sign: a limit that binds leaves it on one side
+    size = sum(side.size for side in limits)
     return LoopScreen(
         samples=n,
         span_s=sums.held_s,
@@ -126,7 +128,7 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
         in_automatic=in_automatic(record.co, by, sums, limits),
         at_limits=traits.at_limit,
         loss_at_limits=sum(side.size for side in limits) / sums.size if sums.size > 0 else 0.0,
-        one_sided=_one_sided(limits),
+        one_sided=sum(abs(side.error) for side in limits) / size if size > 0 else 0.0,
         harris=_harris(sums.covariance, MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)),
         noise_share=min(noise[0] ** 2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
         quantum=step,
@@ -220,12 +222,6 @@ def in_automatic(co: FloatArray, by: Measure, sums: RecordSums, limits: Sequence
         there = runs((np.diff(co) == 0) & (co[1:] == value))
         still -= float(np.sum(there[there >= by.shortest]))
     return 1 - max(still, 0.0) / len(co)
-
-
-def _one_sided(limits: Sequence[AtExtreme]) -> float:
-    """How far the error at a limit is all of one sign: a limit that binds leaves it on one side."""
-    size = sum(side.size for side in limits)
-    return sum(abs(side.error) for side in limits) / size if size > 0 else 0.0
 
 
 def _traits(record: Window, sums: RecordSums, noise: tuple[float, float], limits: Sequence[AtExtreme]) -> Traits:

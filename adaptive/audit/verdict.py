@@ -211,11 +211,34 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
     best = max(faults, key=lambda c: joined_confidence(c, stretches), default=None)
     bound = limit_confidence(screen)
     if bound >= max(CONVINCED, joined_confidence(best, stretches) if best is not None else 0.0):
-        return _of_limit(bound, screen, stretches)
+        # A limit that binds for part of the time
+        action = FOR_CAUSE[Cause.SATURATION]
+        w, loss = screen.at_limits, screen.loss_at_limits
+        reason = f"co is at a limit for {w:.0%} of the time, where {loss:.0%} of the error arises, on one side"
+        showing = [s for s in stretches if s.cause == Cause.SATURATION]
+        since = showing[0].begin_s if showing else None
+        rank, seen, basis = bound * loss / EFFORT[action], len(showing), Basis.LIMIT
+        return LoopVerdict(Cause.SATURATION, bound, action, reason, since, seen, len(stretches), loss, rank, basis)
     if best is not None and joined_confidence(best, stretches) >= CONVINCED:
-        return _of_fault(best, screen, stretches)
+        showing = [s for s in stretches if s.cause == best]
+        sure = joined_confidence(best, stretches)
+        action = FOR_CAUSE[best]
+        clearest = max(showing, key=lambda s: s.confidence)
+        often = max(len(showing) / len(stretches), screen.swinging if best not in TUNING_CAUSES else 0)
+        avoidable, seen, since = error_share(screen.harris) * often, len(showing), showing[0].begin_s
+        rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
+        basis = Basis.HARRIS
+        return LoopVerdict(best, sure, action, clearest.reason, since, seen, len(stretches), avoidable, rank, basis)
     if _waits(screen, stretches):
-        return _of_idle(screen, len(stretches))
+        # sluggish by the idle index, without settings
+        action = Action.RECORD
+        reason = (
+            f"after loads co and pv return together (idle index {screen.idle:.2f}): the loop waits for the process. "
+            "A setpoint step would give the settings"
+        )
+        sure, avoidable, basis = SURE_IT_WAITS, error_share(screen.harris), Basis.HARRIS
+        rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
+        return LoopVerdict(Cause.SLUGGISH, sure, action, reason, None, 0, len(stretches), avoidable, rank, basis)
     if any(s.cause in {Cause.OK, Cause.NOISE} for s in stretches) and screen.swinging < SWINGS:
         calm = [s for s in stretches if s.cause in {Cause.OK, Cause.NOISE}]
         sure = 1 - joined_confidence(best, stretches) if best is not None else max(s.confidence for s in calm)
@@ -251,18 +274,6 @@ def _waits(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> bool:
     return bool(stretches) and open_ and calm and idle is not None and idle >= WAITS
 
 
-def _of_idle(screen: LoopScreen, looked_at: int) -> LoopVerdict:
-    """Sluggish by the idle index, without settings."""
-    action = Action.RECORD
-    reason = (
-        f"after loads co and pv return together (idle index {screen.idle:.2f}): the loop waits for the process. "
-        "A setpoint step would give the settings"
-    )
-    sure, avoidable, basis = SURE_IT_WAITS, error_share(screen.harris), Basis.HARRIS
-    rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
-    return LoopVerdict(Cause.SLUGGISH, sure, action, reason, None, 0, looked_at, avoidable, rank, basis)
-
-
 def limit_confidence(screen: LoopScreen) -> float:
     """How sure a limit of co binds for part of the record; see the head of this file."""
     w, loss = screen.at_limits, screen.loss_at_limits
@@ -272,32 +283,9 @@ def limit_confidence(screen: LoopScreen) -> float:
     return min(odds / (1 + odds), MOST_SURE)
 
 
-def _of_limit(sure: float, screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
-    """A limit that binds for part of the time."""
-    action = FOR_CAUSE[Cause.SATURATION]
-    w, loss = screen.at_limits, screen.loss_at_limits
-    reason = f"co is at a limit for {w:.0%} of the time, where {loss:.0%} of the error arises, on one side"
-    showing = [s for s in stretches if s.cause == Cause.SATURATION]
-    since = showing[0].begin_s if showing else None
-    rank, seen, basis = sure * loss / EFFORT[action], len(showing), Basis.LIMIT
-    return LoopVerdict(Cause.SATURATION, sure, action, reason, since, seen, len(stretches), loss, rank, basis)
-
-
 def _of_condition(screen: LoopScreen, action: Action, looked_at: int) -> LoopVerdict:
     reason = SENTENCES[screen.condition]
     return LoopVerdict(Cause.UNKNOWN, 0.9, action, reason, 0.0, looked_at, looked_at, 1.0, 0.9 * 0.5 / EFFORT[action])
-
-
-def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
-    showing = [s for s in stretches if s.cause == cause]
-    sure = joined_confidence(cause, stretches)
-    action = FOR_CAUSE[cause]
-    clearest = max(showing, key=lambda s: s.confidence)
-    often = max(len(showing) / len(stretches), screen.swinging if cause not in TUNING_CAUSES else 0)
-    avoidable, seen, since = error_share(screen.harris) * often, len(showing), showing[0].begin_s
-    rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
-    basis = Basis.HARRIS
-    return LoopVerdict(cause, sure, action, clearest.reason, since, seen, len(stretches), avoidable, rank, basis)
 
 
 def _of_screen(screen: LoopScreen) -> str:

@@ -91,10 +91,7 @@ TRANSITIONS: dict[Phase, dict[Happening, Phase]] = {
 def after(phase: Phase, happening: Happening) -> Phase:
     """The next phase.
 
-    Raises
-    ------
-    ValueError
-        This cannot happen in this phase.
+    Raises ValueError: this cannot happen in this phase.
     """
     try:
         return TRANSITIONS[phase][happening]

@@ -74,10 +74,7 @@ class Plan:
     and then back, under the gains in force; 0: the experiment under proportional control. For a valve: how long each
     level is held. moves : of a valve test, in amplitudes; together 0.
 
-    Raises
-    ------
-    ValueError
-        A setting is out of its range (named).
+    Raises ValueError: a setting is out of its range (named).
     """
 
     kind: Kind
@@ -108,14 +105,9 @@ class Plan:
             raise ValueError(f"amplitude = {self.amplitude}: give a number other than 0, positive for a relay")
         if not self.pv_low < self.pv_high:
             raise ValueError(f"pv band {self.pv_low:g} to {self.pv_high:g}: the lower end must be below the upper")
-        for name, wrong in self._wrong():
-            if wrong:
-                raise ValueError(f"{name} = {getattr(self, name)} is out of its range")
-
-    def _wrong(self) -> tuple[tuple[str, bool], ...]:
-        """Settings with one limit, and whether they break it."""
+        # settings with one limit, and whether they break it
         hysteresis, kc0 = self.hysteresis, self.kc0
-        return (
+        for name, wrong in (
             ("time_s", self.time_s <= 0),
             ("rest_time_s", self.rest_time_s < 0),
             ("deviation", not self.deviation > 0),
@@ -124,7 +116,9 @@ class Plan:
             ("hold_s", not 0 <= self.hold_s < math.inf or (self.hold_s > 0 and self.kind not in HELD)),
             ("moves", bool(self.moves) != (self.kind == Kind.VALVE) or sum(self.moves) != 0),
             ("hold_s", self.kind == Kind.VALVE and self.hold_s == 0),
-        )
+        ):
+            if wrong:
+                raise ValueError(f"{name} = {getattr(self, name)} is out of its range")
 
     def co_of_hold(self, hold: int) -> float:
         """How far a valve test is from co at rest in its hold of this number, the first 0; percent."""
@@ -254,10 +248,7 @@ def crossing(t_s: FloatArray, values: FloatArray, level: float, rising: bool) ->
     ----------
     t_s, values : shape (n,). rising : from below to above; else from above to below.
 
-    Raises
-    ------
-    ValueError
-        It never does.
+    Raises ValueError: it never does.
     """
     above = values >= level if rising else values <= level
     ups = np.flatnonzero(~above[:-1] & above[1:])

@@ -129,10 +129,8 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     window : the record; what comes before the first switching, and odd waves, are left out.
     hysteresis : of the relay on either side of its reference, pv units.
 
-    Raises
-    ------
-    ValueError
-        co is not a relay's, it switches too rarely, the hysteresis is negative, or the waves do not rise above it.
+    Raises ValueError: co is not a relay's, it switches too rarely, the hysteresis is negative, or the waves do not rise
+    above it.
     """
     if not (math.isfinite(hysteresis) and hysteresis >= 0):
         raise ValueError(f"hysteresis = {hysteresis}: give 0 or a positive number of pv units")
@@ -141,7 +139,14 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     co_high, co_low = float(np.median(window.co[upper])), float(np.median(window.co[~upper]))
     d = (co_high - co_low) / 2
     point = _fundamental(window, waves.spans)
-    high_s, low_s = _half_waves(window.t_s, waves.spans, upper)
+    # mean durations of the upper and of the lower half-wave
+    found: dict[bool, list[float]] = {True: [], False: []}
+    for a, b in waves.spans:
+        first = bool(upper[a])
+        switch = a + int(np.argmax(upper[a:b] != first))
+        found[first].append(float(window.t_s[switch] - window.t_s[a]))
+        found[not first].append(float(window.t_s[b] - window.t_s[switch]))
+    high_s, low_s = float(np.mean(found[True])), float(np.mean(found[False]))
     # pv and co averaged over time, wave by wave
     held = np.diff(window.t_s)
     pv_mean, co_mean = (
@@ -181,7 +186,19 @@ def _full_waves(t_s: FloatArray, upper: np.ndarray[tuple[int], np.dtype[np.bool_
             f"the relay switches {len(switches)} times, {2 * FEWEST_WAVES + 2} are needed at least: "
             "record longer, or see whether its sign and size let pv cross the reference"
         )
-    return [(int(switches[i]), int(switches[i + 2])) for i in _regular(t_s, switches)]
+    # indices into switches at which a full wave of usual duration begins, without the first half-wave
+    times = t_s[switches]
+    halves = np.diff(times)
+    middle = float(np.median(halves[1:] + halves[:-1]))
+    kept = []
+    for i in range(1, len(switches) - 2):
+        usual = all(h > middle / SHORT_HALF for h in halves[i : i + 2])
+        wave = float(times[i + 2] - times[i])
+        if usual and middle / ODD_WAVE < wave < middle * ODD_WAVE:
+            kept.append(i)
+    if len(kept) < FEWEST_WAVES:
+        raise ValueError("no two waves of the relay are alike; not a limit cycle yet: record longer")
+    return [(int(switches[i]), int(switches[i + 2])) for i in kept]
 
 
 def _waves(window: Window, spans: list[tuple[int, int]], hysteresis: float) -> _Waves:
@@ -241,35 +258,6 @@ def _levels(co: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     return np.asarray(co > (low + high) / 2)
 
 
-def _regular(t_s: FloatArray, switches: np.ndarray[tuple[int], np.dtype[np.int_]]) -> list[int]:
-    """Indices into switches at which a full wave of usual duration begins, without the first half-wave."""
-    times = t_s[switches]
-    halves = np.diff(times)
-    middle = float(np.median(halves[1:] + halves[:-1]))
-    kept = []
-    for i in range(1, len(switches) - 2):
-        usual = all(h > middle / SHORT_HALF for h in halves[i : i + 2])
-        wave = float(times[i + 2] - times[i])
-        if usual and middle / ODD_WAVE < wave < middle * ODD_WAVE:
-            kept.append(i)
-    if len(kept) < FEWEST_WAVES:
-        raise ValueError("no two waves of the relay are alike; not a limit cycle yet: record longer")
-    return kept
-
-
-def _half_waves(
-    t_s: FloatArray, spans: list[tuple[int, int]], upper: np.ndarray[tuple[int], np.dtype[np.bool_]]
-) -> tuple[float, float]:
-    """Mean durations of the upper and of the lower half-wave."""
-    found: dict[bool, list[float]] = {True: [], False: []}
-    for a, b in spans:
-        first = bool(upper[a])
-        switch = a + int(np.argmax(upper[a:b] != first))
-        found[first].append(float(t_s[switch] - t_s[a]))
-        found[not first].append(float(t_s[b] - t_s[switch]))
-    return float(np.mean(found[True])), float(np.mean(found[False]))
-
-
 def _fundamental(window: Window, waves: list[tuple[int, int]]) -> complex:
     """G(jw) from the fundamentals of pv and co, the mean over the waves; co is held between samples."""
     ratios = []
@@ -308,10 +296,7 @@ def first_order(cycle: RelayCycle, pv_rest: float, co_rest: float) -> ProcessMod
     ----------
     cycle : as read off the record. pv_rest : the relay's reference, where pv rested under co_rest.
 
-    Raises
-    ------
-    ValueError
-        The relay is symmetric, or the wave is not one of a first-order process at rest there.
+    Raises ValueError: the relay is symmetric, or the wave is not one of a first-order process at rest there.
     """
     co, pv = cycle.co_mean - co_rest, cycle.pv_mean - pv_rest
     if abs(co) < SMALLEST_OFFSET * cycle.co_amplitude:

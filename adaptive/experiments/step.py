@@ -76,10 +76,8 @@ def step_response(window: Window, *, rest: bool = True) -> RecordedStep:
 
     rest : whether pv has to have come to rest at the end.
 
-    Raises
-    ------
-    ValueError
-        co does not make exactly one step, pv was not recorded before it, hardly answers, or has not come to rest.
+    Raises ValueError: co does not make exactly one step, pv was not recorded before it, hardly answers, or has not come
+    to rest.
     """
     # Index of the first sample with the new co
     change = float(window.co[-1] - window.co[0])
@@ -116,10 +114,7 @@ def step_response(window: Window, *, rest: bool = True) -> RecordedStep:
 def model_by(method: StepMethod, response: RecordedStep) -> ProcessModel:
     """First order (for "slope" integrating) + dead time by a named method; see the head of this file.
 
-    Raises
-    ------
-    ValueError
-        The response is faster than the samples.
+    Raises ValueError: the response is faster than the samples.
     """
     if method == StepMethod.SLOPE:
         slope, t, pv = _steepest(response, len(response.t_s) // RAMP_PART)
@@ -220,10 +215,8 @@ class Overshoot:
 
     dy_s, dy_p, dy_u : setpoint step, first peak, first undershoot. t_p_s : time of the peak.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite, or these are not a peak beyond its undershoot in the direction of the step.
+    Raises ValueError: a number is not finite, or these are not a peak beyond its undershoot in the direction of the
+    step.
     """
 
     dy_s: float
@@ -275,10 +268,8 @@ class Overshoot:
 def measure(window: Window) -> Overshoot:
     """Read peak and undershoot off a record with one setpoint step.
 
-    Raises
-    ------
-    ValueError
-        The setpoint does not make exactly one step, or pv shows no peak after it, or the record ends soon after that.
+    Raises ValueError: the setpoint does not make exactly one step, or pv shows no peak after it, or the record ends
+    soon after that.
     """
     i, dy_s = _setpoint_step(window.sp)
     t = window.t_s[i:] - window.t_s[i]
@@ -327,10 +318,7 @@ def _refined(t: FloatArray, y: FloatArray, i: int) -> tuple[float, float]:
 def two_step_model(overshoot: Overshoot, kc0: float) -> ProcessModel:
     """First order + dead time (or integrating) from the response under gain kc0.
 
-    Raises
-    ------
-    ValueError
-        kc0 is 0 or not finite, or the overshoot is outside the range of the correlations.
+    Raises ValueError: kc0 is 0 or not finite, or the overshoot is outside the range of the correlations.
     """
     _check(overshoot, kc0)
     a, b, t_p = overshoot.a, overshoot.b, overshoot.t_p_s
@@ -345,10 +333,8 @@ def two_step_model(overshoot: Overshoot, kc0: float) -> ProcessModel:
 def direct_settings(overshoot: Overshoot, kc0: float, detuning: float = 1.0) -> Tuning:
     """PI settings without a model; detuning is F.
 
-    Raises
-    ------
-    ValueError
-        kc0 is 0 or not finite, F is not positive, or the overshoot is outside the range of the correlations.
+    Raises ValueError: kc0 is 0 or not finite, F is not positive, or the overshoot is outside the range of the
+    correlations.
     """
     _check(overshoot, kc0)
     if not 0 < detuning < math.inf:
@@ -432,10 +418,7 @@ class Swing:
 def swing(window: Window) -> Swing:
     """Read period and decay off a record.
 
-    Raises
-    ------
-    ValueError
-        pv does not swing, or for fewer than three periods.
+    Raises ValueError: pv does not swing, or for fewer than three periods.
     """
     # The level about which pv swings: the mean of the last half, where a start has died out
     level = float(np.mean(window.pv[len(window.pv) // 2 :]))

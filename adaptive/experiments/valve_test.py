@@ -84,10 +84,7 @@ def staircase(step: float) -> FloatArray:
 def read_valve_test(window: Window) -> ValveReading:
     """What the record of a valve test says.
 
-    Raises
-    ------
-    ValueError
-        The record has too few holds of co, or nothing in it moves.
+    Raises ValueError: the record has too few holds of co, or nothing in it moves.
     """
     begins = _holds(window.co)
     ends = [*begins[1:], len(window.co)]

@@ -13,12 +13,11 @@ comes back by itself looks like a process that does.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Annotated
 
 import numpy as np
 
 from retuner.adaptive.decision_numbers import Numbers
-from retuner.adaptive.declared_setting import Setting, require_in_range
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, shapes
 from retuner.adaptive.explanations.settings_by_odds import (
@@ -43,29 +42,27 @@ _MS = 1.1, 3.5
 class BookSettings:
     """When something follows from all samples. Costs are logarithms of the integrated error; what a set costs: cost."""
 
-    hazard_s: Annotated[
-        float, Setting("Mean time after which a process is another one", 86400.0, 3.2e7, "s", "fouling, wear")
-    ] = 30 * 86400.0
-    drawn: Annotated[int, Setting("Processes that stand for the weights", 100, 1000)] = 300
-    worth: Annotated[float, Setting("How much cheaper a change must be expected to be", 0.1, 0.7)] = 0.25
-    ms_high: Annotated[float, Setting("Ms above which a loop has too little robustness", *_MS)] = 2.0
-    ms_good: Annotated[float, Setting("Ms up to which a loop may have more action", *_MS)] = 1.7
-    ms_bad: Annotated[float, Setting("Ms that bad_share of the processes may exceed after more action", *_MS)] = 1.9
-    bad_share: Annotated[float, Setting("Share of the odds that may come out badly", 0.05, 0.4)] = 0.1
-    unstable_share: Annotated[float, Setting("Share of the odds that may be unstable", 0.0, 0.05)] = 0.02
-    less_odds: Annotated[float, Setting("Odds of ms_high from which less action follows", 0.5, 0.9)] = 0.85
-    sure_odds: Annotated[float, Setting("Odds from which it does at once, behind a whole window", 0.9, 0.99)] = 0.95
-    more_odds: Annotated[float, Setting("Odds of room from which more action follows", 0.5, 0.9)] = 0.85
-    restless: Annotated[
-        float, Setting("Share of samples outside the noise band from which a load wanders", 0.1, 0.9)
-    ] = 0.3
-    most: Annotated[
-        float, Setting("How much a change may save or cost on a process", 0.2, 2.5, source="ln 2: it is on trial")
-    ] = 0.7
-    borne_out: Annotated[
-        float, Setting("Odds of being better that less action needs", 0.5, 0.9, source="60 changes, seeds 9331 to 9361")
-    ] = 2 / 3
-    room: Annotated[float, Setting("Times as much of all actions that a loop with room bears", 1.5, 3.0)] = 1.8
+    hazard_s: float = setting(
+        30 * 86400.0, "Mean time after which a process is another one", 86400.0, 3.2e7, "s", "fouling, wear"
+    )
+    drawn: int = setting(300, "Processes that stand for the weights", 100, 1000)
+    worth: float = setting(0.25, "How much cheaper a change must be expected to be", 0.1, 0.7)
+    ms_high: float = setting(2.0, "Ms above which a loop has too little robustness", *_MS)
+    ms_good: float = setting(1.7, "Ms up to which a loop may have more action", *_MS)
+    ms_bad: float = setting(1.9, "Ms that bad_share of the processes may exceed after more action", *_MS)
+    bad_share: float = setting(0.1, "Share of the odds that may come out badly", 0.05, 0.4)
+    unstable_share: float = setting(0.02, "Share of the odds that may be unstable", 0.0, 0.05)
+    less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", 0.5, 0.9)
+    sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", 0.9, 0.99)
+    more_odds: float = setting(0.85, "Odds of room from which more action follows", 0.5, 0.9)
+    restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", 0.1, 0.9)
+    most: float = setting(
+        0.7, "How much a change may save or cost on a process", 0.2, 2.5, source="ln 2: it is on trial"
+    )
+    borne_out: float = setting(
+        2 / 3, "Odds of being better that less action needs", 0.5, 0.9, source="60 changes, seeds 9331 to 9361"
+    )
+    room: float = setting(1.8, "Times as much of all actions that a loop with room bears", 1.5, 3.0)
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68))
 
     def __post_init__(self) -> None:

@@ -14,11 +14,10 @@ integral action in force: one record shows a process a few times, and the next r
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
-from retuner.adaptive.declared_setting import Setting, require_in_range
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     FREQUENCIES,
@@ -41,19 +40,19 @@ from retuner.schedule.gains import PidGains
 class WorthSettings:
     """When settings are given. Costs are logarithms of the integrated error. SIMC's own Ms is 1.59 to 1.70."""
 
-    worth: Annotated[float, Setting("How much cheaper settings must be expected to be", 0.1, 0.7)] = 0.25
-    ms_bad: Annotated[float, Setting("Ms that no more than bad_share of the odds may have", 1.1, 3.5)] = 1.8
-    bad_share: Annotated[float, Setting("Share of the odds that may come out badly", 0.02, 0.2)] = 0.1
-    unstable_share: Annotated[float, Setting("Share of the odds that may be unstable", 0.0, 0.05)] = 0.01
-    ms_calm: Annotated[float, Setting("Ms up to which robustness costs nothing", 1.1, 3.5)] = 1.6
-    risk: Annotated[float, Setting("Cost of Ms over it, per logarithm", 2.0, 10.0)] = 5.0
-    unstable: Annotated[float, Setting("Cost of an unstable loop", 2.0, 20.0)] = 8.0
-    most_at_once: Annotated[
-        float, Setting("Factor on gain and integral action that a record carries", 1.5, 4.0, source="first_step.py")
-    ] = 3.0
-    least_at_once: Annotated[float, Setting("The same on the gain towards less", 0.1, 0.5)] = 0.25
-    processes: Annotated[int, Setting("Likeliest processes that sets are weighed on", 50, 1000)] = 250
-    rules: Annotated[int, Setting("Likeliest processes whose settings are tried", 1, 50)] = 8
+    worth: float = setting(0.25, "How much cheaper settings must be expected to be", 0.1, 0.7)
+    ms_bad: float = setting(1.8, "Ms that no more than bad_share of the odds may have", 1.1, 3.5)
+    bad_share: float = setting(0.1, "Share of the odds that may come out badly", 0.02, 0.2)
+    unstable_share: float = setting(0.01, "Share of the odds that may be unstable", 0.0, 0.05)
+    ms_calm: float = setting(1.6, "Ms up to which robustness costs nothing", 1.1, 3.5)
+    risk: float = setting(5.0, "Cost of Ms over it, per logarithm", 2.0, 10.0)
+    unstable: float = setting(8.0, "Cost of an unstable loop", 2.0, 20.0)
+    most_at_once: float = setting(
+        3.0, "Factor on gain and integral action that a record carries", 1.5, 4.0, source="first_step.py"
+    )
+    least_at_once: float = setting(0.25, "The same on the gain towards less", 0.1, 0.5)
+    processes: int = setting(250, "Likeliest processes that sets are weighed on", 50, 1000)
+    rules: int = setting(8, "Likeliest processes whose settings are tried", 1, 50)
 
     def __post_init__(self) -> None:
         require_in_range(self, "settings by odds")

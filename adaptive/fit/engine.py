@@ -24,10 +24,7 @@ _within: ContextVar[str | None] = ContextVar("engine", default=None)
 def compiled() -> ModuleType | None:
     """The compiled engine (compiled.py), or None where numpy is to compute.
 
-    Raises
-    ------
-    ValueError
-        RETUNER_ENGINE names no engine, or asks for the compiled one where there is none.
+    Raises ValueError: RETUNER_ENGINE names no engine, or asks for the compiled one where there is none.
     """
     return _chosen(_within.get() or _preferred[0])
 

@@ -74,10 +74,8 @@ def model_at(type_: ProcessType, x: FloatArray, sign: int) -> ProcessModel:
 def parameters_of(model: ProcessModel) -> FloatArray:
     """x of a model of one of the six structures; the inverse of model_at.
 
-    Raises
-    ------
-    ValueError
-        The model has another structure, no dead time, or a second lag of zero where its structure has one.
+    Raises ValueError: the model has another structure, no dead time, or a second lag of zero where its structure has
+    one.
     """
     if model.type not in SIZE:
         raise ValueError(f"type {model.type} is not one that a fit can have")

@@ -2,21 +2,21 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Any
 
-from retuner.adaptive.declared_setting import Setting, require_in_range
+from retuner.adaptive.declared_setting import require_in_range, setting
 
 UP, DOWN = "absent: step_up_max", "absent: step_down_max"
 BOTH_UP = "absent: none beside those of kc and tau_I, so 4 by default"
 
 
-def _factor(what: str, absent: str) -> Setting:
+def _factor(what: str, absent: str) -> float | None:
     """A limit of one change of one parameter."""
-    return Setting(f"Greatest factor of one change of {what}; {absent}", 1.0, 100.0, source="user", absent=True)
+    return setting(None, f"Greatest factor of one change of {what}; {absent}", 1.0, 100.0, source="user", absent=True)
 
 
-def _bound(what: str) -> Setting:
-    return Setting(f"{what}; absent: no limit", 0.0, unit="s", source="user", absent=True)
+def _bound(what: str, default: float = math.inf) -> float:
+    return setting(default, f"{what}; absent: no limit", 0.0, unit="s", source="user", absent=True)
 
 
 GENERAL = ("step_up_max", "step_down_max")
@@ -35,115 +35,93 @@ class GuardSettings:
         A setting is outside its range, or two of them leave no room between them.
     """
 
-    ms_nominal: Annotated[float, Setting("Largest Ms on the identified process", 1.2, 3.0)] = 1.75
-    ms_worst: Annotated[float, Setting("Largest Ms on any plausible model", 1.2, 5.0)] = 2.1
-    tau_c_max_ratio: Annotated[float, Setting("Largest tau_c over theta that robustness may ask for", 1.0, 3.0)] = 1.3
-    corner_std: Annotated[
-        float, Setting("How many std out the corners lie where nothing but a covariance is known", 0.0, 6.0)
-    ] = 2.0
-    kc_min: Annotated[float, Setting("Least |kc|", 0.0)] = 0.0
-    kc_max: Annotated[float, Setting("Greatest |kc|", 0.0)] = math.inf
-    step_up_max: Annotated[
-        float, Setting("Greatest factor of one change of kc, tau_I, tau_D to more action", 1.0, 100.0)
-    ] = 2.0
-    step_down_max: Annotated[float, Setting("The same to less action, and of kc/tau_I", 1.0, 100.0)] = 4.0
-    total_ratio_max: Annotated[
-        float,
-        Setting(
-            "Greatest factor of kc, tau_I and tau_D relative to the baseline gains",
-            1.0,
-            1000.0,
-            source="ABB ECA06, page 152",
-        ),
-    ] = 4.0
-    kc_up_max: Annotated[float | None, _factor("kc upwards", UP)] = None
-    kc_down_max: Annotated[float | None, _factor("kc downwards", DOWN)] = None
-    tau_i_shorter_max: Annotated[float | None, _factor("tau_I, shorter", UP)] = None
-    tau_i_longer_max: Annotated[float | None, _factor("tau_I, longer", DOWN)] = None
-    tau_d_up_max: Annotated[float | None, _factor("tau_D upwards", UP)] = None
-    tau_d_down_max: Annotated[float | None, _factor("tau_D downwards", DOWN)] = None
-    integral_up_max: Annotated[float | None, _factor("kc/tau_I upwards", BOTH_UP)] = None
-    integral_down_max: Annotated[float | None, _factor("kc/tau_I downwards", DOWN)] = None
-    tau_i_min_s: Annotated[float, _bound("Shortest tau_I")] = 0.0
-    tau_i_max_s: Annotated[float, _bound("Longest tau_I")] = math.inf
-    tau_d_max_s: Annotated[float, _bound("Longest tau_D")] = math.inf
-    tau_i_samples: Annotated[
-        float,
-        Setting(
-            "Shortest tau_I in sampling intervals",
-            0.0,
-            100.0,
-            source="the shortest lag that a fit gives; an almost pure dead time asks for hardly more than an integral",
-        ),
-    ] = 0.3
-    tau_d_samples: Annotated[
-        float,
-        Setting(
-            "Shortest tau_D in sampling intervals; what is shorter is left out",
-            0.0,
-            100.0,
-            source="a shorter one sees one sample's noise",
-        ),
-    ] = 1.0
-    ms_border: Annotated[
-        float,
-        Setting(
-            "Largest Ms where the gains meet a neighbouring region's process or are mixed with its gains",
-            1.2,
-            5.0,
-            source="as ms_worst",
-        ),
-    ] = 2.1
-    urgent_damping: Annotated[
-        float,
-        Setting(
-            "Half-cycle decay ratio from which a loop counts as oscillating and may take "
-            "the full change to less action at once",
-            0.5,
-            10.0,
-            source="ten half cycles then leave a third",
-        ),
-    ] = 0.9
-    pattern_step_max: Annotated[
-        float,
-        Setting(
-            "Greatest factor of a change that no model proves",
-            1.0,
-            4.0,
-            source="a loop with a gain margin of 2 stays stable",
-        ),
-    ] = 1.5
-    believed: Annotated[
-        float,
-        Setting(
-            "Excess of the deviance up to which a model counts as allowed by the records",
-            0.0,
-            20.0,
-            source="two standard deviations of one parameter",
-        ),
-    ] = 4.0
-    smallest_change: Annotated[
-        float,
-        Setting(
-            "Changes below this factor are not written, unless the loop is over its Ms limit",
-            1.0,
-            2.0,
-            source="no record knows a gain better",
-        ),
-    ] = 1.05
-    records_min: Annotated[
-        int,
-        Setting(
-            "Least number of records behind a model",
-            1,
-            100,
-            "records",
-            source="every change is proved on what the records leave open",
-        ),
-    ] = 1
-    age_max_s: Annotated[float, Setting("Greatest age of the last record", 0.0, unit="s", source="a month")] = (
-        30 * 86400.0
+    ms_nominal: float = setting(1.75, "Largest Ms on the identified process", 1.2, 3.0)
+    ms_worst: float = setting(2.1, "Largest Ms on any plausible model", 1.2, 5.0)
+    tau_c_max_ratio: float = setting(1.3, "Largest tau_c over theta that robustness may ask for", 1.0, 3.0)
+    corner_std: float = setting(
+        2.0, "How many std out the corners lie where nothing but a covariance is known", 0.0, 6.0
     )
+    kc_min: float = setting(0.0, "Least |kc|", 0.0)
+    kc_max: float = setting(math.inf, "Greatest |kc|", 0.0)
+    step_up_max: float = setting(2.0, "Greatest factor of one change of kc, tau_I, tau_D to more action", 1.0, 100.0)
+    step_down_max: float = setting(4.0, "The same to less action, and of kc/tau_I", 1.0, 100.0)
+    total_ratio_max: float = setting(
+        4.0,
+        "Greatest factor of kc, tau_I and tau_D relative to the baseline gains",
+        1.0,
+        1000.0,
+        source="ABB ECA06, page 152",
+    )
+    kc_up_max: float | None = _factor("kc upwards", UP)
+    kc_down_max: float | None = _factor("kc downwards", DOWN)
+    tau_i_shorter_max: float | None = _factor("tau_I, shorter", UP)
+    tau_i_longer_max: float | None = _factor("tau_I, longer", DOWN)
+    tau_d_up_max: float | None = _factor("tau_D upwards", UP)
+    tau_d_down_max: float | None = _factor("tau_D downwards", DOWN)
+    integral_up_max: float | None = _factor("kc/tau_I upwards", BOTH_UP)
+    integral_down_max: float | None = _factor("kc/tau_I downwards", DOWN)
+    tau_i_min_s: float = _bound("Shortest tau_I", 0.0)
+    tau_i_max_s: float = _bound("Longest tau_I")
+    tau_d_max_s: float = _bound("Longest tau_D")
+    tau_i_samples: float = setting(
+        0.3,
+        "Shortest tau_I in sampling intervals",
+        0.0,
+        100.0,
+        source="the shortest lag that a fit gives; an almost pure dead time asks for hardly more than an integral",
+    )
+    tau_d_samples: float = setting(
+        1.0,
+        "Shortest tau_D in sampling intervals; what is shorter is left out",
+        0.0,
+        100.0,
+        source="a shorter one sees one sample's noise",
+    )
+    ms_border: float = setting(
+        2.1,
+        "Largest Ms where the gains meet a neighbouring region's process or are mixed with its gains",
+        1.2,
+        5.0,
+        source="as ms_worst",
+    )
+    urgent_damping: float = setting(
+        0.9,
+        "Half-cycle decay ratio from which a loop counts as oscillating and may take "
+        "the full change to less action at once",
+        0.5,
+        10.0,
+        source="ten half cycles then leave a third",
+    )
+    pattern_step_max: float = setting(
+        1.5,
+        "Greatest factor of a change that no model proves",
+        1.0,
+        4.0,
+        source="a loop with a gain margin of 2 stays stable",
+    )
+    believed: float = setting(
+        4.0,
+        "Excess of the deviance up to which a model counts as allowed by the records",
+        0.0,
+        20.0,
+        source="two standard deviations of one parameter",
+    )
+    smallest_change: float = setting(
+        1.05,
+        "Changes below this factor are not written, unless the loop is over its Ms limit",
+        1.0,
+        2.0,
+        source="no record knows a gain better",
+    )
+    records_min: int = setting(
+        1,
+        "Least number of records behind a model",
+        1,
+        100,
+        "records",
+        source="every change is proved on what the records leave open",
+    )
+    age_max_s: float = setting(30 * 86400.0, "Greatest age of the last record", 0.0, unit="s", source="a month")
 
     def __post_init__(self) -> None:
         require_in_range(self, "guard")

@@ -3,7 +3,6 @@
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from retuner.adaptive.indexes.limits import at_limits
 from retuner.adaptive.signals.sample import Window
@@ -27,7 +26,14 @@ def days_of(window: Window) -> list[Window]:
     """
     n = len(window.t_s)
     step = np.diff(window.t_s)
-    off = _off(window)
+    # in which samples co stands still for long at what is no limit, shape (n,)
+    limits = at_limits(window.co, error=window.sp - window.pv)
+    ends = [float(f(window.co)) for share, f in ((limits.low, np.min), (limits.high, np.max)) if share > 0]
+    still = np.concatenate([[False], (np.diff(window.co) == 0) & ~np.isin(window.co[1:], ends), [False]])
+    starts, ends_at = np.flatnonzero(~still[:-1] & still[1:]), np.flatnonzero(still[:-1] & ~still[1:])
+    off = np.zeros(len(window.co), dtype=bool)
+    for a, b in zip(starts.tolist(), ends_at.tolist(), strict=True):
+        off[a : b + 1] = b - a >= max(NIGHT * len(window.co), FEWEST_ROWS)
     cut = np.zeros(n - 1, dtype=bool)
     cut |= step > GAP * float(np.median(step))
     if np.mean(off) >= OFF:
@@ -46,15 +52,3 @@ def at_gaps(window: Window) -> list[slice]:
     edges = [0, *(np.flatnonzero(step > GAP * float(np.median(step))) + 1).tolist(), len(window.t_s)]
     parts = [slice(a, b) for a, b in pairwise(edges)]
     return parts if min(part.stop - part.start for part in parts) >= FEWEST_ROWS else [slice(0, len(window.t_s))]
-
-
-def _off(window: Window) -> npt.NDArray[np.bool_]:
-    """In which samples co stands still for long at what is no limit, shape (n,)."""
-    limits = at_limits(window.co, error=window.sp - window.pv)
-    ends = [float(f(window.co)) for share, f in ((limits.low, np.min), (limits.high, np.max)) if share > 0]
-    still = np.concatenate([[False], (np.diff(window.co) == 0) & ~np.isin(window.co[1:], ends), [False]])
-    starts, ends_at = np.flatnonzero(~still[:-1] & still[1:]), np.flatnonzero(still[:-1] & ~still[1:])
-    found = np.zeros(len(window.co), dtype=bool)
-    for a, b in zip(starts.tolist(), ends_at.tolist(), strict=True):
-        found[a : b + 1] = b - a >= max(NIGHT * len(window.co), FEWEST_ROWS)
-    return found

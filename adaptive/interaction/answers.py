@@ -76,7 +76,17 @@ def answers(windows: Sequence[Moved], dt_s: float) -> Answers:
     high = [math.log(SLOWEST * longest), 1.0, LATEST * longest] * loops
     data = _Data(windows)
     best: tuple[float, FloatArray] | None = None
-    for z0 in _guesses(data, loops, longest):
+    # the best of all combinations of first guesses
+    shapes = [(math.log(lag * longest), 0.2, late * longest) for lag in LAGS for late in LATE]
+    columns = np.stack([[data.column(i, *shape) for shape in shapes] for i in range(loops)])
+    flat = columns.reshape(loops * len(shapes), -1)
+    gram, onto = flat @ flat.T, flat @ data.rest
+    picks = np.array(list(product(range(len(shapes)), repeat=loops))) + np.arange(loops) * len(shapes)
+    blocks = gram[picks[:, :, None], picks[:, None, :]]
+    blocks = blocks + 1e-9 * np.trace(blocks, axis1=1, axis2=2)[:, None, None] * np.eye(loops)
+    gained = np.einsum("pi,pi->p", onto[picks], np.linalg.solve(blocks, onto[picks][:, :, None])[:, :, 0])
+    order = np.argsort(-gained)[:REFINED]
+    for z0 in [np.array([x for at in picks[one] for x in shapes[at % len(shapes)]]) for one in order]:
         found = least_squares(data.left, z0, bounds=(low, high), x_scale="jac", max_nfev=MOST_TRIES)
         if best is None or found.cost < best[0]:
             best = float(found.cost), found.x
@@ -128,20 +138,6 @@ def _orthonormal(time: FloatArray, inside: int) -> FloatArray:
     """Offset and ramp of a window, shape (n, 2), nothing beyond its end."""
     q, _ = np.linalg.qr(np.stack([np.ones(inside), time[:inside]], axis=1))
     return np.concatenate([q, np.zeros((len(time) - inside, 2))])
-
-
-def _guesses(data: _Data, loops: int, longest: int) -> list[FloatArray]:
-    """The best of all combinations of first guesses."""
-    shapes = [(math.log(lag * longest), 0.2, late * longest) for lag in LAGS for late in LATE]
-    columns = np.stack([[data.column(i, *shape) for shape in shapes] for i in range(loops)])
-    flat = columns.reshape(loops * len(shapes), -1)
-    gram, onto = flat @ flat.T, flat @ data.rest
-    picks = np.array(list(product(range(len(shapes)), repeat=loops))) + np.arange(loops) * len(shapes)
-    blocks = gram[picks[:, :, None], picks[:, None, :]]
-    blocks = blocks + 1e-9 * np.trace(blocks, axis1=1, axis2=2)[:, None, None] * np.eye(loops)
-    gained = np.einsum("pi,pi->p", onto[picks], np.linalg.solve(blocks, onto[picks][:, :, None])[:, :, 0])
-    order = np.argsort(-gained)[:REFINED]
-    return [np.array([x for at in picks[one] for x in shapes[at % len(shapes)]]) for one in order]
 
 
 def _moved(co: FloatArray, lag: float, ratio: float, late: float) -> FloatArray:

@@ -39,10 +39,7 @@ def most_integral(process: LinearProcess, ms: float) -> PidGains:
     ----------
     process : stable, with a gain at rest. ms : largest sensitivity, above 1.
 
-    Raises
-    ------
-    ValueError
-        The process integrates, nothing limits its gain, or ms is not above 1.
+    Raises ValueError: the process integrates, nothing limits its gain, or ms is not above 1.
     """
     if not 1 < ms < math.inf:
         raise ValueError(f"ms = {ms} must be more than 1 and finite; 1.59 is the usual demand")

@@ -194,10 +194,7 @@ MOST_STEPS = 120
 def bracketed_root(f: Callable[[float], float], low: float, high: float, relative: float = RELATIVE) -> float:
     """x with f(x) = 0 between low and high, to this relative accuracy of the larger end.
 
-    Raises
-    ------
-    ValueError
-        The signs of f at both ends are the same.
+    Raises ValueError: the signs of f at both ends are the same.
     """
     b, a, fb, fa = low, high, f(low), f(high)
     if fa == 0 or fb == 0:

@@ -115,10 +115,7 @@ def _judged(process: LinearProcess, shape: PidGains, ms: float, aim: Aim, best: 
 def optimal_pi(process: LinearProcess, ms: float, aim: Aim = Aim.BOTH) -> Optimum:
     """The best PI (or P, or I) controller at Ms = ms.
 
-    Raises
-    ------
-    ValueError
-        ms is not above 1, or no controller reaches it on this process.
+    Raises ValueError: ms is not above 1, or no controller reaches it on this process.
     """
     # Refuse an Ms that no loop has, and a process without a limit of stability, whose best gain is infinite
     turn = len(process.lags_s) + 2 * len(process.quadratics) + process.integrators - len(process.leads_s)
@@ -154,10 +151,7 @@ def optimal_pi(process: LinearProcess, ms: float, aim: Aim = Aim.BOTH) -> Optimu
 def optimal_pid(process: LinearProcess, ms: float) -> Optimum:
     """The best PID controller (ideal form, derivative without filter, on the error) at Ms = ms, for both aims.
 
-    Raises
-    ------
-    ValueError
-        As optimal_pi.
+    Raises ValueError: as optimal_pi.
     """
     start, best, sign = optimal_pi(process, ms), references(process), math.copysign(1.0, process.k)
 
@@ -197,10 +191,8 @@ def _range(process: LinearProcess) -> tuple[float, float]:
 def references(process: LinearProcess) -> References:
     """IAE_ys* and IAE_d* of a process, for unit steps.
 
-    Raises
-    ------
-    ValueError
-        No PI controller has Ms = 1.59 on this process (one without dead time and of low order, or too hard).
+    Raises ValueError: no PI controller has Ms = 1.59 on this process (one without dead time and of low order, or too
+    hard).
     """
     setpoint = optimal_pi(process, MS_REFERENCE, Aim.SETPOINT)
     return References(setpoint.cost, optimal_pi(process, MS_REFERENCE, Aim.LOAD).cost)

@@ -90,10 +90,7 @@ def replayed(
     co_limits : lowest and highest co, co units; None where there is none. tau_f_s : filter time of the derivative; None
         for a tenth of the derivative time.
 
-    Raises
-    ------
-    ValueError
-        The process has more zeros than poles, or the limits leave no room.
+    Raises ValueError: the process has more zeros than poles, or the limits leave no room.
     """
     dt_s = window.sample_time_s
     other = window.pv - HeldInput(process, dt_s).over(window.co - window.co[0])

@@ -60,11 +60,8 @@ class CutLoop:
 def cut_loop(process: LinearProcess, gains: PidGains, tau_f_s: float, unit_s: float) -> CutLoop:
     """The loop, cut open.
 
-    Raises
-    ------
-    ValueError
-        The process has more zeros than poles; or it answers at once (as many zeros as poles) and the derivative has no
-        filter, so the controller output would not be a function.
+    Raises ValueError: the process has more zeros than poles; or it answers at once (as many zeros as poles) and the
+    derivative has no filter, so the controller output would not be a function.
     """
     plant = state_space(process, unit_s)
     kp, ki, kd, tau_f = gains.kp, gains.ki * unit_s, gains.kd / unit_s, tau_f_s / unit_s
@@ -304,10 +301,7 @@ def step_response(
 
     A derivative without filter acts on the process value only, since the impulse of a setpoint's step cannot be drawn.
 
-    Raises
-    ------
-    ValueError
-        until_s is not positive and finite, or the process has more zeros than poles.
+    Raises ValueError: until_s is not positive and finite, or the process has more zeros than poles.
     """
     if not 0 < until_s < math.inf:
         raise ValueError(f"until_s = {until_s} must be positive and finite")
@@ -382,10 +376,7 @@ class HeldInput:
     ----------
     process : the process. dt_s : sampling interval, seconds, more than 0.
 
-    Raises
-    ------
-    ValueError
-        dt_s is not positive and finite, or the process has more zeros than poles.
+    Raises ValueError: dt_s is not positive and finite, or the process has more zeros than poles.
     """
 
     def __init__(self, process: LinearProcess, dt_s: float) -> None:

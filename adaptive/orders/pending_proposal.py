@@ -30,10 +30,7 @@ class Proposal:
     digest : SHA-256 of the decision, hexadecimal. number : of the decision. region : name. t_s : time of the decision.
     before : gains from which it was proved. after : gains that are proposed. promise : as the decision has it.
 
-    Raises
-    ------
-    ValueError
-        The digest is no hash, the time not finite, or the sets act in different directions.
+    Raises ValueError: the digest is no hash, the time not finite, or the sets act in different directions.
     """
 
     digest: str
@@ -91,10 +88,7 @@ class Proposal:
     def from_dict(cls, body: Mapping[str, Any]) -> "Proposal":
         """The proposal from its plain form.
 
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            Something is missing, or no value of its kind.
+        Raises KeyError, TypeError, ValueError: something is missing, or no value of its kind.
         """
         before, after = (
             PidGains(*(float(body[name][gain]) for gain in ("kp", "ki", "kd"))) for name in ("before", "after")

@@ -28,10 +28,8 @@ Roots = Sequence[complex] | npt.NDArray[np.complex128] | npt.NDArray[np.float64]
 def from_roots(zeros: Roots, poles: Roots, gain: float, theta_s: float = 0.0) -> LinearProcess:
     """The process gain prod(s - z)/prod(s - p) e^(-theta s), as scipy.signal's ZerosPolesGain has it.
 
-    Raises
-    ------
-    ValueError
-        An unstable pole, a zero at the origin (no steady effect), or complex zeros: none of the models has these.
+    Raises ValueError: an unstable pole, a zero at the origin (no steady effect), or complex zeros: none of the models
+    has these.
     """
     z, p = np.asarray(zeros, dtype=np.complex128), np.asarray(poles, dtype=np.complex128)
     scale = float(max(np.max(np.abs(z), initial=0.0), np.max(np.abs(p), initial=0.0)))
@@ -75,10 +73,7 @@ def _shown(root: complex) -> str:
 def to_polynomials(process: LinearProcess, pade_order: int) -> tuple[list[float], list[float]]:
     """num and den of a process, highest power first, its dead time by a Pade approximation of this order.
 
-    Raises
-    ------
-    ValueError
-        There is dead time, and the order is not positive.
+    Raises ValueError: there is dead time, and the order is not positive.
     """
     num, den = np.array([process.k]), np.array([1.0])
     for lead in process.leads_s:
@@ -98,10 +93,7 @@ def pade(theta_s: float, order: int) -> tuple[list[float], list[float]]:
     Coefficients (2n - j)! n! / ((2n)! j! (n - j)!) theta^j (Golub & Van Loan 2013, section 9.3). Its phase
     is right to 0.2 degrees up to w = n / theta for n >= 5, and soon wrong beyond.
 
-    Raises
-    ------
-    ValueError
-        The order is not positive.
+    Raises ValueError: the order is not positive.
     """
     if order < 1:
         raise ValueError(f"pade_order = {order}: a dead time of {theta_s:g} s needs a positive order, 5 for example")

@@ -28,10 +28,8 @@ def averaging(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | N
     ----------
     model : integrating. kind : PI, the only one. wishes : u0, co units, and y_max, pv units.
 
-    Raises
-    ------
-    ValueError
-        u0 or y_max is missing or not a positive finite number, or the settings are faster than tight control.
+    Raises ValueError: u0 or y_max is missing or not a positive finite number, or the settings are faster than tight
+    control.
     """
     del kind
     u0, y_max = (wishes.u0, wishes.y_max) if wishes is not None else (None, None)

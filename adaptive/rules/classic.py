@@ -25,10 +25,7 @@ PI, PID = ControllerKind.PI, ControllerKind.PID
 def amigo(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:
     """AMIGO settings (ideal form) for a first order, integrating or pure delay model.
 
-    Raises
-    ------
-    ValueError
-        The dead time is 0.
+    Raises ValueError: the dead time is 0.
     """
     k, lag, dead = model.k, model.tau1_s, dead_time(model)
     if model.type == ProcessType.INTEGRATING:
@@ -84,10 +81,7 @@ P, PI, PID = ControllerKind.P, ControllerKind.PI, ControllerKind.PID
 def cohen_coon(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:
     """Cohen-Coon settings (ideal form) for a first order model with dead time.
 
-    Raises
-    ------
-    ValueError
-        The dead time is 0.
+    Raises ValueError: the dead time is 0.
     """
     k, tau, dead = first_order(model)
     r, unit = dead / tau, tau / (k * dead)
@@ -141,10 +135,7 @@ RATIO_RANGE = (0.1, 1.0)
 def itae_load(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:
     """ITAE settings for load changes (ideal form).
 
-    Raises
-    ------
-    ValueError
-        The dead time is 0.
+    Raises ValueError: the dead time is 0.
     """
     k, tau, theta = first_order(model)
     r = theta / tau
@@ -159,10 +150,7 @@ def itae_load(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | 
 def itae_setpoint(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:
     """ITAE settings for setpoint changes (ideal form).
 
-    Raises
-    ------
-    ValueError
-        The dead time is 0, or so long that the correlation has no positive Ti.
+    Raises ValueError: the dead time is 0, or so long that the correlation has no positive Ti.
     """
     k, tau, theta = first_order(model)
     r = theta / tau

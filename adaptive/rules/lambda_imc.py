@@ -30,27 +30,21 @@ LAMBDA_PER_DEAD_TIME = 3.0
 def lambda_tuning(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | None = None) -> Tuning:
     """Lambda settings (ideal form) for a first order or integrating model; tau_c of the wishes is lambda.
 
-    Raises
-    ------
-    ValueError
-        An integrating process is asked for PID, or has no dead time and no lambda is given.
+    Raises ValueError: an integrating process is asked for PID, or has no dead time and no lambda is given.
     """
     wanted = wishes.tau_c_s if wishes else None
     if model.type == ProcessType.INTEGRATING:
         if kind == PID:
             raise ValueError("rule lambda has no PID settings for an integrating process; give --kind pi")
-        return _integrating(model, wanted if wanted is not None else LAMBDA_PER_DEAD_TIME * dead_time(model))
+        lam = wanted if wanted is not None else LAMBDA_PER_DEAD_TIME * dead_time(model)
+        reset = 2 * _positive(lam) + model.theta_s
+        return tuning("lambda", "ideal", reset / (model.k * (lam + model.theta_s) ** 2), reset, 0.0, lam)
     lam = _positive(wanted if wanted is not None else LAMBDA_PER_TAU * model.tau1_s)
     k, tau, dead = model.k, model.tau1_s, model.theta_s
     if kind == PI:
         return tuning("lambda", "ideal", tau / (k * (lam + dead)), tau, 0.0, lam)
     kc = (2 * tau + dead) / (2 * k * (lam + dead))
     return tuning("lambda", "ideal", kc, tau + dead / 2, tau * dead / (2 * tau + dead), lam)
-
-
-def _integrating(model: ProcessModel, lam: float) -> Tuning:
-    reset = 2 * _positive(lam) + model.theta_s
-    return tuning("lambda", "ideal", reset / (model.k * (lam + model.theta_s) ** 2), reset, 0.0, lam)
 
 
 def _positive(lam: float) -> float:

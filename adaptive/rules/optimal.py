@@ -17,10 +17,7 @@ MS_DEFAULT = 1.59
 def optimal(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | None = None) -> Tuning:
     """Best settings at the demanded Ms (default 1.59).
 
-    Raises
-    ------
-    ValueError
-        No controller of this kind has that Ms on this process.
+    Raises ValueError: no controller of this kind has that Ms on this process.
     """
     from retuner.adaptive.loop.optimum import optimal_pi, optimal_pid
 

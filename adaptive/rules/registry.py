@@ -20,10 +20,7 @@ ALIASES = {"itae": "itae-load", "zn-quarter-decay": "quarter-decay"}
 def rule_named(name: str) -> Rule:
     """The rule of that name.
 
-    Raises
-    ------
-    ValueError
-        There is none; the message has the list.
+    Raises ValueError: there is none; the message has the list.
     """
     found = RULES.get(ALIASES.get(name, name))
     if found is None:
@@ -34,10 +31,7 @@ def rule_named(name: str) -> Rule:
 def kind_for(rule: Rule, name: str | None, model: ProcessModel | None) -> ControllerKind:
     """The kind of that name, or the rule's usual one.
 
-    Raises
-    ------
-    ValueError
-        It is not a kind, or the rule has no such settings.
+    Raises ValueError: it is not a kind, or the rule has no such settings.
     """
     if name is None:
         two = model is not None and model.type == ProcessType.DOUBLE_INTEGRATING
@@ -66,10 +60,7 @@ def settings(
     reading : Ku and Pu, or Kq and Pq, as the rule takes; Ku and Pu are worked out from the model where missing.
     wishes : what is asked of the rule.
 
-    Raises
-    ------
-    ValueError
-        The rule needs something else, has no use for a wish, or has no answer for this process (named).
+    Raises ValueError: the rule needs something else, has no use for a wish, or has no answer for this process (named).
     """
     asked = wishes or Wishes()
     for name in asked.given():

@@ -45,10 +45,7 @@ class Tuning:
     def to_dict(self, form: str | None = None) -> dict[str, object]:
         """Keys rule, form, gains {kc, tau_i, tau_d}, parallel {kp, ki, kd}, tau_c.
 
-        Raises
-        ------
-        ValueError
-            The gains do not exist in the form asked for.
+        Raises ValueError: the gains do not exist in the form asked for.
         """
         shown = form or self.form
         return {
@@ -63,10 +60,7 @@ class Tuning:
 def tuning(rule: str, form: str, kc: float, tau_i_s: float | None, tau_d_s: float, tau_c_s: float | None) -> Tuning:
     """Settings given in a rule's native form.
 
-    Raises
-    ------
-    ValueError
-        The rule's numbers make no controller (a gain of 0, a time that is not positive, an overflow).
+    Raises ValueError: the rule's numbers make no controller (a gain of 0, a time that is not positive, an overflow).
     """
     return Tuning(rule, form, from_form(form, kc, tau_i_s, tau_d_s), tau_c_s)
 
@@ -92,10 +86,7 @@ class Oscillation:
     gain : controller gain at which it was read, co units per pv unit: the ultimate gain Ku, or Kq at quarter decay.
     period_s : period in seconds.
 
-    Raises
-    ------
-    ValueError
-        A value is not finite, the gain is 0 or the period is not positive.
+    Raises ValueError: a value is not finite, the gain is 0 or the period is not positive.
     """
 
     gain: float
@@ -174,10 +165,7 @@ class Rule:
 def first_order(model: ProcessModel) -> tuple[float, float, float]:
     """K, tau and L of a first order model with dead time, as the classic tables name them.
 
-    Raises
-    ------
-    ValueError
-        The dead time is 0: the classic rules divide by it.
+    Raises ValueError: the dead time is 0: the classic rules divide by it.
     """
     return model.k, model.tau1_s, dead_time(model)
 
@@ -185,10 +173,7 @@ def first_order(model: ProcessModel) -> tuple[float, float, float]:
 def dead_time(model: ProcessModel) -> float:
     """The dead time of a model for a rule that divides by it.
 
-    Raises
-    ------
-    ValueError
-        It is 0.
+    Raises ValueError: it is 0.
     """
     if model.theta_s == 0:
         raise ValueError("theta = 0: this rule divides by the dead time; give theta, or use simc with tau_c")

@@ -41,11 +41,8 @@ def simc(
     kind : PI, or PID where the structure has a second lag. A double integrating process always needs PID.
     c : factor of the integral time's upper bound; 4, or the faster choices 2 and 1.44 that Haugen published.
 
-    Raises
-    ------
-    ValueError
-        tau_c is missing for a process without dead time, or not positive together with the dead time; c is not
-        positive.
+    Raises ValueError: tau_c is missing for a process without dead time, or not positive together with the dead time; c
+    is not positive.
     """
     model = without_second_lag(model) if kind == ControllerKind.PI else model.of_second_order()
     if tau_c_s is None:

@@ -33,10 +33,7 @@ class SlowOscillation:
 def slow_oscillation(period_s: float, tau_i_s: float) -> SlowOscillation:
     """The rule for an integrating loop that swings with this period under this integral time (same unit).
 
-    Raises
-    ------
-    ValueError
-        A time is not positive and finite.
+    Raises ValueError: a time is not positive and finite.
     """
     for name, value in (("period", period_s), ("tau_I", tau_i_s)):
         if not 0 < value < math.inf:
@@ -50,10 +47,7 @@ def damping(slope: float, kc: float, tau_i_s: float) -> float:
 
     slope : k' per second. kc : gain. Both of one sign.
 
-    Raises
-    ------
-    ValueError
-        tau_i_s is not positive and finite, or k' Kc is not positive.
+    Raises ValueError: tau_i_s is not positive and finite, or k' Kc is not positive.
     """
     if not 0 < tau_i_s < math.inf:
         raise ValueError(f"tau_I = {tau_i_s} must be positive and finite")

@@ -41,10 +41,7 @@ def oscillating_loop(period_s: float, tau_i_s: float | None, *, integrating: boo
 
     tau_i_s : None for no integral action.
 
-    Raises
-    ------
-    ValueError
-        A time is not positive and finite.
+    Raises ValueError: a time is not positive and finite.
     """
     for name, value in (("period", period_s), ("tau_I", tau_i_s)):
         if value is not None and not 0 < value < math.inf:
@@ -66,10 +63,7 @@ def cause_by_manual(*, stops_in_manual: bool) -> OscillationCause:
 def longest_poll_s(time_constant_s: float) -> float:
     """Longest time between samples for a process with this time constant.
 
-    Raises
-    ------
-    ValueError
-        The time constant is not positive and finite.
+    Raises ValueError: the time constant is not positive and finite.
     """
     return _share(time_constant_s, 1 / POLLS_PER_TIME_CONSTANT)
 
@@ -77,10 +71,7 @@ def longest_poll_s(time_constant_s: float) -> float:
 def longest_filter_s(time_constant_s: float) -> float:
     """Longest filter time of the measurement for a process with this time constant.
 
-    Raises
-    ------
-    ValueError
-        The time constant is not positive and finite.
+    Raises ValueError: the time constant is not positive and finite.
     """
     return _share(time_constant_s, FILTER_SHARE)
 

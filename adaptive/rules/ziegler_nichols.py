@@ -116,10 +116,7 @@ P, PI, PID = ControllerKind.P, ControllerKind.PI, ControllerKind.PID
 def zn_reaction(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:
     """Reaction-curve settings (ideal form) for a first order or integrating model with dead time.
 
-    Raises
-    ------
-    ValueError
-        The dead time is 0.
+    Raises ValueError: the dead time is 0.
     """
     dead = dead_time(model)
     unit = 1 / (model.slope * dead)

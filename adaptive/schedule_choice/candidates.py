@@ -166,18 +166,16 @@ def stretches_of(windows: Sequence[Window], one: Candidate, two: Candidate | Non
     """All stretches of all records, with one variable or two."""
     found: list[Stretch] = []
     for i, window in enumerate(windows):
-        every = _every(window)
+        # samples in an interval: a typical time between setpoint changes has ROWS
+        n = len(window.t_s)
+        changes = (
+            int(np.count_nonzero(np.abs(np.diff(window.sp)) > 0.01 * np.ptp(window.sp))) if np.ptp(window.sp) else 0
+        )
+        every = max(1, round(n / (changes + 1) / ROWS)) if changes < n / 20 else max(1, n // 40 // ROWS)
         values = np.stack([c.values[i] for c in (one, two) if c is not None], axis=1)
         for piece, there in without_gaps(window, values):
             found += moving(cut(signals_of(piece, there[:, 0], every, there[:, 1] if two is not None else None)))
     return found
-
-
-def _every(window: Window) -> int:
-    """Samples in an interval: a typical time between setpoint changes has ROWS."""
-    n = len(window.t_s)
-    changes = int(np.count_nonzero(np.abs(np.diff(window.sp)) > 0.01 * np.ptp(window.sp))) if np.ptp(window.sp) else 0
-    return max(1, round(n / (changes + 1) / ROWS)) if changes < n / 20 else max(1, n // 40 // ROWS)
 
 
 # ---- Fast crossings: the loop in motion, with gains that change on the way.

@@ -90,10 +90,7 @@ def design(
     windows : the records. candidates : variables that the gains may follow. lookup : "hard", "interpolated", "auto".
     span : ends of the first variable's places where they are given; the fit is over all that the records visit.
 
-    Raises
-    ------
-    ValueError
-        Nothing moves in the records, no candidate does, or not the one that span is of.
+    Raises ValueError: nothing moves in the records, no candidate does, or not the one that span is of.
     """
     able = _able(candidates, span)
     ends = {c.name: axis_of(c, span if c is candidates[0] else (None, None)) for c in able}
@@ -117,7 +114,28 @@ def design(
         if pair.both_matter and pair.curves.log_likelihood > chosen.curves.log_likelihood:
             chosen = pair
     progress("the fewest sets", (stages - 0.3) / stages)
-    return _designed(chosen, ends, windows, limits, lookup, tuple(evidence))
+    # places, sets and the numbers of the lookup. ends : of each variable's places
+    curves = chosen.curves
+    dt = float(np.median([w.sample_time_s for w in windows]))
+    places = _places(chosen, ends, dt, limits)
+    second = "" if chosen.two is None else chosen.two.name
+    none = Design(chosen.one.name, curves, places, None, 0.0, 0.0, tuple(evidence), "", second=second)
+    reason = _refused(chosen, places)
+    if reason:
+        return replace(none, reason=reason)
+    layout, j_limit = _affordable(places, limits, lookup)
+    if layout is None:
+        return replace(none, reason=f"more than {MOST_SETS} sets would be needed")
+    sets = len(layout.sets)
+    made = replace(
+        none,
+        layout=layout,
+        hysteresis=_hysteresis(chosen.one, layout.lookup, layout.edges),
+        min_stay_s=max(p.model.theta_s for p in places if p.known) if sets > 1 else 0.0,
+        reason=_counted(sets, str(layout.lookup), places, limits.j, j_limit),
+        second_hysteresis=_second_hysteresis(chosen.two, layout),
+    )
+    return replace(made, crossings=crossings_of(made, windows))
 
 
 def _able(candidates: Sequence[Candidate], span: tuple[float | None, float | None]) -> list[Candidate]:
@@ -182,38 +200,6 @@ def _evidence(name: str, found: Curves) -> Evidence:
     return Evidence(name, found.evidence, found.log_likelihood, changes)
 
 
-def _designed(
-    chosen: _Chosen,
-    ends: Mapping[str, Axis],
-    windows: Sequence[Window],
-    limits: DesignLimits,
-    lookup: str,
-    evidence: tuple[Evidence, ...],
-) -> Design:
-    """Places, sets and the numbers of the lookup. ends : of each variable's places."""
-    found = chosen.curves
-    dt = float(np.median([w.sample_time_s for w in windows]))
-    places = _places(chosen, ends, dt, limits)
-    second = "" if chosen.two is None else chosen.two.name
-    none = Design(chosen.one.name, found, places, None, 0.0, 0.0, evidence, "", second=second)
-    reason = _refused(chosen, places)
-    if reason:
-        return replace(none, reason=reason)
-    layout, j_limit = _affordable(places, limits, lookup)
-    if layout is None:
-        return replace(none, reason=f"more than {MOST_SETS} sets would be needed")
-    sets = len(layout.sets)
-    made = replace(
-        none,
-        layout=layout,
-        hysteresis=_hysteresis(chosen.one, layout.lookup, layout.edges),
-        min_stay_s=max(p.model.theta_s for p in places if p.known) if sets > 1 else 0.0,
-        reason=_counted(sets, str(layout.lookup), places, limits.j, j_limit),
-        second_hysteresis=_second_hysteresis(chosen.two, layout),
-    )
-    return replace(made, crossings=crossings_of(made, windows))
-
-
 def _counted(sets: int, lookup: str, places: Sequence[Place], wanted: float, affordable: float) -> str:
     """How many sets, in words, and for which places."""
     known, count = sum(place.known for place in places), len(places)
@@ -267,7 +253,13 @@ def _visited(chosen: _Chosen, places: Sequence[Place]) -> list[bool]:
     inside = [_inside(chosen.one, p.x) for p in places]
     if chosen.two is None:
         return inside
-    near = _near(chosen.curves, places)
+    # which places are near where the records have been with both variables; whatever the product says elsewhere
+    one, two = chosen.curves.form.axis, chosen.curves.form.second
+    assert two is not None
+    low, high = np.array([[one.low, two.axis.low], [one.high, two.axis.high]])
+    been = np.concatenate([np.stack([s.x, s.x2], axis=1) for s in chosen.curves.joint.stretches if s.x2 is not None])
+    away = [np.linalg.norm((been - [p.x, p.x2]) / (high - low), axis=1) for p in places]
+    near = [float(np.min(distance)) <= NEAR_VISITED_RANGES for distance in away]
     beside = [p.x2 is not None and _inside(chosen.two, p.x2) for p in places]
     return [all(each) for each in zip(inside, beside, near, strict=True)]
 
@@ -277,16 +269,6 @@ def _inside(one: Candidate, x: float) -> bool:
     low, high = one.span()
     beyond = BEYOND * (high - low)
     return low - beyond <= x <= high + beyond
-
-
-def _near(found: Curves, places: Sequence[Place]) -> list[bool]:
-    """Which places are near where the records have been with both variables; whatever the product says elsewhere."""
-    one, two = found.form.axis, found.form.second
-    assert two is not None
-    low, high = np.array([[one.low, two.axis.low], [one.high, two.axis.high]])
-    been = np.concatenate([np.stack([s.x, s.x2], axis=1) for s in found.joint.stretches if s.x2 is not None])
-    away = [np.linalg.norm((been - [p.x, p.x2]) / (high - low), axis=1) for p in places]
-    return [float(np.min(distance)) <= NEAR_VISITED_RANGES for distance in away]
 
 
 def _refused(chosen: _Chosen, places: Sequence[Place]) -> str:

@@ -87,17 +87,8 @@ def agreement(form: Form, now: At, sizes: Sequence[int], c: float) -> Agreement:
     j, r = now.jacobian / np.sqrt(c), now.r / np.sqrt(c)
     ends = np.cumsum([0, *sizes]).tolist()
     pieces = [_Piece.of(whole[first:end], j[first:end], r[first:end]) for first, end in pairwise(ends)]
-    v = _likeliest(pieces, len(form.places))
-    normal, right = np.zeros((form.size, form.size)), np.zeros(form.size)
-    for piece in pieces:
-        information, score = piece.known(v)
-        normal += information
-        right += information @ now.z + score
-    return Agreement(tuple(np.sqrt(v).tolist()), normal + np.eye(form.size), right)
-
-
-def _likeliest(pieces: Sequence[_Piece], count: int) -> FloatArray:
-    """The variances with the largest likelihood, one after the other."""
+    # the variances with the largest likelihood, one after the other
+    count = len(form.places)
     v = np.zeros(count)
     for _ in range(VARIANCE_ROUNDS):
         for i in range(count):
@@ -105,4 +96,9 @@ def _likeliest(pieces: Sequence[_Piece], count: int) -> FloatArray:
             for std, other in tried.items():
                 other[i] = std**2
             v = max(tried.values(), key=lambda other: sum(piece.likelihood(other) for piece in pieces))
-    return v
+    normal, right = np.zeros((form.size, form.size)), np.zeros(form.size)
+    for piece in pieces:
+        information, score = piece.known(v)
+        normal += information
+        right += information @ now.z + score
+    return Agreement(tuple(np.sqrt(v).tolist()), normal + np.eye(form.size), right)

@@ -102,10 +102,7 @@ def curves(
     stretches have it as x2. known : a form whose second lag and characteristic there shall be; left out, both are
     weighed.
 
-    Raises
-    ------
-    ValueError
-        There is no stretch in which pv and co move.
+    Raises ValueError: there is no stretch in which pv and co move.
     """
     if not stretches:
         raise ValueError("no stretch of the records is long enough and moves both pv and co: nothing to learn from")

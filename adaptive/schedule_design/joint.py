@@ -404,7 +404,17 @@ def starts(
     thetas = np.geomspace(0.5 * h, 0.3 * longest, NODES)
     best = [(math.inf, 0.0, 0.0, 0.0)] * len(WHITENINGS)
     for theta in thetas.tolist():
-        for w, found in enumerate(_searched(batch, lags, theta, form.outside(batch))):
+        # misfit and slope gain for each whitening and lag, at one dead time
+        shape = (len(batch.pv), len(batch.stretches), len(lags))
+        ln_tau = np.broadcast_to(np.log(lags), shape)
+        local = Local(np.zeros(shape), np.full(shape, math.log(theta)), ln_tau, None)
+        arriving = np.repeat(batch.arriving(np.full((*shape[:2], 1), theta)), len(lags), axis=2)
+        moved = response(local, arriving, batch.h_s)
+        begun = response(local, np.zeros_like(arriving), batch.h_s, np.ones(shape[1:]))
+        beside = np.stack([begun, *push_ways(batch, local, form.outside(batch))], axis=-1)
+        for w, found in enumerate(
+            [[_node(batch, moved[..., i], beside[..., i, :], ar) for i in range(len(lags))] for ar in WHITENINGS]
+        ):
             nodes = zip(lags.tolist(), found, strict=True)
             right = [(cost, slope, theta, lag) for lag, (cost, slope) in nodes if sign is None or slope * sign > 0]
             best[w] = min(best[w], *right, (math.inf, 0.0, 0.0, 0.0))
@@ -421,20 +431,6 @@ def _constant(form: Form, slope: float, theta: float, lag: float) -> Form:
 
 def _excitation(stretch: Stretch) -> float:
     return float(np.ptp(stretch.pv)) / max(noise_sigma(stretch.pv), 1e-12 * float(np.ptp(stretch.pv)) + 1e-300)
-
-
-def _searched(
-    batch: Batch, lags: FloatArray, theta: float, outside: Sequence[FloatArray]
-) -> list[list[tuple[float, float]]]:
-    """Misfit and slope gain for each whitening and lag, at one dead time."""
-    shape = (len(batch.pv), len(batch.stretches), len(lags))
-    ln_tau = np.broadcast_to(np.log(lags), shape)
-    local = Local(np.zeros(shape), np.full(shape, math.log(theta)), ln_tau, None)
-    arriving = np.repeat(batch.arriving(np.full((*shape[:2], 1), theta)), len(lags), axis=2)
-    moved = response(local, arriving, batch.h_s)
-    begun = response(local, np.zeros_like(arriving), batch.h_s, np.ones(shape[1:]))
-    beside = np.stack([begun, *push_ways(batch, local, outside)], axis=-1)
-    return [[_node(batch, moved[..., i], beside[..., i, :], ar) for i in range(len(lags))] for ar in WHITENINGS]
 
 
 def _node(batch: Batch, moved: FloatArray, beside: FloatArray, ar: Sequence[float]) -> tuple[float, float]:
@@ -477,7 +473,24 @@ def with_loads(joint: Joint, form: Form, now: At, noise: Noise) -> Joint:
             columns = white(np.stack(rest, axis=1), noise.ar) / noise.sigma[done]
             barred = int((2 * theta + 0.2 * tau) / h) + 4 if stretch.changed else 0
             steps = white(waves[1][:n, j], noise.ar) / noise.sigma[done]
-            loads.append(_greedy(y, columns, steps, range(max(barred, 3), n - max(6, int(theta / h)))))
+            # rows of the load steps that pay, one after the other, none within COARSE rows of another
+            allowed = range(max(barred, 3), n - max(6, int(theta / h)))
+            chosen: list[int] = []
+            price = LOAD_STEP_PRICE + 2 * math.log(max(len(y), 2))
+            while len(chosen) < 2 * MOST_LOADS:
+                q = np.linalg.qr(np.concatenate([columns, steps[:, chosen]], axis=1))[0]
+                left = y - q @ (q.T @ y)
+                free = [row for row in allowed if all(abs(row - c) > COARSE for c in chosen)]
+                if not free:
+                    break
+                tried = steps[:, free] - q @ (q.T @ steps[:, free])
+                size = np.einsum("ij,ij->j", tried, tried)
+                fall = np.where(size > 1e-9, (left @ tried) ** 2 / np.maximum(size, 1e-300), 0.0)
+                best = int(np.argmax(fall))
+                if fall[best] < price:
+                    break
+                chosen += [free[best], free[best] + 1]  # between the two lies the time at which it entered
+            loads.append(tuple(sorted(chosen)))
             done += 1
     return replace(joint, loads=tuple(loads))
 
@@ -492,23 +505,3 @@ def _waves(batch: Batch, local: Local, outside: Sequence[FloatArray]) -> tuple[F
     loads = response(local.repeated(rows), steps.astype(np.float64), batch.h_s)
     begun = response(local, np.zeros((rows - 1, count, 1)), batch.h_s, np.ones((count, 1)))
     return np.concatenate([begun, *push_ways(batch, local, outside)], axis=2), loads
-
-
-def _greedy(y: FloatArray, columns: FloatArray, steps: FloatArray, allowed: range) -> tuple[int, ...]:
-    """Rows of the load steps that pay, one after the other, none within COARSE rows of another."""
-    chosen: list[int] = []
-    price = LOAD_STEP_PRICE + 2 * math.log(max(len(y), 2))
-    while len(chosen) < 2 * MOST_LOADS:
-        q = np.linalg.qr(np.concatenate([columns, steps[:, chosen]], axis=1))[0]
-        left = y - q @ (q.T @ y)
-        free = [row for row in allowed if all(abs(row - c) > COARSE for c in chosen)]
-        if not free:
-            break
-        tried = steps[:, free] - q @ (q.T @ steps[:, free])
-        size = np.einsum("ij,ij->j", tried, tried)
-        fall = np.where(size > 1e-9, (left @ tried) ** 2 / np.maximum(size, 1e-300), 0.0)
-        best = int(np.argmax(fall))
-        if fall[best] < price:
-            break
-        chosen += [free[best], free[best] + 1]  # between the two lies the time at which it entered
-    return tuple(sorted(chosen))

@@ -41,10 +41,7 @@ class DesignLimits:
     place's own settings; 1.05 to 2, default 1.25. std : largest standard deviation of ln Kc with which a place counts
     as known; 0.1 to 0.5, default 0.2 (identification's own limit).
 
-    Raises
-    ------
-    ValueError
-        A limit outside its range.
+    Raises ValueError: a limit outside its range.
     """
 
     ms: float = 1.8
@@ -168,21 +165,17 @@ def place_of(x: float, ln: FloatArray, p: FloatArray, sign: int, sample_time_s: 
     allowed = tuple(model_of(moved(ln, side * way), sign) for way in ways.T for side in (1.0, -1.0))
     settings = RobustSettings(ms_worst=max(limits.ms - 0.03, 1.5))
     own = robust_simc_on(model, [Plausible(m, OUT**2) for m in allowed], sample_time_s, settings).tuning.gains
-    spread = _gain_spread(ln, covariance)
-    std = tuple(float(s) for s in np.sqrt(np.diag(covariance)))
-    seen = tuple(m.seen_by_controller(sample_time_s).linear() for m in (model, *allowed))
-    known = spread <= limits.std and all(sensitivity_peak(m, own) <= MOST_MS for m in seen)
-    return Place(x, model, allowed, seen, std, spread, known, own, iae(model, own, sample_time_s), sample_time_s)
-
-
-def _gain_spread(ln: FloatArray, covariance: FloatArray) -> float:
-    """Standard deviation of ln Kc = -ln b - ln(theta + tau2/2), the larger part of SIMC's answer."""
+    # standard deviation of ln Kc = -ln b - ln(theta + tau2/2), the larger part of SIMC's answer
     effective = np.exp(ln[1]) + (0.5 * np.exp(ln[3]) if len(ln) > 3 else 0.0)
     way = np.zeros(len(ln))
     way[0], way[1] = 1.0, np.exp(ln[1]) / effective
     if len(ln) > 3:
         way[3] = 0.5 * np.exp(ln[3]) / effective
-    return float(np.sqrt(way @ covariance @ way))
+    spread = float(np.sqrt(way @ covariance @ way))
+    std = tuple(float(s) for s in np.sqrt(np.diag(covariance)))
+    seen = tuple(m.seen_by_controller(sample_time_s).linear() for m in (model, *allowed))
+    known = spread <= limits.std and all(sensitivity_peak(m, own) <= MOST_MS for m in seen)
+    return Place(x, model, allowed, seen, std, spread, known, own, iae(model, own, sample_time_s), sample_time_s)
 
 
 def moved(ln: FloatArray, way: FloatArray) -> FloatArray:
@@ -274,11 +267,7 @@ def steps(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | 
             return None
         chosen.append(max(fitting, key=lambda reach: (reach[1], -reach[0])))
         covered = chosen[-1][1]
-    return _stepped(places, chosen)
-
-
-def _stepped(places: Sequence[Place], chosen: Sequence[tuple[int, int, PidGains]]) -> Layout:
-    """Borders in the middle of what neighbours share."""
+    # borders in the middle of what neighbours share
     bounds, room = [], []
     for (_, last, _), (first, _, _) in pairwise(chosen):
         low, high = places[min(first, last)].x, places[last].x

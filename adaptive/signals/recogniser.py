@@ -188,7 +188,8 @@ def step(
                 return state
             if not _stepped(state, sp, band, own):
                 return state._replace(sp=sp)
-    inside_s = _inside_since(state, t_s, e, band)
+    # since when the error has been inside the band without leaving it; infinite when it is outside
+    inside_s = _OUTSIDE if e > band or -e > band else state.inside_s if state.inside_s < _OUTSIDE else t_s
     event = _event(law, state, t_s, sp, e, band, own, inside_s)
     phase = TABLE[state.phase][event]
     if phase == state.phase and event == Event.NONE:
@@ -220,13 +221,6 @@ def _stepped(state: RecogniserState, sp: float, band: float, own: float) -> bool
     """Whether the setpoint has moved by more than its noise, and by enough for its response to show."""
     moved, least = sp - state.sp, max(LEAST_STEP * band, OVER_ITS_NOISE * own)
     return moved > least or -moved > least
-
-
-def _inside_since(state: RecogniserState, t_s: float, e: float, band: float) -> float:
-    """Since when the error has been inside the band without leaving it; infinite when it is outside."""
-    if e > band or -e > band:
-        return _OUTSIDE
-    return state.inside_s if state.inside_s < _OUTSIDE else t_s
 
 
 def _event(

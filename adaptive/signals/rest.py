@@ -12,7 +12,7 @@ import numpy as np
 from retuner.adaptive.signals.noise import coloured_sigma
 from retuner.adaptive.signals.recogniser import START_BANDS
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import FloatArray, LoopSample
+from retuner.adaptive.signals.sample import LoopSample
 
 FEWEST_SAMPLES_AT_REST = 60
 """Samples at rest of which noise that wanders is told."""
@@ -27,15 +27,7 @@ def wander_before(samples: Sequence[LoopSample], response: Response) -> float:
 
     samples : kept, the newest last, with the response at their end.
     """
-    rest = _rest_before(samples, response)
-    if len(rest) < FEWEST_SAMPLES_AT_REST:
-        return 0.0
-    length = sum(sample.t_s >= response.t_start_s for sample in samples)
-    return coloured_sigma(rest, length // PARTS)
-
-
-def _rest_before(samples: Sequence[LoopSample], response: Response) -> FloatArray:
-    """pv from the last motion on, or the last change of setpoint or gains, until the response."""
+    # pv from the last motion on, or the last change of setpoint or gains, until the response
     near, outside, found = START_BANDS * response.band, 0, list[float]()
     before = [sample for sample in samples if sample.t_s < response.t_start_s]
     for sample in reversed(before):
@@ -44,4 +36,8 @@ def _rest_before(samples: Sequence[LoopSample], response: Response) -> FloatArra
         if not same or outside > max(OUTSIDE * len(found), 1):
             break
         found.append(sample.pv)
-    return np.array(found)
+    rest = np.array(found)
+    if len(rest) < FEWEST_SAMPLES_AT_REST:
+        return 0.0
+    length = sum(sample.t_s >= response.t_start_s for sample in samples)
+    return coloured_sigma(rest, length // PARTS)

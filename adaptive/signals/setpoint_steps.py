@@ -31,10 +31,7 @@ class SetpointSteps:
     gains : in force all the time. dt_s : sampling interval. steps : where the setpoint stepped, and by how much.
     pv : from the setpoint before the first step, even samples, pv units. t_s : the end.
 
-    Raises
-    ------
-    ValueError
-        The series are too short or not finite.
+    Raises ValueError: the series are too short or not finite.
     """
 
     gains: PidGains

@@ -14,13 +14,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.decision_numbers import Numbers
-from retuner.adaptive.declared_setting import Setting, require_in_range
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, stood_still
@@ -74,74 +74,61 @@ class Ground(StrEnum):
 class AdmissionSettings:
     """What a response may lack and still teach its region."""
 
-    limited_share: Annotated[
-        float,
-        Setting(
-            "Largest share of a response with the output at a limit",
-            0,
-            1,
-            source="a fit takes co as it was applied, at a limit or not; only what never moves shows nothing",
-        ),
-    ] = 1.0
-    lost_share: Annotated[
-        float, Setting("Largest share of lost samples", 0, 0.5, source="a fit takes each sample at its own time")
-    ] = 0.35
-    uneven: Annotated[
-        float,
-        Setting(
-            "Share of the median by which an interval is off that no late stamp makes: samples came in bursts",
-            0.1,
-            1,
-            source="stamps off by 30 % make intervals off by 60 %",
-        ),
-    ] = 0.65
-    uneven_share: Annotated[float, Setting("Largest share of samples at uneven times", 0, 1, source="one in ten")] = 0.1
-    repeated_share: Annotated[
-        float,
-        Setting(
-            "Largest share of samples that repeat the one before although the error is outside the noise band",
-            0,
-            1,
-            source="integral action moves co at every such sample",
-        ),
-    ] = 0.2
-    outside_share: Annotated[
-        float,
-        Setting("Largest share of samples outside the region", 0, 0.5, source="noise of a measured variable"),
-    ] = 0.05
-    moves_most: Annotated[
-        int,
-        Setting(
-            "Movements of the setpoint in one response that are still an operator's",
-            1,
-            20,
-            "moves",
-            source="a cascade's master moves it all the time",
-        ),
-    ] = 4
-    moving_share: Annotated[
-        float,
-        Setting(
-            "Largest share of samples at which the setpoint moves",
-            0,
-            1,
-            source="a ramp is one movement, and shorter than the response",
-        ),
-    ] = 0.3
-    led_again_s: Annotated[
-        float, Setting("Time until it is said again that the setpoint is led; such responses are counted", 0, unit="s")
-    ] = 21600.0
-    still_share: Annotated[float, Setting("A setpoint that moves by less of the noise band stands still")] = 0.01
-    changes_most: Annotated[int, Setting("Most changes of the active gains during a response")] = 0
-    excitation_bands: Annotated[
-        float,
-        Setting(
-            "Least height of a response in noise bands",
-            2,
-            10,
-            source="the recogniser starts at 2; weaker ones are weighed by the fit",
-        ),
-    ] = 2.2
+    limited_share: float = setting(
+        1.0,
+        "Largest share of a response with the output at a limit",
+        0,
+        1,
+        source="a fit takes co as it was applied, at a limit or not; only what never moves shows nothing",
+    )
+    lost_share: float = setting(
+        0.35, "Largest share of lost samples", 0, 0.5, source="a fit takes each sample at its own time"
+    )
+    uneven: float = setting(
+        0.65,
+        "Share of the median by which an interval is off that no late stamp makes: samples came in bursts",
+        0.1,
+        1,
+        source="stamps off by 30 % make intervals off by 60 %",
+    )
+    uneven_share: float = setting(0.1, "Largest share of samples at uneven times", 0, 1, source="one in ten")
+    repeated_share: float = setting(
+        0.2,
+        "Largest share of samples that repeat the one before although the error is outside the noise band",
+        0,
+        1,
+        source="integral action moves co at every such sample",
+    )
+    outside_share: float = setting(
+        0.05, "Largest share of samples outside the region", 0, 0.5, source="noise of a measured variable"
+    )
+    moves_most: int = setting(
+        4,
+        "Movements of the setpoint in one response that are still an operator's",
+        1,
+        20,
+        "moves",
+        source="a cascade's master moves it all the time",
+    )
+    moving_share: float = setting(
+        0.3,
+        "Largest share of samples at which the setpoint moves",
+        0,
+        1,
+        source="a ramp is one movement, and shorter than the response",
+    )
+    led_again_s: float = setting(
+        21600.0, "Time until it is said again that the setpoint is led; such responses are counted", 0, unit="s"
+    )
+    still_share: float = setting(0.01, "A setpoint that moves by less of the noise band stands still")
+    changes_most: int = setting(0, "Most changes of the active gains during a response")
+    excitation_bands: float = setting(
+        2.2,
+        "Least height of a response in noise bands",
+        2,
+        10,
+        source="the recogniser starts at 2; weaker ones are weighed by the fit",
+    )
 
     def __post_init__(self) -> None:
         require_in_range(self, "admission")

@@ -108,7 +108,22 @@ class _Lanes:
 
     def __init__(self, loops: Sequence[Loop], steps: Sequence[float], upsets: Sequence[Upset]) -> None:
         n = len(upsets)
-        self.phi, self.gamma, start, self.c = _discrete(loops, steps, n)
+        # phi (states, states, lanes), Gamma, B and C (states, lanes), each process n times; states padded to the most
+        spaces = [state_space(loop.process, step) for loop, step in zip(loops, steps, strict=True)]
+        most = max(len(space.b) for space in spaces)
+        whole = np.zeros((len(loops), most + 1, most + 1))
+        c = np.zeros((most, len(loops)))
+        for i, space in enumerate(spaces):
+            m = len(space.b)
+            whole[i, :m, :m], whole[i, :m, most], c[:m, i] = space.a, space.b, space.c
+        moved = _exponentials(whole)
+        phi, gamma, b = moved[:, :most, :most], moved[:, :most, most], whole[:, :most, most]
+        spread = (
+            np.repeat(phi, n, axis=0).transpose(1, 2, 0),
+            np.repeat(gamma, n, axis=0).T,
+            np.repeat(b, n, axis=0).T,
+        )
+        self.phi, self.gamma, start, self.c = *spread, np.repeat(c, n, axis=1)
         h = np.repeat(steps, n)
         gains = [loop.gains for loop in loops]
         self.kp = np.repeat([g.kp for g in gains], n)
@@ -150,23 +165,6 @@ class _Lanes:
             arrives = (1 - self.share) * u[row, lanes] + self.share * u[row - 1, lanes] + self.loads
             self.x = np.einsum("ijn,jn->in", self.phi, self.x) + self.gamma * arrives
         return e, u[self.lead :]
-
-
-def _discrete(
-    loops: Sequence[Loop], steps: Sequence[float], n: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Phi (states, states, lanes), Gamma, B and C (states, lanes), each process n times; states padded to the most."""
-    spaces = [state_space(loop.process, step) for loop, step in zip(loops, steps, strict=True)]
-    most = max(len(space.b) for space in spaces)
-    whole = np.zeros((len(loops), most + 1, most + 1))
-    c = np.zeros((most, len(loops)))
-    for i, space in enumerate(spaces):
-        m = len(space.b)
-        whole[i, :m, :m], whole[i, :m, most], c[:m, i] = space.a, space.b, space.c
-    moved = _exponentials(whole)
-    phi, gamma, b = moved[:, :most, :most], moved[:, :most, most], whole[:, :most, most]
-    spread = (np.repeat(phi, n, axis=0).transpose(1, 2, 0), np.repeat(gamma, n, axis=0).T, np.repeat(b, n, axis=0).T)
-    return (*spread, np.repeat(c, n, axis=1))
 
 
 def _exponentials(a: FloatArray) -> FloatArray:

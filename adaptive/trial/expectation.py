@@ -34,10 +34,7 @@ SWINGS = 2.0
 class Spread:
     """On the best model, least and greatest over all allowed ones; infinite where a loop never comes to rest.
 
-    Raises
-    ------
-    ValueError
-        A number is NaN, or best does not lie between low and high.
+    Raises ValueError: a number is NaN, or best does not lie between low and high.
     """
 
     best: float
@@ -184,10 +181,7 @@ def promise(
     allowed : the models that the records allow, the best one first. sample_time_s : of the controller.
     b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
 
-    Raises
-    ------
-    ValueError
-        No model is given.
+    Raises ValueError: no model is given.
     """
     models = sorted(allowed, key=lambda found: found.excess)[:MOST_MODELS]  # stable: the best one stays first
     if not models:

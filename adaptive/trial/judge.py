@@ -207,7 +207,9 @@ def _not_worse(
 ) -> Judgement:
     """Better, as promised, or cut short before that can be said."""
     upset = numbers.upset
-    told = _told(swing, upset, setpoint=seen.response.sp_changed)
+    told = f"half-cycle decay ratio {swing.decay:.2f} (limit {swing.decay_limit:.2f}{_beyond(swing)})"
+    if upset is not None and upset.iae_limit >= 0:
+        told += f", IAE {upset.iae:.3g} {_PER[seen.response.sp_changed]} (predicted {upset.iae_promised:.3g})"
     if seen.response.ending == Ending.SETPOINT:
         return _by_posterior(f"{seen.response.ending}; until then {told}", seen.posterior, settings, numbers)
     cheaper = upset is not None and upset.iae < now.iae.low
@@ -360,11 +362,3 @@ def _beyond(swing: SwingNumbers) -> str:
 
 _PER = {True: "s per unit setpoint step", False: "pv s per unit load step"}
 """What an IAE is measured in, by whether the setpoint was stepped."""
-
-
-def _told(swing: SwingNumbers, upset: UpsetNumbers | None, *, setpoint: bool) -> str:
-    """The numbers in words."""
-    words = f"half-cycle decay ratio {swing.decay:.2f} (limit {swing.decay_limit:.2f}{_beyond(swing)})"
-    if upset is not None and upset.iae_limit >= 0:
-        words += f", IAE {upset.iae:.3g} {_PER[setpoint]} (predicted {upset.iae_promised:.3g})"
-    return words

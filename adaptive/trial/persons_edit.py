@@ -12,10 +12,7 @@ NOT_TAKEN = (
 def require_action(gains: PidGains, commissioned: PidGains) -> None:
     """Refuse gains that turn negative feedback into positive: no table holds them.
 
-    Raises
-    ------
-    ValueError
-        They act in the other direction than the commissioned ones.
+    Raises ValueError: they act in the other direction than the commissioned ones.
     """
     if gains.direction != commissioned.direction:
         raise ValueError(

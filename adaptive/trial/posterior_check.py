@@ -131,7 +131,11 @@ def against(found: PosteriorCheck, promised: Promise, settings: TrialSettings, w
     words = "" if wandering else _less_robust(found, robustness.ms_limit)
     if words:
         return Objection(words, PosteriorNumbers(robustness))
-    said = promised_cost(promised)
+    # J of the new set over the old one as promised, on the best model; 0 where it is not known
+    said = _mean_ratio(
+        (promised.setpoint.iae.best, promised.load_step.iae.best),
+        (promised.setpoint_before.iae.best, promised.load_before.iae.best),
+    )
     limit = settings.iae_slack * max(said, 1.0)
     cost = CostNumbers(found.slower, limit, said or None) if found.slower else None
     return Objection(_slower(found, promised, limit, settings), PosteriorNumbers(robustness, cost))
@@ -170,14 +174,6 @@ def in_favour(found: PosteriorCheck, settings: TrialSettings) -> str:
     if not found.settled or found.ms_most > settings.harmless_ms:
         return ""
     return f"robust according to the models: Ms at most {found.ms_most:.2f} on every plausible one"
-
-
-def promised_cost(promised: Promise) -> float:
-    """J of the new set over the old one as promised, on the best model; 0 where it is not known."""
-    return _mean_ratio(
-        (promised.setpoint.iae.best, promised.load_step.iae.best),
-        (promised.setpoint_before.iae.best, promised.load_before.iae.best),
-    )
 
 
 def _mean_ratio(now: Sequence[float], then: Sequence[float]) -> float:

@@ -130,7 +130,10 @@ def _responses(process: LinearProcess, n: int, dt_s: float) -> tuple[FloatArray,
     whole[:m, :m], whole[:m, m] = space.a, space.b
     dead = process.theta_s / dt_s
     part = math.ceil(dead) - dead
-    moved, begun = _held(whole, part)
+    # exp(A) of states with a held input, over a whole step and over a part of it
+    from scipy.linalg import expm
+
+    moved, begun = np.asarray(expm(whole)), np.asarray(expm(whole * part))
     late, prompt, free = np.zeros(n), np.zeros(n), np.zeros((n, m))
     x, y, row = begun[:m, m], np.zeros(m), space.c.copy()
     first = math.ceil(dead)
@@ -143,13 +146,6 @@ def _responses(process: LinearProcess, n: int, dt_s: float) -> tuple[FloatArray,
         y = moved[:m, :m] @ y + moved[:m, m]
         row = row @ moved[:m, :m]
     return late, prompt, free
-
-
-def _held(whole: FloatArray, part: float) -> tuple[FloatArray, FloatArray]:
-    """exp(A) of states with a held input, over a whole step and over a part of it."""
-    from scipy.linalg import expm
-
-    return np.asarray(expm(whole)), np.asarray(expm(whole * part))
 
 
 def beside_a_walk(

@@ -97,7 +97,13 @@ def runaway_step(
     """Take one sample; the event that ends the trial, if this is it. band : noise band, pv units."""
     if abs(sample.sp - state.sp) > max(band, MOVED * abs(state.extreme), MOVED * abs(state.last)):
         state = runaway_begin(sample.sp, joined=False)
-    state = _at_limits(state, sample)
+    # which limit the output touches, and since when
+    if not sample.limited:
+        state = state if math.isinf(state.since_s) else state._replace(since_s=math.inf)
+    elif sample.limited == state.limit:
+        state = state._replace(since_s=min(state.since_s, sample.t_s))
+    else:
+        state = state._replace(limit=sample.limited, swings=state.swings + (state.limit != 0), since_s=sample.t_s)
     if state.swings >= law.limit_swings:
         return state, TrialEvent.RUNAWAY
     if sample.t_s - state.since_s >= law.limited_s:
@@ -111,15 +117,6 @@ def runaway_step(
     growing = state.grown + grows
     runs = growing >= TWICE or state.stayed >= law.stays_for
     return state, TrialEvent.RUNAWAY if runs else None
-
-
-def _at_limits(state: RunawayState, sample: LoopSample) -> RunawayState:
-    """Which limit the output touches, and since when."""
-    if not sample.limited:
-        return state if math.isinf(state.since_s) else state._replace(since_s=math.inf)
-    if sample.limited == state.limit:
-        return state._replace(since_s=min(state.since_s, sample.t_s))
-    return state._replace(limit=sample.limited, swings=state.swings + (state.limit != 0), since_s=sample.t_s)
 
 
 def _rested(state: RunawayState, sample: LoopSample) -> RunawayState:

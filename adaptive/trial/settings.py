@@ -34,10 +34,7 @@ class TrialSettings:
     limited_settles : the output may stand at a limit for so many promised settling times; 1 to 20, default 2.
     limit_swings : the output's way from one limit to the other, so many times in one upset, is a runaway; default 2.
 
-    Raises
-    ------
-    ValueError
-        A setting is outside its range.
+    Raises ValueError: a setting is outside its range.
     """
 
     responses: int = 1

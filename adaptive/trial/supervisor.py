@@ -153,10 +153,7 @@ class TrialSupervisor:
     ) -> None:
         """A change of a region's gains from `old` (as the table has them) to `new` is to be written.
 
-        Raises
-        ------
-        ValueError
-            The region may not be changed now; see may_change.
+        Raises ValueError: the region may not be changed now; see may_change.
         """
         if not self.may_change(region, t_s, urgent=urgent, ordered=ordered):
             raise ValueError(f"region {region} may not be changed now: {self.phase(region)}")
@@ -208,10 +205,7 @@ class TrialSupervisor:
     def event(self, region: int, event: TrialEvent, t_s: float) -> bool:
         """Anything that happened to one region; whether its phase changed.
 
-        Raises
-        ------
-        ValueError
-            The event comes with gains: use `begin` and `written`.
+        Raises ValueError: the event comes with gains: use `begin` and `written`.
         """
         if event in WITH_GAINS:
             raise ValueError(f"{event.name} comes with gains; use begin(), written() or edited()")
@@ -246,7 +240,8 @@ class TrialSupervisor:
         region : where the loop is now. elapsed_s : since the last sample; more than gap_s is a gap. blended : the
         table interpolates, so a region's set takes part beyond its borders.
         """
-        cause = self._loop_cause(sample, elapsed_s, gap_s)
+        # what concerns every trial of the loop, if anything
+        cause = E.MANUAL if sample.mode != LoopMode.AUTO else E.GAP if elapsed_s > gap_s else None
         self._at = region
         ended: dict[int, TrialEvent] = {}
         for at in self.undecided:
@@ -307,10 +302,7 @@ class TrialSupervisor:
     def resume(self, body: Mapping[str, Any]) -> None:
         """Go on from there.
 
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            Something is missing, or no value of its kind.
+        Raises KeyError, TypeError, ValueError: something is missing, or no value of its kind.
         """
         self._at = body["at"]
         self._trials = {int(region): Trial.from_dict(trial) for region, trial in body["trials"].items()}
@@ -344,12 +336,6 @@ class TrialSupervisor:
         event = E.ENSURED if cause in UNSURE else E.STAYS
         self._move(region, event, t_s)
         return True
-
-    def _loop_cause(self, sample: LoopSample, elapsed_s: float, gap_s: float) -> TrialEvent | None:
-        """What concerns every trial of the loop, if anything."""
-        if sample.mode != LoopMode.AUTO:
-            return E.MANUAL
-        return E.GAP if elapsed_s > gap_s else None
 
     def _region_cause(
         self, at: int, sample: LoopSample, region: int | None, band: float, *, blended: bool

@@ -48,10 +48,7 @@ class Trial:
     def sets(self) -> SetsThatRan:
         """Those among which it is decided what is to run.
 
-        Raises
-        ------
-        ValueError
-            Nothing was ever changed here.
+        Raises ValueError: nothing was ever changed here.
         """
         if self.old is None:
             raise ValueError("nothing was ever changed here")
@@ -91,10 +88,7 @@ class Trial:
     def from_dict(cls, body: Mapping[str, Any]) -> "Trial":
         """And back.
 
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            Something is missing, or no value of its kind.
+        Raises KeyError, TypeError, ValueError: something is missing, or no value of its kind.
         """
         return cls(
             phase=TrialPhase[str(body["phase"]).upper()],

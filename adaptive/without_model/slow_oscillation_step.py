@@ -56,10 +56,7 @@ class SlowSettings:
     unlike : how far the decay may lie from that of an integrating process; 0.05 to 0.4, default 0.15.
     damped : zeta from which nothing is done; 0.4 to 0.7, default 0.6 (an overshoot of a tenth after loads).
 
-    Raises
-    ------
-    ValueError
-        A number is outside its range.
+    Raises ValueError: a number is outside its range.
     """
 
     unlike: float = 0.15

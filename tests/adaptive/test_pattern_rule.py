@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.without_model.pattern_evidence import pattern_numbers
 from retuner.adaptive.without_model.pattern_rule import (
     MOVING,
     PatternAdvice,
     PatternReading,
     PatternSettings,
+    pattern_numbers,
     pattern_rule,
 )
 from retuner.schedule.gains import PidGains

@@ -14,8 +14,7 @@ from retuner.adaptive.indexes.harmonics import half_wave_shape, phase_deg, refin
 from retuner.adaptive.indexes.jumps import flat_share, jump_share
 from retuner.adaptive.indexes.limits import at_limits
 from retuner.adaptive.indexes.recording_quality import held_together, quantum, recording_quality
-from retuner.adaptive.indexes.screening import screen
-from retuner.adaptive.indexes.shapes import cross_correlation, ellipse, kurtosis, yamashita
+from retuner.adaptive.indexes.screening import cross_correlation, ellipse, kurtosis, screen, yamashita
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
