@@ -47,10 +47,7 @@ class SimulatedClock:
     def advance(self, dt_s: float) -> None:
         """Let dt_s seconds pass.
 
-        Raises
-        ------
-        ValueError
-            dt_s is negative or not finite.
+        Raises ValueError: dt_s is negative or not finite.
         """
         if not (math.isfinite(dt_s) and dt_s >= 0):
             raise ValueError(f"dt_s = {dt_s}: give a positive, finite number of seconds")
@@ -76,10 +73,7 @@ class MonotonicClock:
     ----------
     speed : seconds of this clock per second of the machine's, positive. 1 is real time.
 
-    Raises
-    ------
-    ValueError
-        speed is not a positive finite number.
+    Raises ValueError: speed is not a positive finite number.
     """
 
     def __init__(self, speed: float = 1.0) -> None:

@@ -217,10 +217,7 @@ class Device(Protocol):
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, and tell what happened. Call at least once per sample.
 
-        Raises
-        ------
-        DeviceSilentError, DeviceMismatchError
-            Before the first connection only; later troubles are events.
+        Raises DeviceSilentError, DeviceMismatchError: before the first connection only; later troubles are events.
         """
         ...
 
@@ -230,20 +227,15 @@ class Device(Protocol):
 
         back : it is the way back to a verified set, which bad telemetry does not close: the write has its own checks.
 
-        Raises
-        ------
-        WriteRefusedError
-            Not connected, another host holds the lease, a write is under way, or the gains do not fit the wire.
+        Raises WriteRefusedError: not connected, another host holds the lease, a write is under way, or the gains do not
+        fit the wire.
         """
         ...
 
     def send_setpoint(self, sp: float, now_s: float) -> None:
         """Set the target in pv units. Repeated until acknowledged; the latest one counts.
 
-        Raises
-        ------
-        WriteRefusedError
-            The value is not finite or outside what the wire carries.
+        Raises WriteRefusedError: the value is not finite or outside what the wire carries.
         """
         ...
 
@@ -258,10 +250,7 @@ class Device(Protocol):
     def store(self, now_s: float) -> None:
         """Let the running set survive a restart of the device.
 
-        Raises
-        ------
-        WriteRefusedError
-            The running set is not known, or still on probation.
+        Raises WriteRefusedError: the running set is not known, or still on probation.
         """
         ...
 

@@ -24,10 +24,7 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 def open_bus(interface: str, channel: str, hop_limit: int, options: Mapping[str, Any]) -> can.BusABC:
     """Open a python-can bus.
 
-    Raises
-    ------
-    BusError
-        It cannot be opened; the line says why and what to do.
+    Raises BusError: it cannot be opened; the line says why and what to do.
     """
     try:
         if interface == UDP_MULTICAST:
@@ -69,10 +66,7 @@ def _advice(interface: str, channel: str, error: BaseException) -> str:
 def open_log(path: Path) -> can.io.generic.MessageWriter:
     """Open a log of bus traffic; the suffix chooses the format.
 
-    Raises
-    ------
-    BusError
-        The file cannot be made, or no format has this suffix.
+    Raises BusError: the file cannot be made, or no format has this suffix.
     """
     try:
         return can.Logger(path)
@@ -117,10 +111,7 @@ class BusLog:
     path : file. clock : for the time stamps. most_bytes : of both parts together, infinite for one part without limit.
         The frames between two looks may come on top.
 
-    Raises
-    ------
-    BusError
-        The file cannot be made, or no format has this suffix.
+    Raises BusError: the file cannot be made, or no format has this suffix.
     """
 
     def __init__(self, path: Path, clock: Clock, most_bytes: float = float("inf")) -> None:

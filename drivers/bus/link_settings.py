@@ -23,10 +23,7 @@ class LinkSettings:
     garbage_limit : undecodable datagrams in one go after which the bus is opened anew.
     log_bytes_max : most bytes of a log of the frames, if there is one; then its oldest half goes. Infinite: all stay.
 
-    Raises
-    ------
-    ValueError
-        A time or log_bytes_max is not positive, or hop_limit is outside 0..255.
+    Raises ValueError: a time or log_bytes_max is not positive, or hop_limit is outside 0..255.
     """
 
     interface: str = "virtual"

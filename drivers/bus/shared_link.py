@@ -40,10 +40,7 @@ class LinkShare:
     def port(self, node: int) -> "LinkPort":
         """The port of a node, made at the first call.
 
-        Raises
-        ------
-        ValueError
-            No such node.
+        Raises ValueError: no such node.
         """
         if not 1 <= node <= HIGHEST_NODE:
             raise ValueError(f"node = {node}; give a node from 1 to {HIGHEST_NODE}")

@@ -178,10 +178,7 @@ class Conversation:
     def one(self, wanted: type[Answer], page: int) -> Answer:
         """The answer to a question.
 
-        Raises
-        ------
-        NoAnswerError
-            There is none.
+        Raises NoAnswerError: there is none.
         """
         found = [frame for frame in self.say(Read(page, self.token())) if isinstance(frame, wanted)]
         if not found:

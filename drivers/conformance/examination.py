@@ -72,10 +72,7 @@ def examine(talk: Conversation, chapters: Sequence[tuple[str, Check]]) -> Examin
 
     The set that ran at the beginning runs at the end as well, if the device lets it.
 
-    Raises
-    ------
-    NoAnswerError
-        It does not say who it is and what runs, or takes no other set.
+    Raises NoAnswerError: it does not say who it is and what runs, or takes no other set.
     """
     found = Examination(talk)
     talk.look()

@@ -148,16 +148,7 @@ def samples(found: Examination) -> None:
     steps = {(b.counter - a.counter) % 256 for (a, _), (b, _) in pairwise(pairs)}
     found.expect("the counter goes from sample to sample by", steps, {1})
     found.expect("low bits of the running number in telemetry", pairs[-1][1].running, talk.known.seq % RUNNING_TAG)
-    _heartbeats(found, told)
-
-
-def halves(frames_: list[Frame]) -> list[TelemetryPv | TelemetrySp]:
-    """The telemetry among frames."""
-    return [frame for frame in frames_ if isinstance(frame, TelemetryPv | TelemetrySp)]
-
-
-def _heartbeats(found: Examination, told: list[Frame]) -> None:
-    """A life sign often enough, with the counter of the telemetry."""
+    # A life sign often enough, with the counter of the telemetry
     talk, waited = found.talk, 0
     while not any(isinstance(frame, Heartbeat) for frame in told) and waited < HEARTBEATS_MAX:
         told += talk.samples(10)
@@ -170,6 +161,11 @@ def _heartbeats(found: Examination, told: list[Frame]) -> None:
     if before and isinstance(beat, Heartbeat):
         ahead = (beat.sample - before[-1].counter) % 256
         found.holds("the counter in HEARTBEAT is not that of the sample before it", ahead <= 1)
+
+
+def halves(frames_: list[Frame]) -> list[TelemetryPv | TelemetrySp]:
+    """The telemetry among frames."""
+    return [frame for frame in frames_ if isinstance(frame, TelemetryPv | TelemetrySp)]
 
 
 def leases(found: Examination) -> None:

@@ -32,10 +32,7 @@ class VirtualDeviceSettings:
     trial_samples : samples within which a host must confirm a new set, or the confirmed one runs again; 0 for ever.
     key : secret that commits must be authenticated with; None for none.
 
-    Raises
-    ------
-    ValueError
-        A setting is outside its range (named).
+    Raises ValueError: a setting is outside its range (named).
     """
 
     gains: PidGains

@@ -42,10 +42,7 @@ class CanDeviceSettings:
     probation_samples : samples that must show a newly written set running before it is confirmed.
     key : secret that commits are authenticated with, at least 16 bytes; None for none.
 
-    Raises
-    ------
-    ValueError
-        A number is not positive, or out of its range.
+    Raises ValueError: a number is not positive, or out of its range.
     """
 
     node: int = 1

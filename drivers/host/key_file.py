@@ -18,11 +18,8 @@ class KeyFileError(DeviceError):
 def read_key(path: Path) -> bytes:
     """The key in a file of hexadecimal digits (spaces and line ends between them do not count).
 
-    Raises
-    ------
-    KeyFileError
-        There is no such file, it is no plain file, it belongs to somebody else, others may read or write it, or it does
-        not hold a whole number of bytes, at least 16, as hexadecimal digits.
+    Raises KeyFileError: there is no such file, it is no plain file, it belongs to somebody else, others may read or
+    write it, or it does not hold a whole number of bytes, at least 16, as hexadecimal digits.
     """
     try:
         text = _private_text(path)

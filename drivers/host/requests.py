@@ -201,10 +201,7 @@ class HostRequests:
     def begin_write(self, gains: PidGains, running: RunningSet, epoch: int) -> int:
         """Start the two-phase write; its sequence number.
 
-        Raises
-        ------
-        WriteRefusedError
-            A write is under way, another host holds the lease, or the gains do not fit the wire.
+        Raises WriteRefusedError: a write is under way, another host holds the lease, or the gains do not fit the wire.
         """
         if self.write.busy:
             raise WriteRefusedError("a write is under way; wait for its WriteDone or WriteFailed")
@@ -247,10 +244,7 @@ class HostRequests:
     def store(self, seq: int) -> None:
         """Keep the running set over a restart.
 
-        Raises
-        ------
-        WriteRefusedError
-            It is on probation.
+        Raises WriteRefusedError: it is on probation.
         """
         if seq == self.probation.seq:
             raise WriteRefusedError(f"set {seq} is on probation; store it once it is confirmed")

@@ -15,9 +15,8 @@ Process Control Systems, section 2.
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
-from typing import Annotated
 
-from retuner.adaptive.declared_setting import Setting, require_in_range
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.plants.plant import MeasurementNoise, check_step
 
@@ -36,27 +35,23 @@ class BoilerSettings:
         A number is not finite or outside its physical range (named).
     """
 
-    inlet_c: Annotated[float, Setting("Temperature of the water that comes in", -50, 500, "degC", "plant")] = 10.0
-    power_max_c: Annotated[
-        float, Setting("How much full power heats the nominal flow", 0, 1e4, "K", "plant", positive=True)
-    ] = 160.0
-    rangeability: Annotated[
-        float, Setting("Rangeability of the fuel valve (equal percentage)", 1.001, 1000, "1", "plant")
-    ] = 20.0
-    tank_s: Annotated[float, Setting("Lag of the tank at nominal flow", 0, 1e5, "s", "plant", positive=True)] = 40.0
-    pipe_s: Annotated[float, Setting("Delay of the pipe at nominal flow", 0, 1e5, "s", "plant", positive=True)] = 8.0
-    tau_sensor_s: Annotated[float, Setting("Sensor lag", 0, 1e5, "s", "plant", positive=True)] = 4.0
-    noise_c: Annotated[float, Setting("Standard deviation of the measurement noise", 0, 100, "degC", "plant")] = 0.1
-    flow_noise_pct: Annotated[
-        float,
-        Setting(
-            "Standard deviation of the measured flow's noise, which the device publishes as PLANT.aux",
-            0,
-            100,
-            "%",
-            "plant",
-        ),
-    ] = 0.5
+    inlet_c: float = setting(10.0, "Temperature of the water that comes in", -50, 500, "degC", "plant")
+    power_max_c: float = setting(
+        160.0, "How much full power heats the nominal flow", 0, 1e4, "K", "plant", positive=True
+    )
+    rangeability: float = setting(20.0, "Rangeability of the fuel valve (equal percentage)", 1.001, 1000, "1", "plant")
+    tank_s: float = setting(40.0, "Lag of the tank at nominal flow", 0, 1e5, "s", "plant", positive=True)
+    pipe_s: float = setting(8.0, "Delay of the pipe at nominal flow", 0, 1e5, "s", "plant", positive=True)
+    tau_sensor_s: float = setting(4.0, "Sensor lag", 0, 1e5, "s", "plant", positive=True)
+    noise_c: float = setting(0.1, "Standard deviation of the measurement noise", 0, 100, "degC", "plant")
+    flow_noise_pct: float = setting(
+        0.5,
+        "Standard deviation of the measured flow's noise, which the device publishes as PLANT.aux",
+        0,
+        100,
+        "%",
+        "plant",
+    )
 
     def __post_init__(self) -> None:
         require_in_range(self, "boiler")

@@ -117,10 +117,7 @@ class Access(Protocol):
     def put(self, numbers: Mapping[str, float]) -> None:
         """Have these numbers written: gains in the controller's units, the setpoint in ours.
 
-        Raises
-        ------
-        ValueError
-            One cannot be written: not finite, out of range, not described.
+        Raises ValueError: one cannot be written: not finite, out of range, not described.
         """
         ...
 

@@ -32,10 +32,7 @@ class Use(NamedTuple):
 def require_distinct(uses: Iterable[Use], source: str) -> None:
     """Refuse a mapping in which one signal or object is two things.
 
-    Raises
-    ------
-    ProfileError
-        The later of the two is named by its key.
+    Raises ProfileError: the later of the two is named by its key.
     """
     for one, other in combinations(uses, 2):
         if one.what == other.what or not one.meets(other):

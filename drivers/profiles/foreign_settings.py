@@ -24,10 +24,7 @@ class ForeignSettings:
     bench_node : number of a virtual one, which takes loads; None for a real one. after_s : as CanDevice.
     note_id : identifier under which its samples are noted in the log (sample_note.py).
 
-    Raises
-    ------
-    ValueError
-        A time is not a positive finite number.
+    Raises ValueError: a time is not a positive finite number.
     """
 
     gains: PidGains

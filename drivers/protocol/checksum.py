@@ -53,10 +53,7 @@ def frame_crc(arbitration_id: int, payload: bytes | bytearray) -> int:
 def to_wire(gains: PidGains) -> PidGains:
     """The gains as a float32 controller holds them.
 
-    Raises
-    ------
-    ValueError
-        A gain is too large for float32, or all of them are too small for it.
+    Raises ValueError: a gain is too large for float32, or all of them are too small for it.
     """
     if max(abs(gains.kp), abs(gains.ki), abs(gains.kd)) > FLOAT32_MAX:
         raise ValueError(f"{gains} does not fit float32, whose largest number is {FLOAT32_MAX:.4g}")

@@ -320,10 +320,7 @@ class GainBox:
         is one write, too; the host's guard is the narrow one.
     direction : +1 or -1 for the only sign that gains may have, 0 for either.
 
-    Raises
-    ------
-    ValueError
-        A limit is not positive and finite, the ratio is below 1, or the direction is none.
+    Raises ValueError: a limit is not positive and finite, the ratio is below 1, or the direction is none.
     """
 
     kp_max: float = 1e6

@@ -41,10 +41,7 @@ class SampleJoiner:
     variable : scheduling variable that goes into LoopSample.x: "sp", "pv" or "co"; or ScheduleInputs.
     node : of the device, for the CRC.
 
-    Raises
-    ------
-    ValueError
-        No such variable.
+    Raises ValueError: no such variable.
     """
 
     def __init__(self, sample_time_s: float, variable: str | ScheduleInputs = "sp", node: int = 1) -> None:
@@ -134,7 +131,11 @@ class SampleJoiner:
         if self._last is None and number < self._first:
             return None
         if self._counter.beyond(number):
-            self._too_far()
+            # half a sample further than the heartbeats have said; after many of them its low bits tell nothing either
+            self.arrivals.note(Arrival.WRONG_SEQUENCE)
+            self._beyond += 1
+            if self._beyond >= HALF:
+                self._reference = None
             return None
         self._taken += 1
         since, other = self._halves.get(number, (self._taken, None))
@@ -145,13 +146,6 @@ class SampleJoiner:
                 return self._join(number, other, half)
         self._halves[number] = self._taken, half
         return None
-
-    def _too_far(self) -> None:
-        """Half a sample further than the heartbeats have said; after many of them its low bits tell nothing either."""
-        self.arrivals.note(Arrival.WRONG_SEQUENCE)
-        self._beyond += 1
-        if self._beyond >= HALF:
-            self._reference = None
 
     def _compare(self, number: int, half: TelemetryPv | TelemetrySp) -> None:
         """Half a sample under a number that has been: the same again, late, or what a second device says.

@@ -33,10 +33,7 @@ class SignalSource:
     layout : its message. signal : its name. stale_after_s : age in the controller's time at which it is not known.
     frame_id : of the message, where it is not the DBC's (the virtual device's own, by node).
 
-    Raises
-    ------
-    ValueError
-        stale_after_s is not a positive finite number.
+    Raises ValueError: stale_after_s is not a positive finite number.
     """
 
     layout: Layout
@@ -78,10 +75,7 @@ class ScheduleInputs:
     variable, variable2 : "sp", "pv", "co" or "can"; variable2 "" for none. signals : where those that are "can" come
     from, in this order; None for the others.
 
-    Raises
-    ------
-    ValueError
-        No such variable, a "can" without its signal, or a signal without its "can".
+    Raises ValueError: no such variable, a "can" without its signal, or a signal without its "can".
     """
 
     variable: str = "sp"
@@ -109,10 +103,7 @@ def find_signal(dbc: str, message: str, signal: str, stale_after_s: float, node:
     dbc : file, or "" for what the virtual device publishes. message, signal : names in it. node : of the virtual
         device, whose message has an id of its own.
 
-    Raises
-    ------
-    DbcError
-        The file cannot be read, is no DBC, or has no such message or signal; the line names what it has.
+    Raises DbcError: the file cannot be read, is no DBC, or has no such message or signal; the line names what it has.
     """
     database = read_dbc(_text(dbc), dbc or PLANT_DBC)
     layouts = [layout for layout in database.messages if layout.name == message]

@@ -11,8 +11,7 @@ from pathlib import Path
 import can
 from bench import NODE, SAMPLE_S, Bench, sh
 
-from retuner.drivers.bus.bus import LinkFault
-from retuner.drivers.bus.socket_probe import SO_RCVBUFFORCE
+from retuner.drivers.bus.bus import SO_RCVBUFFORCE, LinkFault
 
 IFACE = "vcan0"
 BURST = 5000

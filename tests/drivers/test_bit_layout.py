@@ -7,8 +7,7 @@ import struct
 import cantools.database
 import pytest
 
-from retuner.drivers.protocol.bit_layout import BitLayout
-from retuner.drivers.protocol.codec import DbcError, _database, plans_of, read_dbc
+from retuner.drivers.protocol.codec import BitLayout, DbcError, _database, plans_of, read_dbc
 
 LAYOUTS = _database().messages
 DRAWS = 300

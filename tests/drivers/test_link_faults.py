@@ -17,12 +17,12 @@ from retuner.drivers.bus.bus import (
     FaultNews,
     LinkFault,
     LinkSettings,
+    SocketProbe,
     fault_of_error,
     fault_of_frame,
     is_full,
     is_garbage,
 )
-from retuner.drivers.bus.socket_probe import SocketProbe
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.device import LinkState
 

@@ -15,8 +15,7 @@ from retuner.config.loading import UnusableError, parse_config, parse_session, w
 from retuner.drivers.bus.link_settings import LinkSettings, LinkState
 from retuner.drivers.canopen.sdo_queue import pace_s
 from retuner.drivers.device import CommandDone, Event, SamplesLost, WriteDone, WriteRefusedError
-from retuner.drivers.profiles.foreign_device import ForeignDevice
-from retuner.drivers.profiles.sample_grid import SampleGrid
+from retuner.drivers.profiles.foreign_device import ForeignDevice, SampleGrid
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.gains import IdealGains, PidGains
 from retuner.session.assembly import make_far_side
