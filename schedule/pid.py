@@ -68,10 +68,7 @@ class PidLaw:
     co_min, co_max : range of co in co units (percent of the output range), co_min < co_max, default 0 and 100.
     co_rate_per_s : largest rate of change of co, co units per second, more than 0; default None (no limit).
 
-    Raises
-    ------
-    ValueError
-        A setting is not finite or outside the range given here; the gains as PidGains says.
+    Raises ValueError: a setting is not finite or outside the range given here; the gains as PidGains says.
     """
 
     kp: float
@@ -122,10 +119,7 @@ def start(law: PidLaw, sp: float, pv: float, co: float) -> PidState:
 
     sp, pv : setpoint and process value in pv units. co : output in force, co units; limited to the range.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite.
+    Raises ValueError: a number is not finite.
     """
     other = law.kp * (law.b * sp - pv)
     if not math.isfinite(co + other):
@@ -139,11 +133,8 @@ def step(law: PidLaw, state: StateTuple, sp: float, pv: float, dt_s: float) -> t
 
     sp, pv : setpoint and process value in pv units. dt_s : time since the last sample in seconds.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite, dt_s is not positive, or the result is too large for a number. The state given is
-        unchanged, as always: go on with it at the next good sample.
+    Raises ValueError: a number is not finite, dt_s is not positive, or the result is too large for a number. The state
+    given is unchanged, as always: go on with it at the next good sample.
     """
     if dt_s <= 0.0:
         _refuse(dt_s=dt_s)
@@ -197,10 +188,7 @@ def change(old: PidLaw, new: PidLaw, state: StateTuple, sp: float, pv: float, dt
     sp, pv : of the last sample, then dt_s = 0 (between samples); or of the sample about to be stepped, then dt_s is
         the dt_s of that step, and the step gives the co that the old law would have given.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite, dt_s is negative, or the result is too large for a number.
+    Raises ValueError: a number is not finite, dt_s is negative, or the result is too large for a number.
     """
     if not dt_s >= 0.0:
         _refuse(dt_s=dt_s)

@@ -409,24 +409,20 @@ def choose(law: RegionLaw, state: RegionState, x: float, t_s: float, x2: float =
     if law.floors[region] <= x <= law.ceilings[region]:
         return state
     if law.axes:
-        return _choose_filtered(law, state, x, x2, t_s)
+        # the same on filtered values. `filtered` stands here once more, because a call is dear here
+        region, since_s, since2_s, y, y2, last_s = state
+        dt_s = t_s - last_s
+        if dt_s > 0.0:
+            lag_s, floor, ceiling, lag2_s, floor2, ceiling2 = law.cells[region]
+            w = dt_s / (lag_s + dt_s)
+            w2 = dt_s / (lag2_s + dt_s)
+            new, new2 = (1.0 - w) * y + w * x, (1.0 - w2) * y2 + w2 * x2
+            if floor <= new <= ceiling and floor2 <= new2 <= ceiling2:
+                return _new(RegionState, (region, since_s, since2_s, new, new2, t_s))
+        return _place_anew(law, state, x, x2, t_s) if 0.0 <= dt_s < math.inf else state
     if not math.isfinite(x) or not law.min_stay_s <= t_s - state.since_s < math.inf:
         return state
     return RegionState(bisect_right(law.bounds, x), t_s)
-
-
-def _choose_filtered(law: RegionLaw, state: RegionState, x: float, x2: float, t_s: float) -> RegionState:
-    """The same on filtered values. `filtered` stands here once more, because a call is dear here."""
-    region, since_s, since2_s, y, y2, last_s = state
-    dt_s = t_s - last_s
-    if dt_s > 0.0:
-        lag_s, floor, ceiling, lag2_s, floor2, ceiling2 = law.cells[region]
-        w = dt_s / (lag_s + dt_s)
-        w2 = dt_s / (lag2_s + dt_s)
-        new, new2 = (1.0 - w) * y + w * x, (1.0 - w2) * y2 + w2 * x2
-        if floor <= new <= ceiling and floor2 <= new2 <= ceiling2:
-            return _new(RegionState, (region, since_s, since2_s, new, new2, t_s))
-    return _place_anew(law, state, x, x2, t_s) if 0.0 <= dt_s < math.inf else state
 
 
 _new = tuple.__new__

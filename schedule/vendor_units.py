@@ -62,10 +62,7 @@ class Holds:
 
     low, high : ends. step : between neighbours, counted from `zero`; 0 for none. single : rounded to float32.
 
-    Raises
-    ------
-    ValueError
-        An end or the step is not a finite number, or the ends are the wrong way round.
+    Raises ValueError: an end or the step is not a finite number, or the ends are the wrong way round.
     """
 
     low: float = -SINGLE_MAX
@@ -83,10 +80,7 @@ class Holds:
     def nearest(self, value: float) -> float:
         """The number that is kept when this one is written.
 
-        Raises
-        ------
-        ValueError
-            It is not finite, or outside the range.
+        Raises ValueError: it is not finite, or outside the range.
         """
         if not math.isfinite(value):
             raise ValueError(f"{value} is not a finite number")
@@ -113,10 +107,7 @@ class VendorGain:
     reverse-acting gain as positive. message : number of the message that carries it; those of one message are taken at
     once. off : the number that stands for "no such action", where a time cannot say so.
 
-    Raises
-    ------
-    ValueError
-        The scale is 0 or not finite.
+    Raises ValueError: the scale is 0 or not finite.
     """
 
     quantity: Quantity
@@ -147,10 +138,7 @@ class VendorUnits:
     series : kp and the times are those of the series form. by_hand : the set that runs, of a controller whose gains
     cannot be reached and are set by hand; then there are no numbers, and any set is taken as it is.
 
-    Raises
-    ------
-    ValueError
-        No proportional gain, two numbers for one action, or a form that does not go with the numbers.
+    Raises ValueError: no proportional gain, two numbers for one action, or a form that does not go with the numbers.
     """
 
     gains: tuple[VendorGain, ...]
@@ -184,14 +172,19 @@ class VendorUnits:
     def numbers(self, gains: PidGains) -> dict[str, float]:
         """The controller's numbers for a set, by name, as it will hold them.
 
-        Raises
-        ------
-        ValueError
-            It cannot hold this set: out of range, too small for its steps, an action or a form that it has not.
+        Raises ValueError: it cannot hold this set: out of range, too small for its steps, an action or a form that it
+        has not.
         """
         if self.by_hand is not None:
             return {}
-        self._require_actions(gains)
+        # refuse an action that the controller has no number for
+        has = {gain.quantity for gain in self.gains}
+        for value, name, quantities in (
+            (gains.ki, "integral", (*INTEGRAL, Quantity.KI_TIME)),
+            (gains.kd, "derivative", DERIVATIVE),
+        ):
+            if value and not has.intersection(quantities):
+                raise ValueError(f"the controller has no number for {name} action, but this set uses it")
         shown = self._shown(gains)
         found = {}
         for gain in self.gains:
@@ -205,10 +198,7 @@ class VendorUnits:
     def of(self, numbers: Mapping[str, float]) -> PidGains:
         """The set that these numbers are.
 
-        Raises
-        ------
-        ValueError
-            They are no controller: not finite, a gain of 0, a time below 0.
+        Raises ValueError: they are no controller: not finite, a gain of 0, a time below 0.
         """
         if self.by_hand is not None:
             return self.by_hand
@@ -263,16 +253,6 @@ class VendorUnits:
         for message in order[:-1]:
             now.update(self.of_message(message, new))
             yield self.of(now)
-
-    def _require_actions(self, gains: PidGains) -> None:
-        """Refuse an action that the controller has no number for."""
-        has = {gain.quantity for gain in self.gains}
-        for value, name, quantities in (
-            (gains.ki, "integral", (*INTEGRAL, Quantity.KI_TIME)),
-            (gains.kd, "derivative", DERIVATIVE),
-        ):
-            if value and not has.intersection(quantities):
-                raise ValueError(f"the controller has no number for {name} action, but this set uses it")
 
     def _shown(self, gains: PidGains) -> IdealGains | SeriesGains | None:
         """The set in the form that the controller's times are told of; None where it needs none."""
