@@ -83,7 +83,21 @@ def findings(folder: Path, *, adapters: bool = False) -> Iterator[Finding]:
     yield from _socketcan()
     if adapters:
         yield _adapters()
-    yield _ledger(folder)
+    # A ledger in the folder where sessions are kept: rows on disk, locked for one writer
+    from retuner.ledger import Ledger  # noqa: PLC0415  slow to load
+
+    def written() -> str:
+        with TemporaryDirectory(prefix=".retuner-doctor-", dir=folder) as inside:
+            path = Path(inside) / "ledger.sqlite"
+            begun_s = time.perf_counter()
+            with Ledger(path) as ledger:
+                ledger.append("doctor", {"writes": "here"}, 0.0)
+                if not ledger.verify().ok:
+                    raise OSError("a row was written and reads back differently")
+            return f"a ledger can be kept here; opened and written in {(time.perf_counter() - begun_s) * 1e3:.0f} ms"
+
+    remedy = "give a folder on a local disk that you may write to: retuner doctor --folder PATH, retuner run --out PATH"
+    yield _checked(f"folder {folder}", written, remedy)
     yield _timer()
     yield _terminal()
 
@@ -160,10 +174,7 @@ def _virtual() -> str:
 def _there_and_back(interface: str, channel: str, options: dict[str, object]) -> str:
     """Send a frame from one end of a bus of this machine to another.
 
-    Raises
-    ------
-    BusError, OSError
-        It cannot be opened, or the frame did not arrive.
+    Raises BusError, OSError: it cannot be opened, or the frame did not arrive.
     """
     import can  # noqa: PLC0415  slow to load
 
@@ -240,24 +251,6 @@ def _adapters() -> Finding:
         return Finding("CAN adapters", Level.OK, ", ".join(found))
     remedy = "install the vendor's driver and python-can's package for it"
     return Finding("CAN adapters", Level.OPTIONAL, "no driver of python-can finds one", remedy)
-
-
-def _ledger(folder: Path) -> Finding:
-    """A ledger in the folder where sessions are kept: rows on disk, locked for one writer."""
-    from retuner.ledger import Ledger  # noqa: PLC0415  slow to load
-
-    def written() -> str:
-        with TemporaryDirectory(prefix=".retuner-doctor-", dir=folder) as inside:
-            path = Path(inside) / "ledger.sqlite"
-            begun_s = time.perf_counter()
-            with Ledger(path) as ledger:
-                ledger.append("doctor", {"writes": "here"}, 0.0)
-                if not ledger.verify().ok:
-                    raise OSError("a row was written and reads back differently")
-            return f"a ledger can be kept here; opened and written in {(time.perf_counter() - begun_s) * 1e3:.0f} ms"
-
-    remedy = "give a folder on a local disk that you may write to: retuner doctor --folder PATH, retuner run --out PATH"
-    return _checked(f"folder {folder}", written, remedy)
 
 
 def _timer() -> Finding:

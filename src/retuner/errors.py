@@ -51,10 +51,7 @@ def user_input(where: str) -> Iterator[None]:
     ----------
     where : the option, key or file that the values inside came from, for example "--tau1".
 
-    Raises
-    ------
-    UserError
-        The block raised ValueError.
+    Raises UserError: the block raised ValueError.
     """
     try:
         yield

@@ -17,10 +17,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
     path : where; a symbolic link stays and its target is replaced, its permissions are kept. content : text is
         written as UTF-8.
 
-    Raises
-    ------
-    OSError
-        The system refused, with the path as its filename; the old file, if any, is as it was.
+    Raises OSError: the system refused, with the path as its filename; the old file, if any, is as it was.
     """
     target = path.resolve()
     if target.is_dir():

@@ -29,9 +29,8 @@ from retuner.drivers.device import Bench
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.errors import LedgerError
 from retuner.experiment.findings import Question, evaluate
-from retuner.experiment.on_demand import OnDemandExperiment
+from retuner.experiment.on_demand import OnDemandExperiment, SettingsWriter
 from retuner.experiment.runner import ExperimentRunner
-from retuner.experiment.settings_writer import SettingsWriter
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.gains import PidGains
 from retuner.session.assembly import link_settings, virtual_device_settings

@@ -7,8 +7,7 @@ import pytest
 
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, GuardSettings
 from retuner.config import load_config
-from retuner.config.adaptation import AdaptationConfig
-from retuner.config.learning import LimitsConfig
+from retuner.config.adaptation import AdaptationConfig, LimitsConfig
 from retuner.errors import UserError
 from retuner.session.assembly import guard_settings, retuner_settings
 

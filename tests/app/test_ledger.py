@@ -19,8 +19,7 @@ from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.canonical import canonical_json
 from retuner.ledger.lock import WriterLock
-from retuner.ledger.schema import BUSY_TIMEOUT_S
-from retuner.ledger.store import BUSY_TRIES
+from retuner.ledger.store import BUSY_TIMEOUT_S, BUSY_TRIES
 from retuner.live_view.live_screen import LiveScreen
 
 sys.path.append(str(Path(__file__).parent))
@@ -485,7 +484,7 @@ def test_a_run_tells_that_its_ledger_has_grown(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_file_that_somebody_else_has_locked_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("retuner.ledger.schema.BUSY_TIMEOUT_S", 0.001)
+    monkeypatch.setattr("retuner.ledger.store.BUSY_TIMEOUT_S", 0.001)
     with Ledger(tmp_path / "l.sqlite") as ledger:
         other = sqlite3.connect(tmp_path / "l.sqlite", isolation_level=None)
         other.execute("BEGIN IMMEDIATE")

@@ -17,7 +17,7 @@ from retuner.decision_page.vocabulary import TERMS
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("src", "adaptive", "drivers", "schedule")
-NO_PROSE = ("c_header.py", "structured_text.py", "numbers.py", "schema.py", "store.py", "gate.py", "html.py")
+NO_PROSE = ("c_header.py", "structured_text.py", "numbers.py", "store.py", "gate.py", "html.py")
 """Files whose longer texts are C, IEC 61131-3, DBC, SQL, HTTP or CSS."""
 DOCS = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
 STATIC = tuple(

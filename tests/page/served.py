@@ -10,7 +10,7 @@ from retuner.config.loading import load_config
 from retuner.drivers.device import RunningSet
 from retuner.ledger import Ledger
 from retuner.live_view.loop_seen import LoopObserver
-from retuner.live_view.publishing import Publisher, head_of
+from retuner.live_view.watching import Publisher, head_of
 from retuner.schedule.gains import PidGains
 from retuner.serve.access import Access
 from retuner.serve.application import Page

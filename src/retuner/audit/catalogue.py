@@ -92,10 +92,7 @@ def told_fault(error: BaseException) -> str:
 def files_of(sources: Iterable[Path]) -> list[Path]:
     """The files of folders and patterns, in order; names that begin with a point are not the plant's.
 
-    Raises
-    ------
-    RecordingError
-        There is no such file or folder.
+    Raises RecordingError: there is no such file or folder.
     """
     found: list[Path] = []
     for source in sources:

@@ -53,10 +53,7 @@ class AuditSettings:
 
     stretches : of each record that are diagnosed at most, 0 to 24; 0 screens only. form : of the records.
 
-    Raises
-    ------
-    ValueError
-        stretches is outside 0 to 24.
+    Raises ValueError: stretches is outside 0 to 24.
     """
 
     stretches: int = 4

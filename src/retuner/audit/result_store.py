@@ -34,10 +34,7 @@ class ResultStore:
     ----------
     folder : of the audit; made where it is not there.
 
-    Raises
-    ------
-    UserError
-        The folder holds something else under this name, or cannot be written.
+    Raises UserError: the folder holds something else under this name, or cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -81,10 +78,7 @@ class ResultStore:
 def rows_of(folder: Path) -> list[Row]:
     """The rows of an earlier audit, without their pictures; of an earlier program as well, whose rows hold less.
 
-    Raises
-    ------
-    UserError
-        There is no audit in the folder, or one of a later program.
+    Raises UserError: there is no audit in the folder, or one of a later program.
     """
     path = folder / NAME
     if not path.is_file():

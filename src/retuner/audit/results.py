@@ -2,12 +2,15 @@
 
 The page holds the rows of the list; each loop's trends stand in a file of their own and are loaded when it is opened,
 so that ten thousand loops open as fast as ten. It needs no server and no network.
+
+How the loops of each area of a plant ran, day by day or week by week: what reliability engineers report.
 """
 
 import json
-from collections import Counter
+import re
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
@@ -22,12 +25,59 @@ from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit import AREA
 from retuner.audit.catalogue import Catalogue
 from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault, smaller
-from retuner.audit.plant_course import PlantCourse
 from retuner.decision_page.html import palette
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 from retuner.report.what_if import page_script, panel_style
 from retuner.schedule.controller_units import ControllerUnits
+
+# ---- How the loops of each area of a plant ran, day by day or week by week
+
+SHARES = ("in_automatic", "at_limits", "oscillating")
+MEANS = (*SHARES, "reversals_per_day")
+WHOLE = "all"
+
+
+@dataclass
+class PlantCourse:
+    """Collects the courses of loops. area : pattern whose first group is the area in a tag."""
+
+    area: str = AREA
+    _found: dict[tuple[str, float, str], list[dict[str, float]]] = field(default_factory=lambda: defaultdict(list))
+    _travel: dict[str, float] = field(default_factory=dict)
+
+    def add(self, row: Row) -> None:
+        """A loop's row, where it has a course. Its travel is told over its own mean: co has no unit that all share."""
+        course = row.get("over_time")
+        if not isinstance(course, dict):
+            return
+        found = re.search(self.area, str(row["tag"]))
+        areas = (WHOLE, *((found.group(1),) if found and found.groups() and found.group(1) else ()))
+        travel = course["travel_per_day"]
+        usual = sum(travel) / len(travel)
+        for i, begin in enumerate(course["begin"]):
+            told = {name: float(course[name][i]) for name in ("in_automatic", "at_limits", "reversals_per_day")}
+            told |= {
+                "oscillating": float(course["swinging"][i] >= SWINGS),
+                "travel": travel[i] / usual if usual else 1.0,
+            }
+            for area in areas:
+                self._found[area, float(course["days"]), begin].append(told)
+
+    def to_list(self) -> list[dict[str, object]]:
+        """A document for each area and part of time, the plant as a whole first.
+
+        Keys: area, days (length of the part), begin, loops, and means over them: in_automatic, at_limits, oscillating
+        (shares), reversals_per_day, travel (over each loop's own mean).
+        """
+        places = sorted(self._found, key=lambda at: (at[0] != WHOLE, at))
+        return [
+            {"area": area, "days": days, "begin": begin, "loops": len(told)}
+            | {name: float(f"{sum(one[name] for one in told) / len(told):.4g}") for name in (*MEANS, "travel")}
+            for area, days, begin in places
+            if (told := self._found[area, days, begin])
+        ]
+
 
 TRACKS = "tracks"
 NOT_LISTED = frozenset({"trend", "stretches", "what_if", "over_time", TRACKS})
@@ -70,7 +120,13 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     group_of = grouped(groups)
     earlier = {str(row["tag"]): row for row in before}
     for row in listed:
-        _put_beside(row, group_of.get(str(row["tag"])), masters)
+        # what other loops have to do with one: its group, its cascade
+        group = group_of.get(str(row["tag"]))
+        row["swings_with"] = [tag for tag in group.tags if tag != row["tag"]] if group else []
+        row["root"] = group.root if group else None
+        row["interaction"] = group.interaction if group else False
+        row["master"] = masters.get(str(row["tag"]))
+        row["slaves"] = sorted(slave for slave, master in masters.items() if master == row["tag"])
         if before:
             row["change"] = change(row, earlier.get(str(row["tag"])))
     _from_the_root(listed, group_of)
@@ -79,15 +135,6 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     for place, row in enumerate(listed, start=1):
         row["place"] = place
     return listed, groups
-
-
-def _put_beside(row: Row, group: CommonSwing | None, masters: Mapping[str, str]) -> None:
-    """What other loops have to do with one: its group, its cascade."""
-    row["swings_with"] = [tag for tag in group.tags if tag != row["tag"]] if group else []
-    row["root"] = group.root if group else None
-    row["interaction"] = group.interaction if group else False
-    row["master"] = masters.get(str(row["tag"]))
-    row["slaves"] = sorted(slave for slave, master in masters.items() if master == row["tag"])
 
 
 def _exported_twice(rows: Sequence[Row], found: Mapping[str, str]) -> set[str]:
@@ -339,7 +386,10 @@ def _for_the_page(row: Row, folder: Path) -> Row:
         told |= {"why": row.get("reason", ""), "look": _to_look_at(folder / "loops" / str(row["file"]))}
     told["cause"] = _named(row)
     told |= {"error": error} if (error := mean_error(row)) is not None else {}
-    told |= {"calmer": calmer} if (calmer := _calmer(row)) else {}
+    # share of co's travel that would go with the settings proposed
+    process = row.get("process")
+    found = process.get("foreseen") if isinstance(process, Mapping) and row.get("settings") else None
+    told |= {"calmer": calmer} if (calmer := float(found["calmer"]) if found else None) else {}
     return {name: row.get(name) for name in shown} | {"period_s": period_s, "seen_share": share} | told
 
 
@@ -348,13 +398,6 @@ def mean_error(row: Row) -> float | None:
     screen = row.get("screen")
     a_day = screen.get("iae_per_day") if isinstance(screen, Mapping) else None
     return a_day / DAY_S if a_day is not None else None
-
-
-def _calmer(row: Row) -> float | None:
-    """Share of co's travel that would go with the settings proposed."""
-    process = row.get("process")
-    found = process.get("foreseen") if isinstance(process, Mapping) and row.get("settings") else None
-    return float(found["calmer"]) if found else None
 
 
 def _to_look_at(path: Path) -> Mapping[str, list[float]] | None:

@@ -34,10 +34,7 @@ SHORTEST = SHORT
 def _name(options: ApproveOptions | RevertOptions) -> str:
     """Who orders, for the ledger.
 
-    Raises
-    ------
-    UserError
-        The system knows no name, and none is given.
+    Raises UserError: the system knows no name, and none is given.
     """
     if options.by is not None:
         return options.by
@@ -50,10 +47,8 @@ def _name(options: ApproveOptions | RevertOptions) -> str:
 def places(session: Path, loop: str | None = None) -> list["LoopPlace"]:
     """The loops of a session to which something may be ordered. loop : the name of one; None for all.
 
-    Raises
-    ------
-    UserError
-        There is no session or no such loop, or its ledger cannot be believed: orders refer to what it says.
+    Raises UserError: there is no session or no such loop, or its ledger cannot be believed: orders refer to what it
+    says.
     """
     ledger = ledger_path(session)
     rows, config = believed_rows(ledger), load_session(ledger.parent / CONFIG)[0]
@@ -125,10 +120,7 @@ class LoopPlace:
 def approve(options: ApproveOptions) -> int:
     """Approve, unlock or list; the exit status: 0, or 1 where what was named is not approved.
 
-    Raises
-    ------
-    UserError
-        There is no such session, loop, proposal or region, or what is asked contradicts itself.
+    Raises UserError: there is no such session, loop, proposal or region, or what is asked contradicts itself.
     """
     session, digest, unlock, as_json = options.session, options.digest, options.unlock, options.as_json
     found = places(session, options.loop)
@@ -165,10 +157,7 @@ def approve(options: ApproveOptions) -> int:
 def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
     """Write a proposed schedule into a configuration; the exit status, 0.
 
-    Raises
-    ------
-    UserError
-        No configuration is named, or it cannot have this schedule; nothing was changed then.
+    Raises UserError: no configuration is named, or it cannot have this schedule; nothing was changed then.
     """
     into = options.into
     if into is None:
@@ -217,10 +206,7 @@ def _closed(place: LoopPlace, full: str) -> str:
 def revert(options: RevertOptions) -> int:
     """Order the way back to the gains before a decision, in its region; the exit status, 0.
 
-    Raises
-    ------
-    UserError
-        No such session or decision.
+    Raises UserError: no such session or decision.
     """
     place, decision = only_place(options.session, options.loop), options.decision
     change = place.shown.changes.get(decision)

@@ -68,11 +68,14 @@ def described(config: "Config", model: "Sequence[str]", *, several: bool) -> lis
     several : it is one of several.
     """
     loop, bus = config.loop, config.bus
+    where = config.regions()
+    width = max(len(region.name) for region in config.schedule.regions)
+    gains = [config.units.text(one, digits=6, acting=True) for one in config.gains()]
     lines = [
         f"loop        {loop.name}: pv {loop.pv_min:g} to {loop.pv_max:g} {loop.pv_unit}, "
         f"output {loop.co_min_pct:g} to {loop.co_max_pct:g} %, every {loop.sample_time_s:g} s",
         f"schedule    by {' and '.join(map(_axis_text, config.regions().axes))}, lookup {config.schedule.lookup}",
-        *_region_lines(config),
+        *[f"  {region.name:<{width}}  {where.text(i)}: {gains[i]}" for i, region in enumerate(config.schedule.regions)],
         f"adaptation  {config.adaptation.mode}, rule {config.adaptation.rule}, "
         f"Ms at most {config.adaptation.ms_nominal:g} ({config.adaptation.ms_worst:g} on the worst model)",
         f"bus         {bus.interface}, channel {bus.channel}, node {config.node}",
@@ -111,15 +114,6 @@ def _axis_text(axis: "Axis") -> str:
     ]
     told = [part for part in parts if part]
     return told[0] + (f" ({', '.join(told[1:])})" if told[1:] else "")
-
-
-def _region_lines(config: "Config") -> list[str]:
-    where = config.regions()
-    width = max(len(region.name) for region in config.schedule.regions)
-    gains = [config.units.text(one, digits=6, acting=True) for one in config.gains()]
-    return [
-        f"  {region.name:<{width}}  {where.text(i)}: {gains[i]}" for i, region in enumerate(config.schedule.regions)
-    ]
 
 
 def _problem(finding: "ConfigFlaw") -> dict[str, object]:

@@ -30,9 +30,15 @@ def device(
     loop: Loop = None,
 ) -> int:
     """Run a virtual controller with a simulated plant on a CAN bus, until stopped; of several loops, all."""
+    # the configuration of the file, or of a profile's example
+    from retuner.config.loading import load_session, parse_session
     from retuner.config.session_config import SessionConfig
 
-    session = all_on_bus(_read(path, profile), interface, channel)
+    if (path is None) == (not profile):
+        raise UserError("give a configuration file, or --profile odrive, cia402 or cia404: one of them")
+    session = all_on_bus(
+        load_session(path)[0] if path is not None else parse_session(starter(profile)), interface, channel
+    )
     configs = session.loops if loop is None else (session.loops[session.place(loop)],)
     if not 0 < speed < float("inf"):
         raise UserError(f"--speed {speed}: give a positive number, 1 for real time")
@@ -45,15 +51,6 @@ def device(
         )
     _be(SessionConfig(configs, session.several), speed, duration or float("inf"))
     return 0
-
-
-def _read(path: Path | None, profile: str) -> "SessionConfig":
-    """The configuration of the file, or of a profile's example."""
-    from retuner.config.loading import load_session, parse_session
-
-    if (path is None) == (not profile):
-        raise UserError("give a configuration file, or --profile odrive, cia402 or cia404: one of them")
-    return load_session(path)[0] if path is not None else parse_session(starter(profile))
 
 
 def _say(text: str) -> None:

@@ -94,10 +94,7 @@ def setpoint(options: SetpointOptions) -> int:
 def proposed(path: Path) -> tuple[float, float]:
     """Size and hold of the setpoint test that a diagnosis proposes. path : what `retuner diagnose --json` printed.
 
-    Raises
-    ------
-    UserError
-        It cannot be read, or proposes no such test.
+    Raises UserError: it cannot be read, or proposes no such test.
     """
     try:
         told = json.loads(path.read_text(encoding="utf-8"))["next"]
@@ -138,10 +135,7 @@ def _test(kind: Kind, options: OnDemandOptions, question: Question, shape: Exper
 def from_recording(file: Path, options: RecordedOptions, question: Question) -> int:
     """Evaluate a recorded experiment and show it; the exit status: 0, or 1 when it carries no settings.
 
-    Raises
-    ------
-    UserError, RecordingError
-        The file or an option cannot be used.
+    Raises UserError, RecordingError: the file or an option cannot be used.
     """
     check_plot(options.plot)
     read = read_record([file], options)
@@ -169,10 +163,7 @@ def question_for(
 ) -> Question:
     """The question that the options ask of a record.
 
-    Raises
-    ------
-    UserError
-        A number is out of its range, or a method or rule is not known.
+    Raises UserError: a number is out of its range, or a method or rule is not known.
     """
     method, rule = options.method, options.rule
     if method not in METHODS[experiment]:
@@ -191,10 +182,8 @@ def question_for(
 def on_demand(path: Path, kind: Kind, options: ControllerOptions, question: Question, shape: ExperimentSignal) -> int:
     """Conduct an experiment, evaluate it, and write the settings if they are confirmed; the exit status.
 
-    Raises
-    ------
-    ConfigError, UserError, DeviceError
-        The configuration, an option, the folder or the bus cannot be used; nothing was changed.
+    Raises ConfigError, UserError, DeviceError: the configuration, an option, the folder or the bus cannot be used;
+    nothing was changed.
     """
     yes = isinstance(options, OnDemandOptions) and options.yes
     config = on_bus(load_config(path, options.loop), options.interface, options.channel)
@@ -226,10 +215,7 @@ def on_demand(path: Path, kind: Kind, options: ControllerOptions, question: Ques
 def plan_for(config: Config, kind: Kind, options: ControllerOptions, shape: ExperimentSignal) -> Plan:
     """The plan that options and configuration make.
 
-    Raises
-    ------
-    UserError
-        An option is out of its range.
+    Raises UserError: an option is out of its range.
     """
     loop, dt = config.loop, config.loop.sample_time_s
     span = loop.pv_max - loop.pv_min
@@ -265,13 +251,17 @@ def _or(given: float | None, default: float) -> float:
 def valve(options: ValveOptions) -> int:
     """Make the test, show its moves, or evaluate a record; the exit status: 0, or 1 when the valve stays open.
 
-    Raises
-    ------
-    UserError, RecordingError
-        An option or the record cannot be used, or it is no valve test.
+    Raises UserError, RecordingError: an option or the record cannot be used, or it is no valve test.
     """
     if options.config is not None:
-        return _valve_on_controller(options)
+        if options.file is not None:
+            raise UserError("give CONFIG to run the test, or --from FILE to evaluate a record, not both")
+        if options.hold is None:
+            raise UserError(
+                "--hold: missing; give the seconds for which each step is held: four times the time to half"
+            )
+        shape = ExperimentSignal(_valve_step(options), hold_s=options.hold, moves=SHORT if options.short else STAIRCASE)
+        return on_demand(options.config, Kind.VALVE, options, Question(Kind.VALVE), shape)
     if options.file is None:
         sys.stdout.write("\n".join(_valve_moves(options)) + "\n")
         return 0
@@ -285,17 +275,6 @@ def valve(options: ValveOptions) -> int:
         sys.stdout.write("\n".join(valve_described(found)) + "\n")
     decided = max(found.sound, found.dead_band_odds, found.resolution_odds) >= LIKELY
     return 0 if decided else 1
-
-
-def _valve_on_controller(options: ValveOptions) -> int:
-    """The test on the controller of a configuration; the exit status."""
-    assert options.config is not None
-    if options.file is not None:
-        raise UserError("give CONFIG to run the test, or --from FILE to evaluate a record, not both")
-    if options.hold is None:
-        raise UserError("--hold: missing; give the seconds for which each step is held: four times the time to half")
-    shape = ExperimentSignal(_valve_step(options), hold_s=options.hold, moves=SHORT if options.short else STAIRCASE)
-    return on_demand(options.config, Kind.VALVE, options, Question(Kind.VALVE), shape)
 
 
 def _valve_step(options: ValveOptions) -> float:

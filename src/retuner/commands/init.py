@@ -8,7 +8,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -19,7 +19,7 @@ from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.api import identify_record
 from retuner.commands.signatures.init import InitOptions
-from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
+from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.schedule.gains import Form, PidGains, from_form, in_form
@@ -37,10 +37,8 @@ LARGE, MOST_NODES = 1e12, 127
 def init(options: InitOptions) -> int:
     """Write a configuration; the exit status.
 
-    Raises
-    ------
-    UserError, RecordingError
-        No file can go where it should, one is there, or the record or an answer cannot be used.
+    Raises UserError, RecordingError: no file can go where it should, one is there, or the record or an answer cannot be
+    used.
     """
     path = options.path
     if path.is_dir():
@@ -86,7 +84,13 @@ class Answers:
 def asked(file: Path) -> str:
     """A configuration by questions, each with a default that Enter takes."""
     known = (OVEN, NATIVE, *profiles())
-    controller = _ask(f"Controller: {', '.join(known)} (oven: a simulated one, to try)", OVEN, _one_of(known))
+
+    def read(text: str) -> str:
+        if text not in known:
+            raise ValueError(f"give one of {', '.join(known)}")
+        return text
+
+    controller = _ask(f"Controller: {', '.join(known)} (oven: a simulated one, to try)", OVEN, read)
     if controller == OVEN:
         return starter()
     interface = _ask("CAN interface, as python-can calls it", "socketcan", str)
@@ -122,15 +126,6 @@ def _ask(text: str, default: Answer, read: Callable[[str], Answer]) -> Answer:
             return read(line.strip()) if line.strip() else default
         except ValueError as error:
             sys.stderr.write(f"  {error}\n")
-
-
-def _one_of(known: Sequence[str]) -> Callable[[str], str]:
-    def read(text: str) -> str:
-        if text not in known:
-            raise ValueError(f"give one of {', '.join(known)}")
-        return text
-
-    return read
 
 
 def _number(low: float, high: float = LARGE) -> Callable[[str], float]:
@@ -173,10 +168,8 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
     record : of the loop in automatic. file : where the configuration goes. given : gains that were in force, None to
     read them off the record.
 
-    Raises
-    ------
-    UserError, RecordingError
-        The record cannot be read, its co is not in percent, or it does not show the gains and none are given.
+    Raises UserError, RecordingError: the record cannot be read, its co is not in percent, or it does not show the gains
+    and none are given.
     """
     read = read_loop_record([record], in_automatic=True)
     window = read.recording.window()
@@ -194,9 +187,30 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
     if found.model is None:
         return {file: f"{text}\n# No plant to try it on: {found.estimate.reason}\n"}
     model = file.with_suffix(".model.json")
+    # the sections of a virtual device with the record's process, and a scenario with its setpoint
+    recording = read.recording
+    sp = recording.pv if recording.sp is None else recording.sp
+    at = [0, *(np.flatnonzero(np.diff(sp)) + 1).tolist()]
+    at = at if len(at) <= MOST_STEPS else at[:1]
+    t_s = recording.t_s - recording.t_s[0]
+    steps = "".join(f"  {{ at_s = {t_s[i]:.9g}, sp = {sp[i]:.9g} }},\n" for i in at)
     return {
         model: json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n",
-        file: text + _bench(read, record, model),
+        file: text
+        + f"""
+[device]     # take it and [scenario] out for the real controller
+kind = "virtual"
+
+[device.plant]
+kind = "identified"
+file = {json.dumps(str(model))}
+record = {json.dumps(str(record))}
+
+[scenario]
+duration_s = {t_s[-1]:.9g}
+steps = [
+{steps}]
+""",
     }
 
 
@@ -241,28 +255,4 @@ mode = "advise"   # off: only watch; advise: propose; trial: write one change, k
 interface = {json.dumps(answers.interface)}
 channel = {json.dumps(answers.channel)}
 node = {answers.node}
-"""
-
-
-def _bench(read: LoopRecord, record: Path, model: Path) -> str:
-    """The sections of a virtual device with the record's process, and a scenario with its setpoint."""
-    recording = read.recording
-    sp = recording.pv if recording.sp is None else recording.sp
-    at = [0, *(np.flatnonzero(np.diff(sp)) + 1).tolist()]
-    at = at if len(at) <= MOST_STEPS else at[:1]
-    t_s = recording.t_s - recording.t_s[0]
-    steps = "".join(f"  {{ at_s = {t_s[i]:.9g}, sp = {sp[i]:.9g} }},\n" for i in at)
-    return f"""
-[device]     # take it and [scenario] out for the real controller
-kind = "virtual"
-
-[device.plant]
-kind = "identified"
-file = {json.dumps(str(model))}
-record = {json.dumps(str(record))}
-
-[scenario]
-duration_s = {t_s[-1]:.9g}
-steps = [
-{steps}]
 """

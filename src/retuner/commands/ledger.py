@@ -45,10 +45,7 @@ COLUMNS = {
 def verify(options: VerifyOptions) -> int:
     """Recompute the hash chain: status 0 when it holds, 1 when it is broken, and where.
 
-    Raises
-    ------
-    UserError
-        There is no such ledger, or head is no beginning of a hash.
+    Raises UserError: there is no such ledger, or head is no beginning of a hash.
     """
     head = options.head
     if head is not None and not re.fullmatch(rf"[0-9a-f]{{{SHORTEST_HEAD},64}}", head):
@@ -78,10 +75,7 @@ def verify(options: VerifyOptions) -> int:
 def _selected(rows: list[Row], options: ShowOptions) -> list[Row]:
     """Rows of one decision (its own, and those of its write), from a time on, of a kind, of a loop.
 
-    Raises
-    ------
-    UserError
-        There is no such decision or kind.
+    Raises UserError: there is no such decision or kind.
     """
     rows = _of_loop(rows, options)
     if options.kind is not None:
@@ -142,16 +136,15 @@ def believed(path: Path) -> tuple[list[Row], str]:
 def show(options: ShowOptions) -> int:
     """Who, when, why, from what to what, on what evidence, with what verdict: row by row; 1 when the chain is broken.
 
-    Raises
-    ------
-    UserError
-        There is no such ledger, or no such rows.
+    Raises UserError: there is no such ledger, or no such rows.
     """
     path = ledger_path(options.session)
     rows, broken = believed(path)
     chosen = _selected(rows, options)
     show_units_told(part(rows[0].body, "config") if rows else {})
-    lines = _in_words(rows, chosen)
+    # the chosen ones of all rows in words: a row is told by those before it
+    wanted = {row.seq for row in chosen}
+    lines = [line for line in told(rows) if line.row in wanted]
     if options.as_json:
         document = {
             "ledger": str(path),
@@ -211,12 +204,6 @@ def _several(lines: list[LedgerLine]) -> bool:
     return len({line.loop for line in lines if line.loop}) > 1
 
 
-def _in_words(rows: list[Row], chosen: list[Row]) -> list[LedgerLine]:
-    """The chosen ones of all rows in words: a row is told by those before it."""
-    wanted = {row.seq for row in chosen}
-    return [line for line in told(rows) if line.row in wanted]
-
-
 def _folded(rows: list[Row], lines: list[LedgerLine]) -> list[LedgerLine]:
     """The steps of a bump to and fro, and that the controller took each, as one line while nothing else happens."""
     found, going = list[LedgerLine](), False
@@ -250,10 +237,7 @@ def _list(lines: list[LedgerLine]) -> str:
 def export(options: ExportOptions) -> int:
     """Write the rows into a file for other programs; the exit status, 1 when the chain is broken.
 
-    Raises
-    ------
-    UserError
-        There is no such ledger, or not one file is named, a new one in a folder that is there.
+    Raises UserError: there is no such ledger, or not one file is named, a new one in a folder that is there.
     """
     path, as_csv, as_jsonl = ledger_path(options.session), options.as_csv, options.as_jsonl
     if (as_csv is None) == (as_jsonl is None):

@@ -62,7 +62,29 @@ def leave(
     ]
     if job.config.several:
         job.unwritten.write(job.folder / REPORT, render_index(_index_lines(session, left), _facts(job, ledger, LOOPS)))
-    _show(job, ledger, session, left, screen, interrupted=interrupted)
+    # the result as a file, and for whoever asked for it
+    folder, several = job.folder, job.config.several
+    results = [result(one, ledger, folder / one.report.parent) for one in left]
+    whole = {"folder": str(folder), "loops": results, "absent": session.absent, "ledger_head": ledger.head()}
+    document = {**(whole if several else results[0]), "interrupted": interrupted}
+    with job.unwritten.trying():
+        write_json(folder / SUMMARY, document)
+    if job.options.as_json:
+        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+        return
+    screen.pause()
+    for one in left:
+        name = one.loop.name if several else ""
+        limit = job.config.loops[job.config.names.index(one.loop.name)].adaptation.ms_marked
+        screen.table(
+            scores_table(one.scores, one.unit, name, limit), partial(narrow_scores, one.scores, one.unit, name)
+        )
+    decisions = sum(len(loop.decisions) for loop in session.loops)
+    changes = sum(len(loop.commits) for loop in session.loops)
+    done = f"{counted(decisions, 'decision')}, {counted(changes, 'change')} of gains"
+    screen.say(f"{done}; report: {folder / REPORT}")
+    screen.say(f"ledger head {ledger.head()}")
+    _tell_what_next(job, ledger, left, screen)
 
 
 class _Left(NamedTuple):
@@ -88,7 +110,12 @@ def _leave_loop(
     advice, kind = advice_of(loop, other), config.output.trend
     with job.unwritten.trying():
         write_trend(folder / TREND, loop.trend, kind)
-    _write_refined(job, other, folder, loop.name if job.config.several else "")
+    # the proposed schedule as files that a person may take up. loop : its name where it is one of several
+    if other is not None:
+        job.unwritten.write(folder / REFINED, to_toml(other.table))
+        job.unwritten.write(
+            folder / REFINED_SCHEDULE, schedule_section(other.table, loop.name if job.config.several else "")
+        )
     data = ReportData(
         loop=config.loop.name,
         unit=config.loop.pv_unit,
@@ -125,34 +152,6 @@ def _index_lines(session: Session, left: Sequence[_Left]) -> list[LoopLine]:
     ]
 
 
-def _show(
-    job: RunJob, ledger: Ledger, session: Session, left: Sequence[_Left], screen: LiveScreen, *, interrupted: bool
-) -> None:
-    """The result as a file, and for whoever asked for it."""
-    folder, several = job.folder, job.config.several
-    results = [result(one, ledger, folder / one.report.parent) for one in left]
-    whole = {"folder": str(folder), "loops": results, "absent": session.absent, "ledger_head": ledger.head()}
-    document = {**(whole if several else results[0]), "interrupted": interrupted}
-    with job.unwritten.trying():
-        write_json(folder / SUMMARY, document)
-    if job.options.as_json:
-        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-        return
-    screen.pause()
-    for one in left:
-        name = one.loop.name if several else ""
-        limit = job.config.loops[job.config.names.index(one.loop.name)].adaptation.ms_marked
-        screen.table(
-            scores_table(one.scores, one.unit, name, limit), partial(narrow_scores, one.scores, one.unit, name)
-        )
-    decisions = sum(len(loop.decisions) for loop in session.loops)
-    changes = sum(len(loop.commits) for loop in session.loops)
-    done = f"{counted(decisions, 'decision')}, {counted(changes, 'change')} of gains"
-    screen.say(f"{done}; report: {folder / REPORT}")
-    screen.say(f"ledger head {ledger.head()}")
-    _tell_what_next(job, ledger, left, screen)
-
-
 def _tell_what_next(job: RunJob, ledger: Ledger, left: Sequence[_Left], screen: LiveScreen) -> None:
     several = job.config.several
     about = rows_by_loop(ledger.rows(), job.config.names)
@@ -175,13 +174,6 @@ def advice_of(loop: LoopSession, other: Refinement | None) -> tuple[RegionAdvice
     regions, models, dt_s = retuner.table.regions, retuner.region_models, retuner.settings.sample_time_s
     advice = region_advice(regions, models, dt_s, AdviceSettings())
     return (*advice, other) if other is not None else advice
-
-
-def _write_refined(job: RunJob, other: Refinement | None, folder: Path, loop: str) -> None:
-    """The proposed schedule as files that a person may take up. loop : its name where it is one of several."""
-    if other is not None:
-        job.unwritten.write(folder / REFINED, to_toml(other.table))
-        job.unwritten.write(folder / REFINED_SCHEDULE, schedule_section(other.table, loop))
 
 
 def _facts(job: RunJob, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:

@@ -147,10 +147,7 @@ def on_bus(config: "Config", interface: str | None, channel: str | None) -> "Con
 def all_on_bus(session: "SessionConfig", interface: str | None, channel: str | None) -> "SessionConfig":
     """The same for all loops of a session.
 
-    Raises
-    ------
-    UserError
-        They hang on several buses: which one is meant?
+    Raises UserError: they hang on several buses: which one is meant?
     """
     if (interface or channel) is not None and len(session.buses) > 1:
         raise UserError(
@@ -171,10 +168,7 @@ def controller_units(
 ) -> "ControllerUnits | None":
     """The units that the options name, None without a name. co_limits : those of co that the options give.
 
-    Raises
-    ------
-    UserError
-        There are no such units, they need a span that is not given, or co is not in percent of its own.
+    Raises UserError: there are no such units, they need a span that is not given, or co is not in percent of its own.
     """
     from retuner.schedule.controller_units import ControllerUnits
     from retuner.schedule.dials import told_of_spans

@@ -169,10 +169,7 @@ def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> Answer:
 def what_if(log: Path, config_file: Path, options: ReplayOptions) -> int:
     """Say what would have been done on a log; the exit status, 0.
 
-    Raises
-    ------
-    UserError, RecordingError
-        Log or configuration cannot be used.
+    Raises UserError, RecordingError: log or configuration cannot be used.
     """
     if log.is_dir():
         raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")

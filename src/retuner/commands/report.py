@@ -36,10 +36,7 @@ from retuner.verbosity import busy
 def report(options: ReportOptions) -> int:
     """Write the report of a session, or the page of one of its decisions; the exit status.
 
-    Raises
-    ------
-    UserError
-        There is no such session, loop or decision, or a file of it cannot be used.
+    Raises UserError: there is no such session, loop or decision, or a file of it cannot be used.
     """
     decision, out, loop = options.decision, options.out, options.loop
     recorded, config = read_loops(options.session)
@@ -109,31 +106,29 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
     summary = _summary(recorded)
     scores = scores_of(config, after, commits, columns)
     steps = config.scenario.steps if config.scenario else []
+    # the scores with what only the summary has kept: IAE with fixed gains, Ms of a plant that is not ours
+    kept = {words(one, "region"): one for one in parts(summary, "scores")}
+    last = recorded.rows[-1]
     return ReportData(
         loop=config.loop.name,
         unit=config.loop.pv_unit,
         before=before,
         after=after,
-        scores=_with_fixed(summary, scores),
+        scores=[_as_kept(kept.get(score.region, {}), score) for score in scores],
         decisions=[without_place(row.body) for row in rows],
         run=columns,
         fixed=None,
         commits=[t_s for t_s, _ in commits],
         events=[step.at_s for step in steps if step.at_s <= columns["t"][-1]],
-        facts=_facts(recorded),
+        facts={
+            "session": str(recorded.folder),
+            "ledger": f"{last.seq} rows, head {last.hash}",
+            "retuner": str(recorded.versions.get("retuner", "")),
+        },
         stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
         advice=[words(one, "sentence") for one in parts(summary, "advice")],
         ms_limit=config.adaptation.ms_marked,
     )
-
-
-def _facts(recorded: RecordedSession) -> dict[str, str]:
-    last = recorded.rows[-1]
-    return {
-        "session": str(recorded.folder),
-        "ledger": f"{last.seq} rows, head {last.hash}",
-        "retuner": str(recorded.versions.get("retuner", "")),
-    }
 
 
 def _changes(recorded: RecordedSession, names: tuple[str, ...]) -> list[Row]:
@@ -207,12 +202,6 @@ def _summary(recorded: RecordedSession) -> Document:
     except ValueError as error:
         raise UserError(f"{path}: is no JSON: {error}") from None
     return summary if isinstance(summary, dict) else {}
-
-
-def _with_fixed(summary: Document, scores: list[RegionScore]) -> list[RegionScore]:
-    """The scores with what only the summary has kept: IAE with fixed gains, Ms of a plant that is not ours."""
-    kept = {words(one, "region"): one for one in parts(summary, "scores")}
-    return [_as_kept(kept.get(score.region, {}), score) for score in scores]
 
 
 def _as_kept(kept: Document, score: RegionScore) -> RegionScore:

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from itertools import pairwise
@@ -21,7 +21,7 @@ from retuner.drivers.bus.bus_opening import log_parts
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import Unwritten, write_whole
-from retuner.ledger import Ledger, Recorder
+from retuner.ledger import Ledger
 from retuner.ledger.trend import require_writer
 from retuner.products import product
 from retuner.schedule.controller_units import Acting
@@ -45,7 +45,6 @@ from retuner.stopping import stoppable, unstoppable
 from retuner.verbosity import quiet
 
 if TYPE_CHECKING:
-    from retuner.adaptive.region_model.refinement import Refinement
     from retuner.live_view.live_screen import LiveScreen
     from retuner.live_view.watching import Watching
 
@@ -169,17 +168,20 @@ def _gains_at(config: Config, sp: float) -> PidGains:
 def run(options: RunOptions) -> int:
     """Run a configuration; the exit status.
 
-    Raises
-    ------
-    ConfigError, UserError, DeviceError
-        The configuration, the options, the folder or the bus cannot be used, one line each.
+    Raises ConfigError, UserError, DeviceError: the configuration, the options, the folder or the bus cannot be used,
+    one line each.
     """
     read, text = load_session(options.config)
     config = all_on_bus(read, options.interface, options.channel)
     show_units_of(config)
     if options.pretune:
         config = replace(config, loops=tuple(_pretuned(one) for one in config.loops))
-    mode = _mode_of(options, config)
+    # the mode for all loops, None for that of each; refuses to move co where nothing but watching is allowed
+    if options.mode is not None and options.mode not in set(Mode):
+        raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
+    mode = Mode(options.mode) if options.mode else None
+    if any(one.adaptation.pretune and (mode or one.adaptation.mode) == Mode.OFF for one in config.loops):
+        raise UserError("pretune moves co, but mode off only watches: omit pretune, or give --mode advise")
     if config.simulated:
         _look_at_benches(options.config, config)
     speed = real_time_speed(options.speed, simulated=config.simulated)
@@ -202,16 +204,6 @@ def run(options: RunOptions) -> int:
     except LedgerError:  # it could not be opened
         give_back(fresh)
         raise
-
-
-def _mode_of(options: RunOptions, session: SessionConfig) -> Mode | None:
-    """The mode for all loops, None for that of each; refuses to move co where nothing but watching is allowed."""
-    if options.mode is not None and options.mode not in set(Mode):
-        raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
-    mode = Mode(options.mode) if options.mode else None
-    if any(one.adaptation.pretune and (mode or one.adaptation.mode) == Mode.OFF for one in session.loops):
-        raise UserError("pretune moves co, but mode off only watches: omit pretune, or give --mode advise")
-    return mode
 
 
 def _pretuned(config: Config) -> Config:
@@ -257,9 +249,16 @@ def _run(job: RunJob, ledger: Ledger, screen: "LiveScreen") -> int:
     except (LedgerError, OSError) as error:
         raise NothingHappenedError(error) from error
     watching: Watching = product("live view").Watching(screen, job.config, job.folder)
+    # what keeps a run's rows. most_mb : size of the ledger past which that is told
+    size = LedgerSize(ledger, job.config.output.ledger_mb_warn, screen.say)
+
+    def keep(kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        ledger.append(kind, body, t_s)
+        size.look()
+
     job_run = Run(
         job.config,
-        _keeper(ledger, screen, job.config.output.ledger_mb_warn),
+        keep,
         mode=job.mode,
         log=job.folder / BUS_LOG,
         observer=watching,
@@ -278,10 +277,7 @@ def _run(job: RunJob, ledger: Ledger, screen: "LiveScreen") -> int:
 def _carried_out(job: RunJob, job_run: Run, ledger: Ledger, watching: "Watching", screen: "LiveScreen") -> int:
     """The run to its end, and all that it leaves; its exit status.
 
-    Raises
-    ------
-    UserError
-        It ended with gains that nobody meant.
+    Raises UserError: it ended with gains that nobody meant.
     """
     try:
         session, interrupted = _play(job, job_run)
@@ -292,7 +288,19 @@ def _carried_out(job: RunJob, job_run: Run, ledger: Ledger, watching: "Watching"
     fixed = _unless_stopped(again, screen) if compare else None
     with unstoppable():
         proposed = [refined(loop.retuner) if loop.trend.rows else None for loop in session.loops]
-        _close(job, ledger, session, proposed, interrupted=interrupted)
+        # the rows that end the session; before them another schedule for each loop whose records ask for one, and
+        # those that end its loops where there are several
+        several, samples = job.config.several, sum(loop.samples for loop in session.loops)
+        try:
+            for loop, other in zip(session.loops, proposed, strict=True):
+                if other is not None:
+                    ledger.append(ROW, row_body(other, loop.samples, loop.name if several else ""), loop.writer.t_s)
+            if several:
+                for loop in session.loops:
+                    loop.tell_over()
+            ledger.append("end", {"interrupted": interrupted, **_traffic(job), "samples": samples}, session.t_s)
+        except LedgerError as error:
+            session.freeze(str(error))
         interrupted |= compare and fixed is None
         left = product("what a run leaves")
         left.leave(job, ledger, session, fixed, proposed, screen, interrupted=interrupted)
@@ -308,25 +316,6 @@ def _wrong(job: RunJob, session: Session) -> Iterator[str]:
     yield from [*filter(None, (loop.wrong_way for loop in session.loops)), *job.unwritten.lines]
     if job.unwritten.lines:
         yield f"make room; the ledger has every decision: retuner report {job.folder} makes the report"
-
-
-def _close(
-    job: RunJob, ledger: Ledger, session: Session, proposed: "Sequence[Refinement | None]", *, interrupted: bool
-) -> None:
-    """The rows that end the session; before them another schedule for each loop whose records ask for one, and those
-    that end its loops where there are several.
-    """
-    several, samples = job.config.several, sum(loop.samples for loop in session.loops)
-    try:
-        for loop, other in zip(session.loops, proposed, strict=True):
-            if other is not None:
-                ledger.append(ROW, row_body(other, loop.samples, loop.name if several else ""), loop.writer.t_s)
-        if several:
-            for loop in session.loops:
-                loop.tell_over()
-        ledger.append("end", {"interrupted": interrupted, **_traffic(job), "samples": samples}, session.t_s)
-    except LedgerError as error:
-        session.freeze(str(error))
 
 
 def _traffic(job: RunJob) -> dict[str, object]:
@@ -357,17 +346,6 @@ class LedgerSize:
                 f"{self._ledger.path}: has grown past {self._most_mb:g} MB ([output] ledger_mb_warn) and is never cut; "
                 "when the disk is short, end this run and begin another, which starts a new ledger"
             )
-
-
-def _keeper(ledger: Ledger, screen: "LiveScreen", most_mb: float) -> Recorder:
-    """What keeps a run's rows. most_mb : size of the ledger past which that is told."""
-    size = LedgerSize(ledger, most_mb, screen.say)
-
-    def keep(kind: str, t_s: float, body: Mapping[str, object]) -> None:
-        ledger.append(kind, body, t_s)
-        size.look()
-
-    return keep
 
 
 def _play(job: RunJob, job_run: Run) -> tuple[Session, bool]:

@@ -1,11 +1,73 @@
-"""[adaptation]: what the retuner may do, and the limits of the proof before a change."""
+"""[adaptation]: what the retuner may do, and the limits of the proof before a change.
+
+[adaptation.limits], [adaptation.admission], [adaptation.pattern] and [adaptation.nudge]: how far the guard lets
+gains go, what may teach a region, what may be done without a model, and whether the setpoint may be bumped. The
+settings are declared where they are used.
+"""
 
 from collections.abc import Iterator
 from typing import Literal
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
-from retuner.config.learning import AdmissionConfig, LimitsConfig, NudgeConfig, PatternConfig
-from retuner.config.section import Many, Problem, Section, setting
+from retuner.adaptive.guard.settings import GuardSettings
+from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
+from retuner.adaptive.supervision.admission import AdmissionSettings
+from retuner.adaptive.without_model.pattern_rule import PatternSettings
+from retuner.config.section import Many, Problem, Section, holding, setting
+
+# ---- The sections below [adaptation]
+
+
+@holding(GuardSettings)
+class LimitsConfig(Section):
+    """[adaptation.limits]: limits of a change that are seldom needed."""
+
+    def problems(self) -> Iterator[Problem]:
+        """Limits that leave room."""
+        given = self.model_dump()
+        least, most = given["tau_i_min_s"], given["tau_i_max_s"]
+        if least is not None and most is not None and least >= most:
+            yield Problem(("tau_i_max_s",), f"= {most:g} must be greater than tau_i_min_s = {least:g}")
+
+
+@holding(AdmissionSettings)
+class AdmissionConfig(Section):
+    """[adaptation.admission]: which responses may update the model of their region."""
+
+
+@holding(PatternSettings)
+class PatternConfig(Section):
+    """[adaptation.pattern]: small steps by the look of a response, where no process can be identified."""
+
+    allowed: bool = setting(
+        "Whether gains may be moved without a model",
+        default=True,
+        source="in small steps only, on trial, and never for other causes",
+    )
+
+    def problems(self) -> Iterator[Problem]:
+        """Targets that the dead zone leaves."""
+        given = self.model_dump()
+        for name in ("overshoot_target", "damping_target"):
+            if given["dead_zone"] > given[name]:
+                yield Problem(("dead_zone",), f"= {given['dead_zone']:g} must be at most {name} = {given[name]:g}")
+
+
+@holding(NudgeSettings)
+class NudgeConfig(Section):
+    """[adaptation.nudge]: small setpoint bumps where nothing else shows the process, in modes trial and auto."""
+
+    allowed: bool = setting(
+        "Whether retuner may move the setpoint a little, for a while, where nothing else shows the process",
+        default=False,
+        source="no test signal unless someone asks for it",
+    )
+
+    def problems(self) -> Iterator[Problem]:
+        """Hours in which there is time."""
+        given = self.model_dump()
+        if given["from_h"] == given["to_h"]:
+            yield Problem(("to_h",), f"= {given['to_h']:g} must differ from from_h, or no bump could ever begin")
 
 
 class AdaptationConfig(Section):
@@ -14,11 +76,10 @@ class AdaptationConfig(Section):
     mode: Literal["off", "advise", "trial", "auto"] = setting(
         "off: only watch; advise: propose, and write what an operator approves; trial: write one proved change a "
         "region, roll it back when worse, else wait for operator approval; auto: the same, without waiting",
-        unit="-",
         default="advise",
         source="nothing changes until someone allows it",
     )
-    rule: Literal["simc"] = setting("Tuning rule", unit="-", default="simc", source="Skogestad 2003")
+    rule: Literal["simc"] = setting("Tuning rule", default="simc", source="Skogestad 2003")
     ms_nominal: float = setting(
         "Largest Ms on the identified process",
         unit="1",
@@ -72,19 +133,16 @@ class AdaptationConfig(Section):
     )
     locked: Many[Literal["kc", "tau_i", "tau_d"]] = setting(
         'Parameters that stay as they are: ["tau_d"] for no derivative, ["tau_i", "tau_d"] for kc only',
-        unit="-",
         default=(),
         source="user",
     )
-    limits: LimitsConfig = setting("Further limits of a change", unit="-", default=LimitsConfig(), source="see there")
+    limits: LimitsConfig = setting("Further limits of a change", default=LimitsConfig(), source="see there")
     admission: AdmissionConfig = setting(
-        "Which responses may update a region's model", unit="-", default=AdmissionConfig(), source="see there"
+        "Which responses may update a region's model", default=AdmissionConfig(), source="see there"
     )
-    pattern: PatternConfig = setting(
-        "What may be done without a model", unit="-", default=PatternConfig(), source="see there"
-    )
+    pattern: PatternConfig = setting("What may be done without a model", default=PatternConfig(), source="see there")
     nudge: NudgeConfig = setting(
-        "Small setpoint bumps where days pass without evidence", unit="-", default=NudgeConfig(), source="see there"
+        "Small setpoint bumps where days pass without evidence", default=NudgeConfig(), source="see there"
     )
     approval_s: float = setting(
         "How long a proposal may be approved after it was made",
@@ -170,7 +228,6 @@ class AdaptationConfig(Section):
     )
     pretune: bool = setting(
         "Before a run: first model and settings from a commanded step of co, the loop restored as it was",
-        unit="-",
         default=False,
         source="no test signal unless someone allows it",
     )

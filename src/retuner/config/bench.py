@@ -14,16 +14,14 @@ class BusConfig(Section):
 
     interface: str = setting(
         "python-can interface: virtual, socketcan, udp_multicast, ...",
-        unit="-",
         text=(1, 64),
         default="virtual",
         source="needs no hardware",
     )
-    channel: str = setting("Channel of the interface", unit="-", text=(1, 256), default="retuner", source="the user")
-    node: int = setting("Node number of the controller", unit="-", low=1, high=NODES, default=1, source="retuner.dbc")
+    channel: str = setting("Channel of the interface", text=(1, 256), default="retuner")
+    node: int = setting("Node number of the controller", low=1, high=NODES, default=1, source="retuner.dbc")
     hop_limit: int = setting(
         "Networks that udp_multicast frames may cross; 0 keeps them on this host",
-        unit="-",
         low=0,
         high=255,
         default=0,
@@ -47,10 +45,8 @@ class BusConfig(Section):
     )
     key_file: str = setting(
         "File with the key that authenticates commits, hexadecimal, readable by you alone; empty for none",
-        unit="-",
         text=(0, 1024),
         default="",
-        source="the user",
     )
 
 
@@ -61,7 +57,7 @@ CONFIRM_SAMPLES = 60
 class DeviceConfig(Section):
     """[device] with kind = "virtual": our own virtual controller. Leave the section out for a real one."""
 
-    kind: Literal["virtual"] = setting("Which device", unit="-", default="virtual", source="the native protocol")
+    kind: Literal["virtual"] = setting("Which device", default="virtual", source="the native protocol")
     confirm_within_s: float | None = setting(
         "Time within which a new set must be confirmed, or the confirmed one runs again; 0 for any time; absent: "
         f"{CONFIRM_SAMPLES} samples",
@@ -71,16 +67,16 @@ class DeviceConfig(Section):
         default=None,
         source="twice what a lost link and the probation take",
     )
-    seed: int = setting("Seed of the measurement noise", unit="-", low=0, high=2**32 - 1, default=1, source="the user")
-    plant: PlantConfig = setting("The simulated plant behind the virtual device", unit="-", source="the user")
+    seed: int = setting("Seed of the measurement noise", low=0, high=2**32 - 1, default=1)
+    plant: PlantConfig = setting("The simulated plant behind the virtual device")
 
 
 class StepConfig(Section):
     """One entry of [scenario] steps: from at_s on, this setpoint, this load, or both."""
 
-    at_s: float = setting("When", unit="s", low=0, high=1e9, source="the user")
-    sp: float | None = setting("New setpoint", unit="pv", low=-1e9, high=1e9, default=None, source="the user")
-    load: float | None = setting("New load on the plant", unit="%", low=-200, high=200, default=None, source="the user")
+    at_s: float = setting("When", unit="s", low=0, high=1e9)
+    sp: float | None = setting("New setpoint", unit="pv", low=-1e9, high=1e9, default=None)
+    load: float | None = setting("New load on the plant", unit="%", low=-200, high=200, default=None)
 
     def problems(self) -> Iterator[Problem]:
         """A step that steps."""
@@ -91,8 +87,8 @@ class StepConfig(Section):
 class ScenarioConfig(Section):
     """[scenario]: what happens in a run on the virtual device."""
 
-    duration_s: float = setting("Length of the run", unit="s", above=0, high=1e9, source="the user")
-    steps: Many[StepConfig] = setting("Setpoint and load steps, in the order of time", unit="-", source="the user")
+    duration_s: float = setting("Length of the run", unit="s", above=0, high=1e9)
+    steps: Many[StepConfig] = setting("Setpoint and load steps, in the order of time")
 
     def problems(self) -> Iterator[Problem]:
         """Steps in order, inside the run, and a setpoint to start with."""
@@ -118,13 +114,12 @@ class OutputConfig(Section):
 
     directory: str = setting(
         "Folder for report, ledger, trend and bus log, relative to where the command runs",
-        unit="-",
         text=(1, 1024),
         default="runs/latest",
         source="git-ignored",
     )
     trend: Literal["csv", "parquet"] = setting(
-        "Format of the trend; parquet needs the extra of that name", unit="-", default="csv", source="base install"
+        "Format of the trend; parquet needs the extra of that name", default="csv", source="base install"
     )
     bus_log_mb: float = setting(
         "Size that the bus log may reach; then its oldest half goes, and the run cannot be replayed from its beginning",

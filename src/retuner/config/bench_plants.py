@@ -62,10 +62,7 @@ class UnusablePlantError(UserError):
 def plant_of(config: Config) -> PlantConfig:
     """What a loop's configuration says of its plant.
 
-    Raises
-    ------
-    UserError
-        It has no [device] section, or no plant.
+    Raises UserError: it has no [device] section, or no plant.
     """
     if config.device is None:
         raise UserError(
@@ -83,10 +80,7 @@ def plant_of(config: Config) -> PlantConfig:
 def known_plant(config: Config) -> KnownPlant | None:
     """The simulated plant of a loop, where its true model is known: it is one of ours.
 
-    Raises
-    ------
-    UserError
-        As plant_of; or a recorded load cannot be read.
+    Raises UserError: as plant_of; or a recorded load cannot be read.
     """
     plant = plant_of(config)
     if isinstance(plant, ModelConfig):
@@ -129,7 +123,21 @@ def _ours(config: Config, plant: OurConfig) -> KnownPlant:
     if isinstance(plant, BoilerPlantConfig):
         return BoilerPlant(plant.settings(), plant.start_c, seed)
     if isinstance(plant, IdentifiedPlantConfig):
-        return _of_record(config, plant, seed)
+        process = model_of(Path(plant.file))
+        try:
+            record = read_loop_record([Path(plant.record)]).recording
+        except RecordingError as error:
+            raise PlantFaultError(f": {error}", "record") from None
+        load = load_of(process, record.t_s, record.pv, record.co)
+        load = alike(load, seed) if plant.load == "alike" else load
+        made = LinearPlant(
+            process,
+            start_pv=float(record.pv[0]),
+            start_co=float(record.co[0]),
+            co_min=config.loop.co_min_pct,
+            co_max=config.loop.co_max_pct,
+        )
+        return LoadedPlant(made, RecordedLoads([load]))
     process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
     return LinearPlant(
         process,
@@ -142,35 +150,13 @@ def _ours(config: Config, plant: OurConfig) -> KnownPlant:
     )
 
 
-def _of_record(config: Config, plant: IdentifiedPlantConfig, seed: int) -> KnownPlant:
-    """The plant of a record."""
-    process = model_of(Path(plant.file))
-    try:
-        record = read_loop_record([Path(plant.record)]).recording
-    except RecordingError as error:
-        raise PlantFaultError(f": {error}", "record") from None
-    load = load_of(process, record.t_s, record.pv, record.co)
-    load = alike(load, seed) if plant.load == "alike" else load
-    made = LinearPlant(
-        process,
-        start_pv=float(record.pv[0]),
-        start_co=float(record.co[0]),
-        co_min=config.loop.co_min_pct,
-        co_max=config.loop.co_max_pct,
-    )
-    return LoadedPlant(made, RecordedLoads([load]))
-
-
 class Plants:
     """The plants of some loops; ends the processes of models when it is left.
 
     configs : of the loops. say : takes a line on a plant that does something wrong. speed : how much faster than real
     time the devices run; None for simulated time.
 
-    Raises
-    ------
-    UserError
-        A loop has no plant, or one cannot be begun: UnusablePlantError.
+    Raises UserError: a loop has no plant, or one cannot be begun: UnusablePlantError.
     """
 
     def __init__(self, configs: Sequence[Config], say: Callable[[str], None], speed: float | None = None) -> None:

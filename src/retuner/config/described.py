@@ -46,10 +46,7 @@ OUT_OF_REACH = (
 def make_access(config: Config, foreign: Foreign) -> Access:
     """The numbers of a foreign device, by its description.
 
-    Raises
-    ------
-    ProfileError
-        The description cannot be used, or has not what the mapping names.
+    Raises ProfileError: the description cannot be used, or has not what the mapping names.
     """
     mapping = mapping_of(config, foreign)
     if isinstance(foreign, DbcDeviceConfig):
@@ -84,10 +81,7 @@ def advice_only(config: Config) -> bool:
 def held_table(config: Config) -> GainTable:
     """The gain table as commissioned, as the device holds it.
 
-    Raises
-    ------
-    ProfileError
-        It cannot hold one of the sets; otherwise as make_access.
+    Raises ProfileError: it cannot hold one of the sets; otherwise as make_access.
     """
     table, units = config.gain_table(), vendor_units(config)
     if units is None:

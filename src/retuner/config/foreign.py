@@ -20,19 +20,19 @@ BY_HAND = "Its gains; absent: they are set by hand at the device and in the regi
 
 
 def _scale(what: str) -> Any:  # noqa: ANN401  as setting
-    return setting(what, unit="-", low=-BIGGEST, high=BIGGEST, default=1.0, source="the device's manual")
+    return setting(what, low=-BIGGEST, high=BIGGEST, default=1.0, source="the device's manual")
 
 
 def _offset() -> Any:  # noqa: ANN401  as setting
-    return setting("Ours at the device's 0", unit="-", low=-BIGGEST, high=BIGGEST, default=0.0, source="none")
+    return setting("Ours at the device's 0", low=-BIGGEST, high=BIGGEST, default=0.0, source="none")
 
 
 class AskConfig(Section):
     """A data frame that asks for a message."""
 
-    message: str = setting("Message, by name or identifier (0x...)", unit="-", text=(1, 128), source="the DBC")
+    message: str = setting("Message, by name or identifier (0x...)", text=(1, 128), source="the DBC")
     values: dict[str, float] = setting(
-        "Values of its signals; others are as in the DBC", unit="-", default={}, source="the device's manual"
+        "Values of its signals; others are as in the DBC", default={}, source="the device's manual"
     )
 
     def ask(self) -> Ask:
@@ -41,18 +41,18 @@ class AskConfig(Section):
 
 
 def _asked() -> Any:  # noqa: ANN401  as setting
-    return setting("The data frame that asks for it; absent: sent unasked", unit="-", default=None, source="none")
+    return setting("The data frame that asks for it; absent: sent unasked", default=None, source="none")
 
 
 class SignalConfig(Section):
     """A number of the loop in a DBC: ours = scale x the signal's + offset."""
 
-    message: str = setting("Message, by name or identifier (0x...)", unit="-", text=(1, 128), source="the DBC")
-    signal: str = setting("Signal of the message", unit="-", text=(1, 128), source="the DBC")
+    message: str = setting("Message, by name or identifier (0x...)", text=(1, 128), source="the DBC")
+    signal: str = setting("Signal of the message", text=(1, 128), source="the DBC")
     scale: float = _scale("Ours for one of the signal's; the output is in % of its range")
     offset: float = _offset()
     on_request: bool = setting(
-        "Whether it comes only when asked for, by a remote frame", unit="-", default=False, source="the device's manual"
+        "Whether it comes only when asked for, by a remote frame", default=False, source="the device's manual"
     )
 
     ask: AskConfig | None = _asked()
@@ -66,7 +66,7 @@ class SignalConfig(Section):
 class ObjectConfig(Section):
     """A number of the loop in an object dictionary: ours = scale x the object's + offset."""
 
-    object: str = setting('Object: "6130", "6130:1" or its name', unit="-", text=(1, 128), source="the EDS")
+    object: str = setting('Object: "6130", "6130:1" or its name', text=(1, 128), source="the EDS")
     scale: float = _scale("Ours for one of the object's; the output is in % of its range")
     offset: float = _offset()
 
@@ -78,16 +78,16 @@ class ObjectConfig(Section):
 class _StateSection(Section):
     """What a state is told by."""
 
-    expected: Many[Whole] = setting("Values that are as they should be", unit="-", source="the device's manual")
-    mask: int = setting("Bits that count", unit="-", low=1, high=2**32 - 1, default=2**32 - 1, source="all")
-    reason: str = setting("What is told otherwise", unit="-", text=(0, 128), default="", source="the number itself")
+    expected: Many[Whole] = setting("Values that are as they should be", source="the device's manual")
+    mask: int = setting("Bits that count", low=1, high=2**32 - 1, default=2**32 - 1, source="all")
+    reason: str = setting("What is told otherwise", text=(0, 128), default="", source="the number itself")
 
 
 class SignalStateConfig(_StateSection):
     """A state in a DBC."""
 
-    message: str = setting("Message, by name or identifier (0x...)", unit="-", text=(1, 128), source="the DBC")
-    signal: str = setting("Signal of the message", unit="-", text=(1, 128), source="the DBC")
+    message: str = setting("Message, by name or identifier (0x...)", text=(1, 128), source="the DBC")
+    signal: str = setting("Signal of the message", text=(1, 128), source="the DBC")
 
     def states(self) -> States:
         """As the drivers take it."""
@@ -97,7 +97,7 @@ class SignalStateConfig(_StateSection):
 class ObjectStateConfig(_StateSection):
     """A state in an object dictionary."""
 
-    object: str = setting('Object: "6041", "6041:0" or its name', unit="-", text=(1, 128), source="the EDS")
+    object: str = setting('Object: "6041", "6041:0" or its name', text=(1, 128), source="the EDS")
 
     def states(self) -> States:
         """As the drivers take it."""
@@ -108,9 +108,9 @@ class _GainSection(Section):
     """What every gain of a foreign controller has."""
 
     scale: float = _scale("Ours for one of the controller's; negative where it counts reverse action as positive")
-    unit: Literal["", "s", "ms", "min"] = setting("Unit of a time", unit="-", default="", source="s")
+    unit: Literal["", "s", "ms", "min"] = setting("Unit of a time", default="", source="s")
     off: float | None = setting(
-        "Number that stands for no such action", unit="-", low=-BIGGEST, high=BIGGEST, default=None, source="none does"
+        "Number that stands for no such action", low=-BIGGEST, high=BIGGEST, default=None, source="none does"
     )
 
     def factor(self, quantity: Quantity, general: float) -> float:
@@ -122,16 +122,16 @@ class _GainSection(Section):
 class SignalGainConfig(_GainSection):
     """A gain in a DBC."""
 
-    message: str = setting("Message that writes it", unit="-", text=(1, 128), source="the DBC")
-    signal: str = setting("Signal of the message", unit="-", text=(1, 128), source="the DBC")
+    message: str = setting("Message that writes it", text=(1, 128), source="the DBC")
+    signal: str = setting("Signal of the message", text=(1, 128), source="the DBC")
     read_message: str = setting(
-        "Message that tells it; empty: it cannot be read", unit="-", text=(0, 128), default="", source="the DBC"
+        "Message that tells it; empty: it cannot be read", text=(0, 128), default="", source="the DBC"
     )
     read_signal: str = setting(
-        "Signal of that message; empty: the same name", unit="-", text=(0, 128), default="", source="the DBC"
+        "Signal of that message; empty: the same name", text=(0, 128), default="", source="the DBC"
     )
     read_on_request: bool = setting(
-        "Whether that message comes only when asked for, by a remote frame", unit="-", default=True, source="most do"
+        "Whether that message comes only when asked for, by a remote frame", default=True, source="most do"
     )
 
     read_ask: AskConfig | None = _asked()
@@ -149,7 +149,7 @@ class SignalGainConfig(_GainSection):
 class ObjectGainConfig(_GainSection):
     """A gain in an object dictionary; it is read back where it was written."""
 
-    object: str = setting('Object: "6450", "6450:1" or its name', unit="-", text=(1, 128), source="the EDS")
+    object: str = setting('Object: "6450", "6450:1" or its name', text=(1, 128), source="the EDS")
 
     def gain(self, quantity: Quantity, general: float) -> GainAt:
         """As the drivers take it."""
@@ -158,7 +158,7 @@ class ObjectGainConfig(_GainSection):
 
 
 def _gain(what: str) -> Any:  # noqa: ANN401  as setting
-    return setting(what, unit="-", default=None, source="the device's manual")
+    return setting(what, default=None, source="the device's manual")
 
 
 class _GainsSection(Section):
@@ -166,16 +166,12 @@ class _GainsSection(Section):
 
     form: Literal["ideal", "series"] = setting(
         "Form that xp, tn and tv (and kp beside them) are of; kp, ki, kd alone are parallel",
-        unit="-",
         default="ideal",
         source="the device's manual",
     )
     scale: float = _scale("Ours for one of the controller's, of kp, ki and kd together")
     without: Many[Literal["kp", "xp", "ki", "tn", "repeats", "kd", "tv"]] = setting(
-        "Gains of the profile that this device lacks; kd = false says the same",
-        unit="-",
-        default=(),
-        source="none",
+        "Gains of the profile that this device lacks; kd = false says the same", default=(), source="none"
     )
 
     @model_validator(mode="before")
@@ -226,19 +222,18 @@ class ObjectGainsConfig(_GainsSection):
 class ProtectConfig(Section):
     """[[device.protect]]: counter and checksum of one message."""
 
-    message: str = setting("Message", unit="-", text=(1, 128), source="the DBC")
-    counter: str = setting("Signal that counts; empty: none", unit="-", text=(0, 128), default="", source="the DBC")
-    checksum: str = setting("Signal of the checksum; empty: none", unit="-", text=(0, 128), default="", source="DBC")
+    message: str = setting("Message", text=(1, 128), source="the DBC")
+    counter: str = setting("Signal that counts; empty: none", text=(0, 128), default="", source="the DBC")
+    checksum: str = setting("Signal of the checksum; empty: none", text=(0, 128), default="", source="DBC")
     algorithm: str = setting(
         "Algorithm of the checksum: crc8_sae_j1850, crc8_autosar, crc8, crc16_ccitt, crc16_xmodem, sum8, "
         "sum8_inverted, sum8_negated, xor8",
-        unit="-",
         text=(0, 32),
         default="",
         source="the device's manual",
     )
     data_id: int | None = setting(
-        "Data identifier that the checksum covers as well", unit="-", low=0, high=65535, default=None, source="none"
+        "Data identifier that the checksum covers as well", low=0, high=65535, default=None, source="none"
     )
 
     def protection(self) -> Protection:
@@ -251,18 +246,16 @@ class ForeignConfig(Section):
 
     profile: str = setting(
         "Ready mapping that what is given here completes: odrive, cia402, cia404; empty: all is given here",
-        unit="-",
         text=(0, 32),
         default="",
         source="none",
     )
     node: int | None = setting(
-        "Number of the device; absent: that of [bus]", unit="-", low=0, high=127, default=None, source="[bus] node"
+        "Number of the device; absent: that of [bus]", low=0, high=127, default=None, source="[bus] node"
     )
     accept: Many[Literal["no_read_back", "unproved_order"]] = setting(
         "What the user accepts: a device without read-back of gains (else nothing is written); an order of messages "
         "that no model proves (else such gains are refused)",
-        unit="-",
         default=(),
         source="neither",
     )
@@ -275,9 +268,13 @@ class ForeignConfig(Section):
         source="no watchdog",
     )
     look_s: float = setting(
-        "Gains are read again after so long, to see what others change", unit="s", above=0, high=1e6, default=60.0,
+        "Gains are read again after so long, to see what others change",
+        unit="s",
+        above=0,
+        high=1e6,
+        default=60.0,
         source="a minute",
-    )  # fmt: skip
+    )
     silent_s: float | None = setting(
         "Age of the last frame at which the device counts as silent; absent: 6 samples, at least 0.5 s",
         unit="s",
@@ -287,19 +284,11 @@ class ForeignConfig(Section):
         source="6 samples",
     )
     sp_start: float = setting(
-        "Setpoint until one is sent, where the device reports none",
-        unit="pv",
-        low=-1e9,
-        high=1e9,
-        default=0.0,
-        source="the user",
+        "Setpoint until one is sent, where the device reports none", unit="pv", low=-1e9, high=1e9, default=0.0
     )
-    seed: int = setting("Seed of the simulated noise", unit="-", low=0, high=2**32 - 1, default=1, source="the user")
+    seed: int = setting("Seed of the simulated noise", low=0, high=2**32 - 1, default=1)
     plant: PlantConfig | None = setting(
-        "Simulated plant, for a virtual device of this kind; absent: a real one is connected",
-        unit="-",
-        default=None,
-        source="the user",
+        "Simulated plant, for a virtual device of this kind; absent: a real one is connected", default=None
     )
 
     @model_validator(mode="before")
@@ -321,27 +310,26 @@ class ForeignConfig(Section):
 class DbcDeviceConfig(ForeignConfig):
     """[device] with kind = "dbc": a controller whose messages a DBC describes; see docs/devices.md."""
 
-    kind: Literal["dbc"] = setting("Which device", unit="-", source="the user")
-    dbc: str = setting("DBC file of the device; a profile has one", unit="-", text=(1, 1024), source="its maker")
-    described_node: int = setting("Node that the DBC describes", unit="-", low=0, high=127, default=0, source="DBC")
+    kind: Literal["dbc"] = setting("Which device")
+    dbc: str = setting("DBC file of the device; a profile has one", text=(1, 1024), source="its maker")
+    described_node: int = setting("Node that the DBC describes", low=0, high=127, default=0, source="DBC")
     node_shift: int | None = setting(
         "Bits by which the node's number is moved in the identifiers; absent: they are as in the DBC",
-        unit="-",
         low=0,
         high=22,
         default=None,
         source="the device's manual",
     )
-    pv: SignalConfig = setting("Process value", unit="-", source="the DBC")
-    co: SignalConfig = setting("Output, in % of its range", unit="-", source="the DBC")
-    sp: SignalConfig | None = setting("Setpoint as the device reports it", unit="-", default=None, source="none")
-    setpoint: SignalConfig | None = setting("Where a setpoint is written", unit="-", default=None, source="none")
-    mode: SignalStateConfig | None = setting("Where it tells that it controls", unit="-", default=None, source="none")
-    gains: SignalGainsConfig | None = setting(BY_HAND, unit="-", default=None, source="the DBC")
-    stop: Many[SignalStateConfig] = setting("Where it tells that it has stopped", unit="-", default=(), source="none")
-    protect: Many[ProtectConfig] = setting("Counters and checksums", unit="-", default=(), source="none")
+    pv: SignalConfig = setting("Process value", source="the DBC")
+    co: SignalConfig = setting("Output, in % of its range", source="the DBC")
+    sp: SignalConfig | None = setting("Setpoint as the device reports it", default=None, source="none")
+    setpoint: SignalConfig | None = setting("Where a setpoint is written", default=None, source="none")
+    mode: SignalStateConfig | None = setting("Where it tells that it controls", default=None, source="none")
+    gains: SignalGainsConfig | None = setting(BY_HAND, default=None, source="the DBC")
+    stop: Many[SignalStateConfig] = setting("Where it tells that it has stopped", default=(), source="none")
+    protect: Many[ProtectConfig] = setting("Counters and checksums", default=(), source="none")
     fixed: dict[str, float] = setting(
-        'Values of other signals in written messages, by "message.signal"', unit="-", default={}, source="the DBC's"
+        'Values of other signals in written messages, by "message.signal"', default={}, source="the DBC's"
     )
 
     def mapping(self, pv_span: float, co_span: float, by_hand: PidGains) -> DeviceMapping:
@@ -356,17 +344,17 @@ class DbcDeviceConfig(ForeignConfig):
 class CanOpenDeviceConfig(ForeignConfig):
     """[device] with kind = "canopen": a node whose objects an EDS describes; see docs/devices.md."""
 
-    kind: Literal["canopen"] = setting("Which device", unit="-", source="the user")
-    eds: str = setting("EDS (or DCF) of the device; a profile has one", unit="-", text=(1, 1024), source="its maker")
-    pv: ObjectConfig = setting("Process value", unit="-", source="the EDS")
-    co: ObjectConfig = setting("Output, in % of its range", unit="-", source="the EDS")
-    sp: ObjectConfig | None = setting("Setpoint as the device reports it", unit="-", default=None, source="none")
-    setpoint: ObjectConfig | None = setting("Where a setpoint is written", unit="-", default=None, source="none")
-    mode: ObjectStateConfig | None = setting("Where it tells that it controls", unit="-", default=None, source="none")
-    gains: ObjectGainsConfig | None = setting(BY_HAND, unit="-", default=None, source="the EDS")
-    stop: Many[ObjectStateConfig] = setting("Where it tells that it has stopped", unit="-", default=(), source="none")
+    kind: Literal["canopen"] = setting("Which device")
+    eds: str = setting("EDS (or DCF) of the device; a profile has one", text=(1, 1024), source="its maker")
+    pv: ObjectConfig = setting("Process value", source="the EDS")
+    co: ObjectConfig = setting("Output, in % of its range", source="the EDS")
+    sp: ObjectConfig | None = setting("Setpoint as the device reports it", default=None, source="none")
+    setpoint: ObjectConfig | None = setting("Where a setpoint is written", default=None, source="none")
+    mode: ObjectStateConfig | None = setting("Where it tells that it controls", default=None, source="none")
+    gains: ObjectGainsConfig | None = setting(BY_HAND, default=None, source="the EDS")
+    stop: Many[ObjectStateConfig] = setting("Where it tells that it has stopped", default=(), source="none")
     start: bool = setting(
-        "Whether the node is started (NMT) when it is found pre-operational", unit="-", default=True, source="CiA 301"
+        "Whether the node is started (NMT) when it is found pre-operational", default=True, source="CiA 301"
     )
     heartbeat_s: float = setting(
         "Period of this host's own heartbeat, as node own_node; 0: none",
@@ -376,7 +364,7 @@ class CanOpenDeviceConfig(ForeignConfig):
         default=0.0,
         source="the device's object 1016",
     )
-    own_node: int = setting("Number of this host", unit="-", low=1, high=127, default=127, source="a common choice")
+    own_node: int = setting("Number of this host", low=1, high=127, default=127, source="a common choice")
 
     def mapping(self, pv_span: float, co_span: float, by_hand: PidGains) -> DeviceMapping:
         """As the drivers take it."""

@@ -24,8 +24,8 @@ from retuner.schedule.table import GainTable, Lookup
 class LoopConfig(Section):
     """[loop]: what is controlled and with what limits."""
 
-    name: str = setting("Name of the loop in reports and the ledger", unit="-", text=(1, 64), source="the plant's tag")
-    pv_unit: str = setting("Engineering unit of pv and sp", unit="-", text=(1, 16), source="the transmitter")
+    name: str = setting("Name of the loop in reports and the ledger", text=(1, 64), source="the plant's tag")
+    pv_unit: str = setting("Engineering unit of pv and sp", text=(1, 16), source="the transmitter")
     pv_min: float = setting("Lower end of the pv range", unit="pv", low=-1e9, high=1e9, source="the transmitter")
     pv_max: float = setting("Upper end of the pv range", unit="pv", low=-1e9, high=1e9, source="the transmitter")
     sample_time_s: float = setting(
@@ -60,23 +60,18 @@ class LoopConfig(Section):
     plant: str = setting(
         "Plant that the loop shares with others of the session, by a name: they are retuned with regard to each other; "
         "empty: its own",
-        unit="-",
         text=(0, 64),
         default="",
-        source="the user",
     )
     controller: str | None = setting(
         'How gains are shown: "yokogawa", "kc-s", "pb-rpm" and so on (docs/coming-from.md); absent: as the first '
         "region has them",
-        unit="-",
         text=(1, 32),
         default=None,
-        source="the user",
     )
     action: Literal["reverse", "direct"] | None = setting(
         "What the output does when pv rises: reverse, it falls (heating); direct, it rises (cooling); absent: the sign "
         "of the gains says it, negative for direct",
-        unit="-",
         default=None,
         source="the controller's switch",
     )
@@ -131,25 +126,16 @@ def _in_seconds(region: RegionConfig, gains: PidGains) -> dict[str, float | None
 class Config(Section):
     """One loop, its schedule, and how it is watched and retuned."""
 
-    schema_version: Literal[1] = setting(
-        "Version of this file's layout", unit="-", alias="schema", source="this release"
-    )
-    loop: LoopConfig = setting("The loop", unit="-", source="the user")
-    schedule: ScheduleConfig = setting("Which gains apply where", unit="-", source="the user")
-    adaptation: AdaptationConfig = setting(
-        "What the retuner may do", unit="-", default=AdaptationConfig(), source="advise only"
-    )
-    bus: BusConfig = setting("The CAN bus", unit="-", default=BusConfig(), source="virtual")
+    schema_version: Literal[1] = setting("Version of this file's layout", alias="schema", source="this release")
+    loop: LoopConfig = setting("The loop")
+    schedule: ScheduleConfig = setting("Which gains apply where")
+    adaptation: AdaptationConfig = setting("What the retuner may do", default=AdaptationConfig(), source="advise only")
+    bus: BusConfig = setting("The CAN bus", default=BusConfig(), source="virtual")
     device: AnyDevice | None = setting(
-        "The device; absent: a controller of the native protocol is connected",
-        unit="-",
-        default=None,
-        source="the user",
+        "The device; absent: a controller of the native protocol is connected", default=None
     )
-    scenario: ScenarioConfig | None = setting(
-        "What happens in a run; absent: watch until stopped", unit="-", default=None, source="the user"
-    )
-    output: OutputConfig = setting("What a run leaves behind", unit="-", default=OutputConfig(), source="runs/latest")
+    scenario: ScenarioConfig | None = setting("What happens in a run; absent: watch until stopped", default=None)
+    output: OutputConfig = setting("What a run leaves behind", default=OutputConfig(), source="runs/latest")
 
     @property
     def own_device(self) -> DeviceConfig | None:

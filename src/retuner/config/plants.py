@@ -17,34 +17,33 @@ LARGE = 1e9
 class LoadConfig(Section):
     """[[device.plant.loads]]: a recorded load on top of the plant: how a column moved from its first value on."""
 
-    file: str = setting("File with the record, as diagnose reads it", unit="-", text=(1, 1024), source="the user")
-    column: str = setting("Column of the load", unit="-", text=(1, 128), source="the user")
+    file: str = setting("File with the record, as diagnose reads it", text=(1, 1024))
+    column: str = setting("Column of the load", text=(1, 128))
     time: str = setting(
-        "Column of the time; empty: found as diagnose finds it", unit="-", text=(0, 128), default="", source="none"
+        "Column of the time; empty: found as diagnose finds it", text=(0, 128), default="", source="none"
     )
     at: Literal["input", "output"] = setting(
         "Where it acts: at the plant's input in % of co, or at its output in pv units",
-        unit="-",
         default="input",
         source="where loads act in most plants",
     )
-    scale: float = setting("Load for one of the column's", unit="-", low=-LARGE, high=LARGE, default=1.0, source="none")
+    scale: float = setting("Load for one of the column's", low=-LARGE, high=LARGE, default=1.0, source="none")
     repeat: bool = setting(
-        "Whether it begins again after its last row; else it stays there", unit="-", default=False, source="none"
+        "Whether it begins again after its last row; else it stays there", default=False, source="none"
     )
 
 
 class _PlantSection(Section):
     """What every plant has."""
 
-    loads: Many[LoadConfig] = setting("Recorded loads", unit="-", default=(), source="none")
+    loads: Many[LoadConfig] = setting("Recorded loads", default=(), source="none")
 
 
 @holding(OvenSettings)
 class OvenPlantConfig(_PlantSection):
     """[device.plant] with kind = "oven": a laboratory oven, 20 to 220 degC."""
 
-    kind: Literal["oven"] = setting("Which plant", unit="-", source="the user")
+    kind: Literal["oven"] = setting("Which plant")
     start_c: float = setting("Temperature at the start", unit="degC", low=-50, high=500, default=20.0, source="a room")
 
     def settings(self) -> OvenSettings:
@@ -55,21 +54,19 @@ class OvenPlantConfig(_PlantSection):
 class LinearPlantConfig(_PlantSection):
     """[device.plant] with kind = "linear": G(s) = k prod(1 + lead s) / (s^n prod(1 + lag s)) e^(-theta s), exact."""
 
-    kind: Literal["linear"] = setting("Which plant", unit="-", source="the user")
-    k: float = setting("Gain; per second for an integrating plant", unit="pv/%", low=-1e9, high=1e9, source="the user")
-    lags_s: Many[Annotated[float, Field(ge=0, le=1e9)]] = setting("Lags", unit="s", default=(), source="the user")
+    kind: Literal["linear"] = setting("Which plant")
+    k: float = setting("Gain; per second for an integrating plant", unit="pv/%", low=-1e9, high=1e9)
+    lags_s: Many[Annotated[float, Field(ge=0, le=1e9)]] = setting("Lags", unit="s", default=())
     leads_s: Many[Annotated[float, Field(ge=-1e9, le=1e9)]] = setting(
-        "Leads; a negative one is an inverse response", unit="s", default=(), source="the user"
+        "Leads; a negative one is an inverse response", unit="s", default=()
     )
-    theta_s: float = setting("Dead time", unit="s", low=0, high=1e7, default=0.0, source="the user")
-    integrators: int = setting("Number of integrators", unit="-", low=0, high=2, default=0, source="the user")
-    start_pv: float = setting("pv at the start, at rest", unit="pv", low=-1e9, high=1e9, default=0.0, source="the user")
+    theta_s: float = setting("Dead time", unit="s", low=0, high=1e7, default=0.0)
+    integrators: int = setting("Number of integrators", low=0, high=2, default=0)
+    start_pv: float = setting("pv at the start, at rest", unit="pv", low=-1e9, high=1e9, default=0.0)
     start_co_pct: float = setting(
         "Output that holds start_pv", unit="%", low=-200, high=200, default=50.0, source="user"
     )
-    noise: float = setting(
-        "Standard deviation of the measurement noise", unit="pv", low=0, default=0.0, source="the user"
-    )
+    noise: float = setting("Standard deviation of the measurement noise", unit="pv", low=0, default=0.0)
 
     def problems(self) -> Iterator[Problem]:
         """A process that moves and that can be built."""
@@ -87,8 +84,8 @@ class LinearPlantConfig(_PlantSection):
 class BoilerPlantConfig(_PlantSection):
     """[device.plant] with kind = "boiler": a continuous-flow boiler: gain by temperature, lag and delay by flow."""
 
-    kind: Literal["boiler"] = setting("Which plant; a load is the change of its flow", unit="-", source="the user")
-    start_c: float = setting("Temperature at the start", unit="degC", low=0, high=500, default=30.0, source="the user")
+    kind: Literal["boiler"] = setting("Which plant; a load is the change of its flow")
+    start_c: float = setting("Temperature at the start", unit="degC", low=0, high=500, default=30.0)
 
     def settings(self) -> BoilerSettings:
         """The boiler's physics as the plant takes it."""
@@ -107,34 +104,28 @@ class ModelSection(_PlantSection):
 
     shared: str = setting(
         "Name of a plant on which several loops act: those that give the same one share one model; empty: its own",
-        unit="-",
         text=(0, 64),
         default="",
-        source="the user",
     )
     input: str = setting(
-        "Input that the controller's output moves; empty where the model has one", unit="-", text=(0, 128), default="",
+        "Input that the controller's output moves; empty where the model has one",
+        text=(0, 128),
+        default="",
         source="the model",
-    )  # fmt: skip
-    output: str = setting(
-        "Output that is the loop's pv; empty where the model has one", unit="-", text=(0, 128), default="",
-        source="the model",
-    )  # fmt: skip
-    aux: str = setting(
-        "Another output, which the device publishes as PLANT.aux; empty: none", unit="-", text=(0, 128), default="",
-        source="the user",
-    )  # fmt: skip
-    load_input: str = setting(
-        "Input that the scenario's loads move; empty: they are added to co", unit="-", text=(0, 128), default="",
-        source="the user",
-    )  # fmt: skip
-    start_co_pct: float = setting(
-        "Output at the start, under which the model is at rest", unit="%", low=-200, high=200, default=50.0,
-        source="the user",
-    )  # fmt: skip
-    noise: float = setting(
-        "Standard deviation of the measurement noise", unit="pv", low=0, high=LARGE, default=0.0, source="the user"
     )
+    output: str = setting(
+        "Output that is the loop's pv; empty where the model has one", text=(0, 128), default="", source="the model"
+    )
+    aux: str = setting(
+        "Another output, which the device publishes as PLANT.aux; empty: none", text=(0, 128), default=""
+    )
+    load_input: str = setting(
+        "Input that the scenario's loads move; empty: they are added to co", text=(0, 128), default=""
+    )
+    start_co_pct: float = setting(
+        "Output at the start, under which the model is at rest", unit="%", low=-200, high=200, default=50.0
+    )
+    noise: float = setting("Standard deviation of the measurement noise", unit="pv", low=0, high=LARGE, default=0.0)
 
     @property
     def of_the_model(self) -> dict[str, object]:
@@ -155,16 +146,16 @@ class _ForeignModelSection(ModelSection):
     """What every model has that runs in a process of its own."""
 
     parameters: dict[str, Parameter] = setting(
-        "Parameters and start values by name", unit="-", default={}, source="the model's own"
+        "Parameters and start values by name", default={}, source="the model's own"
     )
     input_scale: float = setting(
-        "Of the model's input for 1 % of co", unit="-", low=-LARGE, high=LARGE, default=1.0, source="the model is in %"
+        "Of the model's input for 1 % of co", low=-LARGE, high=LARGE, default=1.0, source="the model is in %"
     )
     input_offset: float = setting(
-        "The model's input at co = 0", unit="-", low=-LARGE, high=LARGE, default=0.0, source="the model is in %"
+        "The model's input at co = 0", low=-LARGE, high=LARGE, default=0.0, source="the model is in %"
     )
     output_scale: float = setting(
-        "pv for one of the model's output", unit="-", low=-LARGE, high=LARGE, default=1.0, source="the same unit"
+        "pv for one of the model's output", low=-LARGE, high=LARGE, default=1.0, source="the same unit"
     )
     output_offset: float = setting(
         "pv where the model's output is 0", unit="pv", low=-LARGE, high=LARGE, default=0.0, source="the same unit"
@@ -178,28 +169,29 @@ class _ForeignModelSection(ModelSection):
         source="it begins at rest",
     )
     patience_s: float = setting(
-        "Time of the machine that a step, or the model's beginning, may take; then it counts as hanging", unit="s",
-        above=0, high=3600, default=60.0, source="large imports on a busy machine take half a minute",
-    )  # fmt: skip
+        "Time of the machine that a step, or the model's beginning, may take; then it counts as hanging",
+        unit="s",
+        above=0,
+        high=3600,
+        default=60.0,
+        source="large imports on a busy machine take half a minute",
+    )
 
 
 class PythonPlantConfig(_ForeignModelSection):
     """[device.plant] with kind = "python": an object with a method step(co, dt) that returns pv."""
 
-    kind: Literal["python"] = setting("Which plant", unit="-", source="the user")
-    model: str = setting(
-        'The class: "module:Class" or "folder/file.py:Class"', unit="-", text=(3, 1024), source="the user"
-    )
+    kind: Literal["python"] = setting("Which plant")
+    model: str = setting('The class: "module:Class" or "folder/file.py:Class"', text=(3, 1024))
 
 
 class FmuPlantConfig(_ForeignModelSection):
     """[device.plant] with kind = "fmu": a functional mock-up unit of FMI 2 or 3; needs the extra fmu."""
 
-    kind: Literal["fmu"] = setting("Which plant", unit="-", source="the user")
-    file: str = setting("The FMU", unit="-", text=(1, 1024), source="the user")
+    kind: Literal["fmu"] = setting("Which plant")
+    file: str = setting("The FMU", text=(1, 1024))
     interface: Literal["", "co_simulation", "model_exchange"] = setting(
         "Which interface of an FMU that has both; empty: co-simulation, where it has it",
-        unit="-",
         default="",
         source="the FMU brings its solver",
     )
@@ -211,23 +203,21 @@ class FmuPlantConfig(_ForeignModelSection):
 class StateSpacePlantConfig(ModelSection):
     """[device.plant] with kind = "state_space": matrices about the start, with dead times; exact."""
 
-    kind: Literal["state_space"] = setting("Which plant", unit="-", source="the user")
+    kind: Literal["state_space"] = setting("Which plant")
     model: str = setting(
         'A system of python-control or scipy.signal in place of matrices: "module:name" or "folder/file.py:name"',
-        unit="-",
         text=(0, 1024),
         default="",
-        source="the user",
     )
-    a: Rows = setting("Matrix A, by rows", unit="1/s", default=(), source="the user")
-    b: Rows = setting("Matrix B, inputs in %", unit="-", default=(), source="the user")
-    c: Rows = setting("Matrix C, outputs in pv units", unit="-", default=(), source="the user")
-    d: Rows = setting("Matrix D; empty: none", unit="-", default=(), source="the user")
+    a: Rows = setting("Matrix A, by rows", unit="1/s", default=())
+    b: Rows = setting("Matrix B, inputs in %", default=())
+    c: Rows = setting("Matrix C, outputs in pv units", default=())
+    d: Rows = setting("Matrix D; empty: none", default=())
     theta_s: float | Rows = setting(
         "Dead time: one, or a row for each output with one for each input", unit="s", default=0.0, source="none"
     )
-    inputs: Many[str] = setting("Names of the inputs, in the order of B's columns", unit="-", default=(), source="user")
-    outputs: Many[str] = setting("Names of the outputs, in the order of C's rows", unit="-", default=(), source="user")
+    inputs: Many[str] = setting("Names of the inputs, in the order of B's columns", default=(), source="user")
+    outputs: Many[str] = setting("Names of the outputs, in the order of C's rows", default=(), source="user")
     start_pv: float = setting("pv at the start, at rest", unit="pv", low=-LARGE, high=LARGE, default=0.0, source="user")
 
     def problems(self) -> Iterator[Problem]:
@@ -240,11 +230,11 @@ class StateSpacePlantConfig(ModelSection):
 class IdentifiedPlantConfig(_PlantSection):
     """[device.plant] with kind = "identified": the plant of a record, as `retuner identify` found it, and its load."""
 
-    kind: Literal["identified"] = setting("Which plant", unit="-", source="the user")
-    file: str = setting("What retuner identify RECORD --json printed", unit="-", text=(1, 1024), source="the user")
-    record: str = setting("The record, for its load and its start", unit="-", text=(1, 1024), source="the user")
+    kind: Literal["identified"] = setting("Which plant")
+    file: str = setting("What retuner identify RECORD --json printed", text=(1, 1024))
+    record: str = setting("The record, for its load and its start", text=(1, 1024))
     load: Literal["alike", "recorded"] = setting(
-        "Another load of the same spectrum, or the record's own", unit="-", default="alike", source="the user"
+        "Another load of the same spectrum, or the record's own", default="alike"
     )
 
 

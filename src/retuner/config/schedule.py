@@ -35,7 +35,7 @@ def _number(meaning: str, unit: str, low: float = -1e9) -> Any:  # noqa: ANN401 
 class RegionConfig(Section):
     """[[schedule.region]]: the gains of one operating region, in the units in which they stand on the controller."""
 
-    name: str = setting("Name of the region in reports", unit="-", text=(1, 32), source="the user")
+    name: str = setting("Name of the region in reports", text=(1, 32))
     kc: float | None = _number(
         "Controller gain of the named form, or gain or pb_pct; negative where [loop] action is not given and the "
         "controller is direct-acting",
@@ -61,7 +61,6 @@ class RegionConfig(Section):
     tau_d_min: float | None = _number("In place of tau_d_s: the same in minutes", "min", low=0)
     form: Literal["series", "ideal", "parallel"] = setting(
         "Form of these numbers; parallel means the times are kp/ki and kd/kp",
-        unit="-",
         default="series",
         source="SIMC's native form",
     )
@@ -69,7 +68,6 @@ class RegionConfig(Section):
     cell: Many[Annotated[int, Field(ge=1, le=64)]] = setting(
         "With two axes the place on each, counted from 1; for all regions or for none; if none, the second axis "
         "counts fastest",
-        unit="-",
         text=(0, 2),
         default=(),
         source="the order in the file",
@@ -77,13 +75,11 @@ class RegionConfig(Section):
 
     mode: Literal["off", "advise", "trial", "auto"] | None = setting(
         "What may be done in this region; absent: [adaptation] mode. --mode lowers it and does not raise it",
-        unit="-",
         default=None,
         source="user",
     )
     locked: Many[Literal["kc", "tau_i", "tau_d"]] | None = setting(
         "Parameters that stay as they are in this region; absent: those of [adaptation] locked",
-        unit="-",
         default=None,
         source="user",
     )
@@ -133,11 +129,9 @@ class RegionConfig(Section):
 class AxisConfig(Section):
     """[[schedule.axis]]: one scheduling variable and the boundaries on it; one or two of these."""
 
-    variable: Literal["sp", "pv", "co", "can"] = setting(
-        "What the gains follow; can: another signal on the bus", unit="-", source="the user"
-    )
+    variable: Literal["sp", "pv", "co", "can"] = setting("What the gains follow; can: another signal on the bus")
     unit: str | None = setting(
-        "Unit of the variable; absent: that of sp, pv or co", unit="-", text=(1, 16), default=None, source="[loop]"
+        "Unit of the variable; absent: that of sp, pv or co", text=(1, 16), default=None, source="[loop]"
     )
     range: Many[Edge] = setting(
         "Lower and upper end of the variable; empty: those of sp, pv or co",
@@ -146,7 +140,7 @@ class AxisConfig(Section):
         default=(),
         source="[loop]",
     )
-    bounds: Many[float] = setting("Boundaries on the axis, increasing", unit="unit", default=(), source="the user")
+    bounds: Many[float] = setting("Boundaries on the axis, increasing", unit="unit", default=())
     hysteresis: float = setting(
         "How far beyond a boundary a place is kept",
         unit="unit",
@@ -155,7 +149,7 @@ class AxisConfig(Section):
         default=0.0,
         source="more than the noise that the filter leaves",
     )
-    min_stay_s: float = setting("Shortest stay in a place", unit="s", low=0, high=1e6, default=0.0, source="the user")
+    min_stay_s: float = setting("Shortest stay in a place", unit="s", low=0, high=1e6, default=0.0)
     filter_s: float = setting(
         "Time constant of the first-order filter of the variable; 0: none",
         unit="s",
@@ -167,15 +161,11 @@ class AxisConfig(Section):
     dbc: str = setting(
         "With can: DBC file that describes the signal, relative to where the command runs; empty: the virtual device's "
         "own plant.dbc",
-        unit="-",
         text=(0, 1024),
         default="",
-        source="the user",
     )
-    message: str = setting(
-        "With can: name of the message in the DBC", unit="-", text=(0, 128), default="", source="the DBC"
-    )
-    signal: str = setting("With can: name of the signal in it", unit="-", text=(0, 128), default="", source="the DBC")
+    message: str = setting("With can: name of the message in the DBC", text=(0, 128), default="", source="the DBC")
+    signal: str = setting("With can: name of the signal in it", text=(0, 128), default="", source="the DBC")
     stale_after_s: float = setting(
         "With can: age of the last value after which the variable is not known; the region then stays, and no model is "
         "updated",
@@ -197,15 +187,12 @@ class AxisConfig(Section):
         if self.variable == CAN:
             yield from (Problem((key,), f"is missing; {what}") for key, what in NEEDED if not getattr(self, key))
         else:
-            yield from self._misplaced()
-
-    def _misplaced(self) -> Iterator[Problem]:
-        """What only a signal on the bus has."""
-        named = [key for key in ("dbc", "message", "signal") if getattr(self, key)]
-        for key in named + ["stale_after_s"] * (self.stale_after_s != STALE_AFTER_S):
-            yield Problem(
-                (key,), f'belongs to variable = "{CAN}"; {self.variable} comes with every sample: leave it out'
-            )
+            # what only a signal on the bus has
+            named = [key for key in ("dbc", "message", "signal") if getattr(self, key)]
+            for key in named + ["stale_after_s"] * (self.stale_after_s != STALE_AFTER_S):
+                yield Problem(
+                    (key,), f'belongs to variable = "{CAN}"; {self.variable} comes with every sample: leave it out'
+                )
 
     def limits(self, unit: str, low: float, high: float) -> tuple[str, float, float]:
         """Unit and ends; unit, low, high : those of the variable in the loop, where they are not given here."""
@@ -232,12 +219,9 @@ NEEDED = (
 class ScheduleConfig(Section):
     """[schedule]: regions along a scheduling variable; [[schedule.axis]] for two, or for a signal on the bus."""
 
-    variable: Literal["sp", "pv", "co"] = setting("What the gains follow", unit="-", default="sp", source="sp is quiet")
+    variable: Literal["sp", "pv", "co"] = setting("What the gains follow", default="sp", source="sp is quiet")
     bounds: Many[float] = setting(
-        "Boundaries between the regions, increasing; none for a single region",
-        unit="pv or %",
-        default=(),
-        source="the user",
+        "Boundaries between the regions, increasing; none for a single region", unit="pv or %", default=()
     )
     hysteresis: float = setting(
         "How far beyond a boundary a region is kept",
@@ -247,7 +231,7 @@ class ScheduleConfig(Section):
         default=0.0,
         source="more than the noise of the variable; 0 suits sp",
     )
-    min_stay_s: float = setting("Shortest stay in a region", unit="s", low=0, high=1e6, default=0.0, source="the user")
+    min_stay_s: float = setting("Shortest stay in a region", unit="s", low=0, high=1e6, default=0.0)
     filter_s: float = setting(
         "Time constant of the first-order filter of the variable; 0: none",
         unit="s",
@@ -258,22 +242,18 @@ class ScheduleConfig(Section):
     )
     lookup: Literal["hard", "interpolated"] = setting(
         "hard: the gains of the region; interpolated: weighted between the regions' centres",
-        unit="-",
         default="hard",
         source="the simplest to judge",
     )
     proposal: str = setting(
         "Hash of the proposal from which `retuner approve --into` took this schedule; the ledger of a run tells it",
-        unit="-",
         text=(0, 64),
         default="",
         source="retuner",
     )
-    axis: Many[AxisConfig] = setting(
-        "One or two [[schedule.axis]] in place of the keys above", unit="-", text=(0, 2), default=(), source="the user"
-    )
+    axis: Many[AxisConfig] = setting("One or two [[schedule.axis]] in place of the keys above", text=(0, 2), default=())
     region: Many[RegionConfig] = setting(
-        "One [[schedule.region]] for each region, from the lowest to the highest", unit="-", text=(1, 64), source="user"
+        "One [[schedule.region]] for each region, from the lowest to the highest", text=(1, 64), source="user"
     )
 
     @property

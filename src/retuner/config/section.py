@@ -63,8 +63,8 @@ class Section(BaseModel):
 def setting(
     meaning: str,
     *,
-    unit: str,
-    source: str,
+    unit: str = "-",
+    source: str = "the user",
     default: object = PydanticUndefined,
     low: float | None = None,
     high: float | None = None,

@@ -59,10 +59,7 @@ class SessionConfig:
     def place(self, name: str | None) -> int:
         """Index of the loop of this name; without a name that of the only one.
 
-        Raises
-        ------
-        UserError
-            There is no such loop, or no name was given and there are several.
+        Raises UserError: there is no such loop, or no name was given and there are several.
         """
         if name is None and len(self.loops) > 1:
             raise UserError(f"--loop: there are {len(self.loops)} loops, name one of {', '.join(self.names)}")

@@ -69,8 +69,10 @@ def article(view: DecisionView) -> str:
 
     response = response_svg(view)
     drawing = robustness_svg(view, ms_limit(view))
+    mode = words(view.document, "mode")
+    parts_ = [f"region {words(view.document, 'region')}", f"{view.t_s:,.0f} s", f"mode {mode}" if mode else ""]
     body = [
-        f'<p>{badge(view)} <span class="muted">{escaped(_place(view))}</span></p>',
+        f'<p>{badge(view)} <span class="muted">{escaped(", ".join(one for one in parts_ if one))}</span></p>',
         paragraph(headline(view), "lead"),
         section("The response", response, paragraph(_how_it_ended(view), "muted")),
         judgement_section(view),
@@ -93,12 +95,6 @@ def badge(view: DecisionView) -> str:
     tone = TONES.get(view.action, TONES["none"])
     what = "The trial settings stay" if stays(view.document) else DONE.get(view.action, view.action)
     return f'<span class="badge {tone}">{escaped(what)}</span>'
-
-
-def _place(view: DecisionView) -> str:
-    mode = words(view.document, "mode")
-    parts_ = [f"region {words(view.document, 'region')}", f"{view.t_s:,.0f} s", f"mode {mode}" if mode else ""]
-    return ", ".join(one for one in parts_ if one)
 
 
 def _how_it_ended(view: DecisionView) -> str:

@@ -46,10 +46,7 @@ class DecideHere:
     ----------
     delay_samples : so many, 0 or more.
 
-    Raises
-    ------
-    ValueError
-        The delay is negative.
+    Raises ValueError: the delay is negative.
     """
 
     def __init__(self, delay_samples: int = 0) -> None:

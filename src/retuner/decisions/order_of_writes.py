@@ -31,10 +31,7 @@ class OrderOfWrites:
     def __call__(self, old: Mapping[str, float], new: Mapping[str, float], back: bool) -> tuple[int, ...]:
         """The messages in their order.
 
-        Raises
-        ------
-        WriteRefusedError
-            No order is proved, and this is neither the way back nor accepted by the user.
+        Raises WriteRefusedError: no order is proved, and this is neither the way back nor accepted by the user.
         """
         ways = list(self._units.ways(old, new))
         proved = self._proved(ways, (self._units.of(old), self._units.of(new)))

@@ -68,10 +68,7 @@ def same_proposal(body: Mapping[str, Any], found: "Refinement | None", *, rounde
 def table_in(body: Mapping[str, Any]) -> GainTable:
     """The schedule of a row.
 
-    Raises
-    ------
-    KeyError, ValueError
-        The row is not what a session writes.
+    Raises KeyError, ValueError: the row is not what a session writes.
     """
     return from_toml(str(body["table"]))
 

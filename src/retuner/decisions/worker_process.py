@@ -25,10 +25,7 @@ MOST_EXPENDABLE = "1000"
 def send(pipe: IO[bytes], message: object) -> None:
     """Put a message on a pipe.
 
-    Raises
-    ------
-    OSError
-        The other end is gone.
+    Raises OSError: the other end is gone.
     """
     body = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     pipe.write(LENGTH.pack(len(body)) + body)
@@ -38,10 +35,7 @@ def send(pipe: IO[bytes], message: object) -> None:
 def receive(pipe: IO[bytes]) -> object:
     """Take the next message from a pipe.
 
-    Raises
-    ------
-    EOFError
-        The other end is gone.
+    Raises EOFError: the other end is gone.
     """
     head = pipe.read(LENGTH.size)
     if len(head) < LENGTH.size:

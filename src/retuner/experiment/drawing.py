@@ -31,7 +31,11 @@ def experiment_figure(
         curve = ExplainedCurve.of("fitted model under the same co", window, fitted_pv(window, found.fit.estimate))
         top.plot(np.interp(curve.t_s, window.t_s, x), curve.pv, color=FIXED, lw=1.6, alpha=0.9, label=curve.name)
     _readings(top, x, window, found)
-    _band(top, window, band)
+    # limits that lie within twice the record's range
+    reach = float(np.ptp(window.pv))
+    for limit in band or ():
+        if float(np.min(window.pv)) - reach < limit < float(np.max(window.pv)) + reach:
+            top.axhline(limit, color=MARK, lw=0.8, ls=":")
     bottom.step(x, window.co, where="post", color=PV, lw=0.9)
     top.set_title(title, fontsize=10)
     top.set_ylabel(f"pv, sp [{unit}]")
@@ -53,11 +57,3 @@ def _readings(axes: Axes, x: FloatArray, window: Window, found: Findings) -> Non
     for i, level in enumerate((cycle.pv_high, cycle.pv_low)):
         label = f"Ku {cycle.ku:.3g} +- {cycle.ku_std:.1g}, Pu {cycle.pu_s:.4g} +- {cycle.pu_std_s:.1g} s"
         axes.plot(x[inside][[0, -1]], [level, level], color=MARK, lw=1.0, label=None if i else label)
-
-
-def _band(axes: Axes, window: Window, band: tuple[float, float] | None) -> None:
-    """Limits that lie within twice the record's range."""
-    reach = float(np.ptp(window.pv))
-    for limit in band or ():
-        if float(np.min(window.pv)) - reach < limit < float(np.max(window.pv)) + reach:
-            axes.axhline(limit, color=MARK, lw=0.8, ls=":")

@@ -109,17 +109,19 @@ class Findings:
 def evaluate(window: Window, question: Question) -> Findings:
     """Everything that the record says.
 
-    Raises
-    ------
-    UserError
-        The rule that was asked for refuses.
+    Raises UserError: the rule that was asked for refuses.
     """
     found = Findings(question.kind)
     readers = {Kind.STEP: _read_step, Kind.SETPOINT: _read_setpoint, Kind.RELAY: _read_relay, ULTIMATE: _read_swing}
     if question.kind != ULTIMATE:
         _fit(found, window, question)
     readers[question.kind](found, window, question)
-    _choose(found, question)
+    try:
+        name, found.chosen = _asked_for(found, question)
+    except ValueError as refusal:
+        raise UserError(f"--rule {question.rule}: {refusal}") from refusal
+    if found.chosen is not None:
+        found.offers = {name: found.chosen, **{n: offer for n, offer in found.offers.items() if n != name}}
     return found
 
 
@@ -218,15 +220,6 @@ def _offer_ultimate(found: Findings, ku: float, pu_s: float) -> None:
     found.ultimate = ku, pu_s
     for rule, kind in ULTIMATE_RULES:
         found.offers[f"{rule} {kind}"] = tune(found.model, rule, kind=kind, ku=ku, pu=pu_s)
-
-
-def _choose(found: Findings, question: Question) -> None:
-    try:
-        name, found.chosen = _asked_for(found, question)
-    except ValueError as refusal:
-        raise UserError(f"--rule {question.rule}: {refusal}") from refusal
-    if found.chosen is not None:
-        found.offers = {name: found.chosen, **{n: offer for n, offer in found.offers.items() if n != name}}
 
 
 def _asked_for(found: Findings, question: Question) -> tuple[str, TuneResult | None]:

@@ -34,11 +34,8 @@ Same = Callable[[PidGains, PidGains], bool]
 def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
     """The configuration's text with the table's gains, and a line on each region that changed.
 
-    Raises
-    ------
-    UserError
-        The configuration cannot be read, its regions are not the table's, or a set has no form that it can be written
-        in; nothing was changed.
+    Raises UserError: the configuration cannot be read, its regions are not the table's, or a set has no form that it
+    can be written in; nothing was changed.
     """
     session, text = load_session(path)
     if session.several and table.loop not in session.names:

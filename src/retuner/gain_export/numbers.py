@@ -86,10 +86,7 @@ def csv_table(table: GainTable, units: ControllerUnits | None = None) -> str:
 
     units : those of a controller, whose own numbers stand in place of the ideal form.
 
-    Raises
-    ------
-    ValueError
-        That controller cannot hold a set.
+    Raises ValueError: that controller cannot hold a set.
     """
     axes = range(len(table.regions.axes))
     heads = [part for i in axes for part in (f"low{i + 1}", f"high{i + 1}", f"unit{i + 1}")]
@@ -135,10 +132,7 @@ def _cell(text: str) -> str:
 def dbc_table(table: GainTable) -> str:
     """A message a region with kp, ki and kd as float32 signals whose start values are the gains.
 
-    Raises
-    ------
-    ValueError
-        There are more regions than identifiers.
+    Raises ValueError: there are more regions than identifiers.
     """
     if len(table.gains) > MOST_REGIONS:
         raise ValueError(f"{len(table.gains)} regions; a DBC is made for at most {MOST_REGIONS}")
@@ -149,7 +143,8 @@ def dbc_table(table: GainTable) -> str:
         comments.append(f'CM_ BO_ {frame} "{comment(name)}: {comment(table.regions.text(i))}";')
         for k, gain in enumerate(GAIN_NAMES):
             messages.append(f' SG_ {gain} : {32 * k}|32@1- (1,0) [0|0] "" controller')
-            starts.append(f'BA_ "GenSigStartValue" SG_ {frame} {gain} {_single(getattr(gains, gain))!r};')
+            # A gain as the wire carries it
+            starts.append(f'BA_ "GenSigStartValue" SG_ {frame} {gain} {array("f", [getattr(gains, gain)])[0]!r};')
             types.append(f"SIG_VALTYPE_ {frame} {gain} : 1;")
         starts.append(f'BA_ "VFrameFormat" BO_ {frame} 14;')
         messages.append("")
@@ -170,8 +165,3 @@ FRAME_FORMATS = (
     "reserved", "reserved", "reserved", "reserved", "reserved", "StandardCAN_FD", "ExtendedCAN_FD",
 )  # fmt: skip
 """What Vector's attribute of a message's frame format may be, in its order."""
-
-
-def _single(value: float) -> float:
-    """A gain as the wire carries it."""
-    return array("f", [value])[0]

@@ -41,11 +41,8 @@ def schedule_into(path: Path, table: GainTable, ran: Config, note: str, ended: G
     table : as proposed. ran : the loop as the session ran it. note : a comment above the section. ended : the gains at
     the session's end, where they are known; the configuration may have them by now.
 
-    Raises
-    ------
-    UserError
-        The configuration cannot be read, is of another loop, has a region that somebody holds, or would be refused or
-        read as another schedule.
+    Raises UserError: the configuration cannot be read, is of another loop, has a region that somebody holds, or would
+    be refused or read as another schedule.
     """
     session, text = load_session(path)
     # Index of the loop that the session ran

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from retuner.gain_export.numbers import AxisNumbers, TableNumbers, comment, finite
+from retuner.gain_export.numbers import TableNumbers, comment, finite
 
 
 def structured_text(table: TableNumbers, source: str) -> str:
@@ -84,7 +84,19 @@ def _body(table: TableNumbers) -> Iterable[str]:
     yield "dt_s := t_s - last_s;"
     yield "IF dt_s >= 0.0 THEN"
     for n, axis in enumerate(table.axes, 1):
-        yield from _move(n, axis)
+        if axis.filter_s:
+            yield f"    w := dt_s / ({axis.filter_s!r} + dt_s);"
+            yield f"    y{n} := (1.0 - w) * y{n} + w * x{n};"
+        else:
+            yield f"    y{n} := x{n};"
+        outside = f"(y{n} < floors{n}[part{n}]) OR (y{n} > ceilings{n}[part{n}])"
+        yield f"    IF ({outside}) AND (t_s - since{n} >= {axis.min_stay_s!r}) THEN"
+        yield from _bisect(f"place{n}", f"bounds{n}", len(axis.bounds), f"y{n}", "        ")
+        yield f"        IF place{n} <> part{n} THEN"
+        yield f"            part{n} := place{n};"
+        yield f"            since{n} := t_s;"
+        yield "        END_IF;"
+        yield "    END_IF;"
     yield "    last_s := t_s;"
     yield "END_IF;"
     second = f" * {len(table.axes[1].centres)} + part2" if len(table.axes) > 1 else ""
@@ -101,22 +113,6 @@ def _bisect(found: str, knots: str, count: int, value: str, inner: str) -> Itera
         yield f"{inner}        {found} := i + 1;"
         yield f"{inner}    END_IF;"
         yield f"{inner}END_FOR;"
-
-
-def _move(n: int, axis: AxisNumbers) -> Iterable[str]:
-    if axis.filter_s:
-        yield f"    w := dt_s / ({axis.filter_s!r} + dt_s);"
-        yield f"    y{n} := (1.0 - w) * y{n} + w * x{n};"
-    else:
-        yield f"    y{n} := x{n};"
-    outside = f"(y{n} < floors{n}[part{n}]) OR (y{n} > ceilings{n}[part{n}])"
-    yield f"    IF ({outside}) AND (t_s - since{n} >= {axis.min_stay_s!r}) THEN"
-    yield from _bisect(f"place{n}", f"bounds{n}", len(axis.bounds), f"y{n}", "        ")
-    yield f"        IF place{n} <> part{n} THEN"
-    yield f"            part{n} := place{n};"
-    yield f"            since{n} := t_s;"
-    yield "        END_IF;"
-    yield "    END_IF;"
 
 
 def _hard() -> Iterable[str]:

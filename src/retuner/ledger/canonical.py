@@ -12,10 +12,8 @@ from collections.abc import Mapping, Sequence
 def canonical_json(value: object) -> str:
     """The canonical text of a value made of mappings with text keys, sequences, text, numbers, true, false and None.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite, a key is no text, or a value is of another kind; the message has its path.
+    Raises ValueError: a number is not finite, a key is no text, or a value is of another kind; the message has its
+    path.
     """
     _check(value, "body")
     return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)

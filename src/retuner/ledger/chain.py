@@ -63,10 +63,7 @@ class ChainReport:
 def next_row(previous: str, seq: int, clock_s: float, kind: str, text: str) -> Row:
     """The row that follows the one with hash `previous`. text : the body as canonical JSON.
 
-    Raises
-    ------
-    ValueError
-        clock_s is not finite.
+    Raises ValueError: clock_s is not finite.
     """
     covered = canonical_json([previous, seq, float(clock_s), kind, text])
     return Row(seq, float(clock_s), kind, text, previous, hashlib.sha256(covered.encode("utf-8")).hexdigest())

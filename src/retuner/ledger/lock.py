@@ -21,10 +21,7 @@ ATTEMPTS = 100  # each one fails only when another writer ended at this very mom
 class WriterLock:
     """Hold the lock of the ledger at path until close().
 
-    Raises
-    ------
-    LedgerError
-        Another process holds it, or the file cannot be made.
+    Raises LedgerError: another process holds it, or the file cannot be made.
     """
 
     def __init__(self, path: Path) -> None:

@@ -90,10 +90,7 @@ class Trend:
 def require_writer(kind: str) -> None:
     """Refuse a kind of trend that cannot be written here, before a run whose trend it would be.
 
-    Raises
-    ------
-    UserError
-        Parquet is wanted and pyarrow is not installed.
+    Raises UserError: parquet is wanted and pyarrow is not installed.
     """
     if kind == "parquet" and importlib.util.find_spec("pyarrow") is None:
         raise UserError(NO_PYARROW)
@@ -102,10 +99,7 @@ def require_writer(kind: str) -> None:
 def write_trend(stem: Path, trend: Trend, kind: str) -> Path:
     """Write a trend as stem.csv or stem.parquet, whole or not at all; returns the path.
 
-    Raises
-    ------
-    UserError
-        Parquet is wanted and pyarrow is not installed. OSError: see write_whole.
+    Raises UserError: parquet is wanted and pyarrow is not installed. OSError: see write_whole.
     """
     path = stem.with_suffix(f".{kind}")
     if kind == "parquet":

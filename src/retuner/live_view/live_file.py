@@ -63,10 +63,7 @@ class LiveWriter:
     ----------
     path : a new file. head : the document that does not change.
 
-    Raises
-    ------
-    OSError
-        The file cannot be made. Later, nothing is raised: `trouble` says why nothing more is written.
+    Raises OSError: the file cannot be made. Later, nothing is raised: `trouble` says why nothing more is written.
     """
 
     def __init__(self, path: Path, head: Mapping[str, object]) -> None:
@@ -106,7 +103,9 @@ class LiveWriter:
             block = self._blocks[ring]
             block.append(row)
             if len(block) == BLOCK:
-                for kept in _extremes(block):
+                # the samples of the least and the greatest pv, in the order of time
+                chosen = {min(range(BLOCK), key=lambda i: block[i][2]), max(range(BLOCK), key=lambda i: block[i][2])}
+                for kept in [block[i] for i in sorted(chosen | ({BLOCK - 1} if len(chosen) == 1 else set()))]:
                     self._into(ring + 1, kept)
                 block.clear()
 
@@ -117,12 +116,6 @@ class LiveWriter:
             os.pwrite(self._file, raw, at)
         except OSError as error:
             self.trouble = error.strerror or str(error)
-
-
-def _extremes(block: list[Row]) -> list[Row]:
-    """The samples of the least and the greatest pv, in the order of time."""
-    chosen = {min(range(BLOCK), key=lambda i: block[i][2]), max(range(BLOCK), key=lambda i: block[i][2])}
-    return [block[i] for i in sorted(chosen | ({BLOCK - 1} if len(chosen) == 1 else set()))]
 
 
 def _document(document: Mapping[str, object]) -> bytes:
@@ -142,10 +135,7 @@ class Fresh(NamedTuple):
 class LiveReader:
     """Reads one, while it is written or afterwards.
 
-    Raises
-    ------
-    LiveFileError
-        It is no live file of this release.
+    Raises LiveFileError: it is no live file of this release.
     """
 
     def __init__(self, path: Path) -> None:

@@ -135,7 +135,12 @@ class LiveScreen:
 
     def picture(self, width: int, height: int) -> RenderableType:
         """The live view in so much room."""
-        lines = [self._title_line(width)]
+        # what runs, and how far it is
+        room = max(min(width // 4, 30), 5)
+        done = round(room * self._progress)
+        full, empty = ("#", ".") if self._ascii else ("█", "░")
+        bar = f"{full * done}{empty * (room - done)} {self._progress:4.0%}" if self._progress else ""
+        lines = [fitted(Text.assemble((self._title, "bold reverse"), "  ", (bar, "green")), width)]
         if len(self._seen) * PANEL_LINES + 1 <= height:
             for name, seen in self._seen.items():
                 lines += loop_lines(seen, self._units[name], self._pv[name], width, ascii_only=self._ascii)
@@ -146,14 +151,6 @@ class LiveScreen:
             left = len(self._seen) - len(shown)
             lines += [Text(f"  and {left} more loops")] if left else []
         return Group(*lines)
-
-    def _title_line(self, width: int) -> Text:
-        """What runs, and how far it is."""
-        room = max(min(width // 4, 30), 5)
-        done = round(room * self._progress)
-        full, empty = ("#", ".") if self._ascii else ("█", "░")
-        bar = f"{full * done}{empty * (room - done)} {self._progress:4.0%}" if self._progress else ""
-        return fitted(Text.assemble((self._title, "bold reverse"), "  ", (bar, "green")), width)
 
     def _draw(self) -> None:
         if self._display is not None:

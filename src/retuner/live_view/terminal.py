@@ -1,10 +1,12 @@
 """The lines of the live view, made for a width: none is ever longer, so none wraps.
 
 Where there is not room for all, what comes last in a line goes first; a cut is marked by an ellipsis.
+
+A small trace of a signal in a line of characters.
 """
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from rich.cells import cell_len
 from rich.text import Text
@@ -22,8 +24,33 @@ from retuner.decision_page.explain import (
 )
 from retuner.errors import one_line
 from retuner.live_view.loop_seen import LoopSeen, RegionSeen
-from retuner.live_view.trace import BARS, PLAIN, trace
 from retuner.report.console import COLOURS, KEPT, UNDONE, short_reason
+
+# ---- A small trace of a signal in a line of characters
+
+BARS = "▁▂▃▄▅▆▇█"
+PLAIN = "_.-=*#"
+"""For terminals that show ASCII only."""
+
+
+def trace(values: Sequence[float], width: int, marks: str = BARS) -> str:
+    """The values from left to right in so many characters: each column shows the mean of its share."""
+    if width < 1 or not values:
+        return ""
+    columns = [_share(values, i, width) for i in range(min(width, len(values)))]
+    low, high = min(columns), max(columns)
+    if high - low <= 1e-9 * max(abs(low), abs(high), 1e-9):
+        return marks[0] * len(columns)
+    top = len(marks) - 1
+    return "".join(marks[round(top * (value - low) / (high - low))] for value in columns)
+
+
+def _share(values: Sequence[float], i: int, width: int) -> float:
+    """Mean of the i-th of so many equal shares."""
+    count = min(width, len(values))
+    part = values[len(values) * i // count : len(values) * (i + 1) // count]
+    return sum(part) / len(part)
+
 
 INDENT = 11
 """Columns before the second line of a decision: as many as its time takes."""

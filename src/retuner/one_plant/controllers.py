@@ -15,10 +15,7 @@ def on_one_plant(*controllers: PidController) -> None:
     ----------
     controllers : two or more, stepped in turn, each once a sample time, with the same clock.
 
-    Raises
-    ------
-    ValueError
-        There are fewer than two, or one makes its decisions in the background.
+    Raises ValueError: there are fewer than two, or one makes its decisions in the background.
 
     Examples
     --------

@@ -128,10 +128,7 @@ class Replay:
     def run(self) -> Replayed:
         """Take the whole log, or what there is of it.
 
-        Raises
-        ------
-        UserError
-            There is no log.
+        Raises UserError: there is no log.
         """
         result, known = self._result, self._session.bus_log_sha256
         log = self._session.bus_log
@@ -204,7 +201,19 @@ class Replay:
                 )
                 return
             try:
-                self._row(row)
+                # one row: a decision to compare, or something that the retuner was told
+                if row.kind == "decision":
+                    self._compare(row)
+                elif row.kind == ROW:
+                    # A schedule that was proposed, with the one that the records ask for now
+                    found = refined(self._retuner)
+                    if not same_proposal(row.body, found, rounded=self._result.engines is not None):
+                        now = MISSING if found is None else found.sentence
+                        self._result.difference = Difference(0, row.seq, ROW, row.body["reason"], now)
+                elif row.kind == "link" and row.body["state"] != "up":
+                    self._heard.contact_lost()
+                else:
+                    self._decided(feed(self._retuner, row.kind, row.body, row.clock_s))
             except (KeyError, TypeError, ValueError) as error:
                 self._result.stopped = (
                     f"row {row.seq} of the ledger is not what a session of this release writes: {error}"
@@ -220,21 +229,6 @@ class Replay:
         while self._next < len(self._rows) and self._rows[self._next].body.get("samples") == samples:
             self._next += 1
             yield self._rows[self._next - 1]
-
-    def _row(self, row: Row) -> None:
-        """One row: a decision to compare, or something that the retuner was told."""
-        if row.kind == "decision":
-            self._compare(row)
-        elif row.kind == ROW:
-            # A schedule that was proposed, with the one that the records ask for now
-            found = refined(self._retuner)
-            if not same_proposal(row.body, found, rounded=self._result.engines is not None):
-                now = MISSING if found is None else found.sentence
-                self._result.difference = Difference(0, row.seq, ROW, row.body["reason"], now)
-        elif row.kind == "link" and row.body["state"] != "up":
-            self._heard.contact_lost()
-        else:
-            self._decided(feed(self._retuner, row.kind, row.body, row.clock_s))
 
     def _compare(self, row: Row) -> None:
         """A decision of the ledger with the one that was made again in its place."""
@@ -301,16 +295,21 @@ FROM_LOG = ("t", "sp", "pv", "co", "region")
 def recorded_columns(session: RecordedSession) -> Columns:
     """The samples by column.
 
-    Raises
-    ------
-    UserError
-        There is neither a trend nor a bus log with samples, or the trend is none of ours.
+    Raises UserError: there is neither a trend nor a bus log with samples, or the trend is none of ours.
     """
-    csv, parquet = (session.folder / TREND).with_suffix(".csv"), (session.folder / TREND).with_suffix(".parquet")
+    csv, path = (session.folder / TREND).with_suffix(".csv"), (session.folder / TREND).with_suffix(".parquet")
     if csv.is_file():
         return _csv(csv)
-    if parquet.is_file():
-        return _parquet(parquet)
+    if path.is_file():
+        try:
+            from pyarrow import ArrowException, parquet  # noqa: PLC0415  an extra, loaded when wanted
+        except ImportError:
+            raise UserError(f"{path}: {NO_PYARROW}") from None
+        try:
+            table = parquet.read_table(path)
+        except (ArrowException, OSError) as error:
+            raise UserError(f"{path}: is damaged: {error}") from None
+        return _checked(path, {name: table[name].to_numpy().astype(np.float64) for name in table.column_names})
     try:
         # The samples of the bus log; without its beginning, in which the host got to know the device, as a
         # bystander
@@ -345,18 +344,6 @@ def _csv(path: Path) -> Columns:
     except ValueError as error:
         raise UserError(f"{path}: is damaged: {error}") from None
     return _checked(path, {name: table[:, i] for i, name in enumerate(names)} if table.size else {})
-
-
-def _parquet(path: Path) -> Columns:
-    try:
-        from pyarrow import ArrowException, parquet  # noqa: PLC0415  an extra, loaded when wanted
-    except ImportError:
-        raise UserError(f"{path}: {NO_PYARROW}") from None
-    try:
-        table = parquet.read_table(path)
-    except (ArrowException, OSError) as error:
-        raise UserError(f"{path}: is damaged: {error}") from None
-    return _checked(path, {name: table[name].to_numpy().astype(np.float64) for name in table.column_names})
 
 
 def _checked(path: Path, columns: Columns) -> Columns:

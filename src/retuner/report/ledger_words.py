@@ -131,7 +131,11 @@ class Teller:
         }
         plain = WORDS.get(kind, _event if kind in EVENTS else _other)({**body, **about, "kind": kind})
         texts = [_in_unit(text, words(about, "pv_unit")) for text in plain]
-        self._propose(kind, body, where)
+        # take note of the proposal that waits in a region, until other gains are active there
+        if kind == "decision" and words(body, "action") == "advise":
+            self._open[where] = f"decision {int(number(body, 'number') or 0)}"
+        elif kind == "committed" or (kind == "decision" and words(body, "code") == EDITED):
+            self._open.pop(where, None)
         head = kind, _who(kind, body), words(body, "loop"), words(body, "region")
         return LedgerLine(row.seq, row.clock_s, *map(one_line, (*head, *texts)))
 
@@ -140,13 +144,6 @@ class Teller:
         loops = [part(one, "loop") for one in (parts(config, "loops") or [config])]
         self._several = len(loops) > 1
         self._units = {words(one, "name"): words(one, "pv_unit") or "pv" for one in loops}
-
-    def _propose(self, kind: str, body: Document, where: tuple[str, str]) -> None:
-        """Take note of the proposal that waits in a region, until other gains are active there."""
-        if kind == "decision" and words(body, "action") == "advise":
-            self._open[where] = f"decision {int(number(body, 'number') or 0)}"
-        elif kind == "committed" or (kind == "decision" and words(body, "code") == EDITED):
-            self._open.pop(where, None)
 
     def _decision(self, digest: str, where: tuple[str, str]) -> str:
         """The decision of that hash by its number, where it is the region's newest one."""

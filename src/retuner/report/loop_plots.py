@@ -28,10 +28,7 @@ OUT_OF_SIGHT = 1e9
 def trend_figure(trend: LoopTrend) -> Figure:
     """Setpoint and pv above, co below; a line where gains changed.
 
-    Raises
-    ------
-    ValueError
-        The trend has no samples.
+    Raises ValueError: the trend has no samples.
     """
     if not len(trend.t_s):
         raise ValueError("no samples yet: nothing to draw")

@@ -47,27 +47,6 @@ def trend_svg(run: Columns, fixed: Columns | None, marks: Sequence[Mark], region
         return svg(trend_figure(run, fixed, marks, regions, unit), "Trend with the regions")
 
 
-def _bands(axes: Axes, hours: np.ndarray, region: np.ndarray, regions: Regions) -> None:
-    """Colour the time spent in each region, with its name once at the top."""
-    starts = np.flatnonzero(np.diff(region, prepend=region[0] - 1))
-    ends = [*starts[1:].tolist(), len(region) - 1]
-    named: set[int] = set()
-    for start, end in zip(starts.tolist(), ends, strict=True):
-        i = int(region[start])
-        axes.axvspan(hours[start], hours[end], color=BANDS[i % len(BANDS)], lw=0)
-        if i not in named and hours[end] - hours[start] > 0.05 * (hours[-1] - hours[0]):
-            named.add(i)
-            axes.text(
-                (hours[start] + hours[end]) / 2,
-                1.01,
-                regions.names[i],
-                transform=axes.get_xaxis_transform(),
-                ha="center",
-                va="bottom",
-                fontsize=10,
-            )
-
-
 def time_axis(t_s: np.ndarray) -> tuple[np.ndarray, str]:
     """Time in the unit that suits the length: hours, minutes or seconds."""
     span = float(t_s[-1] - t_s[0]) if len(t_s) else 0.0
@@ -86,7 +65,25 @@ def trend_figure(run: Columns, fixed: Columns | None, marks: Sequence[Mark], reg
     for axes, axis in zip(further, regions.axes[1:], strict=False):
         axes.plot(*thinned(x, run["x2"], DENSE), color=PV, lw=0.5)
         axes.set_ylabel(f"{axis.label} [{axis.unit}]")
-    _bands(top, x, run["region"], regions)
+    # colour the time spent in each region, with its name once at the top
+    region = run["region"]
+    starts = np.flatnonzero(np.diff(region, prepend=region[0] - 1))
+    ends = [*starts[1:].tolist(), len(region) - 1]
+    named: set[int] = set()
+    for start, end in zip(starts.tolist(), ends, strict=True):
+        i = int(region[start])
+        top.axvspan(x[start], x[end], color=BANDS[i % len(BANDS)], lw=0)
+        if i not in named and x[end] - x[start] > 0.05 * (x[-1] - x[0]):
+            named.add(i)
+            top.text(
+                (x[start] + x[end]) / 2,
+                1.01,
+                regions.names[i],
+                transform=top.get_xaxis_transform(),
+                ha="center",
+                va="bottom",
+                fontsize=10,
+            )
     if fixed is not None:
         n = min(len(x), len(fixed["t"]))
         top.plot(*thinned(x[:n], fixed["pv"][:n], DENSE), color=FIXED, lw=0.8, label="pv with fixed gains")

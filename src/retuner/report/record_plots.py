@@ -86,7 +86,10 @@ def record_figure(picture: RecordPicture) -> Figure:
     middle, bottom = (figure.add_subplot(grid[i, 0], sharex=top) for i in (1, 2))
     _over_time(picture, (top, middle, bottom))
     _curve(figure.add_subplot(grid[0, 1]), picture.window)
-    _words(figure.add_subplot(grid[1:, 1]), picture.lines)
+    axes = figure.add_subplot(grid[1:, 1])
+    axes.set_axis_off()
+    lines = [part for line in picture.lines for part in wrap(line, LINE_WIDTH, subsequent_indent="      ") or [""]]
+    axes.text(0, 0.95, "\n".join(lines[:MOST_LINES]), va="top", fontsize=7.8, family="monospace", linespacing=1.3)
     if picture.change is not None:
         under: dict[str, Any] = {"top": down(HEIGHT + 0.75), "bottom": down(height - BELOW)}
         change_into(figure, figure.add_gridspec(2, 3, **CHANGED, **sides, **under, right=0.985), picture.change)
@@ -97,8 +100,26 @@ def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) ->
     """pv, co and the remainder, one below the other over one time axis."""
     top, middle, bottom = panels
     x, unit = time_axis(picture.window.t_s)
-    _signals(top, picture, x)
-    _output(middle, picture, x)
+    # pv, setpoint, and the explanations of pv
+    window = picture.window
+    top.plot(x, window.pv, color=PV, lw=0.9, label="pv")
+    near = abs(float(window.sp[0]) - float(np.mean(window.pv))) < FAR_SETPOINT_RANGES * float(np.ptp(window.pv))
+    if picture.closed_loop and (near or np.ptp(window.sp) > 0):
+        top.plot(x, window.sp, color=SP, lw=0.9, ls="--", label="sp")
+    for i, curve in enumerate(picture.explanations):
+        believed = i == len(picture.explanations) - 1
+        place = np.interp(curve.t_s, window.t_s, x)
+        top.plot(place, curve.pv, color=MODEL if believed else FAINT, lw=1.3 if believed else 1.0, label=curve.name)
+    top.set_ylabel("pv, sp")
+    _legend(top)
+    # co with its limits where it comes near them
+    co = picture.window.co
+    middle.plot(x, co, color=PV, lw=0.9, drawstyle="steps-post")
+    room = 0.3 * float(np.ptp(co))
+    for limit in picture.limits:
+        if limit is not None and np.min(co) - room <= limit <= np.max(co) + room:
+            middle.axhline(limit, color=FAINT, lw=1.0, ls=":")
+    middle.set_ylabel("co")
     _remainder(bottom, picture, x)
     floors(top, middle, picture.window.pv)
     _events(picture, x, (top, middle, bottom))
@@ -110,42 +131,9 @@ def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) ->
     bottom.set_xlabel(f"time [{unit}]")
 
 
-def _words(axes: "Axes", text: Sequence[str]) -> None:
-    """Text beside the curves."""
-    axes.set_axis_off()
-    lines = [part for line in text for part in wrap(line, LINE_WIDTH, subsequent_indent="      ") or [""]]
-    axes.text(0, 0.95, "\n".join(lines[:MOST_LINES]), va="top", fontsize=7.8, family="monospace", linespacing=1.3)
-
-
-def _signals(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
-    """pv, setpoint, and the explanations of pv."""
-    window = picture.window
-    axes.plot(x, window.pv, color=PV, lw=0.9, label="pv")
-    near = abs(float(window.sp[0]) - float(np.mean(window.pv))) < FAR_SETPOINT_RANGES * float(np.ptp(window.pv))
-    if picture.closed_loop and (near or np.ptp(window.sp) > 0):
-        axes.plot(x, window.sp, color=SP, lw=0.9, ls="--", label="sp")
-    for i, curve in enumerate(picture.explanations):
-        believed = i == len(picture.explanations) - 1
-        place = np.interp(curve.t_s, window.t_s, x)
-        axes.plot(place, curve.pv, color=MODEL if believed else FAINT, lw=1.3 if believed else 1.0, label=curve.name)
-    axes.set_ylabel("pv, sp")
-    _legend(axes)
-
-
 def _legend(axes: "Axes") -> None:
     """Names of the curves above them, where they hide nothing."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=9, frameon=False, ncols=6)
-
-
-def _output(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
-    """co with its limits where it comes near them."""
-    co = picture.window.co
-    axes.plot(x, co, color=PV, lw=0.9, drawstyle="steps-post")
-    room = 0.3 * float(np.ptp(co))
-    for limit in picture.limits:
-        if limit is not None and np.min(co) - room <= limit <= np.max(co) + room:
-            axes.axhline(limit, color=FAINT, lw=1.0, ls=":")
-    axes.set_ylabel("co")
 
 
 def _remainder(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:

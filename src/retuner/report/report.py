@@ -75,15 +75,46 @@ def render(data: ReportData) -> str:
         view_of(one, data.run, data.unit, later=what_came_of(one, documents))
         for one in worth_pages(documents, MOST_PAGES)
     ]
+    # panels that try settings on each region's newest process, and on the longest stay in it
+    panels = []
+    for i, name in enumerate(data.after.regions.names):
+        sets = (data.before.gains_of(name), data.after.gains_of(name))
+        told = of_region(data.run, i, [one for one in documents if words(one, "region") == name], sets, data.ms_limit)
+        panels += [(name, told)] if told is not None else []
+    units = units_of(data.loop)
+    # the result in a few sentences
+    hours = float(data.run["t"][-1] - data.run["t"][0]) / 3600
+    parts = ["The run was stopped before its end."] if data.stopped else []
+    parts.append(
+        f"{_counted(sum(bool(d.get('response')) for d in documents), 'response')} recognised in {hours:.2g} h."
+    )
+    parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
+    # when changes were taken back, s
+    undone = len([number(one, "t_s") or 0.0 for one in documents if takes_back(one)])
+    if undone:
+        parts.append(f"{_counted(undone, 'change')} rolled back.")
+    advised = sum(words(d, "action") == "advise" for d in documents)
+    if advised:
+        parts.append(f"{_counted(advised, 'change')} proposed and not written.")
+    worst = max((s.ms_after for s in data.scores if s.ms_after is not None), default=None)
+    if worst is not None:
+        stable = f"is at most {worst:.2f}" if math.isfinite(worst) else "is not finite: the loop is UNSTABLE"
+        over = f", over the limit of {data.ms_limit:g} (see the red cells)" if data.ms_limit < worst < math.inf else ""
+        parts.append(f"Ms of the final gains on the simulated process {stable}{over}.")
+    saved = [(s.iae, s.iae_fixed) for s in data.scores if s.iae_fixed]
+    if saved:
+        share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
+        much = f"{abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than" if round(share, 2) else "the same as"
+        parts.append(f"The integrated error is {much} with fixed gains.")
     body = [
         f"<h1>{escaped(data.loop)}: retuning report</h1>",
         figure(trend_svg(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit)),
-        paragraph(_lead(data, documents), "lead"),
+        paragraph(" ".join(parts), "lead"),
         "<h2>Regions</h2>",
         _scores_table(data, documents),
         overview(data.after, documents, data.advice),
         _twins(data),
-        _tried(data, documents),
+        what_if_section(panels, {"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]}),
         "<h2>Decisions</h2>",
         paragraph(_decisions_note(len(views) == MOST_PAGES), "muted"),
         _decisions_table(documents, {view.number for view in views}, data.run["t"]),
@@ -103,22 +134,6 @@ def _decisions_note(more: bool) -> str:
     )
 
 
-def _tried(data: ReportData, documents: Sequence[Document]) -> str:
-    """Panels that try settings on each region's newest process, and on the longest stay in it."""
-    panels = []
-    for i, name in enumerate(data.after.regions.names):
-        sets = (data.before.gains_of(name), data.after.gains_of(name))
-        told = of_region(data.run, i, [one for one in documents if words(one, "region") == name], sets, data.ms_limit)
-        panels += [(name, told)] if told is not None else []
-    units = units_of(data.loop)
-    return what_if_section(panels, {"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]})
-
-
-def _undone(documents: Sequence[Document]) -> list[float]:
-    """When changes were taken back, s."""
-    return [number(one, "t_s") or 0.0 for one in documents if takes_back(one)]
-
-
 def marks_of(data: ReportData, documents: Sequence[Document]) -> list[Mark]:
     """Changes and ways back by their decisions' numbers; a change of which no decision is known has none."""
     found = []
@@ -128,33 +143,6 @@ def marks_of(data: ReportData, documents: Sequence[Document]) -> list[Mark]:
             found.append(Mark(t_s, int(number(one, "number") or 0), undone=action == "restore"))
     decided = any(not mark.undone for mark in found)
     return found if decided else [*found, *(Mark(t_s, 0, undone=False) for t_s in data.commits)]
-
-
-def _lead(data: ReportData, documents: Sequence[Document]) -> str:
-    """The result in a few sentences."""
-    hours = float(data.run["t"][-1] - data.run["t"][0]) / 3600
-    parts = ["The run was stopped before its end."] if data.stopped else []
-    parts.append(
-        f"{_counted(sum(bool(d.get('response')) for d in documents), 'response')} recognised in {hours:.2g} h."
-    )
-    parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
-    undone = len(_undone(documents))
-    if undone:
-        parts.append(f"{_counted(undone, 'change')} rolled back.")
-    advised = sum(words(d, "action") == "advise" for d in documents)
-    if advised:
-        parts.append(f"{_counted(advised, 'change')} proposed and not written.")
-    worst = max((s.ms_after for s in data.scores if s.ms_after is not None), default=None)
-    if worst is not None:
-        stable = f"is at most {worst:.2f}" if math.isfinite(worst) else "is not finite: the loop is UNSTABLE"
-        over = f", over the limit of {data.ms_limit:g} (see the red cells)" if data.ms_limit < worst < math.inf else ""
-        parts.append(f"Ms of the final gains on the simulated process {stable}{over}.")
-    saved = [(s.iae, s.iae_fixed) for s in data.scores if s.iae_fixed]
-    if saved:
-        share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
-        much = f"{abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than" if round(share, 2) else "the same as"
-        parts.append(f"The integrated error is {much} with fixed gains.")
-    return " ".join(parts)
 
 
 def _counted(count: int, what: str) -> str:

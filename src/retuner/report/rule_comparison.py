@@ -49,10 +49,7 @@ def compare_rules(
     model : the process. form : form of all settings, default each rule's own. wishes : as tune() takes them; each rule
     is given those that it knows.
 
-    Raises
-    ------
-    ValueError
-        The kind is not known, or no rule at all has an answer.
+    Raises ValueError: the kind is not known, or no rule at all has an answer.
     """
     rows, left_out = [], []
     best = _references(model)
@@ -73,7 +70,9 @@ def compare_rules(
             if one == ControllerKind.PID and not result.tuning.gains.kd and ControllerKind.PI in rule.formulas:
                 left_out.append((f"{rule.name} {one}", "no derivative action for this process, the same as PI"))
                 continue
-            rows.append(_row(model, result, best))
+            found = performance(model.linear(), result.tuning.gains)
+            j = weighted_cost(found, best.iae_setpoint, best.iae_load) if best else math.inf
+            rows.append(RuleRow(result, found, j if math.isfinite(j) else None))
     if not rows:
         raise ValueError(f"no rule has an answer for this process: {'; '.join(reason for _, reason in left_out[:2])}")
     return Comparison(tuple(rows), tuple(left_out))
@@ -85,9 +84,3 @@ def _references(model: ProcessModel) -> References | None:
         return references(model.linear())
     except ValueError:
         return None
-
-
-def _row(model: ProcessModel, result: TuneResult, best: References | None) -> RuleRow:
-    found = performance(model.linear(), result.tuning.gains)
-    j = weighted_cost(found, best.iae_setpoint, best.iae_load) if best else math.inf
-    return RuleRow(result, found, j if math.isfinite(j) else None)

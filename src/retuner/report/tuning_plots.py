@@ -17,32 +17,12 @@ from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.decision_page.svg import AFTER, BEFORE, SETPOINT, settings
 from retuner.report.rule_comparison import RuleRow
-from retuner.schedule.gains import PidGains
 
 SHOWN = 1.8
 """Largest |pv| that the axes make room for; wilder responses leave the picture."""
 MS_CURVE = (1.2, 1.25, 1.3, 1.4, 1.5, 1.59, 1.7, 1.8, 1.9, 2.0, 2.2, 2.5)
 TAU_C_CURVE = (0.2, 0.35, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
 TAU_C_MARKED = (0.5, 1.0, 1.5)
-
-
-def _window_s(model: ProcessModel, rows: list[RuleRow]) -> float:
-    """Time to give each of the two steps: the responses of the middle of the rules have settled by then."""
-    gains = [row.result.tuning.gains for row in rows]
-    resets = sorted(g.kp / g.ki for g in gains if g.ki and g.kp)
-    middle = resets[len(resets) // 2] if resets else 0.0
-    return 4 * middle + 10 * model.theta_s + 2 * model.tau2_s or 1.0
-
-
-def _both(process: LinearProcess, gains: PidGains, window_s: float, load: float) -> StepResponse:
-    """A setpoint step at 0 and a load step at window_s, on one time axis."""
-    first = step_response(process, gains, 2 * window_s)
-    second = step_response(process, gains, window_s, load=True)
-    shift = second.t + window_s
-    pv = first.pv + load * np.interp(first.t, shift, second.pv, left=0.0)
-    co = first.co + load * np.interp(first.t, shift, second.co, left=0.0)
-    keep = first.t <= 2 * window_s
-    return StepResponse(first.t[keep], pv[keep], co[keep])
 
 
 @settings("responses")
@@ -53,7 +33,11 @@ def responses_figure(model: ProcessModel, rows: tuple[RuleRow, ...]) -> Figure:
     """
     stable = [row for row in rows if row.result.margins and row.result.margins.stable]
     kinds = [kind for kind in ControllerKind if any(row.result.kind == kind for row in stable)]
-    window = _window_s(model, stable)
+    # time to give each of the two steps: the responses of the middle of the rules have settled by then
+    gains = [row.result.tuning.gains for row in stable]
+    resets = sorted(g.kp / g.ki for g in gains if g.ki and g.kp)
+    middle = resets[len(resets) // 2] if resets else 0.0
+    window = 4 * middle + 10 * model.theta_s + 2 * model.tau2_s or 1.0
     figure = Figure(figsize=(5.4 * max(len(kinds), 1) + 1, 6.6))
     axes = figure.subplots(2, max(len(kinds), 1), sharex=True, sharey="row", squeeze=False, height_ratios=(2, 1))
     load = _load_size(model.linear(), stable, window)
@@ -61,7 +45,15 @@ def responses_figure(model: ProcessModel, rows: tuple[RuleRow, ...]) -> Figure:
     names = list(dict.fromkeys(row.result.tuning.rule for row in stable))
     lines: dict[str, Line2D] = {}
     for row in stable:
-        found = _both(model.linear(), row.result.tuning.gains, window, load)
+        # A setpoint step at 0 and a load step at window_s, on one time axis
+        process = model.linear()
+        first = step_response(process, row.result.tuning.gains, 2 * window)
+        second = step_response(process, row.result.tuning.gains, window, load=True)
+        shift = second.t + window
+        pv = first.pv + load * np.interp(first.t, shift, second.pv, left=0.0)
+        co = first.co + load * np.interp(first.t, shift, second.co, left=0.0)
+        keep = first.t <= 2 * window
+        found = StepResponse(first.t[keep], pv[keep], co[keep])
         column, name = kinds.index(row.result.kind), row.result.tuning.rule
         colour = colours(names.index(name) % 20)
         (line,) = axes[0, column].plot(found.t, found.pv, color=colour, lw=1.3)
@@ -106,10 +98,7 @@ def _load_size(process: LinearProcess, stable: list[RuleRow], window_s: float) -
 def pareto_figure(model: ProcessModel) -> Figure:
     """J against Ms: the best PI controllers, and SIMC with tau_c as parameter (Grimholt & Skogestad 2012, figure 9).
 
-    Raises
-    ------
-    ValueError
-        The process has no PI controller with Ms = 1.59 to compare with.
+    Raises ValueError: the process has no PI controller with Ms = 1.59 to compare with.
     """
     process, best = model.linear(), references(model.linear())
     figure = Figure(figsize=(6.4, 4.6))

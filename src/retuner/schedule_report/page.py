@@ -229,7 +229,9 @@ def schedule_figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
             axes.legend(loc="upper right", fontsize=8, frameon=False, ncols=3)
         axes.set_ylim(0, 1.35 * top)
         axes.set_ylabel(label)
-        _visited(axes, found)
+        # where the records have been: a tick for every stretch's mean at the foot
+        means = [float(np.mean(stretch.x)) for stretch in found.design.curves.joint.stretches]
+        axes.plot(means, np.full(len(means), 0.03), "|", color=SP, ms=8, transform=axes.get_xaxis_transform())
         if name == "tau":
             axes.set_ylabel("lag [s], cut where it\nacts as an integrator", fontsize=9)
     panels = [figure.add_subplot(grid[1 + i, 1], sharex=first) for i in range(3)]
@@ -239,15 +241,11 @@ def schedule_figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
     for axes in figure.axes[1:]:
         _dress(axes, found)
     for axes in (figure.axes[3], figure.axes[6]):
-        axes.set_xlabel(_axis_label(found))
+        unit = found.table.regions.unit if found.table is not None else ""
+        named = f"{found.variable} [{unit}]" if unit else found.variable
+        middle = found.slices[len(found.slices) // 2]
+        axes.set_xlabel(named if middle is None else f"{named}; on the right at {_at(found, middle)}")
     return figure
-
-
-def _axis_label(found: ScheduleDesign) -> str:
-    unit = found.table.regions.unit if found.table is not None else ""
-    named = f"{found.variable} [{unit}]" if unit else found.variable
-    middle = found.slices[len(found.slices) // 2]
-    return named if middle is None else f"{named}; on the right at {_at(found, middle)}"
 
 
 def _dress(axes: "Axes", found: ScheduleDesign) -> None:
@@ -309,12 +307,6 @@ def _parameter(found: ScheduleDesign, name: str, x: FloatArray, x2: float | None
     way = np.array([*row, *[0] * (len(found.places[0].ln_std) - 3)], dtype=np.float64)
     std = [float(np.sqrt(way @ found.design.curves.ln_covariance(float(v), x2) @ way)) for v in x]
     return np.array(values), np.array(std)
-
-
-def _visited(axes: "Axes", found: ScheduleDesign) -> None:
-    """Where the records have been: a tick for every stretch's mean at the foot."""
-    means = [float(np.mean(stretch.x)) for stretch in found.design.curves.joint.stretches]
-    axes.plot(means, np.full(len(means), 0.03), "|", color=SP, ms=8, transform=axes.get_xaxis_transform())
 
 
 def _gains(axes: "Axes", found: ScheduleDesign) -> None:

@@ -34,10 +34,7 @@ class ServeOptions:
 def listening(options: ServeOptions) -> socket.socket:
     """A socket that listens.
 
-    Raises
-    ------
-    UserError
-        The port is taken, or the address is not of this machine.
+    Raises UserError: the port is taken, or the address is not of this machine.
     """
     if options.port is None:
         try:

@@ -23,10 +23,7 @@ ENDS_WITHIN_S = 3.0
 def require_page(*, wanted: bool = True) -> None:
     """Refuse to serve, if that is wanted, where what it takes is not installed.
 
-    Raises
-    ------
-    UserError
-        It is not.
+    Raises UserError: it is not.
     """
     if wanted and not all(importlib.util.find_spec(name) for name in NEEDED):
         raise UserError(MISSING)
@@ -60,34 +57,26 @@ def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = Tr
     with listening(options) as ours:
         for line in lines(options, int(ours.getsockname()[1]), token):
             say(line)
-        server = _started(folder, ours.fileno(), token)
+        # the server, in a session of its own: what ends the run does not end it before the run says so
+        socket_number = ours.fileno()
+        command = [sys.executable, "-P", "-m", "retuner", "serve", str(folder), "--inherited", str(socket_number)]
+        server = subprocess.Popen(  # noqa: S603  this program itself
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=(socket_number,),
+            start_new_session=True,
+        )
+        assert server.stdin is not None
+        with suppress(OSError):  # it is gone already: the run goes on without it
+            server.stdin.write(f"{token}\n".encode())
+            server.stdin.flush()
     try:
         yield Beside(say, server)
     finally:
-        _ended(server)
-
-
-def _started(folder: Path, socket_number: int, token: str) -> "subprocess.Popen[bytes]":
-    """The server, in a session of its own: what ends the run does not end it before the run says so."""
-    command = [sys.executable, "-P", "-m", "retuner", "serve", str(folder), "--inherited", str(socket_number)]
-    server = subprocess.Popen(  # noqa: S603  this program itself
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        pass_fds=(socket_number,),
-        start_new_session=True,
-    )
-    assert server.stdin is not None
-    with suppress(OSError):  # it is gone already: the run goes on without it
-        server.stdin.write(f"{token}\n".encode())
-        server.stdin.flush()
-    return server
-
-
-def _ended(server: "subprocess.Popen[bytes]") -> None:
-    """End the server: it is told so by the end of its input, and is not waited for long."""
-    with suppress(OSError, subprocess.TimeoutExpired):
-        server.communicate(timeout=ENDS_WITHIN_S)
-    server.kill()
-    server.wait()
+        # end the server: it is told so by the end of its input, and is not waited for long
+        with suppress(OSError, subprocess.TimeoutExpired):
+            server.communicate(timeout=ENDS_WITHIN_S)
+        server.kill()
+        server.wait()

@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -172,11 +172,21 @@ def _trial(decisions: list[Decided]) -> Document | None:
         return None
     newest = changed[-1]
     later = what_came_of(newest.document, [one.document for one in decisions])
+    # per upset what is promised, beside what it was before
+    promise = part(newest.document, "promise")
+    found = []
+    for upset in ("setpoint", "load"):
+        now, before = (part(promise, name) for name in (upset, f"{upset}_before"))
+        for name in ("iae", "decay", "overshoot", "settle_s"):
+            values, old = now.get(name), before.get(name)
+            if isinstance(values, list) and len(values) == 3 and values[0] is not None:
+                was = old[0] if isinstance(old, list) and old else None
+                found.append({"upset": upset, "name": name, "values": values, "before": was})
     return {
         "decision": newest.number,
         "region": words(newest.document, "region"),
         "change": change_text(newest.document),
-        "promise": _promised(part(newest.document, "promise")),
+        "promise": found,
         "seen": [
             {
                 "number": int(number(one, "number") or 0),
@@ -186,19 +196,6 @@ def _trial(decisions: list[Decided]) -> Document | None:
             for one in later
         ],
     }
-
-
-def _promised(promise: Mapping[str, object]) -> list[Document]:
-    """Per upset what is promised, beside what it was before."""
-    found = []
-    for upset in ("setpoint", "load"):
-        now, before = (part(promise, name) for name in (upset, f"{upset}_before"))
-        for name in ("iae", "decay", "overshoot", "settle_s"):
-            values, old = now.get(name), before.get(name)
-            if isinstance(values, list) and len(values) == 3 and values[0] is not None:
-                was = old[0] if isinstance(old, list) and old else None
-                found.append({"upset": upset, "name": name, "values": values, "before": was})
-    return found
 
 
 def trend(loop: WatchedLoop, from_s: float, to_s: float, points: int) -> Document:

@@ -1,6 +1,6 @@
 """In front of everything: is it for us, from us, and not too often; and what a browser may do with our answers."""
 
-from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
 from retuner.serve.access import Access
@@ -54,7 +54,11 @@ class Gate:
 
         async def guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
-                message["headers"] = _with_ours(message.get("headers", []))
+                # the headers of an answer with those that every answer has
+                given = [(bytes(name).lower(), bytes(value)) for name, value in message.get("headers", [])]
+                names = {name for name, _ in given}
+                ours = [*HEADERS.items(), (b"content-security-policy", POLICY.encode())]
+                message["headers"] = given + [(name, value) for name, value in ours if name not in names]
             await send(message)
 
         refused = self._refusal(scope)
@@ -87,11 +91,3 @@ class Gate:
         if not self._access.requests.take(client):
             return 429, "too many requests; wait a moment"
         return None
-
-
-def _with_ours(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
-    """The headers of an answer with those that every answer has."""
-    given = [(bytes(name).lower(), bytes(value)) for name, value in headers]
-    names = {name for name, _ in given}
-    ours = [*HEADERS.items(), (b"content-security-policy", POLICY.encode())]
-    return given + [(name, value) for name, value in ours if name not in names]

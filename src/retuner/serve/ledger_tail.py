@@ -38,10 +38,7 @@ class LedgerTail:
     ----------
     path : the ledger; it may be written by another process.
 
-    Raises
-    ------
-    LedgerError
-        It is no ledger of this release.
+    Raises LedgerError: it is no ledger of this release.
     """
 
     def __init__(self, path: Path) -> None:
@@ -69,7 +66,22 @@ class LedgerTail:
         for row in rows:
             if not self._believed(row):
                 break
-            self._take(row)
+            self.count, self.head = row.seq, row.hash
+            self.told.append(self._teller.told(row))
+            body = row.body
+            if row.kind == "session":
+                config = part(body, "config")
+                show_units_told(config)
+                self.names = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
+                self.shown = {name: OrderState() for name in self.names}
+            # the loops that a row is about: the one that it names, where there are several, or all
+            named = body.get("loop") if len(self.names) > 1 else None
+            for name in [name for name in self.names if named in {None, name}]:
+                shown((row,), self.shown[name])
+            if row.kind == "decision":
+                self.decisions.append(Decided(row))
+            elif row.kind == "end":
+                self.ended, self.interrupted = True, bool(body.get("interrupted"))
             taken += 1
         return taken
 
@@ -95,24 +107,3 @@ class LedgerTail:
             self.broken = f"row {self.count + 1} cannot be trusted: it was changed after it was written"
             return False
         return True
-
-    def _take(self, row: Row) -> None:
-        self.count, self.head = row.seq, row.hash
-        self.told.append(self._teller.told(row))
-        body = row.body
-        if row.kind == "session":
-            config = part(body, "config")
-            show_units_told(config)
-            self.names = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
-            self.shown = {name: OrderState() for name in self.names}
-        for name in self._about(body):
-            shown((row,), self.shown[name])
-        if row.kind == "decision":
-            self.decisions.append(Decided(row))
-        elif row.kind == "end":
-            self.ended, self.interrupted = True, bool(body.get("interrupted"))
-
-    def _about(self, body: Document) -> list[str]:
-        """The loops that a row is about: the one that it names, where there are several, or all."""
-        named = body.get("loop") if len(self.names) > 1 else None
-        return [name for name in self.names if named in {None, name}]

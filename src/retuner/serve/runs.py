@@ -62,10 +62,7 @@ class WatchedLoop:
 class WatchedSession:
     """A session: its ledger, and its loops by key.
 
-    Raises
-    ------
-    LedgerError
-        Its ledger cannot be read.
+    Raises LedgerError: its ledger cannot be read.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -104,10 +101,7 @@ class Runs:
     ----------
     root : the folder of a session, or of sessions.
 
-    Raises
-    ------
-    UserError
-        There is no such folder, or no session in it; or its ledger is of another version.
+    Raises UserError: there is no such folder, or no session in it; or its ledger is of another version.
     """
 
     def __init__(self, root: Path) -> None:

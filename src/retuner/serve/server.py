@@ -17,7 +17,6 @@ from retuner.errors import UserError
 from retuner.serve.access import Access
 from retuner.serve.address import ServeOptions, lines, listening, our_names
 from retuner.serve.application import Page
-from retuner.serve.gate import Gate
 from retuner.serve.hub import Hub
 from retuner.serve.runs import Runs
 
@@ -55,10 +54,7 @@ def serve(
     say : is told the address, and the one under which a person may act. ours, token : of whoever started this server
         beside a run and has told them already.
 
-    Raises
-    ------
-    UserError
-        There is no session, the port is taken, or the TLS files cannot be used.
+    Raises UserError: there is no session, the port is taken, or the TLS files cannot be used.
     """
     if (options.certificate is None) != (options.key is None):
         raise UserError("--certificate and --key: TLS needs both files")
@@ -72,14 +68,13 @@ def serve(
     access.token = token or access.token
     for line in () if told else lines(options, port, access.token):
         say(line)
-    _run(Page(Hub(runs), access).application(), options, ours)
-    runs.close()
-
-
-def _run(application: Gate, options: ServeOptions, ours: socket.socket) -> None:
-    _enough_files()
+    # as many open files as this process may have: every connection is one
+    with contextlib.suppress(OSError, ValueError):
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        wanted = MOST_CONNECTIONS + 500 if most == resource.RLIM_INFINITY else min(MOST_CONNECTIONS + 500, most)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
     config = uvicorn.Config(
-        application,
+        Page(Hub(runs), access).application(),
         http=PatientProtocol,
         ws="none",
         lifespan="on",
@@ -101,17 +96,10 @@ def _run(application: Gate, options: ServeOptions, ours: socket.socket) -> None:
         server.run(sockets=[ours])
     finally:
         ours.close()
+    runs.close()
 
 
 def _until_closed(server: uvicorn.Server) -> None:
     """End the server when whoever started it is gone."""
     sys.stdin.read()
     server.should_exit = True
-
-
-def _enough_files() -> None:
-    """As many open files as this process may have: every connection is one."""
-    with contextlib.suppress(OSError, ValueError):
-        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-        wanted = MOST_CONNECTIONS + 500 if most == resource.RLIM_INFINITY else min(MOST_CONNECTIONS + 500, most)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))

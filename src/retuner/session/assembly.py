@@ -32,7 +32,7 @@ from retuner.drivers.protocol.frames import GainBox
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.ledger import Recorder
 from retuner.products import product
-from retuner.schedule.table import GainTable, Lookup
+from retuner.schedule.table import Lookup
 
 if TYPE_CHECKING:
     from retuner.drivers.profiles.foreign_device import ForeignDevice
@@ -80,6 +80,8 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
     """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
     a, loop = config.adaptation, config.loop
     mode = _permitted(config, mode)
+    # what may be done where no process can be identified: [adaptation.pattern]
+    pattern = config.adaptation.pattern
     settings = RetunerSettings(
         sample_time_s=loop.sample_time_s,
         pv_span=loop.pv_max - loop.pv_min,
@@ -97,7 +99,9 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
             None if region.locked is None else locks(region.locked) for region in config.schedule.regions
         ),
         admission=AdmissionSettings(**a.admission.model_dump()),
-        without_model=without_model_settings(config),
+        without_model=WithoutModelSettings(
+            PatternSettings(**pattern.model_dump(exclude={"allowed"})), allowed=pattern.allowed
+        ),
         units=_of_foreign(config, "vendor_units"),
     )
     return demanded(settings)
@@ -119,12 +123,6 @@ def region_modes(config: Config, mode: Mode | None = None) -> tuple[Mode | None,
     return tuple(None if region is None else min(region, mode, key=rising.index) for region in own)
 
 
-def without_model_settings(config: Config) -> WithoutModelSettings:
-    """What may be done where no process can be identified: [adaptation.pattern]."""
-    pattern = config.adaptation.pattern
-    return WithoutModelSettings(PatternSettings(**pattern.model_dump(exclude={"allowed"})), allowed=pattern.allowed)
-
-
 def make_retuner(config: Config, mode: Mode | None = None) -> Retuner:
     """A retuner that knows nothing yet, on the table as commissioned."""
     return Retuner(_of_foreign(config, "held_table") or config.gain_table(), retuner_settings(config, mode))
@@ -133,11 +131,14 @@ def make_retuner(config: Config, mode: Mode | None = None) -> Retuner:
 def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
     """The virtual device's firmware; it starts on the gains of the region in which the plant starts."""
     loop, table = config.loop, config.gain_table()
+    # limits that the virtual device's maker would certify: changing from any region to any other is one write
+    steps = [change_factor(a, b) for a in table.gains for b in table.gains]
+    widest = max((step for step in steps if math.isfinite(step)), default=1.0)
     return VirtualDeviceSettings(
         gains=table.gains[0],
         node=config.bus.node,
         sample_time_s=loop.sample_time_s,
-        box=certified_box(table),
+        box=GainBox(ratio_max=max(GainBox().ratio_max, REGION_ROOM * widest), direction=table.gains[0].direction),
         sp_min=loop.pv_min,
         sp_max=loop.pv_max,
         co_min=loop.co_min_pct,
@@ -153,10 +154,8 @@ def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
 def schedule_inputs(config: Config) -> ScheduleInputs:
     """What the scheduling variables are, and where on the bus those come from that are other signals there.
 
-    Raises
-    ------
-    DbcError
-        A DBC has not what the configuration names (loading a configuration from a file says so first, by line and key).
+    Raises DbcError: a DBC has not what the configuration names (loading a configuration from a file says so first, by
+    line and key).
     """
     axes, node = config.schedule.axes, config.bus.node
     signals = [signal_source(axis, node) for axis in axes]
@@ -167,19 +166,9 @@ def schedule_inputs(config: Config) -> ScheduleInputs:
 def commit_key(config: Config) -> bytes | None:
     """The key that commits are authenticated with; None without one.
 
-    Raises
-    ------
-    KeyFileError
-        The configured file cannot be used.
+    Raises KeyFileError: the configured file cannot be used.
     """
     return read_key(Path(config.bus.key_file)) if config.bus.key_file else None
-
-
-def certified_box(table: GainTable) -> GainBox:
-    """Limits that the virtual device's maker would certify: changing from any region to any other is one write."""
-    steps = [change_factor(a, b) for a in table.gains for b in table.gains]
-    widest = max((step for step in steps if math.isfinite(step)), default=1.0)
-    return GainBox(ratio_max=max(GainBox().ratio_max, REGION_ROOM * widest), direction=table.gains[0].direction)
 
 
 def link_settings(config: Config, speed: float = 1.0) -> LinkSettings:
@@ -228,10 +217,7 @@ def make_device(
     speed : of the far side's clock. after_s : time of the newest sample of an earlier session. owner : number in the
     lease, where there is one; absent: as configured.
 
-    Raises
-    ------
-    ProfileError
-        A foreign device's description cannot be used.
+    Raises ProfileError: a foreign device's description cannot be used.
     """
     foreign = config.foreign_device
     if foreign is None:
@@ -244,10 +230,7 @@ def make_device(
 def make_far_side(config: Config, plant: Plant, epoch: int = 1) -> BusDevice:
     """The virtual device that the configuration describes, on its plant.
 
-    Raises
-    ------
-    ProfileError
-        A foreign device's description cannot be used.
+    Raises ProfileError: a foreign device's description cannot be used.
     """
     foreign = config.foreign_device
     if foreign is None:

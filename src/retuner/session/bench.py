@@ -145,10 +145,7 @@ def virtual_bench(
     names follow from it (log_of_bus).
     first : is given a bench whose links are its own and log nothing, before the host's links open.
 
-    Raises
-    ------
-    UserError, DeviceError
-        A loop has no [device], or a bus log cannot be opened.
+    Raises UserError, DeviceError: a loop has no [device], or a bus log cannot be opened.
     """
     clock = SimulatedClock()
     settings = [replace(_settings(config, loops), channel=f"retuner-{next(_channels)}") for loops in config.buses]
@@ -187,10 +184,7 @@ def far_ends(
     """The configured virtual devices on real buses, for a process of their own. epoch : a number for each boot.
     say : as virtual_bench.
 
-    Raises
-    ------
-    UserError, DeviceError
-        A loop has no [device], or a bus cannot be opened.
+    Raises UserError, DeviceError: a loop has no [device], or a bus cannot be opened.
     """
     with ExitStack() as stack:
         devices: dict[int, DeviceOnBus] = {}
@@ -211,10 +205,7 @@ def before(log: Path | None) -> Path | None:
 def opened(settings: Sequence[LinkSettings], clock: Clock, log: Path | None) -> Iterator[list[CanLink]]:
     """The host's ends of the buses, each with its log.
 
-    Raises
-    ------
-    DeviceError
-        A bus or a log cannot be opened.
+    Raises DeviceError: a bus or a log cannot be opened.
     """
     with ExitStack() as stack:
         yield [
@@ -279,10 +270,7 @@ def live_buses(
 ) -> Iterator[LiveBuses]:
     """The configured buses in real time.
 
-    Raises
-    ------
-    DeviceError
-        A bus or its log cannot be opened.
+    Raises DeviceError: a bus or its log cannot be opened.
     """
     settings = [_settings(config, loops, speed) for loops in config.buses]
     shortest_s = min(one.loop.sample_time_s for one in config.loops)
@@ -303,10 +291,7 @@ def live_buses(
 def simulated(config: Config, say: Callable[[str], None], log: Path | None = None) -> Iterator[Bench]:
     """The configured virtual device, a sample a turn. say : as virtual_bench.
 
-    Raises
-    ------
-    UserError, DeviceError
-        The configuration has no [device], or the bus log cannot be opened.
+    Raises UserError, DeviceError: the configuration has no [device], or the bus log cannot be opened.
     """
     with virtual_bench(SessionConfig((config,)), say, log) as bench:
 
@@ -323,10 +308,7 @@ def simulated(config: Config, say: Callable[[str], None], log: Path | None = Non
 def live(config: Config, speed: float, log: Path | None = None) -> Iterator[Bench]:
     """Whatever answers on the configured bus, some turns a sample.
 
-    Raises
-    ------
-    DeviceError
-        The bus does not open.
+    Raises DeviceError: the bus does not open.
     """
     clock = MonotonicClock(speed)
     with CanLink(link_settings(config, speed), clock, log) as link:

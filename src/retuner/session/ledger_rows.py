@@ -96,10 +96,7 @@ def abort_cause(event: Event) -> TrialEvent | None:
 def bump_left(rows: Iterable[Row]) -> tuple[float, float] | None:
     """Setpoints before and after a bump that the rows' last session left out; None where it took it back.
 
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        The row is not what a session writes.
+    Raises KeyError, TypeError, ValueError: the row is not what a session writes.
     """
     body = next((row.body for row in reversed(tuple(rows)) if row.kind == "nudge"), None)
     if body is None or body["phase"] in IN_PLACE:
@@ -116,10 +113,7 @@ def bump_left(rows: Iterable[Row]) -> tuple[float, float] | None:
 def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> Decision | None:
     """Tell the retuner what a row says that it was told; the decision that this led to, if any.
 
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        The row is not what a session writes.
+    Raises KeyError, TypeError, ValueError: the row is not what a session writes.
     """
     match kind, body.get("why"):
         case "committed", "retune":

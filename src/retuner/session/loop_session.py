@@ -197,10 +197,7 @@ class LoopSession:
     def poll(self, now_s: float) -> int:
         """Take what the device has to tell; returns the number of samples among it.
 
-        Raises
-        ------
-        DeviceError
-            Before the first connection: nobody answers, or the wrong controller does.
+        Raises DeviceError: before the first connection: nobody answers, or the wrong controller does.
         """
         samples = 0
         self._events += self.device.poll(now_s)

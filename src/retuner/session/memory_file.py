@@ -115,10 +115,7 @@ def as_text(retuner: Retuner, what: str) -> str:
 def from_text(text: str, config: Config, settings: RetunerSettings) -> Retuner:
     """The retuner that a text holds.
 
-    Raises
-    ------
-    NoMemoryError
-        It is of another configuration, of another release, or damaged.
+    Raises NoMemoryError: it is of another configuration, of another release, or damaged.
     """
     try:
         document = json.loads(text)
@@ -140,10 +137,7 @@ def recall(
 
     loop : whose memory, empty for the only one of a session. known : the ledger's rows about it, if they were read.
 
-    Raises
-    ------
-    NoMemoryError
-        There is none, or none that can be trusted: a line on why, empty where there never was one.
+    Raises NoMemoryError: there is none, or none that can be trusted: a line on why, empty where there never was one.
     """
     folder = loop_folder(before, loop) if before is not None else None
     if before is None or folder is None or not any((folder / name).exists() for name in (MEMORY, MEMORY_BEFORE)):
@@ -152,7 +146,17 @@ def recall(
         rows = known if known is not None else believed_rows(before / LEDGER)
         text, place = _known(folder, rows)
         retuner = from_text(text, config, settings)
-        told = _tell_again(retuner, rows[place + 1 :])
+        # tell the retuner what happened after its memory was written; how many rows told it something. How a write
+        # ended that was under way then is told by what the controller runs: see the gain writer
+        told = 0
+        for row in rows[place + 1 :]:
+            if row.kind not in TOLD_AGAIN:
+                continue
+            told += 1
+            try:
+                feed(retuner, row.kind, row.body, row.clock_s)
+            except (KeyError, TypeError, ValueError) as error:
+                raise NoMemoryError(f"row {row.seq} of the ledger is not what a session writes: {error}") from error
     except (NoMemoryError, LedgerError, UserError) as error:
         raise NoMemoryError(f"{folder / MEMORY}: {error}; the loop begins without memory") from error
     again = as_text(retuner, about(config))
@@ -176,30 +180,10 @@ def _known(before: Path, rows: Sequence[Row]) -> tuple[str, int]:
     return text, place
 
 
-def _tell_again(retuner: Retuner, rows: Sequence[Row]) -> int:
-    """Tell the retuner what happened after its memory was written; how many rows told it something.
-
-    How a write ended that was under way then is told by what the controller runs: see the gain writer.
-    """
-    told = 0
-    for row in rows:
-        if row.kind not in TOLD_AGAIN:
-            continue
-        told += 1
-        try:
-            feed(retuner, row.kind, row.body, row.clock_s)
-        except (KeyError, TypeError, ValueError) as error:
-            raise NoMemoryError(f"row {row.seq} of the ledger is not what a session writes: {error}") from error
-    return told
-
-
 def started_with(folder: Path, rows: Sequence[Row], config: Config, settings: RetunerSettings) -> Remembered | None:
     """The memory that a recorded session began with; None when it began with none.
 
-    Raises
-    ------
-    UserError
-        The file is not there any more, or is not the one that the ledger knows.
+    Raises UserError: the file is not there any more, or is not the one that the ledger knows.
     """
     begun = next((row.body for row in rows if row.kind == ROW and row.body.get("begun")), None)
     if begun is None or begun["sha256"] is None:

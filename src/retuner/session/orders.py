@@ -74,10 +74,7 @@ class Order:
     approved or rejected. decision : number of the one that is undone with all after it in its region. region : that is
     unlocked, or gets another mode (empty: all). mode : off, advise, trial or auto. gains : that are proposed.
 
-    Raises
-    ------
-    ValueError
-        A field is missing for this kind, too long, or not of its form; the message names it.
+    Raises ValueError: a field is missing for this kind, too long, or not of its form; the message names it.
     """
 
     kind: OrderKind
@@ -127,10 +124,7 @@ class Order:
     def from_dict(cls, body: Mapping[str, Any]) -> "Order":
         """The order from its plain form, every field of its kind.
 
-        Raises
-        ------
-        ValueError
-            A field is missing, unknown, or no value of its kind.
+        Raises ValueError: a field is missing, unknown, or no value of its kind.
         """
         known = {"order": str, "by": str, "at": str, "note": str, "digest": str, "decision": int, "region": str}
         if body.get("order") == OrderKind.MODE:
@@ -160,10 +154,7 @@ class Order:
 def proposed_gains(body: object) -> PidGains | None:
     """The gains of an order: an object with kp, ki and kd; None where there is none.
 
-    Raises
-    ------
-    ValueError
-        It is something else, or no gains.
+    Raises ValueError: it is something else, or no gains.
     """
     if body is None:
         return None
@@ -182,10 +173,7 @@ def put_order(session: Path, order: Order) -> Path:
     Its name tells the moment, the kind and how many there were; a random part makes it nobody else's, so that people
     who order at one moment, from whatever process or thread, never write over each other.
 
-    Raises
-    ------
-    UserError
-        There are too many orders of this moment. OSError: the system refuses.
+    Raises UserError: there are too many orders of this moment. OSError: the system refuses.
     """
     folder = session / ORDERS
     folder.mkdir(exist_ok=True)
@@ -201,12 +189,8 @@ def put_order(session: Path, order: Order) -> Path:
 def read_order(path: Path) -> Order:
     """The order in a file.
 
-    Raises
-    ------
-    ValueError
-        It is no plain file, too large, no JSON, or no order; the message says which.
-    OSError
-        It cannot be read.
+    Raises ValueError: it is no plain file, too large, no JSON, or no order; the message says which.
+    Raises OSError: it cannot be read.
     """
     state = path.lstat()
     if not stat.S_ISREG(state.st_mode):

@@ -80,10 +80,8 @@ class FreshFolder(NamedTuple):
 def fresh_folder(folder: Path) -> FreshFolder:
     """Make an empty folder for a run; an earlier run there is moved to folder-1, folder-2, ...
 
-    Raises
-    ------
-    UserError
-        The path is a file, a folder that holds something else than a run of ours, or one in which a run is under way.
+    Raises UserError: the path is a file, a folder that holds something else than a run of ours, or one in which a run
+    is under way.
     """
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{folder}: is a file; give a folder for the run with --out")
@@ -181,10 +179,7 @@ class RecordedSession:
 def ledger_path(session: Path) -> Path:
     """The ledger of a session given by its folder or by the ledger itself.
 
-    Raises
-    ------
-    UserError
-        There is none.
+    Raises UserError: there is none.
     """
     path = session / LEDGER if session.is_dir() else session
     if not path.is_file():
@@ -204,10 +199,7 @@ def _where(session: Path) -> str:
 def believed_rows(path: Path) -> tuple[Row, ...]:
     """All rows of a ledger.
 
-    Raises
-    ------
-    LedgerError
-        It cannot be read, or its chain is broken: the line names the row and what is wrong with it.
+    Raises LedgerError: it cannot be read, or its chain is broken: the line names the row and what is wrong with it.
     """
     with LedgerReader(path) as ledger:
         report = ledger.verify()
@@ -232,11 +224,8 @@ def read_session(session: Path, loop: str | None = None) -> RecordedSession:
 
     loop : the name of one of several loops.
 
-    Raises
-    ------
-    UserError
-        Something is missing or was changed after the run, there is no such loop, or there are several and none is
-        named.
+    Raises UserError: something is missing or was changed after the run, there is no such loop, or there are several and
+    none is named.
     """
     loops, config = read_loops(session)
     return loops[config.place(loop)]

@@ -30,10 +30,7 @@ OrderTaker = Callable[[float], Iterable[Decision]]
 def pretune_plan(config: Config) -> Plan:
     """The step that the configuration asks for.
 
-    Raises
-    ------
-    UserError
-        A setting is out of its range.
+    Raises UserError: a setting is out of its range.
     """
     loop, dt = config.loop, config.loop.sample_time_s
     given = config.adaptation.pretune_step_pct
@@ -58,10 +55,7 @@ class Pretuning:
     ----------
     config : the loop. record : keeps rows for good. tell : says a line to the user.
 
-    Raises
-    ------
-    UserError
-        A setting is out of its range.
+    Raises UserError: a setting is out of its range.
     """
 
     def __init__(self, config: Config, record: Recorder, tell: Callable[[str], None] | None = None) -> None:
@@ -72,16 +66,11 @@ class Pretuning:
     def conduct(self, device: Device, silent_s: float, turn: Callable[[], float]) -> None:
         """Make the step and put everything back. turn : lets time pass; the time in s.
 
-        Raises
-        ------
-        UserError
-            The loop does not allow this step, or its old state could not be verified: it must not run on like this.
-        KeyboardInterrupt
-            The user stopped it; the old state came back first.
-        LedgerError
-            A row could not be kept; the old state came back first.
-        DeviceError
-            Nobody answers, or the wrong controller does.
+        Raises UserError: the loop does not allow this step, or its old state could not be verified: it must not run on
+        like this.
+        Raises KeyboardInterrupt: the user stopped it; the old state came back first.
+        Raises LedgerError: a row could not be kept; the old state came back first.
+        Raises DeviceError: nobody answers, or the wrong controller does.
         """
         conductor = ExperimentRunner(device, self._plan, self._config.loop.sample_time_s, silent_s, self._note)
         while not conductor.phase.over:

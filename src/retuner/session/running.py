@@ -261,10 +261,7 @@ class Run:
     def simulated(self) -> Session:
         """Run the whole scenario against the virtual devices in this process, as fast as it goes.
 
-        Raises
-        ------
-        UserError, DeviceError
-            A loop has no [device], or the bus log cannot be opened.
+        Raises UserError, DeviceError: a loop has no [device], or the bus log cannot be opened.
         """
         with self.bench() as (session, bench):
 
@@ -291,10 +288,7 @@ class Run:
 
         speed : how much faster than real time the far side's clock runs (a simulated plant on a bench).
 
-        Raises
-        ------
-        DeviceError
-            A bus does not open, or nobody (or the wrong one) answers at first.
+        Raises DeviceError: a bus does not open, or nobody (or the wrong one) answers at first.
         """
         clock = MonotonicClock(speed)
         pause_s = min(one.loop.sample_time_s for one in self.config.loops) / POLLS_PER_SAMPLE
@@ -367,10 +361,7 @@ class Run:
 def real_time_speed(text: str, *, simulated: bool) -> float:
     """--speed as a number: "max" is simulated time; a number is how much faster than real time the far side runs.
 
-    Raises
-    ------
-    UserError
-        Neither "max" nor a positive number, or "max" for a bus that leaves this process.
+    Raises UserError: neither "max" nor a positive number, or "max" for a bus that leaves this process.
     """
     if text == "max":
         return 1.0

@@ -69,10 +69,7 @@ class LoopRecorder:
     def __call__(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
         """Record a row: see Recorder. A ledger that fails is an alarm; the controller goes on with what it runs.
 
-        Raises
-        ------
-        LedgerError
-            It fails before there is a session.
+        Raises LedgerError: it fails before there is a session.
         """
         samples = self.loop.samples if self.loop is not None else 0
         try:
@@ -135,10 +132,7 @@ class Session:
         heard : indexes of the loops for which frames have come, None where that is not known; the others are looked
         after once in a sample time.
 
-        Raises
-        ------
-        DeviceError
-            Before the first connection: nobody answers for any loop, or the wrong controller does.
+        Raises DeviceError: before the first connection: nobody answers for any loop, or the wrong controller does.
         """
         samples = 0
         for i, loop in enumerate(self.loops):

@@ -16,10 +16,7 @@ def profiles() -> list[str]:
 def starter(profile: str = "") -> str:
     """The starter configuration as TOML text, or that of a device's profile.
 
-    Raises
-    ------
-    UserError
-        There is no such profile.
+    Raises UserError: there is no such profile.
     """
     if profile and profile not in profiles():
         raise UserError(f"--profile {profile}: there is {', '.join(profiles())}")

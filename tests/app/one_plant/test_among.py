@@ -15,10 +15,9 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.pipeline_types import NOT_SURVIVED, OTHER_LOOP, Question, StageResult, half_way
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.decider import Answer
-from retuner.one_plant import survival
+from retuner.one_plant import deciding
 from retuner.one_plant.controllers import on_one_plant
-from retuner.one_plant.deciding import DecideAmong, OnePlant
-from retuner.one_plant.survival import Among, on_one_clock
+from retuner.one_plant.deciding import Among, DecideAmong, OnePlant, on_one_clock
 
 
 @dataclass
@@ -47,8 +46,8 @@ def times(factor: float) -> StageResult:
 
 def test_half_of_a_change_that_the_other_loop_does_not_survive_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     whole, half, asked = times(4.0), times(1.3), []
-    monkeypatch.setattr(survival, "half_way", lambda question, refused: asked.append(refused) or question)
-    monkeypatch.setattr(survival, "decide", lambda _: half)
+    monkeypatch.setattr(deciding, "half_way", lambda question, refused: asked.append(refused) or question)
+    monkeypatch.setattr(deciding, "decide", lambda _: half)
     found = among().answered(question(0, 1), whole)
     assert whole.verdict is not None
     assert asked == [whole.verdict.gains]
@@ -72,8 +71,8 @@ def test_half_the_way_holds_every_limit_of_one_change_to_the_root_of_the_factor(
 def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_learned_stays(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(survival, "half_way", lambda question, _: question)
-    monkeypatch.setattr(survival, "decide", lambda _: times(3.0))
+    monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
+    monkeypatch.setattr(deciding, "decide", lambda _: times(3.0))
     found = among().answered(question(0, 1), times(4.0))
     assert found.verdict is None
     assert found.code == NOT_SURVIVED

@@ -26,19 +26,25 @@ SHOWN = 10
 def audit(options: AuditOptions) -> int:
     """Audit; the exit status: 0, or 1 when no loop could be judged.
 
-    Raises
-    ------
-    UserError, RecordingError
-        A source or an option cannot be used.
+    Raises UserError, RecordingError: a source or an option cannot be used.
     """
     form = record_form(options)
     with user_input("--stretches"):
         settings = AuditSettings(options.stretches, form)
-    _refuse_share(options.diagnose)
+    if not 0 <= options.diagnose <= 100:
+        raise UserError(f"--diagnose {options.diagnose:g}: give 0 to 100 percent of the loops")
     _refuse_pattern("--area", options.area)
     units = controller_units(options.controller, options.pv_span, None)
     before = rows_of(options.since) if options.since is not None else []
-    found = _catalogued(options, settings)
+    files = files_of(options.sources)
+    _refuse_pattern("--tag-pattern", options.tag_pattern)
+    found = catalogue(files, settings.form, options.tag_pattern)
+    if not found.tasks:
+        why = f"; {found.refused[0][1]}" if found.refused else ""
+        there = f"none in its {len(files)} file{'s' * (len(files) != 1)}" if files else "it has no files of records"
+        raise UserError(
+            f"{options.sources[0]}: no loop found, {there}{why}; give a folder of CSV, text or Parquet files"
+        )
     with ResultStore(options.out) as store:
         write_joined(options.out / JOINED, found)
         stopped = _work(found, settings, options, store)
@@ -52,12 +58,6 @@ def audit(options: AuditOptions) -> int:
     return 0 if any("failed" not in row for row in rows) else 1
 
 
-def _refuse_share(percent: float) -> None:
-    """Refuse a share that is none."""
-    if not 0 <= percent <= 100:
-        raise UserError(f"--diagnose {percent:g}: give 0 to 100 percent of the loops")
-
-
 def _refuse_pattern(option: str, text: str) -> None:
     """Refuse what is no regular expression."""
     try:
@@ -66,25 +66,14 @@ def _refuse_pattern(option: str, text: str) -> None:
         raise UserError(f"{option} {text}: {error}; give a regular expression") from error
 
 
-def _catalogued(options: AuditOptions, settings: AuditSettings) -> Catalogue:
-    """The plant's loops."""
-    files = files_of(options.sources)
-    _refuse_pattern("--tag-pattern", options.tag_pattern)
-    found = catalogue(files, settings.form, options.tag_pattern)
-    if not found.tasks:
-        why = f"; {found.refused[0][1]}" if found.refused else ""
-        there = f"none in its {len(files)} file{'s' * (len(files) != 1)}" if files else "it has no files of records"
-        raise UserError(
-            f"{options.sources[0]}: no loop found, {there}{why}; give a folder of CSV, text or Parquet files"
-        )
-    return found
-
-
 def _work(found: Catalogue, settings: AuditSettings, options: AuditOptions, store: ResultStore) -> bool:
     """Do what is not done yet; whether it was stopped by Ctrl-C, with what was done kept."""
     store.drop_others(set(found.tags))
     share = options.diagnose / 100
-    _foretell(found, options)
+    # say how long a long audit takes, and how to have it sooner
+    told = expected(len(found.tags), options.stretches, options.diagnose / 100, options.jobs or processes())
+    if told and not (options.scheduler or options.as_json or quiet()):
+        sys.stderr.write(told + "\n")
     first = screening(found.tasks, settings, store.done(), share)
     if _pass(first, found.tags, options, store, "screened" if share < 1 else "loops"):
         return True
@@ -93,13 +82,6 @@ def _work(found: Catalogue, settings: AuditSettings, options: AuditOptions, stor
     then = diagnosing(found.tasks, settings, store.rows(), store.done(), share)
     chosen = tuple(tag for task in then.signed for tag in task.tags)
     return _pass(then, chosen, options, store, "diagnosed")
-
-
-def _foretell(found: Catalogue, options: AuditOptions) -> None:
-    """Say how long a long audit takes, and how to have it sooner."""
-    told = expected(len(found.tags), options.stretches, options.diagnose / 100, options.jobs or processes())
-    if told and not (options.scheduler or options.as_json or quiet()):
-        sys.stderr.write(told + "\n")
 
 
 def _pass(some: Pass, tags: Sequence[str], options: AuditOptions, store: ResultStore, what: str) -> bool:
@@ -141,7 +123,10 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
         sure = f", {row['confidence']:.0%} sure" if row["confidence"] is not None else ""
         sys.stdout.write(f"{row['place']:>4}  {row['tag']}: {row['action']}{sure}{_cost(row)}\n      {row['reason']}\n")
     if options.since is not None:
-        sys.stdout.write(_changed(rows))
+        # what became worse since the earlier audit, in a line
+        worse = [f"{row['tag']} ({row['change']})" for row in rows if str(row["change"]).startswith("worse")]
+        more = f" and {len(worse) - SHOWN} more" if len(worse) > SHOWN else ""
+        sys.stdout.write(f"worse since then: {', '.join(worse[:SHOWN]) or 'none'}{more}\n")
     sys.stdout.write(f"the page: {options.out / 'index.html'}\n")
 
 
@@ -152,13 +137,6 @@ def _cost(row: Row) -> str:
         return ""
     by = {"Harris": "Harris index"}.get(str(row["basis"]), row["basis"])
     return f"; mean error {error:.3g}; about {100 * share:.0f} % avoidable ({by})"
-
-
-def _changed(rows: Sequence[Row]) -> str:
-    """What became worse since the earlier audit, in a line."""
-    worse = [f"{row['tag']} ({row['change']})" for row in rows if str(row["change"]).startswith("worse")]
-    more = f" and {len(worse) - SHOWN} more" if len(worse) > SHOWN else ""
-    return f"worse since then: {', '.join(worse[:SHOWN]) or 'none'}{more}\n"
 
 
 def _names_told(found: Catalogue) -> str:

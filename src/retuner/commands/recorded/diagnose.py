@@ -36,7 +36,6 @@ from retuner.decision_page.evidence_words import REGULAR, evidence_lines
 from retuner.decision_page.explain import settings_text
 from retuner.decision_page.shown_units import chosen_units
 from retuner.diagnosing import RecordDiagnosis
-from retuner.drivers.recorded.recording import Recording
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.report.change_of_settings import Change, change_of, change_words, step_words
@@ -90,7 +89,19 @@ def diagnose(options: DiagnoseOptions) -> int:
     source = records[0].recording.source
     source = source if len(records) == 1 else f"{source} and {len(records) - 1} more"
     with user_input(source), busy(f"diagnosing {source}"):
-        found = _found(source, [read.recording for read in records], gains, options)
+        windows = [day for recording in [read.recording for read in records] for day in days_of(recording.window())]
+        result = diagnosing.diagnose_windows(windows, gains=gains, co_min=options.co_min, co_max=options.co_max)
+        window = windows[result.on]
+        read_off = None
+        if gains is None and not options.open_loop:
+            read_off = settings_in_force(window, options.co_min, options.co_max)
+        seen = screen(window, result.active, options.co_min, options.co_max)
+        evidence = {**seen.evidence, **result.diagnosis.evidence}
+        model = result.model
+        notes = shortcomings(window, seen, model)
+        loop = screen_loop(window, model.theta_s if model is not None else None)
+        change = None if options.open_loop else change_of(window, result)
+        found = DiagnosedRecord(source, window, result, result.active, read_off, seen, loop, change, evidence, notes)
     if options.plot is not None:
         write_whole(options.plot, _picture(found, options))
     assumed = tuple(dict.fromkeys(one for read in records for one in read.assumed))
@@ -126,10 +137,7 @@ class Aimed(NamedTuple):
 def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> Aimed:
     """Settings for the aim on the process that was identified.
 
-    Raises
-    ------
-    UserError
-        The rule has no settings for this process, or --ymax leaves no room.
+    Raises UserError: the rule has no settings for this process, or --ymax leaves no room.
     """
     rule, model = AIMS[options.aim], found.result.model
     if rule is None:
@@ -144,23 +152,6 @@ def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> Aimed:
     note = "".join(f"; {one}" for one in settings.tuning.notes)
     line = f"{options.aim:<{NAME}}{settings_text(settings.gains)}: {what}{note}"
     return Aimed((line,), {"aim": options.aim, "u0": u0, "ymax": options.ymax, **settings.to_dict()})
-
-
-def _found(source: str, recordings: list[Recording], given: PidGains | None, options: RecordOptions) -> DiagnosedRecord:
-    """The diagnosis with all that belongs to it."""
-    windows = [day for recording in recordings for day in days_of(recording.window())]
-    result = diagnosing.diagnose_windows(windows, gains=given, co_min=options.co_min, co_max=options.co_max)
-    window = windows[result.on]
-    read_off = None
-    if given is None and not options.open_loop:
-        read_off = settings_in_force(window, options.co_min, options.co_max)
-    seen = screen(window, result.active, options.co_min, options.co_max)
-    evidence = {**seen.evidence, **result.diagnosis.evidence}
-    model = result.model
-    notes = shortcomings(window, seen, model)
-    loop = screen_loop(window, model.theta_s if model is not None else None)
-    change = None if options.open_loop else change_of(window, result)
-    return DiagnosedRecord(source, window, result, result.active, read_off, seen, loop, change, evidence, notes)
 
 
 def document(found: DiagnosedRecord) -> dict[str, object]:

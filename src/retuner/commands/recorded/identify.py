@@ -23,11 +23,9 @@ from retuner.commands.recorded.recorded_loop import (
 )
 from retuner.commands.signatures.identify import IdentifyOptions
 from retuner.decision_page.shown_units import chosen_units
-from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
-from retuner.schedule.gains import PidGains
 from retuner.tuning import tuning_lines
 from retuner.verbosity import busy
 
@@ -47,7 +45,25 @@ def identify(options: IdentifyOptions) -> int:
     require_length(recording)
     require_direction(recording, gains)
     if options.region_by or options.bounds:
-        return _by_region(recording, read.assumed, gains, options)
+        # identify and show each region by itself; the exit status: 0, or 1 when one of them is not known
+        window = recording.window()
+        signals = {"pv": window.pv, "sp": window.sp, "co": window.co}
+        if options.region_by not in signals or options.plot is not None:
+            raise UserError(
+                f"--region-by {options.region_by or 'nothing'}: give pv, sp or co, with --bounds, without --plot"
+            )
+        limits = {"co_min": options.co_min, "co_max": options.co_max}
+        with user_input(f"{recording.source}, --bounds {options.bounds}"), busy(f"identifying {recording.source}"):
+            bounds = [float(text) for text in options.bounds.split(",")]
+            by = signals[options.region_by]
+            regions = identify_by_region(window, by, bounds, open_loop=options.open_loop, gains=gains, **limits)
+        tell_assumed(read.assumed, options)
+        if options.as_json:
+            document = {"regions": [region.to_dict() for region in regions], "assumed": [a.what for a in read.assumed]}
+            sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+        else:
+            sys.stdout.write("\n".join(line for region in regions for line in _region_lines(region, options)) + "\n")
+        return 0 if all(region.found is not None and region.found.estimate.identifiable for region in regions) else 1
     with user_input(recording.source), busy(f"identifying {recording.source}"):
         found = identify_record(
             recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max
@@ -65,30 +81,6 @@ def identify(options: IdentifyOptions) -> int:
     return 0 if found.estimate.identifiable else 1
 
 
-def _by_region(
-    recording: Recording, assumed: tuple[Assumption, ...], gains: PidGains | None, options: IdentifyOptions
-) -> int:
-    """Identify and show each region by itself; the exit status: 0, or 1 when one of them is not known."""
-    window = recording.window()
-    signals = {"pv": window.pv, "sp": window.sp, "co": window.co}
-    if options.region_by not in signals or options.plot is not None:
-        raise UserError(
-            f"--region-by {options.region_by or 'nothing'}: give pv, sp or co, with --bounds, without --plot"
-        )
-    limits = {"co_min": options.co_min, "co_max": options.co_max}
-    with user_input(f"{recording.source}, --bounds {options.bounds}"), busy(f"identifying {recording.source}"):
-        bounds = [float(text) for text in options.bounds.split(",")]
-        by = signals[options.region_by]
-        found = identify_by_region(window, by, bounds, open_loop=options.open_loop, gains=gains, **limits)
-    tell_assumed(assumed, options)
-    if options.as_json:
-        document = {"regions": [region.to_dict() for region in found], "assumed": [a.what for a in assumed]}
-        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-    else:
-        sys.stdout.write("\n".join(line for region in found for line in _region_lines(region, options)) + "\n")
-    return 0 if all(region.found is not None and region.found.estimate.identifiable for region in found) else 1
-
-
 def _region_lines(region: RegionIdentification, options: IdentifyOptions) -> list[str]:
     """One region in lines."""
     title = f"{options.region_by} {region.low:g} to {region.high:g}, {region.samples} samples: "
@@ -98,20 +90,18 @@ def _region_lines(region: RegionIdentification, options: IdentifyOptions) -> lis
     return [title + first, *lines]
 
 
-def process_lines(found: Identification) -> list[str]:
-    """The model with its standard deviations."""
-    model, std = found.estimate.log.model(), found.estimate.log.std()
-    units = {"k": "", "tau1": " s", "tau2": " s", "tau3": " s", "theta": " s"}
-    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "tau3": model.tau3_s, "theta": model.theta_s}
-    return [f"  {'type':<6} {model.type:>10}"] + [
-        f"  {name:<6} {values[name]:10.4g} +- {std[name]:.2g}{unit}" for name, unit in units.items() if name in std
-    ]
-
-
 def described(found: Identification) -> list[str]:
     """Model, standard deviations and settings in lines."""
     estimate = found.estimate
-    lines = ["identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason, *process_lines(found)]
+    # the model with its standard deviations
+    model, std = found.estimate.log.model(), found.estimate.log.std()
+    units = {"k": "", "tau1": " s", "tau2": " s", "tau3": " s", "theta": " s"}
+    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "tau3": model.tau3_s, "theta": model.theta_s}
+    lines = [
+        "identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason,
+        *[f"  {'type':<6} {model.type:>10}"]
+        + [f"  {name:<6} {values[name]:10.4g} +- {std[name]:.2g}{unit}" for name, unit in units.items() if name in std],
+    ]
     if estimate.identifiable:
         lines.append(f"  {estimate.reason}; residual {estimate.residual_std:.3g}, noise {estimate.noise_std:.3g}")
     if estimate.load_times_s:

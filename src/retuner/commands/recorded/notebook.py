@@ -41,10 +41,7 @@ from retuner.tuning import TuneResult, tuning_lines
 def text(result: object) -> str:
     """A result in words.
 
-    Raises
-    ------
-    TypeError
-        It is no result of ours.
+    Raises TypeError: it is no result of ours.
     """
     raise TypeError(f"{type(result).__name__} is no result that can be shown")
 
@@ -59,12 +56,8 @@ def html(result: object) -> str:
 def figure(result: object) -> Figure:
     """The picture of a result, as matplotlib's figure.
 
-    Raises
-    ------
-    TypeError
-        It is no result with a picture.
-    ValueError
-        There is nothing to draw: the record was not kept, or no sample was taken.
+    Raises TypeError: it is no result with a picture.
+    Raises ValueError: there is nothing to draw: the record was not kept, or no sample was taken.
     """
     raise TypeError(f"{type(result).__name__} is no result that has a picture")
 
@@ -159,10 +152,7 @@ def _(result: LoopTrend | PidController) -> str:
 def _kept(record: Window | None) -> Window:
     """The record of a result.
 
-    Raises
-    ------
-    ValueError
-        It was not kept.
+    Raises ValueError: it was not kept.
     """
     if record is None:
         raise ValueError("this result has no record to draw: it was not made by retuner.diagnose or retuner.identify")

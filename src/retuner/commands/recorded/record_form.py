@@ -17,10 +17,7 @@ from retuner.verbosity import LOGGER, busy, quiet
 def record_form(options: FormOptions) -> RecordForm:
     """What the options fix, over what the file of --record fixes.
 
-    Raises
-    ------
-    UserError, RecordingError
-        A value out of range, or a file that cannot be used.
+    Raises UserError, RecordingError: a value out of range, or a file that cannot be used.
     """
     form = form_from_toml(options.record) if options.record is not None else RecordForm()
     texts = ("tag", "time_format", "time_unit", "zone", "decimal", "good")
@@ -44,10 +41,7 @@ def record_form(options: FormOptions) -> RecordForm:
 def renamed(text: str) -> dict[str, str]:
     """--columns as role to column name.
 
-    Raises
-    ------
-    UserError
-        A part is not role=name, a role is not known, or is given twice.
+    Raises UserError: a part is not role=name, a role is not known, or is given twice.
     """
     found: dict[str, str] = {}
     for part in (p.strip() for p in text.split(",") if p.strip()):
@@ -63,10 +57,7 @@ def read_record(
 ) -> LoopRecord:
     """The record in these files. others : further columns that are wanted.
 
-    Raises
-    ------
-    UserError, RecordingError
-        A file or an option cannot be used.
+    Raises UserError, RecordingError: a file or an option cannot be used.
     """
     with busy(f"reading {', '.join(map(str, files))}"):
         form = record_form(options)

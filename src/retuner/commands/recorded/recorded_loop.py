@@ -27,10 +27,7 @@ FEWEST_SAMPLES = 20
 def read_loop(options: RecordOptions) -> LoopRecord:
     """The record with what was assumed in reading it, checked against what the options say of it.
 
-    Raises
-    ------
-    UserError, RecordingError
-        The file or an option cannot be used, or a closed loop has no setpoint.
+    Raises UserError, RecordingError: the file or an option cannot be used, or a closed loop has no setpoint.
     """
     _check_options(options)
     return _checked(read_record(options.files, options, in_automatic=not options.open_loop), options)
@@ -75,10 +72,7 @@ def _checked(read: LoopRecord, options: RecordOptions) -> LoopRecord:
 def _cut(read: LoopRecord, options: RecordOptions) -> LoopRecord:
     """The record from --from to --to.
 
-    Raises
-    ------
-    UserError
-        A time is none, or hardly anything is left between them.
+    Raises UserError: a time is none, or hardly anything is left between them.
     """
     if not options.begin and not options.end:
         return read
@@ -101,10 +95,7 @@ def _cut(read: LoopRecord, options: RecordOptions) -> LoopRecord:
 def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:
     """A time of the record in its own seconds.
 
-    Raises
-    ------
-    UserError
-        It is neither seconds nor a moment; or it is a moment, and the record has no dates.
+    Raises UserError: it is neither seconds nor a moment; or it is a moment, and the record has no dates.
     """
     try:
         found = float(text)
@@ -127,10 +118,7 @@ def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:
 def require_length(recording: Recording) -> None:
     """Refuse a record too short for anything.
 
-    Raises
-    ------
-    UserError
-        It has fewer than FEWEST_SAMPLES.
+    Raises UserError: it has fewer than FEWEST_SAMPLES.
     """
     n = len(recording.t_s)
     if n < FEWEST_SAMPLES:
@@ -142,10 +130,7 @@ def require_length(recording: Recording) -> None:
 def controller(options: RecordOptions) -> PidGains | None:
     """The gains in force, when they were given.
 
-    Raises
-    ------
-    UserError
-        Times without a gain, a controller in an open loop, an unknown form, or a value outside its range.
+    Raises UserError: times without a gain, a controller in an open loop, an unknown form, or a value outside its range.
     """
     if options.form not in set(Form):
         raise UserError(f"--form {options.form}: give one of {', '.join(Form)}")
@@ -166,10 +151,7 @@ def controller(options: RecordOptions) -> PidGains | None:
 def require_direction(recording: Recording, gains: PidGains | None) -> None:
     """Refuse gains that act against what the record shows of the controller that made it.
 
-    Raises
-    ------
-    UserError
-        The record shows the controller's law, and it acts the other way.
+    Raises UserError: the record shows the controller's law, and it acts the other way.
     """
     if gains is None:
         return

@@ -4,7 +4,7 @@ import json
 import math
 import sys
 
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.process.reduction import Leads, Reduction
 from retuner.adaptive.process.reduction import reduce as reduce_process
 from retuner.commands.signatures.reduce import ReduceOptions
@@ -44,10 +44,7 @@ def reduce(options: ReduceOptions) -> int:
 def time_constants(option: str, texts: list[str]) -> tuple[float, ...]:
     """Seconds from an option that may be repeated, each time with one or several numbers.
 
-    Raises
-    ------
-    UserError
-        A part is not a finite number.
+    Raises UserError: a part is not a finite number.
     """
     found = []
     for part in " ".join(texts).replace(",", " ").split():
@@ -63,12 +60,8 @@ def time_constants(option: str, texts: list[str]) -> tuple[float, ...]:
 
 def described(found: Reduction) -> list[str]:
     """Steps and model in lines."""
-    return [*found.steps, *model_lines(found.model)]
-
-
-def model_lines(model: ProcessModel) -> list[str]:
-    """A model in lines; times that its structure does not have are left out."""
-    lines = [f"{model.type}", f"  k      {model.k:10.6g} {GAIN_UNIT.get(model.type, '')}".rstrip()]
-    times = (("tau1", model.tau1_s), ("tau2", model.tau2_s))
+    # A model in lines; times that its structure does not have are left out
+    lines = [f"{found.model.type}", f"  k      {found.model.k:10.6g} {GAIN_UNIT.get(found.model.type, '')}".rstrip()]
+    times = (("tau1", found.model.tau1_s), ("tau2", found.model.tau2_s))
     lines += [f"  {name}   {value:10.6g} s" for name, value in times if value]
-    return [*lines, f"  theta  {model.theta_s:10.6g} s"]
+    return [*found.steps, *[*lines, f"  theta  {found.model.theta_s:10.6g} s"]]

@@ -3,7 +3,6 @@
 import json
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -45,17 +44,34 @@ PATIENCE_S = 2.0
 def schedule(options: ScheduleOptions) -> int:
     """Design and show; the exit status: 0, or 1 when the records do not say enough.
 
-    Raises
-    ------
-    UserError, RecordingError
-        A file or an option cannot be used.
+    Raises UserError, RecordingError: a file or an option cannot be used.
     """
     show_units(controller_units(options.controller, options.pv_span, options.action, (options.co_min, options.co_max)))
-    gain_columns = _gain_columns(options)
+    # names of the columns of the active gains, none where they are not given
+    gain_columns = [name.strip() for name in options.gain_columns.split(",") if name.strip()]
+    if gain_columns and len(gain_columns) not in (2, 3):
+        raise UserError(f"--gain-columns {options.gain_columns}: give kp,ki or kp,ki,kd, as in --gain-columns KP,KI")
+    if gain_columns and options.gains is not None:
+        raise UserError("--gains and --gain-columns exclude each other: give the active gains once")
     by = list(dict.fromkeys(options.by or [AUTO]))
     outside = [name for name in by if name not in {AUTO, *OWN}]
-    records = _usable(options, [*outside, *gain_columns])
+    # the records, each one that a process may be found from
+    records = _read(options, [*outside, *gain_columns])
+    for one in records:
+        require_setpoint(one.recording)
+        require_excitation(one.recording)
+        require_length(one.recording)
     with user_input("retuner schedule"):
+        # progress on the error stream, a line every PATIENCE_S at the most and none before that
+        told = [time.monotonic()]
+
+        def tell(stage: str, share: float) -> None:
+            now = time.monotonic()
+            if now - told[0] >= PATIENCE_S and not quiet():
+                told[0] = now
+                sys.stderr.write(f"schedule: {share:4.0%} done, {stage}\n")
+                sys.stderr.flush()
+
         found = design_schedule(
             records,
             [*OWN, *outside] if AUTO in by else by,
@@ -70,7 +86,7 @@ def schedule(options: ScheduleOptions) -> int:
             name=options.name or records[0].tag or options.files[0].stem,
             unit=options.unit,
             gains=_active(options, records, gain_columns),
-            progress=told_when_slow(),
+            progress=tell,
         )
     assumed = tuple(dict.fromkeys(a for one in records for a in one.assumed))
     windows = [one.recording.window() for one in records]
@@ -78,16 +94,6 @@ def schedule(options: ScheduleOptions) -> int:
     tell_assumed(assumed, options)
     _tell(found, assumed, written, _other(windows, options), options)
     return 0 if found.table is not None else 1
-
-
-def _gain_columns(options: ScheduleOptions) -> list[str]:
-    """Names of the columns of the active gains, none where they are not given."""
-    names = [name.strip() for name in options.gain_columns.split(",") if name.strip()]
-    if names and len(names) not in (2, 3):
-        raise UserError(f"--gain-columns {options.gain_columns}: give kp,ki or kp,ki,kd, as in --gain-columns KP,KI")
-    if names and options.gains is not None:
-        raise UserError("--gains and --gain-columns exclude each other: give the active gains once")
-    return names
 
 
 def _active(
@@ -99,16 +105,6 @@ def _active(
         kd = columns[2] if len(columns) > 2 else np.zeros(len(columns[0]))
         return RecordedGains(columns[0], columns[1], kd)
     return None if options.gains is None else _in_force(options.gains)
-
-
-def _usable(options: ScheduleOptions, others: list[str]) -> list[LoopRecord]:
-    """The records, each one that a process may be found from."""
-    records = _read(options, others)
-    for one in records:
-        require_setpoint(one.recording)
-        require_excitation(one.recording)
-        require_length(one.recording)
-    return records
 
 
 def _read(options: ScheduleOptions, others: list[str]) -> list[LoopRecord]:
@@ -132,20 +128,6 @@ def _in_force(path: Path) -> GainTable:
         raise UserError(f"--gains {path}: cannot be read: {error.strerror}; give a gains.toml") from None
     with user_input(f"--gains {path}"):
         return from_toml(text)
-
-
-def told_when_slow() -> Callable[[str, float], None]:
-    """Progress on the error stream, a line every PATIENCE_S at the most and none before that."""
-    told = [time.monotonic()]
-
-    def tell(stage: str, share: float) -> None:
-        now = time.monotonic()
-        if now - told[0] >= PATIENCE_S and not quiet():
-            told[0] = now
-            sys.stderr.write(f"schedule: {share:4.0%} done, {stage}\n")
-            sys.stderr.flush()
-
-    return tell
 
 
 def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOptions) -> list[Path]:

@@ -44,10 +44,7 @@ def _wishes(options: TuneOptions) -> dict[str, float | None]:
 def _model(options: TuneOptions) -> ProcessModel | None:
     """The process that the options describe, or None when they describe none.
 
-    Raises
-    ------
-    UserError
-        Only a part of a model is given, or a value is out of its range.
+    Raises UserError: only a part of a model is given, or a value is out of its range.
     """
     if options.type is None:
         if options.k is not None or any((options.tau1, options.tau2, options.theta, options.inverse, options.tau3)):
@@ -192,16 +189,12 @@ def _cells(row: RuleRow) -> tuple[str, ...]:
         str(row.result.kind),
         row.result.form,
         kc,
-        *map(_short, (*_times(gains), row.result.tuning.tau_c_s)),
+        *map(_short, (*(gains["tau_i"], gains["tau_d"]), row.result.tuning.tau_c_s)),
     )
     if m is None or not m.stable:
         return (*first, "UNSTABLE", "-", "-", "-", "-", "-")
     robustness = (f"{m.ms:.2f}", _short(m.gm), f"{m.pm_deg:.1f}")
     return (*first, *robustness, *map(_short, (row.j, row.performance.iae_setpoint, row.performance.iae_load)))
-
-
-def _times(gains: dict[str, float | None]) -> tuple[float | None, float | None]:
-    return gains["tau_i"], gains["tau_d"]
 
 
 def _short(value: object) -> str:
