@@ -99,5 +99,4 @@ def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> 
 
 
 def _is_like(size: float, wanted: float, half: float) -> bool:
-    """Whether a move has the wanted size."""
     return abs(size - wanted) <= SAME * abs(half)

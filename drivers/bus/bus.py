@@ -467,7 +467,6 @@ class CanLink:
         return True
 
     def _write_log(self, message: can.Message, *, received: bool) -> None:
-        """Write a frame to the log, if there is one."""
         if self._log is not None and not self._log.write(message, received=received):
             self._log_failed()
 

@@ -199,7 +199,6 @@ def leases(found: Examination) -> None:
 
 
 def _commands(found: Examination, seq: int, owner: int) -> list[tuple[str, Kind, Frame]]:
-    """A command of every kind by this owner."""
     talk, running = found.talk, found.talk.known.seq
     return [
         ("STAGE", Kind.STAGE, Stage(0, owner % OWNER_TAG, found.first.kp, seq)),

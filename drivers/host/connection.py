@@ -248,7 +248,6 @@ class CanDevice:
             self._on_running(page, now_s)
 
     def _on_running(self, page: ReadBack, now_s: float) -> None:
-        """What runs."""
         verdict, running = self._belief.on_page(page), self._belief.running
         if verdict is Belief.NOTHING or running is None:
             return

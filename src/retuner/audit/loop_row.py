@@ -89,7 +89,6 @@ def _the_only(read: LoopRecord | RecordingError) -> Iterator[LoopRecord]:
 
 
 def _listed(value: object) -> list[object]:
-    """A list of a row."""
     return value if isinstance(value, list) else []
 
 
@@ -334,7 +333,6 @@ def _process(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:
 
 
 def _stretch(window: Window, verdict: StretchVerdict, found: RecordDiagnosis) -> Row:
-    """What is shown of a stretch."""
     evidence = {k: v for k, v in found.diagnosis.evidence.items() if math.isfinite(v)}
     return {
         "begin_s": verdict.begin_s,

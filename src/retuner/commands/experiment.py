@@ -241,7 +241,6 @@ def plan_for(config: Config, kind: Kind, options: ControllerOptions, shape: Expe
 
 
 def _or(given: float | None, default: float) -> float:
-    """What was given, else the default."""
     return default if given is None else given
 
 
@@ -278,7 +277,6 @@ def valve(options: ValveOptions) -> int:
 
 
 def _valve_step(options: ValveOptions) -> float:
-    """The small step."""
     if not 0.0 < options.step <= LARGEST_VALVE_STEP:
         raise UserError(
             f"--step {options.step:g}: give a small step of co, above 0 and at most {LARGEST_VALVE_STEP:g} percent"

@@ -115,7 +115,6 @@ OurConfig = OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig | Identified
 
 
 def _ours(config: Config, plant: OurConfig) -> KnownPlant:
-    """One of our own plants."""
     assert config.device is not None
     seed = config.device.seed
     if isinstance(plant, OvenPlantConfig):

@@ -46,7 +46,6 @@ def promise_section(view: DecisionView) -> str:
 
 
 def _promised_ms(promise: Document) -> str:
-    """Ms as promised, where models promised it."""
     ms = numbers_or_none(promise, "ms")
     if len(ms) != 3:
         return ""

@@ -47,7 +47,6 @@ class OrderOfWrites:
         return chosen.messages
 
     def _proved(self, ways: Sequence[Way], ends: tuple[PidGains, PidGains]) -> ChosenWay | None:
-        """The proved order, if there is one."""
         retuner, s = self._retuner, self._retuner.settings
         region = retuner.region
         if region is None:

@@ -157,7 +157,6 @@ def told(rows: Iterable[Row]) -> list[LedgerLine]:
 
 
 def _who(kind: str, body: Document) -> str:
-    """Who is behind it."""
     if kind == "order":
         return words(body, "by") or "a request file"
     if kind in {"intent", "committed", "refused"}:

@@ -96,7 +96,6 @@ def _silent(loop: WatchedLoop) -> float | None:
 
 
 def _is_of(decided: Decided, loop: WatchedLoop) -> bool:
-    """Whether a decision is of a loop."""
     return words(decided.document, "loop") == loop.name
 
 

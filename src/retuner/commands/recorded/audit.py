@@ -101,7 +101,6 @@ def _pass(some: Pass, tags: Sequence[str], options: AuditOptions, store: ResultS
 
 
 def _done(left: Sequence[Task], settings: AuditSettings, options: AuditOptions) -> Iterator[tuple[Task, list[Row]]]:
-    """Tasks with their rows as they are done."""
     if options.scheduler:
         return on_a_cluster(left, settings, options.scheduler)
     jobs = options.jobs or processes()

@@ -269,7 +269,6 @@ THOUSAND = 1000.0
 
 
 def _next(found: DiagnosedRecord) -> list[str]:
-    """What to do."""
     told = found.result.diagnosis
     if told.retune:
         return ["set these, then diagnose the next record together with this one"]
@@ -349,7 +348,6 @@ def _controller_lines(found: DiagnosedRecord) -> list[str]:
 
 
 def _process_lines(found: DiagnosedRecord) -> list[str]:
-    """The process in a line."""
     model, estimate = found.result.model, found.result.estimate
     if model is None:
         return []
@@ -371,7 +369,6 @@ WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 
 
 def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
-    """The record with what was found."""
     from retuner.decision_page.svg import drawn
     from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure
 

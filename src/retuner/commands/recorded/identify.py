@@ -82,7 +82,6 @@ def identify(options: IdentifyOptions) -> int:
 
 
 def _region_lines(region: RegionIdentification, options: IdentifyOptions) -> list[str]:
-    """One region in lines."""
     title = f"{options.region_by} {region.low:g} to {region.high:g}, {region.samples} samples: "
     if region.found is None:
         return [f"{title}NOT identifiable: {NO_STRETCH}"]

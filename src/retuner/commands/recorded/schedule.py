@@ -131,7 +131,6 @@ def _in_force(path: Path) -> GainTable:
 
 
 def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOptions) -> list[Path]:
-    """Files that were written."""
     folder = options.out
     if folder is None:
         return []
