@@ -32,8 +32,6 @@ class Clock(Protocol):
 class SimulatedClock:
     """Time that passes only when told to.
 
-    Parameters
-    ----------
     start_s : first reading in seconds.
     """
 
@@ -69,8 +67,6 @@ class SimulatedClock:
 class MonotonicClock:
     """The machine's monotonic clock, optionally running faster.
 
-    Parameters
-    ----------
     speed : seconds of this clock per second of the machine's, positive. 1 is real time.
 
     Raises ValueError: speed is not a positive finite number.

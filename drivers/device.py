@@ -271,8 +271,6 @@ class Device(Protocol):
 class Contact:
     """Ages of one node's frames.
 
-    Parameters
-    ----------
     silent_s : age of the last frame at which the node counts as silent, s.
     connect_s : how long the first connection may take, s.
     """

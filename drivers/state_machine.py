@@ -16,8 +16,6 @@ Input = TypeVar("Input", bound=Enum)
 class StateMachine(Generic[Phase, Input]):
     """One machine at work.
 
-    Parameters
-    ----------
     table : the phase that follows, by phase and input. start : the first phase.
     """
 

@@ -60,8 +60,6 @@ PV = PidState._fields.index("pv")
 class PidLaw:
     """Settings of the law; `law` makes one from gains.
 
-    Parameters
-    ----------
     kp, ki, kd : parallel gains, as in PidGains: co units per pv unit, per second, times seconds.
     b : setpoint weight of P, 0 to 1, default 1 (smaller: less overshoot after setpoint steps, same load response).
     tau_f_s : time constant of the derivative's filter in seconds, at least 0, default 0 (none).

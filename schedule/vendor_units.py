@@ -132,8 +132,6 @@ class Way(NamedTuple):
 class VendorUnits:
     """All numbers of a set, one of each action at most.
 
-    Parameters
-    ----------
     gains : the numbers. pv_span, co_span : spans that a proportional band is told of, in our units.
     series : kp and the times are those of the series form. by_hand : the set that runs, of a controller whose gains
     cannot be reached and are set by hand; then there are no numbers, and any set is taken as it is.

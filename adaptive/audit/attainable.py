@@ -59,8 +59,6 @@ class _Counted(NamedTuple):
 def foreseen(records: Sequence[Window], models: Sequence[ProcessModel], gains: PidGains) -> Foreseen | None:
     """What the settings would have made of the records.
 
-    Parameters
-    ----------
     records : of one loop in automatic. models : of its process, the best first, and others that the record allows.
     gains : the settings that are asked about.
 

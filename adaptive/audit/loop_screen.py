@@ -245,8 +245,6 @@ def _traits(record: Window, sums: RecordSums, noise: tuple[float, float], limits
 def harris_index(error: FloatArray, delay: int) -> float:
     """Share of the error's variance that minimum-variance control would take away, 0 to 1.
 
-    Parameters
-    ----------
     error : shape (n,). delay : dead time in samples, one for the hold included, at least 1.
 
     Source: Harris (1989), Canadian Journal of Chemical Engineering 67, 856-861; Desborough & Harris (1992).

@@ -77,8 +77,6 @@ def _array(values: list[float | None]) -> FloatArray:
 def swing_track(t_s: FloatArray, error: FloatArray, period_s: float) -> SwingTrack:
     """The track of a swing of this period.
 
-    Parameters
-    ----------
     t_s : moments of a clock that the loops share, s, shape (n,). error : sp - pv.
     """
     own = round(-OCTAVE * math.log2(period_s))

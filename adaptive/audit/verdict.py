@@ -198,8 +198,6 @@ def _logit(confidence: float) -> float:
 def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
     """The verdict of a loop.
 
-    Parameters
-    ----------
     screen : its whole record. stretches : those that were diagnosed, in the order of time.
     """
     condition = FOR_CONDITION.get(screen.condition)

@@ -39,8 +39,6 @@ Stretch = tuple[int, int]
 def stretches_of_interest(record: Window, period_s: float | None, most: int) -> list[Window]:
     """At most `most` stretches of a record in the order of time; they do not overlap.
 
-    Parameters
-    ----------
     record : of any length. period_s : of its oscillation, None where there is none. none where most is 0.
     """
     if most == 0:

@@ -244,8 +244,6 @@ SMOOTHED = 0.02
 def crossing(t_s: FloatArray, values: FloatArray, level: float, rising: bool) -> float:
     """When a signal passes a level: the middle between its first and its last crossing, each interpolated.
 
-    Parameters
-    ----------
     t_s, values : shape (n,). rising : from below to above; else from above to below.
 
     Raises ValueError: it never does.

@@ -124,8 +124,6 @@ class _Waves:
 def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     """Evaluate a record of relay feedback.
 
-    Parameters
-    ----------
     window : the record; what comes before the first switching, and odd waves, are left out.
     hysteresis : of the relay on either side of its reference, pv units.
 
@@ -292,8 +290,6 @@ SMALLEST_OFFSET = 0.03
 def first_order(cycle: RelayCycle, pv_rest: float, co_rest: float) -> ProcessModel:
     """The model behind a biased relay's limit cycle.
 
-    Parameters
-    ----------
     cycle : as read off the record. pv_rest : the relay's reference, where pv rested under co_rest.
 
     Raises ValueError: the relay is symmetric, or the wave is not one of a first-order process at rest there.

@@ -35,8 +35,6 @@ def descended(
 ) -> tuple[FloatArray, float, Slopes] | None:
     """Where it ends, the misfit there and its slopes; None where a place on the way has none.
 
-    Parameters
-    ----------
     start : where it begins, and the misfit there. stepped : from a place with its slopes and lambda to the next one.
     """
     (x, cost), damping = start, limits.damping

@@ -59,8 +59,6 @@ def are_coincident(
 ) -> npt.NDArray[np.bool_]:
     """Which of the instants stand at a setpoint change.
 
-    Parameters
-    ----------
     type_, x : structure and parameters of the process. instants_s : of load steps. changes_s : of the setpoint.
     span_s, dt_s : length and sampling interval of the record.
     """

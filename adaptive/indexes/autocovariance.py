@@ -34,8 +34,6 @@ from retuner.adaptive.signals.sample import FloatArray
 def crossings(x: FloatArray, band: float = 0.0) -> FloatArray:
     """Places of the zero crossings as fractional sample numbers, increasing; shape (m,).
 
-    Parameters
-    ----------
     x : the signal without its level, shape (n,). band : half width of the band that noise may fill, units of x.
     """
     outside = np.flatnonzero(np.abs(x) > band)
@@ -197,8 +195,6 @@ class IaeDetection:
 def iae_detection(t_s: FloatArray, e: FloatArray, amplitude: float, w_rad_s: float) -> IaeDetection:
     """Run the detector over a record.
 
-    Parameters
-    ----------
     t_s, e : time in seconds and control error sp - pv, shape (n,).
     amplitude : smallest amplitude of an oscillation that matters, pv units, more than 0.
     w_rad_s : frequency of the fastest oscillation of interest (ultimate frequency, or 2 pi / tau_I), rad/s.

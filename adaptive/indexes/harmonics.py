@@ -167,8 +167,6 @@ class HalfWaveShape:
 def half_wave_shape(x: FloatArray, band: float) -> HalfWaveShape | None:
     """Judge the half waves of a signal without level and drift; None with fewer than four of them.
 
-    Parameters
-    ----------
     x : signal round zero, shape (n,). band : half width of its noise band, units of x.
 
     Sources: He, Wang, Pottmann & Qin (2007), Ind. Eng. Chem. Res. 46, 4549-4560; Rossi & Scali (2005), Journal of

@@ -100,8 +100,6 @@ def runs(true: np.ndarray) -> np.ndarray:
 def is_limit(samples: int, changes: int, at_it: int, stretches: int, long: int, longest: int) -> bool:
     """Whether an extreme of co is a limit.
 
-    Parameters
-    ----------
     samples : of the record. changes : steps in which co changes. at_it : samples at the extreme, in so many stretches.
     long : stretches of STRETCH samples or more. longest : stretch, in samples.
     """

@@ -81,8 +81,6 @@ def ellipse(pv: FloatArray, co: FloatArray) -> Ellipse | None:
 def yamashita(pv: FloatArray, co: FloatArray) -> tuple[float, float] | None:
     """rho1 and rho3, each about -0.5 to 1; None when nothing moves.
 
-    Parameters
-    ----------
     pv, co : shape (n,), sampled so that an oscillation has some 10 to 40 samples.
 
     Source: Yamashita (2006), Control Engineering Practice 14, 503-510.
@@ -126,8 +124,6 @@ class CrossCorrelation(NamedTuple):
 def cross_correlation(pv: FloatArray, co: FloatArray, band: float = 0.02) -> CrossCorrelation | None:
     """Horch's measures; None where the correlation does not cross zero on both sides of lag 0.
 
-    Parameters
-    ----------
     pv, co : an oscillating record, shape (n,). band : correlations within +-band of the largest one count as zero.
 
     Source: Horch (1999), Control Engineering Practice 7, 1221-1231.
@@ -218,8 +214,6 @@ def screen(
 ) -> Screening:
     """Collect the indexes of a record; some 10 ms for 1000 samples.
 
-    Parameters
-    ----------
     window : the record. gains : controller in force, for the idle index, the phase's sign and the ratio to tau_I.
     co_min, co_max : limits of co where known; else they are recognised when co stands at them. in_auto : see
         record_condition.

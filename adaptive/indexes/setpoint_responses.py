@@ -116,8 +116,6 @@ FEWEST_INCREMENTS = 10
 def idle_index(pv: FloatArray, co: FloatArray, direction: int, width: int) -> float | None:
     """Idle index, -1 to 1; None when fewer than ten increments stand out of the noise.
 
-    Parameters
-    ----------
     pv, co : process value and controller output, shape (n,), setpoint constant. direction : sign of the process gain.
     width : samples over which is smoothed and over which increments are taken; about a twentieth of the loop's period.
 

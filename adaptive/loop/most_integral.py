@@ -35,8 +35,6 @@ AS_MUCH = 0.97
 def most_integral(process: LinearProcess, ms: float) -> PidGains:
     """The controller at the head of this file.
 
-    Parameters
-    ----------
     process : stable, with a gain at rest. ms : largest sensitivity, above 1.
 
     Raises ValueError: the process integrates, nothing limits its gain, or ms is not above 1.

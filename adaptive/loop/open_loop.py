@@ -21,8 +21,6 @@ from retuner.schedule.gains import PidGains
 class OpenLoop(NamedTuple):
     """L(s) as at the head of this file. A named tuple because on-line work makes one for every model it asks about.
 
-    Parameters
-    ----------
     k : K, of either sign. order : m, the number of poles at the origin (-1 for derivative action alone).
     b1, b2 : numerator of the controller. leads, lags : time constants in seconds. quadratics : pairs c1, c2.
     theta : dead time in seconds.

@@ -84,8 +84,6 @@ def replayed(
 ) -> Replayed:
     """The record with these settings in the loop, from the first sample on, taken over without a bump.
 
-    Parameters
-    ----------
     window : on an even grid (`even`). process : that was identified on it. gains : the settings to try.
     co_limits : lowest and highest co, co units; None where there is none. tau_f_s : filter time of the derivative; None
         for a tenth of the derivative time.

@@ -372,8 +372,6 @@ class HeldMatrices(NamedTuple):
 class HeldInput:
     """A linear process at rest, about the operating point pv = 0, co = 0.
 
-    Parameters
-    ----------
     process : the process. dt_s : sampling interval, seconds, more than 0.
 
     Raises ValueError: dt_s is not positive and finite, or the process has more zeros than poles.

@@ -24,8 +24,6 @@ SLOW_ENOUGH = 8.0
 def averaging(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | None = None) -> Tuning:
     """Settings for a tank.
 
-    Parameters
-    ----------
     model : integrating. kind : PI, the only one. wishes : u0, co units, and y_max, pv units.
 
     Raises ValueError: u0 or y_max is missing or not a positive finite number, or the settings are faster than tight

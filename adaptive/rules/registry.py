@@ -53,8 +53,6 @@ def settings(
 ) -> Tuning:
     """Settings by a rule.
 
-    Parameters
-    ----------
     rule : from RULES. kind : one that the rule has.
     model : the process; not needed where a reading is given to a rule that takes one.
     reading : Ku and Pu, or Kq and Pq, as the rule takes; Ku and Pu are worked out from the model where missing.

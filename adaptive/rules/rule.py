@@ -81,8 +81,6 @@ class Takes(StrEnum):
 class Oscillation:
     """A sustained or decaying oscillation under proportional control.
 
-    Parameters
-    ----------
     gain : controller gain at which it was read, co units per pv unit: the ultimate gain Ku, or Kq at quarter decay.
     period_s : period in seconds.
 

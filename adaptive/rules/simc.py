@@ -34,8 +34,6 @@ def simc(
 ) -> Tuning:
     """SIMC settings for any of the six structures.
 
-    Parameters
-    ----------
     model : the process; for PI its second lag is taken up by the half rule.
     tau_c_s : desired closed-loop time constant; default the (effective) dead time.
     kind : PI, or PID where the structure has a second lag. A double integrating process always needs PID.

@@ -85,8 +85,6 @@ def _share(time_constant_s: float, share: float) -> float:
 def oscillation_by_eye(period_s: float, gains: PidGains | None, *, integrating: bool, tuning: bool) -> list[str]:
     """What an experienced eye says of an oscillation: where to begin, and how to find out where it comes from.
 
-    Parameters
-    ----------
     period_s : of the oscillation. gains : in force, None where not known. integrating : the process has no level of
         its own. tuning : whether the tuning may be the cause; where it is not, changing it is no beginning.
     """

@@ -85,8 +85,6 @@ def design(
 ) -> Design:
     """A schedule along the candidate for which most speaks.
 
-    Parameters
-    ----------
     windows : the records. candidates : variables that the gains may follow. lookup : "hard", "interpolated", "auto".
     span : ends of the first variable's places where they are given; the fit is over all that the records visit.
 

@@ -96,8 +96,6 @@ class Stretch:
 def signals_of(window: Window, x: FloatArray, every: int, x2: FloatArray | None = None) -> Signals:
     """A record with `every` of its samples in an interval.
 
-    Parameters
-    ----------
     window : the record. x : the scheduling variable at its samples, shape (n,). x2 : a second one.
     """
     dt = window.sample_time_s

@@ -152,8 +152,6 @@ class NudgeNews:
 class NudgePlanner:
     """The bumps of one loop.
 
-    Parameters
-    ----------
     settings : see NudgeSettings. pv_span : range of pv. sample_time_s : of the controller.
 
     Its attribute `size` is that of a bump, pv units.

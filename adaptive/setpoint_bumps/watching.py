@@ -30,8 +30,6 @@ def hour_of_samples(t_s: float) -> float:
 class Nudger:
     """Watches over one loop's bumps.
 
-    Parameters
-    ----------
     settings : see NudgeSettings. retuner : of the loop. hour_of : the hour of the day at a sample's time.
     """
 

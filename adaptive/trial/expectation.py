@@ -176,8 +176,6 @@ def promise(
 ) -> Promise:
     """What `new` promises against `old`.
 
-    Parameters
-    ----------
     allowed : the models that the records allow, the best one first. sample_time_s : of the controller.
     b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
 

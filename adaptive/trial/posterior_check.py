@@ -58,8 +58,6 @@ def check_posterior(
 ) -> PosteriorCheck:
     """Both sets on the models that are still allowed.
 
-    Parameters
-    ----------
     allowed : at least one model. sample_time_s : of the controller.
     b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
     """

@@ -162,8 +162,6 @@ def beside_a_walk(
 
     Where no model speaks against it, those for which it was made begin the search: they are no witnesses for it.
 
-    Parameters
-    ----------
     samples : of any gains, the newest last. models : what speaks against it, the best one first; may be none.
     harmless_ms : Ms up to which a set counts as robust. level : standard deviations.
     """

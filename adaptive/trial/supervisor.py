@@ -68,8 +68,6 @@ def nobody(region: int) -> bool:
 class TrialSupervisor:
     """See the head of this file.
 
-    Parameters
-    ----------
     settings : see TrialSettings. sample_time_s : of the controller.
     put_back : puts the set that is to run into the table; called on entering a phase.
     known : what is known of a region's process, when it is to be decided which of its sets runs.

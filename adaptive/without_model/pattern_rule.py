@@ -377,8 +377,6 @@ def pattern_rule(
 ) -> PatternAdvice:
     """What a response asks of the gains that were in force during it.
 
-    Parameters
-    ----------
     response, window : what was recognised, and its samples with some time before.
     diagnosis : what is known of the cause; None where nobody looked.
     """

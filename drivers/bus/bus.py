@@ -48,8 +48,6 @@ WRAP = 1 << 32
 class SocketProbe:
     """A second handle on a bus's socket; where there is no socket, or the system lacks the counter, it knows nothing.
 
-    Parameters
-    ----------
     fileno : of the socket, -1 without one.
     bound_to : interface that the socket must stay bound to, empty when that has no meaning.
     """
@@ -240,8 +238,6 @@ ECHOES_KEPT = 256  # own frames on udp_multicast whose echo is still awaited; a 
 class CanLink:
     """A bus that never raises once it has been opened.
 
-    Parameters
-    ----------
     settings : interface, channel and patience.
     clock : for ages, back-off and the time stamps of the log.
     log : file for all frames both ways; its suffix chooses python-can's format (.blf, .asc, ...).

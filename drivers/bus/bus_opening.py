@@ -106,8 +106,6 @@ def log_parts(path: Path) -> LogParts:
 class BusLog:
     """A log file; python-can chooses the format by its suffix.
 
-    Parameters
-    ----------
     path : file. clock : for the time stamps. most_bytes : of both parts together, infinite for one part without limit.
         The frames between two looks may come on top.
 

@@ -25,8 +25,6 @@ END_S = 5.0
 class LinkReader:
     """Reads a shared link as long as its block lasts.
 
-    Parameters
-    ----------
     share : the link's; its ports no longer read themselves. clock : the link's.
     pause_s : how long frames may gather before they are taken together, s of the clock.
     came : set whenever frames have come.

@@ -13,8 +13,6 @@ from retuner.drivers.device import LinkState
 class LinkSettings:
     """How to open a bus and when to doubt it.
 
-    Parameters
-    ----------
     interface, channel : as python-can spells them.
     hop_limit : routers that a udp_multicast frame may pass; 0 keeps it on this machine.
     options : further keyword arguments of python-can's Bus (bitrate, fd, ...).

@@ -24,8 +24,6 @@ as dropped, and the samples among them show as a gap."""
 class LinkShare:
     """Hands the frames of one link to ports.
 
-    Parameters
-    ----------
     link : open bus; nobody else may read from it.
     """
 

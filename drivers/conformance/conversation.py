@@ -100,8 +100,6 @@ class KnownOfDevice:
 class Conversation:
     """One examiner with one device.
 
-    Parameters
-    ----------
     far : where the device is. node : its number. key : the secret for commits; None for none.
 
     spoilt : what was wrong in itself with frames that came, at whatever time.
@@ -340,8 +338,6 @@ class OnBus:
     It answers within one controller sample, in the order in which it was asked. So behind every question goes one that
     is always answered, by CHALLENGE: when that has come, nothing more is to be waited for.
 
-    Parameters
-    ----------
     link : open bus of its own. clock : the machine's, in real seconds. node : the device's.
     sample_s : real seconds of a controller sample.
     restart : lets somebody switch the device off and on; whether that was done.

@@ -38,8 +38,6 @@ class BusDevice(Protocol):
 class DeviceOnBus:
     """A virtual device and its end of a bus.
 
-    Parameters
-    ----------
     device : firmware and plant.
     link : open bus, used by this device alone; or a port of its own on a shared one.
     """

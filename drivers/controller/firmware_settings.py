@@ -15,8 +15,6 @@ LEASE_SAMPLES, LEASE_S = 600, 6.0  # twenty times, twice what a host asks for wh
 class VirtualDeviceSettings:
     """What is burnt into the firmware.
 
-    Parameters
-    ----------
     gains : set that runs until another is committed or found in the store.
     node : address on the bus, 1..63.
     sample_time_s : controller sample time in s.

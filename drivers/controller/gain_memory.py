@@ -69,8 +69,6 @@ def slot_crc(generation: int, content: GainSet) -> int:
 class GainPages:
     """Pages of one loop.
 
-    Parameters
-    ----------
     node : for the CRC of a set.
     box : what may run.
     first : gains that run when nothing is stored (sequence 0); rounded to float32.

@@ -16,8 +16,6 @@ NOBODY = 0
 class LeaseDesk:
     """The lease of one device.
 
-    Parameters
-    ----------
     longest_samples : longest lease that is granted; more is asked for in vain.
     """
 

@@ -71,8 +71,6 @@ COUNTER_BITS = 8
 class VirtualDevice:
     """The firmware at work on a plant.
 
-    Parameters
-    ----------
     settings : firmware.
     plant : what it controls; the loop starts at rest at the plant's pv, in auto.
     epoch : number of this boot, 0..65535; every restart takes the next one.

@@ -26,8 +26,6 @@ KEY_BYTES_MIN = 16
 class CanDeviceSettings:
     """How to reach a controller and how long to wait for it.
 
-    Parameters
-    ----------
     node : address of the controller, 1..63.
     sample_time_s : its sample time in s; another one found there is refused.
     variable : scheduling variable for LoopSample.x: "sp", "pv" or "co"; or ScheduleInputs.

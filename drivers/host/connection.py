@@ -96,8 +96,6 @@ CONNECTION: dict[tuple[ConnectPhase, ConnectInput], ConnectPhase] = {
 class CanDevice:
     """A controller on CAN: device.Device says what its methods promise.
 
-    Parameters
-    ----------
     link : open bus of its own, or this node's port of a shared one.
     settings : address and patience. after_s : time of the newest sample that an earlier session has seen, s: a device
     that has restarted since and counts anew goes on behind it.

@@ -21,8 +21,6 @@ COUNTER_LEAP = 100  # after "stale": an earlier host of this name has counted el
 class LeaseKeeper:
     """The lease of one device, seen from one host.
 
-    Parameters
-    ----------
     owner : this host's number. samples : length of the lease in controller samples. length_s : the same in s.
     timeout_s : how long to wait for an answer, s.
     """

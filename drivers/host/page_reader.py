@@ -50,8 +50,6 @@ class _Question(NamedTuple):
 class PageReader:
     """Questions under way, at most one per page.
 
-    Parameters
-    ----------
     first_token : where the tokens begin; hosts, and one host's lives, had better begin at different ones.
     """
 

@@ -62,8 +62,6 @@ class _Waiting:
 class CommandSender:
     """Commands under way, at most one of each kind.
 
-    Parameters
-    ----------
     timeout_s : how long to wait for an acknowledge, s.
     owner : this host's number in the lease.
     check : raises when a frame cannot be sent.
@@ -146,8 +144,6 @@ class CommandSender:
 class Probation:
     """The set that waits to be confirmed by this host.
 
-    Parameters
-    ----------
     samples : samples to be seen with the set before it is confirmed.
     """
 
@@ -182,8 +178,6 @@ GAIN_KINDS = (Kind.STAGE, Kind.COMMIT, Kind.ABORT)
 class HostRequests:
     """The requests of one host to one controller.
 
-    Parameters
-    ----------
     settings : address and patience.
     reader : asks for pages; shared with whoever else reads pages of this device.
     check : raises FrameError when a frame cannot be sent.

@@ -38,8 +38,6 @@ DOUBLED_MAX = 12  # heartbeats in a row that came twice: a bus that doubles fram
 class RunningBelief:
     """The running set and the epoch of one node.
 
-    Parameters
-    ----------
     node : for the CRC.
     """
 

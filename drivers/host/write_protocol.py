@@ -167,8 +167,6 @@ class Sequence:
 class WriteProtocol:
     """One write after another over one device.
 
-    Parameters
-    ----------
     reader : asks for pages; shared with whoever else reads pages of this device.
     timeout_s : how long to wait for an answer, s.
     """

@@ -62,8 +62,6 @@ PAUSE = 8
 class SampleGrid:
     """See the head of this file.
 
-    Parameters
-    ----------
     sample_time_s : in s. asked : the host's clock is the pace. after_s : samples come behind this time.
     """
 
@@ -155,8 +153,6 @@ class Value(NamedTuple):
 class ForeignDevice:
     """See the head of this file; device.Device says what its methods promise.
 
-    Parameters
-    ----------
     link : open bus. access : the controller's numbers. settings : see there.
     """
 

@@ -13,8 +13,6 @@ TIMES = ("sample_time_s", "reply_s", "silent_s", "connect_s", "feed_s", "look_s"
 class ForeignSettings:
     """How to treat a controller.
 
-    Parameters
-    ----------
     gains : set that it is believed to run where it cannot be asked.
     where : the device in words. sample_time_s : time between samples, s. variable : as CanDeviceSettings.
     co_min, co_max : range of the output, percent. sp_start : setpoint until one was sent, where it reports none.

@@ -96,8 +96,6 @@ class Outcome(NamedTuple):
 class GainCourse:
     """See the head of this file.
 
-    Parameters
-    ----------
     acknowledges, reads_back : what the controller does. reply_s : how long to wait for an answer, s.
     """
 

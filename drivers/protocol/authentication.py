@@ -43,8 +43,6 @@ def fresh_nonce() -> int:
 class CodeDesk:
     """The device's side: the challenge, the halves of codes that have come, and the count of wrong codes.
 
-    Parameters
-    ----------
     key : shared secret; None when commits need no code.
     nonce : makes challenges.
     """

@@ -84,8 +84,6 @@ class _Odd(NamedTuple):
 class BitLayout:
     """The signals of one frame in a given order.
 
-    Parameters
-    ----------
     layout : of the frame, from cantools.
     order : names of the signals; those that are not named are packed as zero and not unpacked.
 
@@ -257,8 +255,6 @@ class DbcError(DeviceError):
 def read_dbc(text: str, source: str) -> Database:
     """Read a DBC text.
 
-    Parameters
-    ----------
     text : content of the file. source : its name, for messages.
 
     Raises DbcError: it is no DBC, or signals of a frame overlap or leave it.
@@ -421,8 +417,6 @@ class _Encoded(can.Message):
 class Codec:
     """Frames of one node.
 
-    Parameters
-    ----------
     node : 1..63.
 
     Raises ValueError: no such node.

@@ -313,8 +313,6 @@ def reason_text(ack: Ack) -> str:
 class GainBox:
     """Limits of the gains that a device accepts.
 
-    Parameters
-    ----------
     kp_max, ki_max, kd_max : largest magnitudes, in the units of PidGains.
     ratio_max : largest factor, up or down, by which one write may change a gain. Generous: a change of operating region
         is one write, too; the host's guard is the narrow one.

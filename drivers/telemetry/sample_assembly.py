@@ -35,8 +35,6 @@ class AssembledSample(NamedTuple):
 class SampleJoiner:
     """Unwrapped and joined telemetry of one device.
 
-    Parameters
-    ----------
     sample_time_s : of the controller, s.
     variable : scheduling variable that goes into LoopSample.x: "sp", "pv" or "co"; or ScheduleInputs.
     node : of the device, for the CRC.

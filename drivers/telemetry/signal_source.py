@@ -98,8 +98,6 @@ class ScheduleInputs:
 def find_signal(dbc: str, message: str, signal: str, stale_after_s: float, node: int = 1) -> SignalSource:
     """The source of a signal.
 
-    Parameters
-    ----------
     dbc : file, or "" for what the virtual device publishes. message, signal : names in it. node : of the virtual
         device, whose message has an id of its own.
 
@@ -151,8 +149,6 @@ def plant_message(node: int, aux: float) -> "can.Message":
 class SignalTap:
     """The signals of up to two axes.
 
-    Parameters
-    ----------
     sources : of x and x2; None where the variable comes with the sample.
     """
 

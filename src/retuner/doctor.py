@@ -53,8 +53,6 @@ class Finding:
 def findings(folder: Path, *, adapters: bool = False) -> Iterator[Finding]:
     """Every check, one after another.
 
-    Parameters
-    ----------
     folder : where sessions are going to be kept. adapters : ask the drivers of CAN adapters too, which takes seconds
         and wakes hardware.
     """

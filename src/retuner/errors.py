@@ -23,8 +23,6 @@ def one_line(text: object) -> str:
 class UserError(Exception):
     """Something that the user can put right.
 
-    Parameters
-    ----------
     lines : one line per problem: what, where, the limit, what to do.
     """
 
@@ -47,8 +45,6 @@ class LedgerError(UserError):
 def user_input(where: str) -> Iterator[None]:
     """Turn a ValueError of the pure rooms into a UserError that says where the value came from.
 
-    Parameters
-    ----------
     where : the option, key or file that the values inside came from, for example "--tau1".
 
     Raises UserError: the block raised ValueError.

@@ -12,8 +12,6 @@ from pathlib import Path
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file by way of a temporary one beside it: write, fsync, rename, fsync of the folder.
 
-    Parameters
-    ----------
     path : where; a symbolic link stays and its target is replaced, its permissions are kept. content : text is
         written as UTF-8.
 

@@ -26,8 +26,6 @@ def open_streams() -> None:
 class LastingStream:
     """A text stream that never raises OSError: the first one is told on stderr, and nothing is written after it.
 
-    Parameters
-    ----------
     stream : what is written to.
     """
 

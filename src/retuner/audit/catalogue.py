@@ -113,8 +113,6 @@ def files_of(sources: Iterable[Path]) -> list[Path]:
 def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") -> Catalogue:
     """What the files hold.
 
-    Parameters
-    ----------
     files : as files_of gives them. form : what is known of their form. tag_pattern : a regular expression; what its
     first group finds in a file's name is the tag of a record without tags. None: a tag before a date is one.
     """

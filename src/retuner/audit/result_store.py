@@ -30,8 +30,6 @@ def signature(task: Task, settings: AuditSettings) -> str:
 class ResultStore:
     """Rows by tag.
 
-    Parameters
-    ----------
     folder : of the audit; made where it is not there.
 
     Raises UserError: the folder holds something else under this name, or cannot be written.

@@ -99,8 +99,6 @@ WORSE = 1.5
 def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], list[CommonSwing]]:
     """Rows without pictures, the loop to visit first at the top, with their groups and changes.
 
-    Parameters
-    ----------
     rows : of an audit. before : of an earlier one, to say what changed.
     """
     listed: list[Row] = []
@@ -321,8 +319,6 @@ def write_results(
 ) -> list[Row]:
     """Write the page, audit.json, and audit.parquet where pyarrow is installed; the ranked rows.
 
-    Parameters
-    ----------
     folder : of the audit. rows : of its loops. before : of an earlier audit. refused : files with the reason. sources :
     what was audited. area : pattern of the area in a tag. controller :
     whose settings the page shows, None for gain and seconds.

@@ -36,8 +36,6 @@ def on_this_machine(
 ) -> Iterator[tuple[Task, list[Row]]]:
     """Tasks with their rows as they are done.
 
-    Parameters
-    ----------
     jobs : processes; 1 does all in this one. work : what is done with a task, audit_task by itself.
     """
     do = work or partial(audit_task, settings=settings)
@@ -145,8 +143,6 @@ class Pass:
 def screening(tasks: Sequence[Task], settings: AuditSettings, done: Mapping[str, str], share: float) -> Pass:
     """What comes first: the screening of all loops, with their diagnosis where all are diagnosed.
 
-    Parameters
-    ----------
     tasks : of all loops. settings : of the audit. done : signatures of the rows that are there, by tag. share : of the
     loops that are diagnosed, 0 to 1.
     """

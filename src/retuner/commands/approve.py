@@ -70,8 +70,6 @@ def only_place(session: Path, loop: str | None) -> "LoopPlace":
 class LoopPlace:
     """A loop of a session as a person sees it who wants to order something: its folder, and what it has shown.
 
-    Parameters
-    ----------
     ledger : of the session. config : of the loop. several : it is one of several. shown : what the ledger tells of it.
     """
 

@@ -163,8 +163,6 @@ def _node(text: str) -> int:
 def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, str]:
     """The configuration of a record's loop, and the model beside it where the record shows one, by path.
 
-    Parameters
-    ----------
     record : of the loop in automatic. file : where the configuration goes. given : gains that were in force, None to
     read them off the record.
 

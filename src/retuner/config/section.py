@@ -75,8 +75,6 @@ def setting(
 ) -> Any:  # noqa: ANN401  the type of a pydantic field default is the field's own
     """Declare a setting.
 
-    Parameters
-    ----------
     meaning : what it does, one sentence without a full stop.
     unit : "s", "%", "pv" (the loop's own unit), "1" for ratios, "-" for names and choices.
     source : where the default or the limit comes from.

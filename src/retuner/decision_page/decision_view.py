@@ -60,8 +60,6 @@ class Samples:
 class DecisionView:
     """See the head of this file.
 
-    Parameters
-    ----------
     document : what Decision.to_dict() gives. samples : of the response, None where they were not kept.
     unit : of pv. sample_time_s : of the loop; half of it counts as dead time. row, hash : in the ledger, None and empty
         where not known. later : documents of the decisions that judged or undid this one.
@@ -217,8 +215,6 @@ def view_of(
 ) -> DecisionView:
     """One decision as its page sees it.
 
-    Parameters
-    ----------
     decision : the decision, or its document out of a ledger. columns : the trend of the run by column.
     unit : of pv. place : row of the ledger and its hash. later : see what_came_of.
     """

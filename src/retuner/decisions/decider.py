@@ -42,8 +42,6 @@ class Decider(Protocol):
 class DecideHere:
     """Decides in this process, and hands the answer out a fixed number of samples after the question.
 
-    Parameters
-    ----------
     delay_samples : so many, 0 or more.
 
     Raises ValueError: the delay is negative.

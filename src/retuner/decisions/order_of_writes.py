@@ -17,8 +17,6 @@ Record = Callable[[str, float, Mapping[str, object]], None]
 class OrderOfWrites:
     """See the head of this file.
 
-    Parameters
-    ----------
     retuner : what is known of the process. units : how the controller keeps gains. record : keeps rows for good.
     now : time of the newest sample. unproved : the user accepts an order that no model proves.
     """

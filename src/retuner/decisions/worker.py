@@ -97,8 +97,6 @@ def _ended(code: int) -> str:
 class DecideInWorker:
     """Decides in a process of its own: see the head of this file.
 
-    Parameters
-    ----------
     deadline_s : time of the machine that a decision may take, s. nice : how much the worker gives way, 0 to 19.
     memory_bytes : data that the worker may hold; 0 for no limit. clock : measures the deadline.
     """
@@ -210,8 +208,6 @@ class _Asked(NamedTuple):
 class DecisionWorkers:
     """See the head of this file.
 
-    Parameters
-    ----------
     loops : how many loops ask. processes : how many workers answer; None for one less than the machine has cores, and
     no more than there are loops. clock : measures the deadlines.
     """

@@ -18,8 +18,6 @@ def experiment_figure(
 ) -> Figure:
     """The picture.
 
-    Parameters
-    ----------
     window : the record. found : its evaluation. unit : of pv. band : limits of pv, drawn where they are near.
     """
     figure = Figure(figsize=(11, 6))

@@ -40,8 +40,6 @@ CONFIRM_SAMPLES = 15
 class SettingsWriter:
     """Writes one gain set.
 
-    Parameters
-    ----------
     bench : the controller. sample_time_s : its sample time. record : keeps rows for good, before they take effect.
     """
 
@@ -137,8 +135,6 @@ OPTION_AT_FAULT = {
 class OnDemandExperiment:
     """One experiment with everything round it.
 
-    Parameters
-    ----------
     config : the loop. plan : what to do. question : what is asked of the record (what is seen at rest is filled in).
     folder, ledger : where it is left and recorded. screen : shows it. bench : where it takes place.
     yes : the settings are confirmed beforehand. as_json : print one JSON document.

@@ -85,8 +85,6 @@ class Following:
     A new target may take some samples to show. Once mode and setpoint have shown, another one is somebody else's at
     once: the next output of a relay must not override a person who has taken over.
 
-    Parameters
-    ----------
     kind : of the experiment. helm : knows what is shown. patience : samples that a new target may take to show.
     """
 
@@ -140,8 +138,6 @@ def restore_patience_s(sample_time_s: float, silent_s: float) -> float:
 class ExperimentRunner:
     """See the head of this file.
 
-    Parameters
-    ----------
     device : the controller. plan : what to do. sample_time_s : of the controller. silent_s : without telemetry for so
         long, an experiment is given up; as long may a new target take to show.
     record : keeps rows for good. on_sample : told of every sample and the phase.

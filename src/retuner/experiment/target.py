@@ -76,8 +76,6 @@ def p_only(plan: Plan, before: OldState) -> PidGains:
 class Helm:
     """Sends what is wanted and tells whether it is shown.
 
-    Parameters
-    ----------
     device : the controller. sample_time_s : its sample time.
     """
 

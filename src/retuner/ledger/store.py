@@ -179,8 +179,6 @@ class LedgerReader:
     def verify(self, anchor: str = "") -> ChainReport:
         """Recompute the whole chain and name the first row that cannot be believed.
 
-        Parameters
-        ----------
         anchor : the hash of a row, or its beginning, that was noted elsewhere: whoever can write the file can cut off
             its last rows and set its head back, and only a note outside of the file shows that.
 
@@ -241,8 +239,6 @@ class Ledger(LedgerReader):
     def append(self, kind: str, body: Mapping[str, object], clock_s: float) -> Row:
         """Write a row; it is on disk when this returns.
 
-        Parameters
-        ----------
         kind : what the row is, for example "decision". body : JSON values, finite numbers only.
         clock_s : time of the run's clock in seconds, finite.
 

@@ -25,8 +25,6 @@ ROWS_MAX = 2_000_000
 class Rows:
     """Rows of numbers in one flat array: 8 bytes a number, a fifth of what tuples take.
 
-    Parameters
-    ----------
     width : numbers in a row.
     most : rows to keep. When they are reached, every second row of the older half goes: a run that never ends keeps its
         last hours whole and the time before ever more coarsely.
@@ -66,8 +64,6 @@ class Rows:
 class Trend:
     """Rows of COLUMNS, or of COLUMNS_2, in the order of time.
 
-    Parameters
-    ----------
     most : rows to keep, see Rows. two : whether there are two scheduling variables.
     """
 

@@ -59,8 +59,6 @@ def place(ring: int, number: int) -> int:
 class LiveWriter:
     """Writes one.
 
-    Parameters
-    ----------
     path : a new file. head : the document that does not change.
 
     Raises OSError: the file cannot be made. Later, nothing is raised: `trouble` says why nothing more is written.

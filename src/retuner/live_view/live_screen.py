@@ -27,8 +27,6 @@ LEAST_WIDTH = 40
 class LiveScreen:
     """Shows a run.
 
-    Parameters
-    ----------
     console : where to. quiet : show nothing (for --json). answers_only : no live view, decisions or events.
     detail : decisions with all that was weighed. now_s : the machine's clock, for how often the picture is renewed.
     """

@@ -147,8 +147,6 @@ TRIAL_WAITS = {
 class LoopObserver:
     """Looks at a loop.
 
-    Parameters
-    ----------
     retuner : watches the loop. device : runs the gains.
     """
 

@@ -47,8 +47,6 @@ def head_of(config: Config, table: GainTable, *, several: bool = False) -> dict[
 class Publisher:
     """Writes what can be seen of one loop.
 
-    Parameters
-    ----------
     folder : of the session. head : what does not change. observer : of the loop. say : is told once why it ends.
     number : of the loop in its session, from 1.
     """
@@ -133,8 +131,6 @@ class OnScreen(NobodyLooks):
 class Watching(OnScreen):
     """The same, with decisions and what else happens; and a live file for each loop.
 
-    Parameters
-    ----------
     folder : of the session.
     """
 

@@ -11,8 +11,6 @@ def on_one_plant(*controllers: PidController) -> None:
     A loop is not judged by what another's setpoint move does to it, and gets no gains that the others do not survive,
     as far as their moves have shown the plant.
 
-    Parameters
-    ----------
     controllers : two or more, stepped in turn, each once a sample time, with the same clock.
 
     Raises ValueError: there are fewer than two, or one makes its decisions in the background.

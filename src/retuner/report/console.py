@@ -33,8 +33,6 @@ def screen_console(*, stderr: bool) -> Console:
 class RunScreen:
     """Progress and decisions of one run.
 
-    Parameters
-    ----------
     console : where to. unit : of pv. quiet : show nothing (for --json). answers_only : no
         progress and no decisions (for -q).
     """

@@ -22,8 +22,6 @@ MOST_CLIENTS = 10_000
 class Bucket:
     """Limits how often: `burst` at once, then `per_s` a second, for each client apart.
 
-    Parameters
-    ----------
     now_s : a monotonic clock.
     """
 
@@ -53,8 +51,6 @@ class Session:
 class Access:
     """See the head of this file.
 
-    Parameters
-    ----------
     hosts : values of the Host header that are ours. secure : whether TLS is spoken. read_only : nobody may act.
     now_s : a monotonic clock. port : ours; cookies are shared by all ports of a host, so ours is named by it.
     """

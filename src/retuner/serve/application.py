@@ -63,8 +63,6 @@ class NotTakenError(Exception):
 class Page:
     """The answers.
 
-    Parameters
-    ----------
     hub : looks at the runs. access : who may do what.
     """
 

@@ -35,8 +35,6 @@ OURS = {"same-origin", "none", ""}
 class Gate:
     """Lets through what may pass.
 
-    Parameters
-    ----------
     inner : the application. access : hosts, origins and rates.
     """
 

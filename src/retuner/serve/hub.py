@@ -50,8 +50,6 @@ class Message:
 class Hub:
     """Looks at the runs for all who watch.
 
-    Parameters
-    ----------
     runs : what there is to be seen.
     """
 

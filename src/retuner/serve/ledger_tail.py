@@ -34,8 +34,6 @@ class Decided:
 class LedgerTail:
     """Reads on where it stopped.
 
-    Parameters
-    ----------
     path : the ledger; it may be written by another process.
 
     Raises LedgerError: it is no ledger of this release.

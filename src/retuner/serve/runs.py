@@ -97,8 +97,6 @@ class WatchedSession:
 class Runs:
     """The sessions under a folder.
 
-    Parameters
-    ----------
     root : the folder of a session, or of sessions.
 
     Raises UserError: there is no such folder, or no session in it; or its ledger is of another version.

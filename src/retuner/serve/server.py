@@ -49,8 +49,6 @@ def serve(
 ) -> None:
     """Serve the page until somebody ends it.
 
-    Parameters
-    ----------
     say : is told the address, and the one under which a person may act. ours, token : of whoever started this server
         beside a run and has told them already.
 

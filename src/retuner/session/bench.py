@@ -232,8 +232,6 @@ LONGEST_PAUSE_S = 0.005
 class LiveBuses(HostBuses):
     """Buses in real time, each read by a thread of its own (link_reader.py).
 
-    Parameters
-    ----------
     buses : with their readers. clock : theirs. came : set by the readers when frames have come.
     """
 

@@ -115,8 +115,6 @@ class WantedSet:
 class GainWriter:
     """See the head of this file.
 
-    Parameters
-    ----------
     device : the controller. retuner : whose table and decisions count. record : keeps rows for good.
     """
 

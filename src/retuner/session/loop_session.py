@@ -102,8 +102,6 @@ def no_memory(t_s: float) -> None:
 class LoopSession:
     """See the head of this file.
 
-    Parameters
-    ----------
     device : the controller. retuner : watches it. scenario : what to do to it. record : keeps rows for good.
     on_sample : told of every sample (progress). decider : where decisions are made; None for here, at once.
     """

@@ -75,8 +75,6 @@ def about(config: Config) -> str:
 class MemoryFile:
     """Keeps a session's memory in its folder.
 
-    Parameters
-    ----------
     folder : of the session. config : of the loop. record : keeps rows for good.
     """
 

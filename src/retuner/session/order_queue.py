@@ -177,8 +177,6 @@ def left_before(session: Path | None, loop: str = "", known: Iterable[Row] | Non
 class OrderDesk:
     """Orders to one session.
 
-    Parameters
-    ----------
     box : where orders lie. retuner : is told. record : keeps rows for good. decisions : of this session, as it goes on.
     expires_after_s : how long a proposal may be approved after it was made. before : what was left before it.
     """

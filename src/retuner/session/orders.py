@@ -217,8 +217,6 @@ class OrderFile(NamedTuple):
 class OrderBox:
     """The orders of one session's folder.
 
-    Parameters
-    ----------
     session : the folder; orders/ in it need not exist. done : names of files there that were dealt with before.
     """
 

@@ -51,8 +51,6 @@ def pretune_plan(config: Config) -> Plan:
 class Pretuning:
     """One pretune.
 
-    Parameters
-    ----------
     config : the loop. record : keeps rows for good. tell : says a line to the user.
 
     Raises UserError: a setting is out of its range.

@@ -102,8 +102,6 @@ def _before(folder: Path | None, config: SessionConfig) -> _Before:
 class _Loop:
     """One loop of a run, before and while it is watched.
 
-    Parameters
-    ----------
     config : its. run : that it belongs to. folder : of the session, None where nothing is kept. before : the session
     that was there before.
     """
@@ -223,8 +221,6 @@ def with_what_was_left(
 class Run:
     """One run of a configuration.
 
-    Parameters
-    ----------
     config : what to run, one loop or several. keep : the ledger. mode : overrides the configured one. log : file for
     the traffic of the first bus. observer : looks on. folder : of the session, where people put orders; before : that
     of the session which was there before and may have left some.

@@ -11,8 +11,6 @@ from retuner.config.bench import ScenarioConfig, StepConfig
 class ScenarioPlayer:
     """Hands out each step once, when its time has come.
 
-    Parameters
-    ----------
     scenario : the steps in the order of time, or None: nothing happens and it never ends.
     """
 

@@ -55,8 +55,6 @@ class LoopRecorder:
     """Keeps the rows of one loop: each with its place in the order of samples, and with the loop's name where there
     are several.
 
-    Parameters
-    ----------
     keep : the ledger. name : of the loop, empty where it is the only one. observer : is told of each row.
     failed : is told, once there is a session, why the ledger takes no more rows.
     """
@@ -85,8 +83,6 @@ class LoopRecorder:
 class Session:
     """See the head of this file.
 
-    Parameters
-    ----------
     loops : one or more. say : is told a line when a loop is left out.
     """
 
