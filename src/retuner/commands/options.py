@@ -1,9 +1,10 @@
 """Options that several commands share, and how a dataclass of options becomes a command's signature."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import wraps
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -41,6 +42,20 @@ PvSpan = Annotated[float | None, typer.Option(help="Span of pv, in its own unit;
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the record with the result: .png or .svg.")]
 CONTROLLER = "--controller, --action, --pv-span"
 
+T = TypeVar("T")
+
+
+def option(default: T, text: str, *names: str, metavar: str | None = None, panel: str | None = None) -> T:
+    """A field of a dataclass of options. text : its help. names : where they are not the field's own."""
+    shown = typer.Option(*names, help=text, metavar=metavar, rich_help_panel=panel)
+    return field(default=default, metadata={"shown": shown})
+
+
+def argument(default: T, text: str, *, metavar: str | None = None) -> T:
+    """As option, for what is given by its place."""
+    return field(default=default, metadata={"shown": typer.Argument(help=text, metavar=metavar)})
+
+
 PANEL = "The form of the record (else detected, and reported)"
 
 
@@ -48,40 +63,22 @@ PANEL = "The form of the record (else detected, and reported)"
 class FormOptions:
     """How a record is written; what is left open is found in it."""
 
-    columns: Annotated[
-        str, typer.Option(help="Names of columns: t=time,pv=temp,co=out,sp=target.", rich_help_panel=PANEL)
-    ] = ""
-    tag: Annotated[str, typer.Option(help="Which loop of many: FIC101 of FIC101.PV.", rich_help_panel=PANEL)] = ""
-    sp: Annotated[float | None, typer.Option(help="The setpoint where no column has it.", rich_help_panel=PANEL)] = None
-    dt: Annotated[
-        float | None, typer.Option(help="Seconds between rows where no column has the time.", rich_help_panel=PANEL)
-    ] = None
-    time_format: Annotated[
-        str, typer.Option(help="Format of time stamps: %d.%m.%Y %H:%M:%S.", rich_help_panel=PANEL)
-    ] = ""
-    time_unit: Annotated[str, typer.Option(help="Time as a number: s, ms, min, h, d.", rich_help_panel=PANEL)] = ""
-    zone: Annotated[
-        str, typer.Option(help="Time zone of stamps without one: Europe/Berlin.", rich_help_panel=PANEL)
-    ] = ""
-    decimal: Annotated[str, typer.Option(help="Decimal mark: . or ,", rich_help_panel=PANEL)] = ""
-    good: Annotated[str, typer.Option(help="Quality code of a good value.", rich_help_panel=PANEL)] = ""
-    bad: Annotated[str, typer.Option(help="Another code for a missing value.", rich_help_panel=PANEL)] = ""
-    scale: Annotated[
-        str, typer.Option(help="Raw signals: pv=4..20:0..200,co=mA:0..100 or counts.", rich_help_panel=PANEL)
-    ] = ""
-    dbc: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="What the frames of bus traffic mean; may be repeated.", rich_help_panel=PANEL
-        ),
-    ] = None
-    record: Annotated[
-        Path | None,
-        typer.Option(metavar="TOML", help="A file with all of this in its section record.", rich_help_panel=PANEL),
-    ] = None
-    assume: Annotated[
-        bool, typer.Option("--assume", help="Print what was assumed as a section record.", rich_help_panel=PANEL)
-    ] = False
+    columns: str = option("", "Names of columns: t=time,pv=temp,co=out,sp=target.", panel=PANEL)
+    tag: str = option("", "Which loop of many: FIC101 of FIC101.PV.", panel=PANEL)
+    sp: float | None = option(None, "The setpoint where no column has it.", panel=PANEL)
+    dt: float | None = option(None, "Seconds between rows where no column has the time.", panel=PANEL)
+    time_format: str = option("", "Format of time stamps: %d.%m.%Y %H:%M:%S.", panel=PANEL)
+    time_unit: str = option("", "Time as a number: s, ms, min, h, d.", panel=PANEL)
+    zone: str = option("", "Time zone of stamps without one: Europe/Berlin.", panel=PANEL)
+    decimal: str = option("", "Decimal mark: . or ,", panel=PANEL)
+    good: str = option("", "Quality code of a good value.", panel=PANEL)
+    bad: str = option("", "Another code for a missing value.", panel=PANEL)
+    scale: str = option("", "Raw signals: pv=4..20:0..200,co=mA:0..100 or counts.", panel=PANEL)
+    dbc: list[Path] | None = option(
+        None, "What the frames of bus traffic mean; may be repeated.", metavar="FILE", panel=PANEL
+    )
+    record: Path | None = option(None, "A file with all of this in its section record.", metavar="TOML", panel=PANEL)
+    assume: bool = option(False, "Print what was assumed as a section record.", "--assume", panel=PANEL)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,20 +89,18 @@ class RecordOptions(FormOptions):
         list[Path],
         typer.Argument(metavar="FILE...", help="A record as exported: text or Parquet, or a file for each signal."),
     ]
-    open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
-    kc: Annotated[float | None, typer.Option(help="Active controller gain.")] = None
-    tau_i: Annotated[float | None, typer.Option(help="Its integral time, s.")] = None
-    tau_d: Annotated[float, typer.Option(help="Its derivative time, s.")] = 0.0
-    form: Annotated[str, typer.Option(help="Form of these: series, ideal or parallel.")] = "series"
+    open_loop: bool = option(False, "The loop was in manual.", "--open-loop")
+    kc: float | None = option(None, "Active controller gain.")
+    tau_i: float | None = option(None, "Its integral time, s.")
+    tau_d: float = option(0.0, "Its derivative time, s.")
+    form: str = option("series", "Form of these: series, ideal or parallel.")
     controller: Controller = None
     action: ActionOption = None
     pv_span: PvSpan = None
-    co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
-    co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
-    begin: Annotated[
-        str, typer.Option("--from", metavar="WHEN", help="Begin here: seconds of the record, or 2026-05-04T08:30.")
-    ] = ""
-    end: Annotated[str, typer.Option("--to", metavar="WHEN", help="End here, likewise.")] = ""
+    co_min: float | None = option(None, "Lower limit of co, in its own unit.")
+    co_max: float | None = option(None, "Upper limit of co.")
+    begin: str = option("", "Begin here: seconds of the record, or 2026-05-04T08:30.", "--from", metavar="WHEN")
+    end: str = option("", "End here, likewise.", "--to", metavar="WHEN")
     plot: Plot = None
     as_json: Json = False
 
@@ -121,6 +116,13 @@ def signed_by(options: type[Options]) -> Callable[[Callable[[Options], int]], Ca
         def called(**given: Any) -> int:
             return work(options(**given))
 
+        plain = signature(options, eval_str=True)
+        shown = {one.name: one.metadata.get("shown") for one in fields(options)}  # type: ignore[arg-type]
+        told = [
+            one if (how := shown[name]) is None else one.replace(annotation=Annotated[one.annotation, how])
+            for name, one in plain.parameters.items()
+        ]
+        called.__signature__ = plain.replace(parameters=told)  # type: ignore[attr-defined]
         return called
 
     return signed

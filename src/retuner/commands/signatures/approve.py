@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from retuner.commands.options import By, Json, Loop, Note, Session, command
+from retuner.commands.options import By, Json, Loop, Note, Session, argument, command, option
 
 app = typer.Typer(add_completion=False)
 
@@ -19,17 +18,14 @@ class ApproveOptions:
     """
 
     session: Session
-    digest: Annotated[
-        str | None,
-        typer.Argument(metavar="[HASH]", help="Of the proposal, 8 digits or more; without it: list the open ones."),
-    ] = None
+    digest: str | None = argument(
+        None, "Of the proposal, 8 digits or more; without it: list the open ones.", metavar="[HASH]"
+    )
     by: By = None
     note: Note = ""
-    unlock: Annotated[str | None, typer.Option(metavar="REGION", help="Unlock a region.")] = None
-    every: Annotated[bool, typer.Option("--all", help="List superseded proposals, too.")] = False
-    into: Annotated[
-        Path | None, typer.Option(metavar="CONFIG", help="Configuration that gets a proposed schedule.")
-    ] = None
+    unlock: str | None = option(None, "Unlock a region.", metavar="REGION")
+    every: bool = option(False, "List superseded proposals, too.", "--all")
+    into: Path | None = option(None, "Configuration that gets a proposed schedule.", metavar="CONFIG")
     loop: Loop = None
     as_json: Json = False
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import RecordOptions, command
+from retuner.commands.options import RecordOptions, command, option
 
 app = typer.Typer(add_completion=False)
 
@@ -19,15 +19,11 @@ class DiagnoseOptions(RecordOptions):
         list[Path],
         typer.Argument(metavar="FILE...", help="Records of one loop, oldest first; or one, a file for each signal."),
     ]
-    kc: Annotated[float | None, typer.Option(help="Active controller gain; else identified from the record.")] = None
-    aim: Annotated[
-        str, typer.Option(help="tight; smooth: as slow as --ymax allows; averaging: a tank moves, its flow does not.")
-    ] = "tight"
-    ymax: Annotated[float | None, typer.Option(help="With these aims: how far pv may go, in its unit.")] = None
-    u0: Annotated[
-        float | None, typer.Option(help="For this step of the load, co units; default what co had to move.")
-    ] = None
-    with_evidence: Annotated[bool, typer.Option("--evidence", help="All numbers behind it, and other forms.")] = False
+    kc: float | None = option(None, "Active controller gain; else identified from the record.")
+    aim: str = option("tight", "tight; smooth: as slow as --ymax allows; averaging: a tank moves, its flow does not.")
+    ymax: float | None = option(None, "With these aims: how far pv may go, in its unit.")
+    u0: float | None = option(None, "For this step of the load, co units; default what co had to move.")
+    with_evidence: bool = option(False, "All numbers behind it, and other forms.", "--evidence")
 
 
 command(

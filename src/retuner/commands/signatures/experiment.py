@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop, Plot, command
+from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop, Plot, argument, command, option
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -23,9 +23,9 @@ ControllerKind = Annotated[str | None, typer.Option("--kind", help="p, pi or pid
 class RecordedOptions(FormOptions):
     """A recorded experiment and how to show it."""
 
-    file: Annotated[Path | None, typer.Option("--from", metavar="FILE", help="Evaluate this recording instead.")] = None
+    file: Path | None = option(None, "Evaluate this recording instead.", "--from", metavar="FILE")
     plot: Plot = None
-    method: Annotated[str, typer.Option(help="Whose model is tuned for; fit, or a named method of this test.")] = "fit"
+    method: str = option("fit", "Whose model is tuned for; fit, or a named method of this test.")
     rule: Rule = "simc"
     kind: ControllerKind = None
     as_json: Json = False
@@ -35,22 +35,16 @@ class RecordedOptions(FormOptions):
 class ControllerOptions:
     """A test on a controller."""
 
-    config: Annotated[
-        Path | None, typer.Argument(metavar="[CONFIG]", help="Configuration (TOML): run the test on its controller.")
-    ] = None
+    config: Path | None = argument(None, "Configuration (TOML): run the test on its controller.", metavar="[CONFIG]")
     interface: Interface = None
     channel: Channel = None
-    speed: Annotated[str, typer.Option(help="max: simulated time; a number: how fast the far side's time runs.")] = (
-        "max"
-    )
-    pv_low: Annotated[float | None, typer.Option(help="Abort below this pv; default the loop's range.")] = None
-    pv_high: Annotated[float | None, typer.Option(help="Abort above this pv; default the loop's range.")] = None
-    deviation: Annotated[
-        float | None, typer.Option(help="Abort so far from rest, pv units; default 20 % of the range.")
-    ] = None
-    time: Annotated[float | None, typer.Option("--time", help="Longest excitation, s; default 2000 samples.")] = None
-    rest: Annotated[float | None, typer.Option("--rest", help="Longest wait for rest, s; default 300 samples.")] = None
-    out: Annotated[Path | None, typer.Option(help="Folder for record, picture, ledger and bus log.")] = None
+    speed: str = option("max", "max: simulated time; a number: how fast the far side's time runs.")
+    pv_low: float | None = option(None, "Abort below this pv; default the loop's range.")
+    pv_high: float | None = option(None, "Abort above this pv; default the loop's range.")
+    deviation: float | None = option(None, "Abort so far from rest, pv units; default 20 % of the range.")
+    time: float | None = option(None, "Longest excitation, s; default 2000 samples.", "--time")
+    rest: float | None = option(None, "Longest wait for rest, s; default 300 samples.", "--rest")
+    out: Path | None = option(None, "Folder for record, picture, ledger and bus log.")
     loop: Loop = None
     as_json: Json = False
 
@@ -59,14 +53,14 @@ class ControllerOptions:
 class OnDemandOptions(RecordedOptions, ControllerOptions):
     """A test on a controller, or a recorded one."""
 
-    yes: Annotated[bool, typer.Option("--yes", help="The settings are confirmed: write them.")] = False
+    yes: bool = option(False, "The settings are confirmed: write them.", "--yes")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepOptions(OnDemandOptions):
     """Open-loop step of the output. Methods: fit, two-point, tangent, reaction-curve, 63-percent, slope."""
 
-    amplitude: Annotated[float | None, typer.Option(help="Step of co, percent; default 5 % of its range.")] = None
+    amplitude: float | None = option(None, "Step of co, percent; default 5 % of its range.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,22 +70,20 @@ class SetpointOptions(OnDemandOptions):
     Methods: fit, two-step; --rule setpoint-overshoot needs no model.
     """
 
-    amplitude: Annotated[float | None, typer.Option(help="Step of sp, pv units; default 5 % of the range.")] = None
-    kc0: Annotated[float | None, typer.Option(help="Proportional gain of the test; default the active one.")] = None
-    hold: Annotated[float, typer.Option(help="Out for so long and back, s, under the active gains.")] = 0.0
-    from_diagnosis: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The test that `retuner diagnose --json` proposed.")
-    ] = None
+    amplitude: float | None = option(None, "Step of sp, pv units; default 5 % of the range.")
+    kc0: float | None = option(None, "Proportional gain of the test; default the active one.")
+    hold: float = option(0.0, "Out for so long and back, s, under the active gains.")
+    from_diagnosis: Path | None = option(None, "The test that `retuner diagnose --json` proposed.", metavar="FILE")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelayOptions(OnDemandOptions):
     """Relay feedback: Ku and Pu, and a model. Methods: fit, asymmetric; rules zn-ultimate ... take Ku and Pu."""
 
-    amplitude: Annotated[float | None, typer.Option(help="Of the relay, percent of co; default 5 % of range.")] = None
-    bias: Annotated[float, typer.Option(help="Asymmetry, 0 to 0.8; some lets the process gain show.")] = 0.3
-    hysteresis: Annotated[float | None, typer.Option(help="Pv units; default 3 x the noise seen at rest.")] = None
-    cycles: Annotated[int, typer.Option(help="Full waves that count, 2 to 50.")] = 4
+    amplitude: float | None = option(None, "Of the relay, percent of co; default 5 % of range.")
+    bias: float = option(0.3, "Asymmetry, 0 to 0.8; some lets the process gain show.")
+    hysteresis: float | None = option(None, "Pv units; default 3 x the noise seen at rest.")
+    cycles: int = option(4, "Full waves that count, 2 to 50.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +91,7 @@ class UltimateOptions(RecordedOptions):
     """A swing under proportional control: its period, and whether the gain was the ultimate one."""
 
     file: Annotated[Path, typer.Option("--from", metavar="FILE", help="Recording of the swing.")]
-    kc: Annotated[float | None, typer.Option(help="Proportional gain under which it swung.")] = None
+    kc: float | None = option(None, "Proportional gain under which it swung.")
     rule: Rule = "zn-ultimate"
 
 
@@ -107,14 +99,10 @@ class UltimateOptions(RecordedOptions):
 class ValveOptions(FormOptions, ControllerOptions):
     """Small steps of co up and down in manual: resolution, dead band and stroke of the valve, with their odds."""
 
-    file: Annotated[
-        Path | None, typer.Option("--from", metavar="FILE", help="Evaluate this record; alone: show the moves.")
-    ] = None
-    step: Annotated[float, typer.Option(help="Small step, percent of co.")] = 0.5
-    hold: Annotated[
-        float | None, typer.Option(help="Hold each for so long, s: four times the time to half of pv's change.")
-    ] = None
-    short: Annotated[bool, typer.Option("--short", help="Up, up, down, down only: for `diagnose`.")] = False
+    file: Path | None = option(None, "Evaluate this record; alone: show the moves.", "--from", metavar="FILE")
+    step: float = option(0.5, "Small step, percent of co.")
+    hold: float | None = option(None, "Hold each for so long, s: four times the time to half of pv's change.")
+    short: bool = option(False, "Up, up, down, down only: for `diagnose`.", "--short")
 
 
 command(

@@ -1,11 +1,10 @@
 """The options of `retuner identify`."""
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import typer
 
-from retuner.commands.options import RecordOptions, command
+from retuner.commands.options import RecordOptions, command, option
 
 app = typer.Typer(add_completion=False)
 
@@ -14,9 +13,9 @@ app = typer.Typer(add_completion=False)
 class IdentifyOptions(RecordOptions):
     """Identify the process from a record: model, standard deviations and settings."""
 
-    open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
-    region_by: Annotated[str, typer.Option(help="A model for each region of pv, sp or co; needs --bounds.")] = ""
-    bounds: Annotated[str, typer.Option(help="Boundaries of the regions, increasing: 20,40,60.")] = ""
+    open_loop: bool = option(False, "The loop was in manual.", "--open-loop")
+    region_by: str = option("", "A model for each region of pv, sp or co; needs --bounds.")
+    bounds: str = option("", "Boundaries of the regions, increasing: 20,40,60.")
 
 
 command(

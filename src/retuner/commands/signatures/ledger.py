@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import By, Json, Loop, Note, Session, command
+from retuner.commands.options import By, Json, Loop, Note, Session, command, option
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -21,7 +21,7 @@ class VerifyOptions:
     """Recompute the hash chain: status 0 when it holds, 1 when it is broken, and where."""
 
     file: Annotated[Path, typer.Argument(metavar="SESSION", help="Folder of a run, or the ledger.sqlite in it.")]
-    head: Annotated[str | None, typer.Option(help="Hash that was noted when it was written; cut-off rows show.")] = None
+    head: str | None = option(None, "Hash that was noted when it was written; cut-off rows show.")
     as_json: Json = False
 
 
@@ -30,9 +30,9 @@ class ShowOptions:
     """Who, when, why, from what to what, on what evidence, with what verdict: row by row."""
 
     session: Session
-    decision: Annotated[int | None, typer.Option(help="Only this decision and what came of it.")] = None
-    since: Annotated[float | None, typer.Option(help="Only from this time of the run on, s.")] = None
-    kind: Annotated[str | None, typer.Option(help="Only rows of this kind: decision, order, committed, ...")] = None
+    decision: int | None = option(None, "Only this decision and what came of it.")
+    since: float | None = option(None, "Only from this time of the run on, s.")
+    kind: str | None = option(None, "Only rows of this kind: decision, order, committed, ...")
     loop: Loop = None
     as_json: Json = False
 
@@ -42,10 +42,8 @@ class ExportOptions:
     """Write the rows into a file for other programs."""
 
     session: Session
-    as_csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="A table for a spreadsheet.")] = None
-    as_jsonl: Annotated[
-        Path | None, typer.Option("--jsonl", metavar="FILE", help="One JSON document a line, whole.")
-    ] = None
+    as_csv: Path | None = option(None, "A table for a spreadsheet.", "--csv", metavar="FILE")
+    as_jsonl: Path | None = option(None, "One JSON document a line, whole.", "--jsonl", metavar="FILE")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,11 +1,10 @@
 """The options of `retuner reduce`."""
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Json, command
+from retuner.commands.options import Json, command, option
 
 app = typer.Typer(add_completion=False)
 
@@ -14,17 +13,13 @@ app = typer.Typer(add_completion=False)
 class ReduceOptions:
     """Reduce a process model to first or second order by the half rule."""
 
-    num_t: Annotated[
-        list[str] | None, typer.Option("--num-t", help="Numerator time constants, s; negative: inverse response.")
-    ] = None
-    den_t: Annotated[list[str] | None, typer.Option("--den-t", help="Lags, s, separated by commas.")] = None
-    integrators: Annotated[int, typer.Option(help="Pure integrators.")] = 0
-    delay: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0
-    order: Annotated[int, typer.Option(help="Order of the model: 1 for PI, 2 for PID.")] = 1
-    k: Annotated[float, typer.Option(help="Steady-state gain; slope gain per second with an integrator.")] = 1.0
-    leads: Annotated[
-        str, typer.Option(help="auto; rules: T1 to T3 for all positive numerator time constants; subtract: none.")
-    ] = "auto"
+    num_t: list[str] | None = option(None, "Numerator time constants, s; negative: inverse response.", "--num-t")
+    den_t: list[str] | None = option(None, "Lags, s, separated by commas.", "--den-t")
+    integrators: int = option(0, "Pure integrators.")
+    delay: float = option(0.0, "Dead time, s.")
+    order: int = option(1, "Order of the model: 1 for PI, 2 for PID.")
+    k: float = option(1.0, "Steady-state gain; slope gain per second with an integrator.")
+    leads: str = option("auto", "auto; rules: T1 to T3 for all positive numerator time constants; subtract: none.")
     as_json: Json = False
 
 

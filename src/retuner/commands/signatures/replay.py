@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import FormOptions, Json, Loop, command
+from retuner.commands.options import FormOptions, Json, Loop, command, option
 
 app = typer.Typer(add_completion=False)
 
@@ -16,10 +16,9 @@ class ReplayOptions(FormOptions):
     """Repeat the decisions of a session byte for byte, or apply retuner to a recorded log."""
 
     target: Annotated[Path, typer.Argument(metavar="SESSION|LOG", help="A session's folder; or, with --config, a log.")]
-    config: Annotated[
-        Path | None,
-        typer.Option(help="Apply this configuration to a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
-    ] = None
+    config: Path | None = option(
+        None, "Apply this configuration to a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."
+    )
     loop: Loop = None
     as_json: Json = False
 

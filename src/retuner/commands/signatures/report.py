@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Json, Loop, Session, command
+from retuner.commands.options import Json, Loop, Session, command, option
 
 app = typer.Typer(add_completion=False)
 
@@ -16,8 +15,8 @@ class ReportOptions:
     """Make the report of a recorded session again, or the page of one decision with its full reasoning."""
 
     session: Session
-    decision: Annotated[int | None, typer.Option(help="Only the page of this decision, by its number.")] = None
-    out: Annotated[Path | None, typer.Option(help="Where to write it; default in the session's folder.")] = None
+    decision: int | None = option(None, "Only the page of this decision, by its number.")
+    out: Path | None = option(None, "Where to write it; default in the session's folder.")
     loop: Loop = None
     as_json: Json = False
 

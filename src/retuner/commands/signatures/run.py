@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Channel, ConfigFile, Interface, Json, command
+from retuner.commands.options import Channel, ConfigFile, Interface, Json, command, option
 
 app = typer.Typer(add_completion=False)
 
@@ -18,19 +17,13 @@ class RunOptions:
     config: ConfigFile
     interface: Interface = None
     channel: Channel = None
-    speed: Annotated[
-        str, typer.Option(help="max: simulated time; a number: how much faster than real time the device runs.")
-    ] = "max"
-    mode: Annotated[str | None, typer.Option(help="off, advise, trial or auto; overrides the configuration.")] = None
-    out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None
-    compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True
-    pretune: Annotated[
-        bool, typer.Option("--pretune", help="Begin with a step test of co, for a first model and gains.")
-    ] = False
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="On a terminal: the evidence behind each decision.")
-    ] = False
-    serve: Annotated[bool, typer.Option("--serve", help="Show it in a browser while it runs.")] = False
+    speed: str = option("max", "max: simulated time; a number: how much faster than real time the device runs.")
+    mode: str | None = option(None, "off, advise, trial or auto; overrides the configuration.")
+    out: Path | None = option(None, "Folder for report, ledger, trend and bus log.")
+    compare: bool = option(True, "Also run with fixed gains, where the plant is simulated.")
+    pretune: bool = option(False, "Begin with a step test of co, for a first model and gains.", "--pretune")
+    verbose: bool = option(False, "On a terminal: the evidence behind each decision.", "--verbose", "-v")
+    serve: bool = option(False, "Show it in a browser while it runs.", "--serve")
     as_json: Json = False
 
 

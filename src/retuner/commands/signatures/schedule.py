@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import ActionOption, Controller, FormOptions, Json, PvSpan, command
+from retuner.commands.options import ActionOption, Controller, FormOptions, Json, PvSpan, command, option
 
 app = typer.Typer(add_completion=False)
 
@@ -19,36 +19,26 @@ class ScheduleOptions(FormOptions):
         list[Path],
         typer.Argument(metavar="RECORD...", help="Records of one loop as exported, or a file for each signal."),
     ]
-    by: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--by", metavar="VARIABLE", help="sp, pv, co or any column; of several the evidence chooses 1 or 2."
-        ),
-    ] = None
-    low: Annotated[
-        float | None, typer.Option(help="Lower end of the first variable; default: as far as the records go.")
-    ] = None
-    high: Annotated[float | None, typer.Option(help="Upper end of the first variable.")] = None
-    co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
-    co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
-    ms: Annotated[float, typer.Option(help="Largest Ms anywhere, over the plausible models; 1.5 to 2.5.")] = 1.8
-    j: Annotated[float, typer.Option("--j", help="Largest J over that of a place's own settings; 1.05 to 2.")] = 1.25
-    lookup: Annotated[str, typer.Option(help="hard, interpolated or auto.")] = "auto"
-    gains: Annotated[
-        Path | None,
-        typer.Option(metavar="TOML", help="Gain table active then, to compare; else identified."),
-    ] = None
-    gain_columns: Annotated[
-        str, typer.Option(metavar="KP,KI,KD", help="Columns of the active gains, parallel, to compare; kd is optional.")
-    ] = ""
+    by: list[str] | None = option(
+        None, "sp, pv, co or any column; of several the evidence chooses 1 or 2.", "--by", metavar="VARIABLE"
+    )
+    low: float | None = option(None, "Lower end of the first variable; default: as far as the records go.")
+    high: float | None = option(None, "Upper end of the first variable.")
+    co_min: float | None = option(None, "Lower limit of co, in its own unit.")
+    co_max: float | None = option(None, "Upper limit of co.")
+    ms: float = option(1.8, "Largest Ms anywhere, over the plausible models; 1.5 to 2.5.")
+    j: float = option(1.25, "Largest J over that of a place's own settings; 1.05 to 2.", "--j")
+    lookup: str = option("auto", "hard, interpolated or auto.")
+    gains: Path | None = option(None, "Gain table active then, to compare; else identified.", metavar="TOML")
+    gain_columns: str = option(
+        "", "Columns of the active gains, parallel, to compare; kd is optional.", metavar="KP,KI,KD"
+    )
     controller: Controller = None
     action: ActionOption = None
     pv_span: PvSpan = None
-    name: Annotated[str, typer.Option(help="Name of the loop in the table; default: its tag, else the file's.")] = ""
-    unit: Annotated[str, typer.Option(help="Unit of the variable.")] = ""
-    out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write gains.toml, schedule.toml and report.html there.")
-    ] = None
+    name: str = option("", "Name of the loop in the table; default: its tag, else the file's.")
+    unit: str = option("", "Unit of the variable.")
+    out: Path | None = option(None, "Write gains.toml, schedule.toml and report.html there.", metavar="FOLDER")
     as_json: Json = False
 
 

@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from retuner.commands.options import ActionOption, Controller, Json, command
+from retuner.commands.options import ActionOption, Controller, Json, command, option
 
 app = typer.Typer(add_completion=False)
 
@@ -15,44 +14,36 @@ app = typer.Typer(add_completion=False)
 class TuneOptions:
     """Compute settings for a known process by a tuning rule, with margins."""
 
-    type: Annotated[
-        str | None,
-        typer.Option(
-            help="fopdt, sopdt, integrating, integrating-lag, double-integrating, delay, sopdt-inverse, topdt."
-        ),
-    ] = None
-    k: Annotated[float | None, typer.Option(help="Steady-state gain; slope gain of integrating types.")] = None
-    tau1: Annotated[float, typer.Option(help="Lag, s.")] = 0.0
-    tau2: Annotated[float, typer.Option(help="Second lag, s.")] = 0.0
-    theta: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0
-    inverse: Annotated[float, typer.Option(help="Inverse response b of 1 - b s, s (sopdt-inverse).")] = 0.0
-    tau3: Annotated[float, typer.Option(help="Third lag, s (topdt).")] = 0.0
-    rule: Annotated[str, typer.Option(help="Tuning rule; a wrong name shows the list.")] = "simc"
-    kind: Annotated[str | None, typer.Option(help="p, pi or pid; default pi where the rule has it.")] = None
-    form: Annotated[str | None, typer.Option(help="series, ideal or parallel; default the rule's own.")] = None
-    tau_c: Annotated[float | None, typer.Option(help="Closed-loop time constant (or lambda), s.")] = None
-    ms: Annotated[float | None, typer.Option(help="Demanded Ms (simc rules, optimal).")] = None
-    gm: Annotated[float | None, typer.Option(help="Demanded gain margin (simc rules).")] = None
-    c: Annotated[float | None, typer.Option(help="c in tau_I = min(tau1, c (tau_c + theta)); default 4.")] = None
-    u0: Annotated[float | None, typer.Option(help="Largest disturbance, co units (simc-smooth, averaging).")] = None
-    ymax: Annotated[float | None, typer.Option(help="Deviation allowed, pv units (simc-smooth, averaging).")] = None
-    ku: Annotated[float | None, typer.Option(help="Ultimate gain; from the model if left out.")] = None
-    pu: Annotated[float | None, typer.Option(help="Ultimate period, s.")] = None
-    kq: Annotated[float | None, typer.Option(help="Gain at quarter decay.")] = None
-    pq: Annotated[float | None, typer.Option(help="Period at quarter decay, s.")] = None
+    type: str | None = option(
+        None, "fopdt, sopdt, integrating, integrating-lag, double-integrating, delay, sopdt-inverse, topdt."
+    )
+    k: float | None = option(None, "Steady-state gain; slope gain of integrating types.")
+    tau1: float = option(0.0, "Lag, s.")
+    tau2: float = option(0.0, "Second lag, s.")
+    theta: float = option(0.0, "Dead time, s.")
+    inverse: float = option(0.0, "Inverse response b of 1 - b s, s (sopdt-inverse).")
+    tau3: float = option(0.0, "Third lag, s (topdt).")
+    rule: str = option("simc", "Tuning rule; a wrong name shows the list.")
+    kind: str | None = option(None, "p, pi or pid; default pi where the rule has it.")
+    form: str | None = option(None, "series, ideal or parallel; default the rule's own.")
+    tau_c: float | None = option(None, "Closed-loop time constant (or lambda), s.")
+    ms: float | None = option(None, "Demanded Ms (simc rules, optimal).")
+    gm: float | None = option(None, "Demanded gain margin (simc rules).")
+    c: float | None = option(None, "c in tau_I = min(tau1, c (tau_c + theta)); default 4.")
+    u0: float | None = option(None, "Largest disturbance, co units (simc-smooth, averaging).")
+    ymax: float | None = option(None, "Deviation allowed, pv units (simc-smooth, averaging).")
+    ku: float | None = option(None, "Ultimate gain; from the model if left out.")
+    pu: float | None = option(None, "Ultimate period, s.")
+    kq: float | None = option(None, "Gain at quarter decay.")
+    pq: float | None = option(None, "Period at quarter decay, s.")
     controller: Controller = None
     action: ActionOption = None
-    pv_span: Annotated[
-        float | None, typer.Option(help="Span of pv: also as proportional band, percent, and repeats per minute.")
-    ] = None
-    everything: Annotated[bool, typer.Option("--all", help="Every rule that applies, in one table.")] = False
-    explain: Annotated[bool, typer.Option("--explain", help="Also formula, numbers put in and source.")] = False
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Draw the responses (.png, .svg); of rule optimal the Pareto curve J against Ms."
-        ),
-    ] = None
+    pv_span: float | None = option(None, "Span of pv: also as proportional band, percent, and repeats per minute.")
+    everything: bool = option(False, "Every rule that applies, in one table.", "--all")
+    explain: bool = option(False, "Also formula, numbers put in and source.", "--explain")
+    plot: Path | None = option(
+        None, "Draw the responses (.png, .svg); of rule optimal the Pareto curve J against Ms.", metavar="FILE"
+    )
     as_json: Json = False
 
 
