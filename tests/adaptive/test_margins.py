@@ -85,19 +85,15 @@ def test_stability_limit_of_an_integrator_with_delay(gain: float, stable: bool) 
     assert margins(LinearProcess(1, (), (), 1.0, 1), PidGains(gain, 0.0)).stable is stable
 
 
-def ultimate_gain(tau: float) -> float:
-    """P control of e^-s/(tau s + 1): tau w = tan(pi - w)."""
+@given(tau=st.floats(0.05, 500), above=st.floats(0.005, 0.5), sign=st.sampled_from([1, -1]))
+def test_stability_limit_of_first_order_with_delay(tau: float, above: float, sign: int) -> None:
+    process = LinearProcess(sign * 1.0, (tau,), (), 1.0)
+    # P control of e^-s/(tau s + 1): tau w = tan(pi - w)
     low, high = math.pi / 2, math.pi
     for _ in range(80):
         w = (low + high) / 2
         low, high = (w, high) if tau * w < math.tan(math.pi - w) else (low, w)
-    return math.hypot(1.0, tau * low)
-
-
-@given(tau=st.floats(0.05, 500), above=st.floats(0.005, 0.5), sign=st.sampled_from([1, -1]))
-def test_stability_limit_of_first_order_with_delay(tau: float, above: float, sign: int) -> None:
-    process = LinearProcess(sign * 1.0, (tau,), (), 1.0)
-    ku = ultimate_gain(tau)
+    ku = math.hypot(1.0, tau * low)
     assert margins(process, PidGains(sign * ku * (1 - above), 0.0)).stable
     assert not margins(process, PidGains(sign * ku * (1 + above), 0.0)).stable
 
@@ -237,25 +233,21 @@ def test_stability_agrees_with_the_roots_of_the_closed_loop() -> None:
     assert 150 < stable < 500
 
 
-def winding_says_stable(loop: OpenLoop) -> bool:
-    """arg(1 + L) counted on a grid so dense that it never turns by more than a little between two points."""
-    crossed = gain_crossovers(loop, grid(loop))
-    last = 3 * max(crossed, default=max(loop.corners()))
-    w = np.unique(
-        np.concatenate([np.geomspace(1e-4 * min(loop.corners()), last, 20_000), np.linspace(1e-6, last, 20_000)])
-    )
-    f = 1 + loop.along(w)
-    turned = float(np.sum(np.angle(f[1:] / f[:-1]))) - float(np.angle(f[-1]))
-    start = 0.0 if loop.order > 0 else float(np.angle(f[0]))
-    return abs(turned + start - max(loop.order, 0) * math.pi / 2) < 1.0
-
-
 def test_stability_with_dead_time_agrees_with_a_dense_winding_count() -> None:
     rng, stable = np.random.default_rng(SEED + 2), 0
     for _ in range(150):
         process, gains, tau_f = random_loop(rng, delayed=True)
         loop, found = open_loop(process, gains, tau_f), margins(process, gains, tau_f)
-        assert found.stable is winding_says_stable(loop), (process, gains, tau_f)
+        # arg(1 + L) counted on a grid so dense that it never turns by more than a little between two points
+        crossed = gain_crossovers(loop, grid(loop))
+        last = 3 * max(crossed, default=max(loop.corners()))
+        w = np.unique(
+            np.concatenate([np.geomspace(1e-4 * min(loop.corners()), last, 20_000), np.linspace(1e-6, last, 20_000)])
+        )
+        f = 1 + loop.along(w)
+        turned = float(np.sum(np.angle(f[1:] / f[:-1]))) - float(np.angle(f[-1]))
+        start = 0.0 if loop.order > 0 else float(np.angle(f[0]))
+        assert found.stable is (abs(turned + start - max(loop.order, 0) * math.pi / 2) < 1.0), (process, gains, tau_f)
         stable += found.stable
     assert 30 < stable < 130
 

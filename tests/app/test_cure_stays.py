@@ -1,13 +1,8 @@
 """A cure on trial stays on the controller, whatever ends the trial: the set before would make the loop unstable."""
 
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 from test_trial_wire import CAUSES, EDITED
 from wire import FOREIGN, GOOD, OTHER, PLANT, Wire, is_telemetry
 

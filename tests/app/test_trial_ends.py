@@ -1,15 +1,10 @@
 """Ends of a trial that look like the end and are not: what the controller runs a while after the host is content."""
 
-import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import can
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry
+from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry, wires
 
 from retuner.adaptive.orders.operator_orders import revert
 from retuner.adaptive.supervision.pipeline_types import StageResult
@@ -24,17 +19,7 @@ P = TrialPhase
 NEW = PidGains(4 * GOOD.kp, 4 * GOOD.ki)
 
 
-@pytest.fixture
-def make_wire() -> Iterator[Callable[..., Wire]]:
-    made: list[Wire] = []
-
-    def make(**arguments: object) -> Wire:
-        made.append(Wire(**arguments))
-        return made[-1]
-
-    yield make
-    for wire in made:
-        wire.close()
+make_wire = pytest.fixture(wires)
 
 
 def on_trial(wire: Wire, seen: int = 10) -> Wire:

@@ -1,6 +1,5 @@
 """Orders that meet a trial: each ends it, lets it be, or is told why not; none is for another set than it names."""
 
-import sys
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,9 +7,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 from wire import GOOD, PROMISE, Wire
 
 from retuner.adaptive.orders.pending_proposal import Proposal

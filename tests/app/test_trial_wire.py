@@ -1,17 +1,12 @@
 """Trial and undo on the whole stack: every phase under every abort cause ends with the verified set running."""
 
-import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from wire import FOREIGN, GOOD, OTHER, PROMISE, Wire, is_telemetry
+from wire import FOREIGN, GOOD, OTHER, PROMISE, Wire, is_telemetry, wires
 
 from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.pipeline_types import StageResult
@@ -31,17 +26,7 @@ BAD = {
 NEW = BAD["kc x4"]
 
 
-@pytest.fixture
-def make_wire() -> Iterator[Callable[..., Wire]]:
-    made: list[Wire] = []
-
-    def make(**arguments: object) -> Wire:
-        made.append(Wire(**arguments))
-        return made[-1]
-
-    yield make
-    for wire in made:
-        wire.close()
+make_wire = pytest.fixture(wires)
 
 
 def into(wire: Wire, phase: TrialPhase) -> None:

@@ -1,14 +1,9 @@
 """A session that dies in the middle of a write: the next one looks what runs before it writes anything."""
 
 import json
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 from wire import GOOD, Wire
 
 from retuner.adaptive.supervision.state_file import remember, restore

@@ -1,7 +1,7 @@
 """A session on the whole stack in simulated time: virtual controller, bus, two-phase writes; a linear plant."""
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import can
@@ -162,3 +162,16 @@ class Wire:
 
 def is_telemetry(message: can.Message) -> bool:
     return message.arbitration_id & 0x1F in TELEMETRY
+
+
+def wires(**always: Any) -> Iterator[Callable[..., Wire]]:
+    """What a fixture gives: makes wires, and closes them. always : arguments of each."""
+    made: list[Wire] = []
+
+    def make(**arguments: Any) -> Wire:
+        made.append(Wire(**always, **arguments))
+        return made[-1]
+
+    yield make
+    for wire in made:
+        wire.close()

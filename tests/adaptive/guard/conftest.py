@@ -1,6 +1,1 @@
 """Makes guard_cases.py importable from the tests beside it."""
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent))

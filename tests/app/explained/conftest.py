@@ -1,6 +1,1 @@
 """Makes decision_documents.py importable from the tests beside it."""
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent))
