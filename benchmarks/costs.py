@@ -135,12 +135,6 @@ def history() -> list[dict[str, object]]:
     return tomllib.loads(HISTORY.read_text(encoding="utf-8"))["run"] if HISTORY.exists() else []
 
 
-def last_of(name: str, runs: list[dict[str, object]]) -> float | None:
-    """The newest ratio of this name."""
-    told = (run["ratios"].get(name) for run in reversed(runs))  # type: ignore[attr-defined]
-    return next((ratio for ratio in told if ratio is not None), None)
-
-
 def append(found: dict[str, float], note: str) -> None:
     """One more run in the history."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout
@@ -161,7 +155,8 @@ def main() -> int:
     runs, worse = history(), 0
     found = measured(options.rounds, options.only)
     for name, ratio in found.items():
-        before = last_of(name, runs)
+        told = (run["ratios"].get(name) for run in reversed(runs))  # type: ignore[attr-defined]
+        before = next((ratio for ratio in told if ratio is not None), None)
         bad = before is not None and ratio > WORSE * before
         worse += bad
         was = f"{before:8.3g}" if before is not None else "       -"

@@ -81,7 +81,15 @@ def score(seed: int, folder: str | None, trap: bool, item: tuple[int, str | None
     right = answer in case.right
     wrong_change = retune and not case.retune_right
     if folder and (not right or wrong_change or not kept):
-        _picture(case, answer, after, reason, evidence, Path(folder))
+        # the record of a failure with what was said of it
+        numbers = [f"{k} {v:.3g}" for k, v in evidence.items()]
+        told = "\n".join("  ".join(numbers[i : i + 8]) for i in range(0, len(numbers), 8))
+        true = "  ".join(f"{k} {v:.3g}" for k, v in case.note.items())
+        title = (
+            f"{case.group} / {case.family}, case {case.index}: {case.hidden} called {answer}; Ms after {after:.2f}\n"
+            f"{reason[:130]}\n{told}\ntrue: {true}"
+        )
+        picture(case.record, title, Path(folder) / f"{case.group.replace(' ', '_')}-{case.index}-{answer}.png")
     return Score(
         seed, index, case.group, case.family, case.hidden, case.retune_right, sorted(case.right), answer, right, retune,
         wrong_change, confidence, before, after, kept, product, seconds, len(record.t), reason, evidence,
@@ -99,20 +107,6 @@ def _after(case: DiagnosisCase, gains: PidGains | None) -> tuple[float, float, b
     if case.process.integrators == 1 and gains.ki:
         product = case.process.k * gains.kp * gains.kp / gains.ki
     return before, after, after <= max(MS_LIMIT, MS_OVER_BEST * robustness(process, case.best).ms), product
-
-
-def _picture(
-    case: DiagnosisCase, answer: str, after: float, reason: str, evidence: dict[str, float], folder: Path
-) -> None:
-    """The record of a failure with what was said of it."""
-    numbers = [f"{k} {v:.3g}" for k, v in evidence.items()]
-    told = "\n".join("  ".join(numbers[i : i + 8]) for i in range(0, len(numbers), 8))
-    true = "  ".join(f"{k} {v:.3g}" for k, v in case.note.items())
-    title = (
-        f"{case.group} / {case.family}, case {case.index}: {case.hidden} called {answer}; Ms after {after:.2f}\n"
-        f"{reason[:130]}\n{told}\ntrue: {true}"
-    )
-    picture(case.record, title, folder / f"{case.group.replace(' ', '_')}-{case.index}-{answer}.png")
 
 
 def table(scores: list[Score]) -> list[str]:

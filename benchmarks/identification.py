@@ -31,7 +31,6 @@ from cases.plant import half_rule, kc_bound, later, robustness, sampled, simc_of
 from retuner import identify
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.estimate import STRUCTURE_STD
-from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
@@ -104,6 +103,7 @@ def score(seed: int, group: str | None, folder: str | None, bounds: bool, index:
     z: dict[str, float] = {}
     structure = ""
     try:
+        # limits of the output, where identify takes them
         result = identify(
             record.t,
             record.sp,
@@ -111,7 +111,7 @@ def score(seed: int, group: str | None, folder: str | None, bounds: bool, index:
             record.co,
             open_loop=case.gains is None,
             gains=case.gains,
-            **identify_extras(case),
+            **{"co_min": case.co_min, "co_max": case.co_max} if _takes_limits() else {},
         )
     except ValueError as error:
         outcome, reason, seconds = "refused", str(error), time.process_time() - begun
@@ -125,7 +125,10 @@ def score(seed: int, group: str | None, folder: str | None, bounds: bool, index:
             best = case.best_pid if gains.kd and case.best_pid is not None else case.best
             kc_error = abs(math.log(gains.kp / best.kp)) if gains.kp * best.kp > 0 else math.inf
             z = z_scores(case, result.estimate.to_dict())
-            kc_known = kc_of_model(case, result.estimate.log.model().linear())
+            # |ln Kc / best| by the same rule from the model alone: the error of the estimate, whatever rule follows
+            reduced = later(half_rule(result.estimate.log.model().linear()), case.dt_s / 2)
+            ratio = simc_of(reduced, reduced.theta_s).kp / case.best.kp
+            kc_known = abs(math.log(ratio)) if ratio > 0 else math.inf
     bound = kc_bound(case) if bounds and STRUCTURES.get(case.family) == structure else math.nan
     if folder and outcome != "in spec":
         _picture(case, outcome, ms, j, reason, Path(folder))
@@ -147,24 +150,12 @@ def score(seed: int, group: str | None, folder: str | None, bounds: bool, index:
     )
 
 
-def kc_of_model(case: IdentificationCase, model: LinearProcess) -> float:
-    """|ln Kc / best| by the same rule from the model alone: the error of the estimate, whatever rule follows."""
-    reduced = later(half_rule(model), case.dt_s / 2)
-    ratio = simc_of(reduced, reduced.theta_s).kp / case.best.kp
-    return abs(math.log(ratio)) if ratio > 0 else math.inf
-
-
 @functools.cache
 def _takes_limits() -> bool:
     """Whether identify takes co_min and co_max."""
     import inspect
 
     return "co_min" in inspect.signature(identify).parameters
-
-
-def identify_extras(case: IdentificationCase) -> dict[str, float]:
-    """Limits of the output, where identify takes them."""
-    return {"co_min": case.co_min, "co_max": case.co_max} if _takes_limits() else {}
 
 
 def _picture(case: IdentificationCase, outcome: str, ms: float, j: float, reason: str, folder: Path) -> None:

@@ -37,7 +37,7 @@ from online.judge import Judge, counted
 from online.loop import WRITTEN, LostLoop, WatchedLoop, Watching, one_region, settings
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision.decision import Action, Decision
+from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.schedule.gains import PidGains
@@ -93,7 +93,14 @@ class Interrupted(Watching):
             self._left = int(self._rng.integers(*span))
             self._unseen = UNSEEN.get(self.kind, 0)
             if self.kind in TOLD:
-                return self._follow(self.retuner.abort(TOLD[self.kind]))
+                # what follows from being told; the session after it goes on from memory
+                decision = self.retuner.abort(TOLD[self.kind])
+                if decision is not None and decision.action in WRITTEN and decision.gains_after is not None:
+                    self.writes.append(decision)
+                    return 0, decision.gains_after
+                if self.kind == "end":
+                    self._go_on()
+                return None
         if self._unseen > 0:
             self._unseen -= 1
             return None
@@ -127,15 +134,6 @@ class Interrupted(Watching):
         if self.kind == "end" and self.writes[-1].action == Action.RESTORE:
             self._go_on()
 
-    def _follow(self, decision: Decision | None) -> tuple[int, PidGains] | None:
-        """What follows from being told; the session after it goes on from memory."""
-        if decision is not None and decision.action in WRITTEN and decision.gains_after is not None:
-            self.writes.append(decision)
-            return 0, decision.gains_after
-        if self.kind == "end":
-            self._go_on()
-        return None
-
     def _go_on(self) -> None:
         self.retuner = restore(remember(self.retuner), self.retuner.settings)
 
@@ -145,27 +143,25 @@ def drawn(kind: str, rng: np.random.Generator, *, aggressive: bool) -> tuple[Loo
     while True:
         loop = draw_loop(rng, str(rng.choice([x for x in FAMILIES if x != "oscillatory"])), (8.0, 8.0 + 1e-9))
         if kind in THETA_S:
-            loop = _stretched(loop, THETA_S[kind] / loop.theta_s)
+            by = THETA_S[kind] / loop.theta_s
+            p = loop.process
+            process = replace(
+                p,
+                k=p.k / by**p.integrators,
+                lags_s=tuple(by * x for x in p.lags_s),
+                quadratics=tuple((by * c1, by * by * c2) for c1, c2 in p.quadratics),
+                **{
+                    name: tuple(by * x for x in getattr(p, name)) for name in ("leads_s", "zeros_s") if hasattr(p, name)
+                },
+                theta_s=by * p.theta_s,
+            )
+            best = PidGains(loop.best.kp, loop.best.ki / by, loop.best.kd * by)
+            loop = replace(loop, process=process, best=best, theta_s=by * loop.theta_s, dt_s=by * loop.dt_s)
         judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
         fast = (log_uniform(rng, 1.6, 3.0), 1 / log_uniform(rng, 1.0, 2.0))
         gains = scaled(loop.best, *(fast if aggressive else (1 / log_uniform(rng, 3.0, 5.0), 1.0)))
         if judge.of(loop.best).in_spec and (not aggressive or 2.1 < judge.of(gains).ms < math.inf):
             return loop, gains, judge
-
-
-def _stretched(loop: Loop, by: float) -> Loop:
-    """The same loop, slower."""
-    p = loop.process
-    process = replace(
-        p,
-        k=p.k / by**p.integrators,
-        lags_s=tuple(by * x for x in p.lags_s),
-        quadratics=tuple((by * c1, by * by * c2) for c1, c2 in p.quadratics),
-        **{name: tuple(by * x for x in getattr(p, name)) for name in ("leads_s", "zeros_s") if hasattr(p, name)},
-        theta_s=by * p.theta_s,
-    )
-    best = PidGains(loop.best.kp, loop.best.ki / by, loop.best.kd * by)
-    return replace(loop, process=process, best=best, theta_s=by * loop.theta_s, dt_s=by * loop.dt_s)
 
 
 def run(kind: str, seed: int, index: int, count: Count) -> None:

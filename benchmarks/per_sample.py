@@ -138,19 +138,14 @@ CASES: dict[str, Callable[[int], Loop]] = {
 }
 
 
-def thread_ns(loop: Loop) -> int:
-    """CPU time of this thread for one loop."""
-    begin = time.thread_time_ns()
-    loop()
-    return time.thread_time_ns() - begin
-
-
 def measure(rounds: int) -> dict[str, list[float]]:
     """Nanoseconds a call, per case and round; the first round warms up and is left out."""
     times: dict[str, list[float]] = {name: [] for name in CASES}
     for _ in range(rounds + 1):
         for name, prepare in CASES.items():
-            times[name].append(thread_ns(prepare(CALLS)) / CALLS)
+            begin = time.thread_time_ns()
+            prepare(CALLS)()
+            times[name].append((time.thread_time_ns() - begin) / CALLS)
     return {name: values[1:] for name, values in times.items()}
 
 

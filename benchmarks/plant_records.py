@@ -160,7 +160,10 @@ def _plain(pv: FloatArray, co: FloatArray, counted: BoolArray, dt: float) -> Pro
     """First order with dead time by least squares over the samples that count."""
 
     def columns(p: FloatArray) -> FloatArray:
-        moved = _first_order(co, math.exp(p[0]), math.exp(p[1]))
+        # response of a unit gain; lag and delay in samples
+        late = np.interp(np.arange(len(co)) - math.exp(p[1]) - 1, np.arange(len(co)), co)
+        a = math.exp(-1 / math.exp(p[0]))
+        moved = np.asarray(lfilter([1 - a], [1, -a], late - late[0]), dtype=np.float64)
         return np.column_stack([moved, np.ones(len(co))])[counted]
 
     def left(p: FloatArray) -> FloatArray:
@@ -175,13 +178,6 @@ def _plain(pv: FloatArray, co: FloatArray, counted: BoolArray, dt: float) -> Pro
     p = min(fits, key=lambda f: f.cost).x
     k = float(np.linalg.lstsq(columns(p), pv[counted], rcond=None)[0][0])
     return ProcessModel(ProcessType.FOPDT, k, math.exp(p[0]) * dt, 0.0, math.exp(p[1]) * dt) if k else None
-
-
-def _first_order(co: FloatArray, lag: float, delay: float) -> FloatArray:
-    """Response of a unit gain; lag and delay in samples."""
-    late = np.interp(np.arange(len(co)) - delay - 1, np.arange(len(co)), co)
-    a = math.exp(-1 / lag)
-    return np.asarray(lfilter([1 - a], [1, -a], late - late[0]), dtype=np.float64)
 
 
 def summary(rows: list[Row]) -> list[str]:
@@ -202,19 +198,17 @@ def summary(rows: list[Row]) -> list[str]:
     lines.append("")
     for tag in sorted({r.tag for r in rows}):
         own = [r for r in rows if r.tag == tag]
-        lines.append(f"{tag:<12}{own[0].label:<13}named {sum(r.named for r in own)} of {len(own)}  " + _counted(own))
+        causes = [r.cause for r in own]
+        lines.append(
+            f"{tag:<12}{own[0].label:<13}named {sum(r.named for r in own)} of {len(own)}  "
+            + ", ".join(f"{cause} {causes.count(cause)}" for cause in dict.fromkeys(causes))
+        )
     lines.append("")
     for r in rows:
         settings = "  Ms " + ", ".join(f"{ms:.2f}" for ms in r.ms) if r.ms else ""
         lines.append(f"{r.file:<26}{r.told:<34}{r.seconds:5.1f}s  {r.reason}{settings}")
         lines.append(f"{'':<26}identify: {'yes' if r.identifiable else 'no'}, {r.identified}")
     return lines
-
-
-def _counted(rows: list[Row]) -> str:
-    """The causes with their numbers."""
-    causes = [r.cause for r in rows]
-    return ", ".join(f"{cause} {causes.count(cause)}" for cause in dict.fromkeys(causes))
 
 
 def entries_of(data: Path, also: list[Path], only: str | None) -> list[dict[str, str]]:

@@ -109,12 +109,6 @@ class World:
         if client is not None and client.write_seq is not None:
             of_another_epoch(way, self.rng, device.settings.node, device.epoch, host.owner, client.write_seq)
 
-    def change_weather(self) -> None:
-        """Another weather."""
-        weather = self.bus.weather = draw(self.rng)
-        for way in self.bus.ways.values():
-            way.cut = weather.out_cut if way.name == DEVICE else weather.back_cut
-
     def clear_up(self) -> None:
         """No faults from now on."""
         self.bus.weather = CALM
@@ -133,13 +127,21 @@ class World:
         """
         for number in range(steps):
             if number % CHANGE_EVERY == 0:
-                self.change_weather()
+                weather = self.bus.weather = draw(self.rng)
+                for way in self.bus.ways.values():
+                    way.cut = weather.out_cut if way.name == DEVICE else weather.back_cut
             self.step()
         self.clear_up()
         for _ in range(CALM_STEPS + ALONE * self.device.settings.heartbeat_samples):
             self.step()
         for host in self.hosts:
-            self._known(host)
+            device = host.device
+            if device is None:
+                raise t.ViolationError("known_after_calm: the host has not come back")
+            t.known_after_calm(
+                connected=device.connected, writing=device.writing, running=device.running, truth=self.truth
+            )
+            t.ledger_has_every_outcome(host.rows, 0)
         for _ in range(LEASE_STEPS):
             self.step()
         self._write_in_calm()
@@ -165,14 +167,6 @@ class World:
             self.far.slow = rng.choice((1.0, 1.0, 0.2, 3.0))
         else:
             self.far.hung = rng.choice((2, 8, 30))
-
-    def _known(self, host: HostEnd) -> None:
-        """The host knows what runs."""
-        device = host.device
-        if device is None:
-            raise t.ViolationError("known_after_calm: the host has not come back")
-        t.known_after_calm(connected=device.connected, writing=device.writing, running=device.running, truth=self.truth)
-        t.ledger_has_every_outcome(host.rows, 0)
 
     def _write_in_calm(self) -> None:
         """Whoever holds the lease writes a legal set, and it is done in time."""
@@ -228,21 +222,6 @@ def run_seed(job: tuple[int, int, str]) -> Outcome:
         )
 
 
-def fingerprint() -> str:
-    """Hash of the code under test and of this harness: results of other code are not added up."""
-    digest = hashlib.sha256()
-    here, there = Path(__file__).parent, Path(str(drivers.__file__)).parent
-    loaded = {
-        name.rpartition(".")[2] for name in sys.modules if name.startswith(("retuner.drivers.", "bus_simulation."))
-    }
-    for path in sorted((*here.glob("*.py"), *there.rglob("*.py"), *there.glob("*.dbc"))):
-        if path.stem in loaded or path.suffix == ".dbc":
-            digest.update(path.name.encode() + path.read_bytes())
-    for path in sorted(FIRMWARE.glob("*.[ch]")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
 class Campaign:
     """Seeds from first on, counted up.
 
@@ -272,7 +251,18 @@ class Campaign:
         self.busy_s = 0.0
         self.before: list[dict[str, object]] = []
         self._hours = hours
-        self._key = f"{fingerprint()} {steps} {device}"
+        # hash of the code under test and of this harness: results of other code are not added up
+        digest = hashlib.sha256()
+        here, there = Path(__file__).parent, Path(str(drivers.__file__)).parent
+        loaded = {
+            name.rpartition(".")[2] for name in sys.modules if name.startswith(("retuner.drivers.", "bus_simulation."))
+        }
+        for path in sorted((*here.glob("*.py"), *there.rglob("*.py"), *there.glob("*.dbc"))):
+            if path.stem in loaded or path.suffix == ".dbc":
+                digest.update(path.name.encode() + path.read_bytes())
+        for path in sorted(FIRMWARE.glob("*.[ch]")):
+            digest.update(path.read_bytes())
+        self._key = f"{digest.hexdigest()[:16]} {steps} {device}"
         if state is not None and state.exists():
             self._load(json.loads(state.read_text(encoding="utf-8")))
 

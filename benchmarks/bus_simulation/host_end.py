@@ -171,7 +171,18 @@ class HostEnd:
             t.time_goes_forward(self._t_s, event.t_s)
             self._t_s = event.t_s
         elif isinstance(event, WriteDone | WriteFailed):
-            self._ended(event)
+            order = self.order
+            t.reported_is_what_ran(self.truth, event.running, self._answered)
+            if order is None:
+                raise t.ViolationError(f"done_is_what_was_ordered: {event} without an order")
+            t.done_is_what_was_ordered(event, order)
+            if isinstance(event, WriteFailed):
+                self.truth.dead.add(order.gains)
+                self.truth.counts[f"failed: {event.reason.split(' (')[0]}"] += 1
+            else:
+                self.truth.counts["done"] += 1
+            self._record("committed" if isinstance(event, WriteDone) else "failed", order.gains)
+            self.order, self.last_outcome = None, event
         elif isinstance(event, DeviceRestarted | RunningChanged | Reverted):
             t.reported_is_what_ran(self.truth, event.running, self._answered)
             self._record("news", event)
@@ -179,21 +190,6 @@ class HostEnd:
             self.truth.counts[type(event).__name__] += 1
             if isinstance(event, WriteUnknown):
                 self._record("unknown", event)
-
-    def _ended(self, event: WriteDone | WriteFailed) -> None:
-        """A write is over."""
-        order = self.order
-        t.reported_is_what_ran(self.truth, event.running, self._answered)
-        if order is None:
-            raise t.ViolationError(f"done_is_what_was_ordered: {event} without an order")
-        t.done_is_what_was_ordered(event, order)
-        if isinstance(event, WriteFailed):
-            self.truth.dead.add(order.gains)
-            self.truth.counts[f"failed: {event.reason.split(' (')[0]}"] += 1
-        else:
-            self.truth.counts["done"] += 1
-        self._record("committed" if isinstance(event, WriteDone) else "failed", order.gains)
-        self.order, self.last_outcome = None, event
 
     def _choose(self) -> PidGains | None:
         """Other gains: mostly legal ones."""

@@ -66,7 +66,7 @@ HOST_MUTANTS = tuple(
         (
             "a lapsed lease is not noticed",
             HOST + "write_protocol",
-            "elif not owned and self._unsent(now_s) and self._may_begin_anew:",
+            "elif not owned and self._unsent(now_s):",
             "elif False:",
         ),
         (
@@ -198,7 +198,7 @@ HOST_MUTANTS = tuple(
         # what is told and kept
         (
             "silence is not noticed",
-            HOST + "connection",
+            "retuner.drivers.device",
             'return f"no frame for {age_s:.3g} s" if age_s > self._silent_s else ""',
             'return ""',
         ),
@@ -232,25 +232,6 @@ HOST_MUTANTS = tuple(
 """All mutants of the host."""
 
 
-def changed_import(mutant: HostMutant) -> None:
-    """Load the module with its change, before anything else does.
-
-    Raises
-    ------
-    ValueError
-        The text does not stand in it exactly once.
-    """
-    spec = importlib.util.find_spec(mutant.module)
-    if spec is None or spec.origin is None or mutant.module in sys.modules:
-        raise ValueError(f"{mutant.module} is not there, or loaded already")
-    source = Path(spec.origin).read_text(encoding="utf-8")
-    if source.count(mutant.old) != 1:
-        raise ValueError(f"{mutant.name}: {mutant.old!r} stands {source.count(mutant.old)} times in {mutant.module}")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[mutant.module] = module
-    exec(compile(source.replace(mutant.old, mutant.new), spec.origin, "exec"), module.__dict__)
-
-
 def broken_by(number: int, seeds: int = SEEDS, steps: int = STEPS) -> str:
     """The first promise that a mutant breaks, empty for none; in a process of its own."""
     command = [sys.executable, "-P", __file__, str(number), str(seeds), str(steps)]
@@ -263,7 +244,17 @@ def broken_by(number: int, seeds: int = SEEDS, steps: int = STEPS) -> str:
 def main() -> int:
     number, seeds, steps = map(int, [*sys.argv[1:], SEEDS, STEPS][:3] if len(sys.argv) == 2 else sys.argv[1:])
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    changed_import(HOST_MUTANTS[number])
+    # load the module with its change, before anything else does
+    mutant = HOST_MUTANTS[number]
+    spec = importlib.util.find_spec(mutant.module)
+    if spec is None or spec.origin is None or mutant.module in sys.modules:
+        raise ValueError(f"{mutant.module} is not there, or loaded already")
+    source = Path(spec.origin).read_text(encoding="utf-8")
+    if source.count(mutant.old) != 1:
+        raise ValueError(f"{mutant.name}: {mutant.old!r} stands {source.count(mutant.old)} times in {mutant.module}")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[mutant.module] = module
+    exec(compile(source.replace(mutant.old, mutant.new), spec.origin, "exec"), module.__dict__)
     from bus_simulation.campaign import World
     from bus_simulation.firmware import FirmwareDevice
 

@@ -51,7 +51,24 @@ def case(seed: int, index: int) -> BeyondCase:
         if robustness(process, gains).ms < MOST_MS:
             break
     n = int(min(LENGTH * (theta + max(process.lags_s)) / 4 / dt, MOST_SAMPLES))
-    return BeyondCase(kind, _run(rng, kind, process, gains, dt, n), gains, process, theta)
+    # the loop from rest: a setpoint step after a tenth, another after half in half of the records, and a load
+    plant, integral, pv = HeldPlant(process, dt), 0.0, 0.0
+    drift = float(rng.choice([-1.0, 1.0])) * float(rng.uniform(0.05, 0.25)) if kind == "time-varying" else 0.0
+    bend = float(rng.uniform(0.05, 0.3)) if kind == "nonlinear valve" else 0.0
+    back = int(n * 0.55) if rng.uniform() < 0.5 else n
+    load_at = int(n * rng.uniform(0.3, 0.9)) if rng.uniform() < 0.5 else n
+    load = float(rng.uniform(-0.6, 0.6)) / process.k
+    sigma = log_uniform(rng, 0.003, 0.02)
+    rows = []
+    for i in range(n):
+        sp = 1.0 if n // 10 <= i < back else 0.0
+        seen = pv + sigma * float(rng.standard_normal())
+        integral += gains.ki * dt * (sp - seen)
+        co = gains.kp * (sp - seen) + integral
+        rows.append((i * dt, sp, seen, co))
+        through = co * (1 + drift * (i / n - 0.5)) + bend / process.k * _bent(process.k * co - 0.5)
+        pv = float(plant.move(through + load * (i >= load_at)))
+    return BeyondCase(kind, Record(*np.array(rows).T), gains, process, theta)
 
 
 def _without_lead(process: LinearProcess) -> LinearProcess:
@@ -73,27 +90,6 @@ def _process(rng: np.random.Generator, kind: str) -> LinearProcess:
         t2 = t1 * float(rng.uniform(0.2, 0.8))
         return LinearProcess(k, (t1, t2), (-t2 * float(rng.uniform(0.2, 1.0)),), 0.5)
     return LinearProcess(k, (t1, float(rng.uniform(0.1, 1.0))), (), 1.0)
-
-
-def _run(rng: np.random.Generator, kind: str, process: LinearProcess, gains: PidGains, dt: float, n: int) -> Record:
-    """The loop from rest: a setpoint step after a tenth, another after half in half of the records, and a load."""
-    plant, integral, pv = HeldPlant(process, dt), 0.0, 0.0
-    drift = float(rng.choice([-1.0, 1.0])) * float(rng.uniform(0.05, 0.25)) if kind == "time-varying" else 0.0
-    bend = float(rng.uniform(0.05, 0.3)) if kind == "nonlinear valve" else 0.0
-    back = int(n * 0.55) if rng.uniform() < 0.5 else n
-    load_at = int(n * rng.uniform(0.3, 0.9)) if rng.uniform() < 0.5 else n
-    load = float(rng.uniform(-0.6, 0.6)) / process.k
-    sigma = log_uniform(rng, 0.003, 0.02)
-    rows = []
-    for i in range(n):
-        sp = 1.0 if n // 10 <= i < back else 0.0
-        seen = pv + sigma * float(rng.standard_normal())
-        integral += gains.ki * dt * (sp - seen)
-        co = gains.kp * (sp - seen) + integral
-        rows.append((i * dt, sp, seen, co))
-        through = co * (1 + drift * (i / n - 0.5)) + bend / process.k * _bent(process.k * co - 0.5)
-        pv = float(plant.move(through + load * (i >= load_at)))
-    return Record(*np.array(rows).T)
 
 
 def _bent(x: float) -> float:

@@ -173,7 +173,9 @@ def dbc(data: bytes) -> str:
         plans = plans_of(read_dbc(data.decode("ascii", errors="replace"), "x.dbc"), "x.dbc")
     except DbcError as error:
         return one_line(error)
-    if schema_of(plans) == schema() and layouts(plans) != layouts(plans_of(_shipped(), "x.dbc")):
+    if schema_of(plans) == schema() and layouts(plans) != layouts(
+        plans_of(read_dbc(files("retuner.drivers").joinpath("retuner.dbc").read_text("ascii"), "retuner.dbc"), "x.dbc")
+    ):
         raise WrongError("another layout has the same hash")
     return "accepted" if schema_of(plans) == schema() else "another hash"
 
@@ -190,45 +192,32 @@ def layouts(plans: dict) -> list:
     ]
 
 
-def _shipped() -> object:
-    return read_dbc(files("retuner.drivers").joinpath("retuner.dbc").read_text("ascii"), "retuner.dbc")
-
-
-def good_ledger(folder: Path) -> bytes:
-    """A small ledger's bytes."""
-    path = folder / "good.sqlite"
-    with Ledger(path) as made:
-        for i in range(8):
-            made.append("decision", {"gains": {"kp": 0.1 * i, "ki": 1e-3}, "why": "x" * 30}, float(i))
-    return path.read_bytes()
-
-
 def good_csv() -> bytes:
     """A small recording."""
     rows = [f"{0.5 * i},{50 + i % 3},{50 - 0.25 * i},{30 + i}" for i in range(30)]
     return ("t,sp,pv,co\n" + "\n".join(rows) + "\n").encode()
 
 
-def good_export() -> bytes:
-    """A small record as a historian writes it: preamble, tags, units, stamps, decimal comma, a missing value."""
-    rows = [f"14.03.2024 21:5{i // 6}:{i % 6}0;{50 + i % 3},5;{50 - i},25;{30 + i},0;AUTO" for i in range(30)]
-    rows[7] = rows[7].replace("43,25", "Bad")
-    head = "Export of the plant\n\nZeit;FIC1.SP;FIC1.PV;FIC1.OP;FIC1.MODE\n;m3/h;m3/h;%;\n"
-    return (head + "\n".join(rows) + "\n").encode("latin-1")
-
-
 def examples(folder: Path) -> dict[str, tuple[bytes, Judge, Judge]]:
     """Per kind: a good example, who judges its mutants, who judges its cuts."""
     shipped = files("retuner.drivers").joinpath("retuner.dbc").read_bytes()
-    oven, csv, sqlite = (ROOT / "examples" / "oven.toml").read_bytes(), good_csv(), good_ledger(folder)
+    path = folder / "good.sqlite"
+    with Ledger(path) as made:
+        for i in range(8):
+            made.append("decision", {"gains": {"kp": 0.1 * i, "ki": 1e-3}, "why": "x" * 30}, float(i))
+    oven, csv, sqlite = (ROOT / "examples" / "oven.toml").read_bytes(), good_csv(), path.read_bytes()
     configs, recordings = config(folder / "x.toml"), recording(folder / "x.csv")
     ledgers, exports = ledger(folder / "x.sqlite", sqlite), exported(folder / "FIC1.csv")
+    # A small record as a historian writes it: preamble, tags, units, stamps, decimal comma, a missing value
+    rows = [f"14.03.2024 21:5{i // 6}:{i % 6}0;{50 + i % 3},5;{50 - i},25;{30 + i},0;AUTO" for i in range(30)]
+    rows[7] = rows[7].replace("43,25", "Bad")
+    head = "Export of the plant\n\nZeit;FIC1.SP;FIC1.PV;FIC1.OP;FIC1.MODE\n;m3/h;m3/h;%;\n"
     return {
         "dbc": (shipped, dbc, dbc),
         "config": (oven, configs, configs),
         "gains": (to_toml(TABLE).encode(), gains, cut_gains),
         "csv": (csv, recordings, recordings),
-        "export": (good_export(), exports, exports),
+        "export": ((head + "\n".join(rows) + "\n").encode("latin-1"), exports, exports),
         "ledger": (sqlite, ledgers, ledgers),
     }
 

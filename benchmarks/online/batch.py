@@ -82,7 +82,12 @@ def run(task: Task, line: Line | None = None) -> Row:
     kc, tau_i = task.start
     gains = PidGains(judge.best.kp * kc, judge.best.ki * kc / tau_i)
     story: list[str] = []
-    watching = Watching(one_region(gains), settings(dt_s, PV_SPAN, opened=task.opened), _teller(judge, story))
+
+    # writes down each decision in one line
+    def tell(decision: Decision) -> None:
+        story.append("   " + told(decision, judge))
+
+    watching = Watching(one_region(gains), settings(dt_s, PV_SPAN, opened=task.opened), tell)
     hears = line(watching, task, dt_s) if line else watching
     loop = WatchedLoop(HeldPlant(task.member.process, dt_s), watching.retuner.table, dt_s, hears)
     judged = disturbed(loop, judge, task, story)
@@ -146,15 +151,6 @@ def disturbed(loop: WatchedLoop, judge: Judge, task: Task, story: list[str]) -> 
 
 def _noise(rng: np.random.Generator, size: float, n: int) -> list[float]:
     return [float(x) for x in size * rng.standard_normal(n)]
-
-
-def _teller(judge: Judge, story: list[str]) -> Callable[[Decision], None]:
-    """Writes down each decision in one line."""
-
-    def tell(decision: Decision) -> None:
-        story.append("   " + told(decision, judge))
-
-    return tell
 
 
 def told(d: Decision, judge: Judge) -> str:

@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from online import batch, changes, harm, injected, loads, own_fault, real_loads, tours
-from online.runner import Row, collect, rows_of
+from online.runner import collect, rows_of
 
 ALL = "all"
 
@@ -86,7 +86,17 @@ def main() -> int:
     """Run one part and print its table."""
     options = _parser().parse_args()
     if options.part == "tables":
-        return _again([row for file in options.files for row in rows_of(file)])
+        # the tables of rows from files; those of the batch by the limits of a change
+        rows = [row for file in options.files for row in rows_of(file)]
+        for name, part in PARTS.items():
+            of = [row for row in rows if row["part"] == name]
+            for opened in sorted({row["opened"] for row in of}) if part.module is batch else [None]:
+                some = of if opened is None else [row for row in of if row["opened"] == opened]
+                limits = "" if opened is None else f", limits of a change: {'x8' if opened else 'defaults'}"
+                if some:
+                    seeds = sorted({row["seed"] for row in some})
+                    _say([f"{part.title}{limits}; {len(some)} runs, seeds {seeds}", *part.module.table(some), ""])
+        return 0 if rows else 1
     part = PARTS[options.part]
     if part.module is batch:
         tasks = part.tasks(options, ALL)
@@ -104,19 +114,6 @@ def main() -> int:
 
 def _say(lines: list[str]) -> None:
     sys.stdout.write("\n".join(lines) + "\n" if lines else "")
-
-
-def _again(rows: list[Row]) -> int:
-    """The tables of rows from files; those of the batch by the limits of a change."""
-    for name, part in PARTS.items():
-        of = [row for row in rows if row["part"] == name]
-        for opened in sorted({row["opened"] for row in of}) if part.module is batch else [None]:
-            some = of if opened is None else [row for row in of if row["opened"] == opened]
-            limits = "" if opened is None else f", limits of a change: {'x8' if opened else 'defaults'}"
-            if some:
-                seeds = sorted({row["seed"] for row in some})
-                _say([f"{part.title}{limits}; {len(some)} runs, seeds {seeds}", *part.module.table(some), ""])
-    return 0 if rows else 1
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -68,7 +68,10 @@ class Judge:
 
     def load_like_setpoint(self, gains: PidGains | None = None) -> float:
         """Size of the load step that moves pv by one under SIMC with perfect knowledge, or other gains."""
-        return 1.0 / peak_after_load(self.process, gains or self.best, self.dt_s, self._steps(self.best))
+        # largest |pv| after a unit step in the load
+        n = self._steps(self.best)
+        record = run(self.process, Controller(gains or self.best), self.dt_s, Upsets(np.zeros(n), load=np.ones(n)))
+        return 1.0 / float(np.max(np.abs(record.pv)))
 
     def _steps(self, gains: PidGains) -> int:
         reset = 0.0 if not gains.ki else abs(gains.kp / gains.ki)
@@ -117,12 +120,6 @@ def effect(judge: Judge, t_s: float, before: PidGains, after: PidGains, *, resto
     ms_worse = new.ms > NOTICED * old.ms and new.ms > judge.ms_limit
     rescued = old.ms > judge.ms_limit and new.ms < old.ms
     return Effect(t_s, old, new, ms_worse, new.j > NOTICED * old.j and not rescued, restored)
-
-
-def peak_after_load(process: LinearProcess, gains: PidGains, dt_s: float, n: int) -> float:
-    """Largest |pv| after a unit step in the load."""
-    record = run(process, Controller(gains), dt_s, Upsets(np.zeros(n), load=np.ones(n)))
-    return float(np.max(np.abs(record.pv)))
 
 
 # ---- Counts with their uncertainty

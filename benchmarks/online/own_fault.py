@@ -70,7 +70,9 @@ def run(task: Task) -> Row:
 
     watching = Watching(one_region(gains), settings(loop.dt_s, PV_SPAN), tell)
     period_s = own_period_s(loop, gains)
-    room = ROOM[task.kind] / abs(_gain(loop))
+    # pv per unit of co that a bounded output is measured by
+    p = loop.process
+    room = ROOM[task.kind] / abs(p.k * (loop.theta_s if p.integrators else 1.0))
     table = watching.retuner.table
     plant = HeldPlant(loop.process, loop.dt_s)
     watched = WatchedLoop(plant, table, loop.dt_s, watching, low=-room, high=room, lost=1e5)
@@ -144,12 +146,6 @@ def _critical(loop: Loop, gains: PidGains) -> float:
             high = float(factor)
             break
     return math.sqrt(low * high)
-
-
-def _gain(loop: Loop) -> float:
-    """pv per unit of co that a bounded output is measured by."""
-    p = loop.process
-    return p.k * (loop.theta_s if p.integrators else 1.0)
 
 
 def line(row: Row) -> str:

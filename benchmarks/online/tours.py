@@ -98,8 +98,13 @@ class Tour:
     def drawn(task: Task) -> "Tour":
         """From its seed."""
         rng = np.random.default_rng([task.seed, task.index, 40])
-        subject = _subject(task.kind, rng)
-        regions, span = _regions(subject), subject.high - subject.low
+        subject = records.draw(rng, task.kind, 4.0) if task.kind in DRAWN else physics.MAKERS[task.kind]()
+        low, high = subject.low, subject.high
+        inside = [low + (high - low) * i / REGIONS for i in range(1, REGIONS)]
+        bounds = OVEN_BOUNDS if subject.name == "oven" else tuple(inside)
+        hysteresis = max(0.005 * (high - low), 4 * subject.noise)
+        names = tuple(f"r{i + 1}" for i in range(len(bounds) + 1))
+        regions, span = Regions("pv", "-", names, low, bounds, high, hysteresis), subject.high - subject.low
         rim = 0.05 * span
         sps = [float(rng.uniform(subject.low + rim, subject.high - rim))]
         while len(sps) < task.places:
@@ -125,21 +130,6 @@ class Tour:
     def best(self) -> list[PidGains]:
         """SIMC with perfect knowledge of each region's centre."""
         return [judge.best for judge in self.centres]
-
-
-def _subject(kind: str, rng: np.random.Generator) -> Subject:
-    if kind in DRAWN:
-        return records.draw(rng, kind, 4.0)
-    return physics.MAKERS[kind]()
-
-
-def _regions(subject: Subject) -> Regions:
-    low, high = subject.low, subject.high
-    inside = [low + (high - low) * i / REGIONS for i in range(1, REGIONS)]
-    bounds = OVEN_BOUNDS if subject.name == "oven" else tuple(inside)
-    hysteresis = max(0.005 * (high - low), 4 * subject.noise)
-    names = tuple(f"r{i + 1}" for i in range(len(bounds) + 1))
-    return Regions("pv", "-", names, low, bounds, high, hysteresis)
 
 
 def run(task: Task) -> Row:
@@ -309,28 +299,24 @@ def table(rows: list[Row]) -> list[str]:
     ]
     named = [(", ".join(key), group) for key, group in groups.items()]
     for name, group in [*named, *([("all", rows)] if len(named) > 1 else [])]:
-        lines.append(_line_of(name, group))
+        taught = f"{sum(row['taught'] for row in group)}/{sum(row['responses'] for row in group)}"
+        goods = [
+            [ok for row in group for ok in good_after(row["who"]["retuner"]["visits"], n)] for n in range(1, VISITS + 1)
+        ]
+        good = " ".join(f"{sum(each)}/{len(each)}" for each in goods)
+        ratios = [_ratio(row, "retuner") for row in group]
+        spec = {who: [ok for row in group for ok in _later(row["who"][who]["spec"])] for who in WHO}
+        told = {who: counted(sum(each), len(each)) for who, each in spec.items()}
+        borne = [ok for row in group for ok in _borne(row)]
+        told["can"] = counted(sum(borne), len(borne))
+        there = {who: [ok for row in group for ok in _where_one_can_be(row, who)] for who in ("retuner", "perfect")}
+        told["there"] = " and ".join(f"{sum(each)} ({who})" for who, each in there.items())
+        harm = f"worse {sum(row['ms_worse'] for row in group)}, unstable {sum(row['made_unstable'] for row in group)}"
+        lost = sum(row["who"]["retuner"]["lost"] for row in group)
+        lines.append(
+            f"{name:<34}{taught:>12}{good:>34}{statistics.median(ratios):>7.2f}{max(ratios):>7.2f}  "
+            f"{told['retuner']} (perfect {told['perfect']}, fixed {told['fixed']}); "
+            f"good after {VISITS} where one set can be: {told['can']}; of {len(there['perfect'])} places there "
+            f"{told['there']}; {harm}, lost {lost}"
+        )
     return lines
-
-
-def _line_of(name: str, rows: list[Row]) -> str:
-    taught = f"{sum(row['taught'] for row in rows)}/{sum(row['responses'] for row in rows)}"
-    goods = [
-        [ok for row in rows for ok in good_after(row["who"]["retuner"]["visits"], n)] for n in range(1, VISITS + 1)
-    ]
-    good = " ".join(f"{sum(each)}/{len(each)}" for each in goods)
-    ratios = [_ratio(row, "retuner") for row in rows]
-    spec = {who: [ok for row in rows for ok in _later(row["who"][who]["spec"])] for who in WHO}
-    told = {who: counted(sum(each), len(each)) for who, each in spec.items()}
-    borne = [ok for row in rows for ok in _borne(row)]
-    told["can"] = counted(sum(borne), len(borne))
-    there = {who: [ok for row in rows for ok in _where_one_can_be(row, who)] for who in ("retuner", "perfect")}
-    told["there"] = " and ".join(f"{sum(each)} ({who})" for who, each in there.items())
-    harm = f"worse {sum(row['ms_worse'] for row in rows)}, unstable {sum(row['made_unstable'] for row in rows)}"
-    lost = sum(row["who"]["retuner"]["lost"] for row in rows)
-    return (
-        f"{name:<34}{taught:>12}{good:>34}{statistics.median(ratios):>7.2f}{max(ratios):>7.2f}  "
-        f"{told['retuner']} (perfect {told['perfect']}, fixed {told['fixed']}); "
-        f"good after {VISITS} where one set can be: {told['can']}; of {len(there['perfect'])} places there "
-        f"{told['there']}; {harm}, lost {lost}"
-    )

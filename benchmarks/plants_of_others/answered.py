@@ -61,7 +61,8 @@ class Answered:
 
     def iae(self, gains: PidGains, *, setpoint: bool) -> float:
         """After a unit step of setpoint or load; infinite where it grows."""
-        n, late = self._samples(gains), self._moves[::-1]
+        reset = abs(gains.kp / gains.ki) if gains.ki else 0.0
+        n, late = int(min((HORIZON_THETA * self.theta_s + HORIZON_RESET * reset) / self.h_s, MOST)), self._moves[::-1]
         u, total, past = np.zeros(n + len(late)), 0.0, 0.0
         integral, errors = 0.0, np.zeros(n)
         for i in range(n):
@@ -84,10 +85,6 @@ class Answered:
                 j = sum(x / least for x, least in zip(found, self._least, strict=True)) / 2
             self._known[gains] = Judgement(ms, j, ms <= self.ms_limit and j <= J_LIMIT)
         return self._known[gains]
-
-    def _samples(self, gains: PidGains) -> int:
-        reset = abs(gains.kp / gains.ki) if gains.ki else 0.0
-        return int(min((HORIZON_THETA * self.theta_s + HORIZON_RESET * reset) / self.h_s, MOST))
 
     def _w180(self) -> float:
         phase = np.unwrap(np.angle(self._g * self._sign))

@@ -56,7 +56,36 @@ TESTS: dict[str, Callable[[str], StepTest]] = {
 
 def main() -> int:
     """Run one part and print its table."""
-    options = _parser().parse_args()
+    parser = argparse.ArgumentParser(
+        prog="benchmarks/plants_of_others", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parts = parser.add_subparsers(dest="part", required=True)
+    for name in PLANTS:
+        part = parts.add_parser(name, help=f"loops of {name}")
+        part.add_argument(
+            "--seed", type=int, default=1, help="of the first session; 100 and above are for final tables"
+        )
+        part.add_argument("--sessions", type=int, default=1, help="of each loop and start, each with the next seed")
+        part.add_argument("--loop", default="all")
+        part.add_argument("--start", choices=("all", *session.STARTS), default="all")
+        part.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
+        part.add_argument("--together", action="store_true", help="all loops start off and are retuned at once")
+        part.add_argument("--live", action="store_true", help="no replays under gains that stay")
+        part.add_argument("--every", type=int, default=1, help="only every n-th session")
+        part.add_argument("--offset", type=int, default=0, help="and the first of these")
+        part.add_argument("--out", type=Path, metavar="FILE", help="every session as a line of JSON")
+        part.add_argument("--verbose", action="store_true", help="tell what was decided, and what is true")
+    pitch = parts.add_parser("aircraft", help="pitch hold, gains over dynamic pressure")
+    pitch.add_argument("--seed", type=int, default=1)
+    pitch.add_argument("--sessions", type=int, default=1)
+    pitch.add_argument("--start", choices=("all", *aircraft.STARTS), default="all")
+    picture = parts.add_parser("picture", help="the picture of docs/developers/plants-of-others.md")
+    picture.add_argument("folder", type=Path)
+    picture.add_argument("--seed", type=int, default=1)
+    picture.add_argument("--start", choices=tuple(session.STARTS), default="slow")
+    tables = parts.add_parser("tables", help="the tables again, of rows from files")
+    tables.add_argument("files", type=Path, nargs="+", metavar="FILE", help="as --out writes them")
+    options = parser.parse_args()
     if options.part == "tables":
         rows = [row for file in options.files for row in rows_of(file)]
         _say(session.table(rows))
@@ -110,36 +139,3 @@ def _short(values: tuple[float, ...]) -> str:
 def _say(lines: list[str]) -> None:
     sys.stdout.write("\n".join(lines) + "\n")
     sys.stdout.flush()
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="benchmarks/plants_of_others", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parts = parser.add_subparsers(dest="part", required=True)
-    for name in PLANTS:
-        part = parts.add_parser(name, help=f"loops of {name}")
-        part.add_argument(
-            "--seed", type=int, default=1, help="of the first session; 100 and above are for final tables"
-        )
-        part.add_argument("--sessions", type=int, default=1, help="of each loop and start, each with the next seed")
-        part.add_argument("--loop", default="all")
-        part.add_argument("--start", choices=("all", *session.STARTS), default="all")
-        part.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
-        part.add_argument("--together", action="store_true", help="all loops start off and are retuned at once")
-        part.add_argument("--live", action="store_true", help="no replays under gains that stay")
-        part.add_argument("--every", type=int, default=1, help="only every n-th session")
-        part.add_argument("--offset", type=int, default=0, help="and the first of these")
-        part.add_argument("--out", type=Path, metavar="FILE", help="every session as a line of JSON")
-        part.add_argument("--verbose", action="store_true", help="tell what was decided, and what is true")
-    pitch = parts.add_parser("aircraft", help="pitch hold, gains over dynamic pressure")
-    pitch.add_argument("--seed", type=int, default=1)
-    pitch.add_argument("--sessions", type=int, default=1)
-    pitch.add_argument("--start", choices=("all", *aircraft.STARTS), default="all")
-    picture = parts.add_parser("picture", help="the picture of docs/developers/plants-of-others.md")
-    picture.add_argument("folder", type=Path)
-    picture.add_argument("--seed", type=int, default=1)
-    picture.add_argument("--start", choices=tuple(session.STARTS), default="slow")
-    tables = parts.add_parser("tables", help="the tables again, of rows from files")
-    tables.add_argument("files", type=Path, nargs="+", metavar="FILE", help="as --out writes them")
-    return parser

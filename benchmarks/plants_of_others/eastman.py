@@ -116,13 +116,34 @@ class Eastman:
         flag: int | None,
     ) -> None:
         simulator = self._package.TennesseeEastmanProcess(solver_method="Euler")
-        controller = _with(self._package.RickerMultiLoopController, controls)(enable_overrides=False)
+        # the package's controller with others in the place of some of its loops
+        parent = self._package.RickerMultiLoopController
+
+        class Ours(parent):
+            shift = 0.0
+            ticks: dict[str, int]
+            held: dict[str, float]
+
+            def _update(self, loop: Any, setpoint: float, measured: Any) -> float:  # noqa: ANN401  of the package
+                name = next((key for key in controls if getattr(self.registry, key).name == loop.name), None)
+                if name is None:
+                    return float(super()._update(loop, setpoint, measured))
+                if not hasattr(self, "ticks"):
+                    self.ticks, self.held = {}, {}
+                tick = self.ticks.get(name, 0)
+                if tick % LOOPS[name].every == 0:
+                    sp = setpoint + (0.0 if hasattr(self.setpoints, name) else self.shift)
+                    self.held[name] = controls[name](float(sp), float(measured[self._mi[loop.pv]]))
+                self.ticks[name] = tick + 1
+                return self.held[name]
+
+        controller = Ours(enable_overrides=False)
         seen, _ = simulator.reset(seed=seed, **({} if flag is None else {"ms_flag": flag}))
         controller.reset(seen, time=0.0)
         base, off = controller.setpoints, np.zeros(28)
         for _ in range(round(hours * 3600.0 / TICK_S)):
             moved, fault = script(simulator.time)
-            controller.setpoints = _shifted(base, loop, moved)
+            controller.setpoints = replace(base, **{loop: getattr(base, loop) + moved}) if hasattr(base, loop) else base
             controller.shift = moved
             off[:] = 0.0
             if fault:
@@ -132,31 +153,3 @@ class Eastman:
             seen = result.measurements
             if result.shutdown_status["terminated"]:
                 raise Tripped(f"after {simulator.time:.1f} h: {result.shutdown_status['message']}")
-
-
-def _shifted(base: Any, loop: str, by: float) -> Any:  # noqa: ANN401  a dataclass of the package
-    return replace(base, **{loop: getattr(base, loop) + by}) if hasattr(base, loop) else base
-
-
-def _with(parent: type[Any], controls: Mapping[str, Control]) -> type[Any]:
-    """The package's controller with others in the place of some of its loops."""
-
-    class Ours(parent):
-        shift = 0.0
-        ticks: dict[str, int]
-        held: dict[str, float]
-
-        def _update(self, loop: Any, setpoint: float, measured: Any) -> float:  # noqa: ANN401  of the package
-            name = next((key for key in controls if getattr(self.registry, key).name == loop.name), None)
-            if name is None:
-                return float(super()._update(loop, setpoint, measured))
-            if not hasattr(self, "ticks"):
-                self.ticks, self.held = {}, {}
-            tick = self.ticks.get(name, 0)
-            if tick % LOOPS[name].every == 0:
-                sp = setpoint + (0.0 if hasattr(self.setpoints, name) else self.shift)
-                self.held[name] = controls[name](float(sp), float(measured[self._mi[loop.pv]]))
-            self.ticks[name] = tick + 1
-            return self.held[name]
-
-    return Ours

@@ -68,6 +68,9 @@ def run(plant: Plant, truths: dict[str, Truth], task: Task) -> Row:
     }
     replays = {who: _replayed(plant, task, gains) for who, gains in everybody.items()} if task.replays else {}
     sets = {who: gains[task.loop] for who, gains in everybody.items()}
+    codes: dict[str, int] = {}
+    for decision in live.decisions:
+        codes[decision.code] = codes.get(decision.code, 0) + 1
     return {
         "plant": plant.name,
         "loop": task.loop,
@@ -83,7 +86,7 @@ def run(plant: Plant, truths: dict[str, Truth], task: Task) -> Row:
         **_harm(truth, live),
         "live": measured(live),
         "replays": replays,
-        "codes": _codes(live),
+        "codes": codes,
     }
 
 
@@ -145,13 +148,6 @@ def _harm(truth: Truth, live: Controlled) -> Row:
         "unstable": sum(math.isinf(e.after.ms) and math.isfinite(e.before.ms) for e in made),
         "effects": [[e.t_s, e.before.ms, e.before.j, e.after.ms, e.after.j, float(e.restored)] for e in made],
     }
-
-
-def _codes(live: Controlled) -> dict[str, int]:
-    codes: dict[str, int] = {}
-    for decision in live.decisions:
-        codes[decision.code] = codes.get(decision.code, 0) + 1
-    return codes
 
 
 def tell(live: Controlled, truth: Truth) -> None:

@@ -23,30 +23,6 @@ PARTS = ("drawn", "signal", "constant", "physics")
 
 def main() -> int:
     """Measure, or print the table of rows again."""
-    options = _parser().parse_args()
-    if options.what == "table":
-        rows: list[Row] = [row for file in options.files for row in rows_of(file)]
-        whole = True
-    else:
-        parts = PARTS if options.part == "all" else (options.part,)
-        modes = MODES if options.mode == "all" else (options.mode,)
-        some = tasks(
-            options.seed,
-            options.loops,
-            parts,
-            modes,
-            visits=options.visits,
-            places=options.places,
-            walk=options.walk,
-            rivals=not options.alone,
-        )
-        wanted = [task for task in some if options.only in task.subject][options.offset :: options.every]
-        rows, whole = stream(measure, wanted, spread, options.jobs, options.out, line if options.verbose else None)
-    sys.stdout.write("\n".join(table(rows) if rows else ["no runs"]) + "\n")
-    return 0 if rows and whole else 1
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="benchmarks/schedules", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -68,4 +44,24 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--verbose", action="store_true", help="a line a case")
     two = what.add_parser("table", help="the table again, of rows from files")
     two.add_argument("files", type=Path, nargs="+", metavar="FILE")
-    return parser
+    options = parser.parse_args()
+    if options.what == "table":
+        rows: list[Row] = [row for file in options.files for row in rows_of(file)]
+        whole = True
+    else:
+        parts = PARTS if options.part == "all" else (options.part,)
+        modes = MODES if options.mode == "all" else (options.mode,)
+        some = tasks(
+            options.seed,
+            options.loops,
+            parts,
+            modes,
+            visits=options.visits,
+            places=options.places,
+            walk=options.walk,
+            rivals=not options.alone,
+        )
+        wanted = [task for task in some if options.only in task.subject][options.offset :: options.every]
+        rows, whole = stream(measure, wanted, spread, options.jobs, options.out, line if options.verbose else None)
+    sys.stdout.write("\n".join(table(rows) if rows else ["no runs"]) + "\n")
+    return 0 if rows and whole else 1

@@ -42,19 +42,15 @@ def charge(ph: float) -> float:
     return bound + KW / h - h
 
 
-def acidity(strong: float) -> float:
-    """The pH at this charge: `charge` inverted by bisection."""
+def _ph(x: State, u: float, _w: float) -> list[float]:
+    strong, probe = x
+    base = STREAM * max(u, 0.0) / 100.0
+    # the pH at this charge: `charge` inverted by bisection
     low, high = 0.0, 14.0
     for _ in range(34):
         middle = (low + high) / 2
         low, high = (middle, high) if charge(middle) < strong else (low, middle)
-    return (low + high) / 2
-
-
-def _ph(x: State, u: float, _w: float) -> list[float]:
-    strong, probe = x
-    base = STREAM * max(u, 0.0) / 100.0
-    return [(STREAM * (-ACID - strong) + base * (BASE - strong)) / VESSEL, (acidity(strong) - probe) / PROBE_S]
+    return [(STREAM * (-ACID - strong) + base * (BASE - strong)) / VESSEL, ((low + high) / 2 - probe) / PROBE_S]
 
 
 def _ph_guess(y: float, _w: float) -> tuple[list[float], float]:

@@ -45,17 +45,14 @@ def poor(truth: Truth, rng: np.random.Generator) -> PidGains:
     tau_i = float(np.median([g.kp / g.ki for g in best]) * rng.uniform(0.6, 2.0))
     kp = least.kp * float(rng.uniform(0.4, 1.0))
     for _ in range(20):
-        if worst_ms(truth, PidGains(kp, kp / tau_i)) <= MS_POOR:
+        # the largest true Ms over the places
+        gains = PidGains(kp, kp / tau_i)
+        half = truth.subject.dt_s / 2
+        seen = [replace(judge.process, theta_s=judge.process.theta_s + half) for judge in truth.judges]
+        if max(robustness(process, gains).ms for process in seen) <= MS_POOR:
             break
         kp, tau_i = 0.8 * kp, 1.1 * tau_i
     return PidGains(kp, kp / tau_i)
-
-
-def worst_ms(truth: Truth, gains: PidGains) -> float:
-    """The largest true Ms over the places."""
-    half = truth.subject.dt_s / 2
-    seen = [replace(judge.process, theta_s=judge.process.theta_s + half) for judge in truth.judges]
-    return max(robustness(process, gains).ms for process in seen)
 
 
 def poor_table(truth: Truth, rng: np.random.Generator) -> GainTable:

@@ -65,12 +65,6 @@ class Truth:
                 if end <= begin:
                     break
             begin, regions = max(ends), regions + 1
-        return regions, self._lines(best)
-
-    def _ok(self, i: int, gains: PidGains) -> bool:
-        return self.judges[i].of(gains).in_spec
-
-    def _lines(self, best: list[PidGains]) -> int:
         n = self.count
         starts = [all(self._ok(m, best[j]) for m in range(j)) for j in range(n)]
         fewest = [1 if ok else n for ok in starts]
@@ -78,7 +72,10 @@ class Truth:
             for i in range(j):
                 if fewest[i] + 1 < fewest[j] and self._between(best, i, j):
                     fewest[j] = fewest[i] + 1
-        return min(fewest[i] for i in range(n) if all(self._ok(m, best[i]) for m in range(i + 1, n)))
+        return regions, min(fewest[i] for i in range(n) if all(self._ok(m, best[i]) for m in range(i + 1, n)))
+
+    def _ok(self, i: int, gains: PidGains) -> bool:
+        return self.judges[i].of(gains).in_spec
 
     def _between(self, best: list[PidGains], i: int, j: int) -> bool:
         inside = sorted(range(i + 1, j), key=lambda m: abs(2 * m - i - j))

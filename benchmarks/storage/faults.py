@@ -125,32 +125,29 @@ def kills(count: int, seed: int) -> dict[str, object]:
         with scratch() as folder:
             promised = Promised()
             for number in range(min(50, count - 50 * folder_number)):
-                ended += kill_one(folder, promised, rng.randrange(MOST_LINES), rng.uniform(0, LONGEST_LIFE_S))
+                # one job in a forked child, killed life_s after it has acknowledged so much; whether it ended before
+                lines = rng.randrange(MOST_LINES)
+                out, into = os.pipe()
+                child = os.fork()
+                if child == 0:
+                    os.close(out)
+                    try:
+                        work(folder, 1000, into)
+                    finally:
+                        os._exit(0)
+                os.close(into)
+                said = b""
+                while said.count(b"\n") < lines and (more := os.read(out, 4096)):
+                    said += more
+                time.sleep(rng.uniform(0, LONGEST_LIFE_S))
+                os.kill(child, signal.SIGKILL)
+                _, status = os.waitpid(child, 0)
+                with os.fdopen(out, "rb") as answers:
+                    promised.take((said + answers.read()).decode())
+                ended += os.WIFEXITED(status)
                 wrong += [f"folder {folder_number}, kill {number}: {fault}" for fault in broken(folder, promised)]
             rows += len(promised.rows)
     return {"part": "kills", "seed": seed, "killed": count - ended, "ended before": ended, "rows": rows, "wrong": wrong}
-
-
-def kill_one(folder: Path, promised: Promised, lines: int, life_s: float) -> bool:
-    """One job in a forked child, killed life_s after it has acknowledged so much; whether it ended before."""
-    out, into = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(out)
-        try:
-            work(folder, 1000, into)
-        finally:
-            os._exit(0)
-    os.close(into)
-    said = b""
-    while said.count(b"\n") < lines and (more := os.read(out, 4096)):
-        said += more
-    time.sleep(life_s)
-    os.kill(child, signal.SIGKILL)
-    _, status = os.waitpid(child, 0)
-    with os.fdopen(out, "rb") as answers:
-        promised.take((said + answers.read()).decode())
-    return os.WIFEXITED(status)
 
 
 def disk(rows: int = 20_000) -> dict[str, object]:

@@ -41,15 +41,13 @@ class PlantLive:
         """Hold co, under a load d, for dt; pv after it."""
         for _ in range(max(1, round(dt / self.h))):
             self.t += self.h
-            pv = self._moved(co, d)
+            if not self.linear:
+                pv = self.live.move(co, d)
+            else:
+                u, factor = co - self.story.co_start, self.story.factor(self.t)
+                found = self.live.move(u * factor, d * factor)
+                pv = self.story.start_pv + found + (self._coupled(u) if self.others else 0.0)
         return pv
-
-    def _moved(self, co: float, d: float) -> float:
-        if not self.linear:
-            return self.live.move(co, d)
-        u, factor = co - self.story.co_start, self.story.factor(self.t)
-        found = self.live.move(u * factor, d * factor)
-        return self.story.start_pv + found + (self._coupled(u) if self.others else 0.0)
 
     def _coupled(self, u: float) -> float:
         assert self.story.partner is not None

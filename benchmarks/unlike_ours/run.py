@@ -17,7 +17,7 @@ import numpy as np
 from online.runner import collect
 
 from retuner import Action, PidGains
-from unlike_ours.controllers import ByController, ByOwnLoop, Kept
+from unlike_ours.controllers import ByController, ByOwnLoop
 from unlike_ours.live import PlantLive
 from unlike_ours.story import DISTURBANCES, NAMES, Event, Rng, Story, draw
 from unlike_ours.truth import J_LIMIT, Truth
@@ -101,7 +101,17 @@ class Streamed:
                 break
             while events and events[0].t <= self.t:
                 self._happens(events.popleft())
-            self._move()
+            # ramps and pulses that are under way
+            for event, began in list(self.moving):
+                over = self.t > began + event.over
+                step = event.size / event.over * self.story.dt
+                if over:
+                    self.moving.remove((event, began))
+                    self.d -= event.size if event.kind == "pulse" else 0.0
+                elif event.kind == "ramp":
+                    self.sp += step
+                elif event.kind == "slope":
+                    self.d += step
             shown = pv + noise[i]
             shown = round(shown / s.resolution) * s.resolution if s.resolution else shown
             manual = self.manual[1] if self.t < self.manual[0] else None
@@ -136,19 +146,6 @@ class Streamed:
         elif event.kind == "restart":
             self.session.restart(self.t)
 
-    def _move(self) -> None:
-        """Ramps and pulses that are under way."""
-        for event, began in list(self.moving):
-            over = self.t > began + event.over
-            step = event.size / event.over * self.story.dt
-            if over:
-                self.moving.remove((event, began))
-                self.d -= event.size if event.kind == "pulse" else 0.0
-            elif event.kind == "ramp":
-                self.sp += step
-            elif event.kind == "slope":
-                self.d += step
-
 
 def judged(streamed: Streamed) -> Iterator[Row]:
     """The changes that retuner made, each with what is true of it."""
@@ -158,30 +155,26 @@ def judged(streamed: Streamed) -> Iterator[Row]:
             for a, b in zip(_numbers(kept.before), _numbers(kept.after), strict=True)
         )
         if moved and "edit" not in kept.decision.code:
-            yield _judged(streamed, kept)
-
-
-def _judged(streamed: Streamed, kept: Kept) -> Row:
-    story, decision = streamed.story, kept.decision
-    truth = streamed.plant.truth(kept.t, kept.sp)
-    old, new = (story.tuned(gains) for gains in (kept.before, kept.after))
-    before, after = truth.of(old), truth.of(new)
-    lost = truth.in_spec(old) and not truth.in_spec(new)
-    # J grew and is over its limit, and no Ms over its own was lowered by it
-    rescued = before.ms > truth.ms_limit and after.ms < before.ms
-    return {
-        "t": kept.t,
-        "code": decision.code,
-        "before": (before.ms, before.j),
-        "after": (after.ms, after.j),
-        "promised": promised(str(decision)),
-        "unstable": math.isinf(after.ms) and math.isfinite(before.ms),
-        "ms_worse": after.ms > NOTICED * before.ms and after.ms > truth.ms_limit,
-        "j_worse": (after.j > max(NOTICED_J * before.j, J_LIMIT) and not rescued),
-        "right_changed": truth.in_spec(old) and decision.action is Action.COMMIT,
-        "right_lost": lost,
-        "right_back": lost and decision.action is Action.RESTORE,
-    }
+            story, decision = streamed.story, kept.decision
+            truth = streamed.plant.truth(kept.t, kept.sp)
+            old, new = (story.tuned(gains) for gains in (kept.before, kept.after))
+            before, after = truth.of(old), truth.of(new)
+            lost = truth.in_spec(old) and not truth.in_spec(new)
+            # J grew and is over its limit, and no Ms over its own was lowered by it
+            rescued = before.ms > truth.ms_limit and after.ms < before.ms
+            yield {
+                "t": kept.t,
+                "code": decision.code,
+                "before": (before.ms, before.j),
+                "after": (after.ms, after.j),
+                "promised": promised(str(decision)),
+                "unstable": math.isinf(after.ms) and math.isfinite(before.ms),
+                "ms_worse": after.ms > NOTICED * before.ms and after.ms > truth.ms_limit,
+                "j_worse": (after.j > max(NOTICED_J * before.j, J_LIMIT) and not rescued),
+                "right_changed": truth.in_spec(old) and decision.action is Action.COMMIT,
+                "right_lost": lost,
+                "right_back": lost and decision.action is Action.RESTORE,
+            }
 
 
 def _numbers(gains: PidGains) -> tuple[float, float, float]:
@@ -227,7 +220,18 @@ HEADS = f"{'story':<15}{'loops':>6}{'in spec after 1, 3, 6, at the end':>36}  ch
 
 def main() -> int:
     """Run them and print the table."""
-    options = _parser().parse_args()
+    parser = argparse.ArgumentParser(
+        prog="benchmarks/unlike_ours", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--loops", type=int, default=2, help="of each story (2)")
+    parser.add_argument("--only", nargs="+", default=NAMES, choices=NAMES, metavar="STORY", help=", ".join(NAMES))
+    parser.add_argument("--every", type=int, default=1, help="only every n-th run")
+    parser.add_argument("--offset", type=int, default=0, help="and the first of these")
+    parser.add_argument("--jobs", type=int, default=None)
+    parser.add_argument("--out", type=Path, metavar="FILE", help="every run as a line of JSON")
+    parser.add_argument("--verbose", action="store_true", help="tell every decision")
+    options = parser.parse_args()
     names = tuple(options.only)
     todo = tasks(options.seed, options.loops, names, verbose=options.verbose)[options.offset :: options.every]
     rows, whole = collect(run, todo, options.jobs, options.out, line)
@@ -281,21 +285,6 @@ def _promises(rows: Sequence[Row]) -> list[str]:
         f"true Ms over promised: median {median(ratios):.2f}, largest {ratios[-1]:.2f}, of {len(ratios)} changes",
         f"a decision: median {median(seconds):.2f} s, largest {seconds[-1]:.1f} s, of {len(seconds)}",
     ]
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="benchmarks/unlike_ours", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--loops", type=int, default=2, help="of each story (2)")
-    parser.add_argument("--only", nargs="+", default=NAMES, choices=NAMES, metavar="STORY", help=", ".join(NAMES))
-    parser.add_argument("--every", type=int, default=1, help="only every n-th run")
-    parser.add_argument("--offset", type=int, default=0, help="and the first of these")
-    parser.add_argument("--jobs", type=int, default=None)
-    parser.add_argument("--out", type=Path, metavar="FILE", help="every run as a line of JSON")
-    parser.add_argument("--verbose", action="store_true", help="tell every decision")
-    return parser
 
 
 if __name__ == "__main__":

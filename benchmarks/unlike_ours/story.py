@@ -106,7 +106,9 @@ def disturbances(rng: Rng, story: Story, size: float) -> None:
         kind, wide = str(rng.choice(kinds)), size * float(rng.uniform(0.5, 2.0)) * story.span
         way, over = float(rng.choice([-1, 1])), float(rng.uniform(3, 30)) * scale
         if kind in {"sp", "ramp"}:
-            way = way if _inside(story, sp + way * wide) else -way
+            low, high = (320.0, 355.0) if story.name == "exothermic" else story.pv_range
+            rim = 0.0 if story.name == "exothermic" else 0.12 * story.span
+            way = way if low + rim < sp + way * wide < high - rim else -way
             story.events.append(Event(t, kind, way * wide, over))
             sp += way * wide
         else:
@@ -114,12 +116,6 @@ def disturbances(rng: Rng, story: Story, size: float) -> None:
         pause = float(rng.choice([8, 15, 25, 40, 70]) if story.name == "hasty" else rng.uniform(40, 90))
         t += pause * scale * (0.25 if i and rng.uniform() < 0.15 else 1.0)
     story.length = t + 30 * scale
-
-
-def _inside(story: Story, sp: float) -> bool:
-    low, high = (320.0, 355.0) if story.name == "exothermic" else story.pv_range
-    rim = 0.0 if story.name == "exothermic" else 0.12 * story.span
-    return low + rim < sp < high - rim
 
 
 def load_of_step(truth: Truth) -> float:

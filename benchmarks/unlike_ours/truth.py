@@ -47,7 +47,27 @@ class Truth:
         self.known: dict[Tuned, Found] = {}
         self.iae: dict[tuple[Tuned, float], tuple[float, float]] = {}
         self.horizon = 0.0
-        self.best, self.w_peak, self.ms_best = self._reference()
+        sign = float(np.sign(self.process.num[0]))
+        w_c = cross(self.w, sign * self.g)
+        size = 1 / abs(np.interp(w_c, self.w, np.abs(self.g)))
+        kps = sign * size * np.logspace(-1.8, 0.3, 50)
+        found: list[tuple[float, Tuned]] = []
+        for ti in np.logspace(-0.5, 2.0, 14) / w_c:
+            found += [(self.ms(t), t) for t in (Tuned(float(kp), float(kp / ti)) for kp in kps)]
+        least = min(ms for ms, _ in found)
+        aim = max(MS_AIM, 1.05 * least)
+        by_ti: dict[float, Tuned] = {}
+        for ms, tuned in found:
+            key = round(tuned.kp / tuned.ki, 9)
+            if ms <= aim and (key not in by_ti or abs(tuned.kp) > abs(by_ti[key].kp)):
+                by_ti[key] = tuned
+        self.horizon = 60 / w_c
+        rows = [(tuned, self._iaes(tuned)) for tuned in by_ti.values()]
+        low = [min(iaes[i] for _, iaes in rows) for i in (0, 1)]
+        best = min(rows, key=lambda row: row[1][0] / low[0] + row[1][1] / low[1])[0]
+        c = best.kp + best.ki / (1j * self.w)
+        s = 1 / np.abs(1 + self.g * c)
+        self.best, self.w_peak, self.ms_best = best, float(self.w[int(np.argmax(s))]), float(s.max())
         self.ms_limit = max(MS_LIMIT, 1.03 * self.ms_best)
 
     @property
@@ -79,29 +99,6 @@ class Truth:
         if unstable(one, s, self.process.den, den_c):
             return math.inf
         return float(np.max(1 / np.abs(one)))
-
-    def _reference(self) -> tuple[Tuned, float, float]:
-        sign = float(np.sign(self.process.num[0]))
-        w_c = cross(self.w, sign * self.g)
-        size = 1 / abs(np.interp(w_c, self.w, np.abs(self.g)))
-        kps = sign * size * np.logspace(-1.8, 0.3, 50)
-        found: list[tuple[float, Tuned]] = []
-        for ti in np.logspace(-0.5, 2.0, 14) / w_c:
-            found += [(self.ms(t), t) for t in (Tuned(float(kp), float(kp / ti)) for kp in kps)]
-        least = min(ms for ms, _ in found)
-        aim = max(MS_AIM, 1.05 * least)
-        by_ti: dict[float, Tuned] = {}
-        for ms, tuned in found:
-            key = round(tuned.kp / tuned.ki, 9)
-            if ms <= aim and (key not in by_ti or abs(tuned.kp) > abs(by_ti[key].kp)):
-                by_ti[key] = tuned
-        self.horizon = 60 / w_c
-        rows = [(tuned, self._iaes(tuned)) for tuned in by_ti.values()]
-        low = [min(iaes[i] for _, iaes in rows) for i in (0, 1)]
-        best = min(rows, key=lambda row: row[1][0] / low[0] + row[1][1] / low[1])[0]
-        c = best.kp + best.ki / (1j * self.w)
-        s = 1 / np.abs(1 + self.g * c)
-        return best, float(self.w[int(np.argmax(s))]), float(s.max())
 
     def _iaes(self, tuned: Tuned) -> tuple[float, float]:
         """After a setpoint and after a load step of one."""

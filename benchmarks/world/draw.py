@@ -167,17 +167,6 @@ def kept_by_historian(case: WorldCase, rng: np.random.Generator) -> WorldCase:
     return replace(case, pv=pv, co=co)
 
 
-def bending(rng: np.random.Generator, process: TrueProcess, pv: FloatArray) -> TrueProcess:
-    """A process whose gain is 2.5 to 6 times larger at one end of a linear loop's pv than at the other; that of pv = 0
-    stays.
-    """
-    ratio = math.exp(rng.uniform(math.log(2.5), math.log(6.0)))
-    low, high = (float(np.min(pv)), float(np.max(pv)))[:: 1 if rng.random() < 0.5 else -1]
-    below, above = min(low / (high - low), 0.0), max(high / (high - low), 1.0)  # pv = 0 lies between
-    share = (ratio - 1.0) / (above - ratio * below)
-    return replace(process, bend=share / (high - low))
-
-
 def _tried(
     rng: np.random.Generator, cause: str, kind: str, loops: tuple[tuple[str, FloatArray, FloatArray], ...], every: int
 ) -> WorldCase | None:
@@ -199,7 +188,13 @@ def _tried(
     sp = setpoint(rng, kind, std, loops, n)
     pv, co = simulated(process, gains, (sp, load, rest))
     if cause == BENDS:
-        process = bending(rng, process, pv)
+        # A process whose gain is 2.5 to 6 times larger at one end of a linear loop's pv than at the other; that of pv
+        # = 0 stays
+        ratio = math.exp(rng.uniform(math.log(2.5), math.log(6.0)))
+        low, high = (float(np.min(pv)), float(np.max(pv)))[:: 1 if rng.random() < 0.5 else -1]
+        below, above = min(low / (high - low), 0.0), max(high / (high - low), 1.0)  # pv = 0 lies between
+        share = (ratio - 1.0) / (above - ratio * below)
+        process = replace(process, bend=share / (high - low))
         pv, co = simulated(process, gains, (sp, load, rest))
     spans = float(np.ptp(pv)), float(np.ptp(co))
     noise_std = spans[0] * float(np.exp(rng.uniform(np.log(0.002), np.log(0.06))))

@@ -1,6 +1,8 @@
 """Each layer of the protocol taken away alone: the simulation's invariants find it, with no second device beside it."""
 
 from functools import partial
+from importlib import util
+from pathlib import Path
 
 import pytest
 from bus_simulation.campaign import World
@@ -33,6 +35,12 @@ def found(make: object = VirtualDevice) -> str:
 @pytest.mark.parametrize("mutant", ALL[:: sized(12, 3, 1)], ids=lambda mutant: mutant.name)
 def test_firmware_with_one_thing_wrong_is_found(mutant: Mutant) -> None:
     assert found(partial(FirmwareDevice, changes=((mutant.old, mutant.new),))) != ""
+
+
+def test_what_a_host_mutant_changes_stands_once() -> None:
+    """Few of them are tried each time; a text that is gone would be seen only when its turn comes."""
+    found = {m.name: Path(str(util.find_spec(m.module).origin)).read_text().count(m.old) for m in HOST_MUTANTS}
+    assert {name: count for name, count in found.items() if count != 1} == {}
 
 
 @pytest.mark.parametrize("number", range(sized(7, 3, 0), len(HOST_MUTANTS), sized(40, 6, 1)))

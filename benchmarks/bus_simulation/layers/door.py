@@ -11,7 +11,7 @@ import can
 from bus_simulation.layers.answers import Answers
 from bus_simulation.layers.commands import LEASED, Commands, Leases
 from bus_simulation.layers.law import Law
-from bus_simulation.layers.seen import Seen, Told, look, unchanged
+from bus_simulation.layers.seen import Told, look, unchanged
 from bus_simulation.layers.sets import Sets
 from bus_simulation.layers.wire import (
     ABORT,
@@ -141,12 +141,7 @@ class Door:
         self.sets.sampled([data for command, data in said if command == ACK], before, after)
         self._leases.sampled(before.owner, after.owner)
         self.sets.leased(before, after)
-        self._telemetry(said, after)
-        self._law.sampled(before, after, dt_s)
-        unchanged("samples_are_whole", before, after, "running", "sample", "owner", "has_staged")
-
-    def _telemetry(self, said: list[tuple[int, bytes]], after: Seen) -> None:
-        """ACK if there is one, both halves, and a life sign when it is time."""
+        # ACK if there is one, both halves, and a life sign when it is time
         commands = [command for command, _ in said if command != ACK]
         is_time = after.sample % self._device.settings.heartbeat_samples == 0 or after.sample == 1
         right = [TELEMETRY_PV, TELEMETRY_SP, *([HEARTBEAT, STATUS] if is_time else [])]
@@ -156,6 +151,8 @@ class Door:
         self._answers.sample(frames[0], frames[1], after)
         if is_time:
             self._answers.life(frames[2], frames[3], after)
+        self._law.sampled(before, after, dt_s)
+        unchanged("samples_are_whole", before, after, "running", "sample", "owner", "has_staged")
 
     def restarted(self, *, torn: bool) -> None:
         """Power came back. torn : the place of the store that was written last is not whole."""

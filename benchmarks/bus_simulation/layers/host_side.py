@@ -246,7 +246,13 @@ class HostSide:
             case 5:
                 self._commit(data, now_s)
             case 6 | 7:
-                self._keep(command, u16(data))
+                # CONFIRM and STORE: of the set that was read back; what this host has written is confirmed before
+                seq = u16(data)
+                running = self.heard.proved.get(RUNNING)
+                if command == CONFIRM and seq not in self._done:
+                    raise broken("what_is_kept_has_been_read_back", f"CONFIRM of {seq}, done were {sorted(self._done)}")
+                if command == STORE and (running is None or seq == self._on_probation):
+                    raise broken("what_is_kept_has_been_read_back", f"STORE of {seq} with {running}")
             case 11:
                 self._auth = [*self._auth[-1:], data[:7]]
 
@@ -317,14 +323,6 @@ class HostSide:
         heads = [bytes([part | (staged.seq & 15) << 4]) for part in (0, 1)]
         if not demanded or self._auth != [heads[0] + code[:6], heads[1] + code[6:]]:
             raise broken("codes_are_over_the_newest_challenge", f"{[half.hex() for half in self._auth]}, {challenge}")
-
-    def _keep(self, command: int, seq: int) -> None:
-        """CONFIRM and STORE: of the set that was read back; what this host has written is confirmed before."""
-        running = self.heard.proved.get(RUNNING)
-        if command == CONFIRM and seq not in self._done:
-            raise broken("what_is_kept_has_been_read_back", f"CONFIRM of {seq}, done were {sorted(self._done)}")
-        if command == STORE and (running is None or seq == self._on_probation):
-            raise broken("what_is_kept_has_been_read_back", f"STORE of {seq} with {running}")
 
     # What it tells
 
