@@ -86,10 +86,7 @@ def demo(seed: str) -> Answer:
 def _retuner(*arguments: str) -> str:
     """What a command prints.
 
-    Raises
-    ------
-    RuntimeError
-        It failed; with what it said.
+    Raises RuntimeError: it failed; with what it said.
     """
     done = subprocess.run(
         [sys.executable, "-P", "-m", "retuner", *arguments], capture_output=True, text=True, check=False

@@ -62,10 +62,7 @@ KINDS = (
 def drawn(kind: Kind) -> Any:  # noqa: ANN401  a case of either kind
     """The first case of a kind that is about as long as wanted.
 
-    Raises
-    ------
-    RuntimeError
-        There is none among the first DRAWS.
+    Raises RuntimeError: there is none among the first DRAWS.
     """
     from cases import diagnosis, identification, traps
 

@@ -34,8 +34,6 @@ class Way:
 class Bus:
     """Ways to all nodes, and the weather.
 
-    Parameters
-    ----------
     rng : decides everything.
     names : of the nodes.
     """

@@ -48,8 +48,6 @@ WRITE_STEPS = 10  # the promise of the gain transaction on an idle bus
 class World:
     """See the head of this file.
 
-    Parameters
-    ----------
     seed : decides everything. make : the device, of the virtual one's interface. twin : another
         implementation that is told the same and must answer the same, byte for byte.
     """
@@ -120,10 +118,7 @@ class World:
     def run(self, steps: int) -> Counter[str]:
         """So many steps in bad weather, then the calm and what must be true then; the counts of what happened.
 
-        Raises
-        ------
-        ViolationError
-            A promise is broken.
+        Raises ViolationError: a promise is broken.
         """
         for number in range(steps):
             if number % CHANGE_EVERY == 0:
@@ -225,8 +220,6 @@ def run_seed(job: tuple[int, int, str]) -> Outcome:
 class Campaign:
     """Seeds from first on, counted up.
 
-    Parameters
-    ----------
     first, seeds, steps : seeds first .. first + seeds - 1, each so many steps.
     state : file that keeps what is done; None for none. What other code has done is kept beside it and its seeds are
         passed over, so that every night looks at new ones. device : which of DEVICES. hours : after which no seed is

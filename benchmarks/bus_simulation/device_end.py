@@ -66,8 +66,6 @@ class _SamePlant:
 class Twin:
     """The second device.
 
-    Parameters
-    ----------
     device : the first one. make : builds the second one on a plant.
     """
 

@@ -51,10 +51,7 @@ def compiler() -> str | None:
 def library(changes: tuple[tuple[str, str], ...] = ()) -> ctypes.CDLL:
     """The compiled library. changes : texts of retuner_device.c and what stands there instead, for mutants.
 
-    Raises
-    ------
-    ValueError
-        A text does not stand there exactly once.
+    Raises ValueError: a text does not stand there exactly once.
     """
     folder = Path(tempfile.mkdtemp(prefix="firmware-"))
     for name in ("retuner_device.h", *SOURCES):

@@ -43,8 +43,6 @@ class CrashError(Exception):
 class HostEnd:
     """One host; when its process has died another one begins, with another number for the lease or the same.
 
-    Parameters
-    ----------
     name : on the bus. bus, truth, rng : of the run. key : for codes. same_owner : every life has the same number.
     eager : share of steps in which it begins a write when it can.
     """

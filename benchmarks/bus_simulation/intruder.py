@@ -52,8 +52,6 @@ BAD_NUMBERS = (float("nan"), float("inf"), float("-inf"), 1e30, -1.0, 0.0, 1e-40
 class Intruder:
     """It knows everything that is on the bus and all that the device knows but the key.
 
-    Parameters
-    ----------
     forges : whether it also speaks as the device.
     """
 

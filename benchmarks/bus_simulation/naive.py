@@ -23,8 +23,6 @@ KIND = ("a frame per gain", "one frame without check")
 class NaiveWorld:
     """A host and a device with two gains.
 
-    Parameters
-    ----------
     seed : decides everything. per_gain : a frame per gain, else one for both.
     """
 

@@ -51,10 +51,7 @@ class _Wire:
 def transaction(polls_per_sample: int, key: bytes | None = None) -> Transaction:
     """One write by a host that polls so often; the order is given right after a poll.
 
-    Raises
-    ------
-    RuntimeError
-        The write was not done.
+    Raises RuntimeError: the write was not done.
     """
     device = VirtualDevice(VirtualDeviceSettings(PidGains(1.0, 0.0625), key=key), LagPlant())
     wire = _Wire(device)

@@ -39,8 +39,6 @@ class Ran(NamedTuple):
 class Truth:
     """The record of one run.
 
-    Parameters
-    ----------
     first : set that runs at the start.
     box : that the device has certified.
     authentic : whether only hosts with the key may have sets committed.

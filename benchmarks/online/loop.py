@@ -102,10 +102,7 @@ class WatchedLoop:
     def run(self, sp: float, load: float | Sequence[float], noise: Sequence[float]) -> list[tuple[float, float]]:
         """As many samples as there is noise, at this setpoint and load (one value, or one a sample); (pv, co) of each.
 
-        Raises
-        ------
-        LostLoop
-            pv went out of all bounds.
+        Raises LostLoop: pv went out of all bounds.
         """
         trace, loads = [], [load] * len(noise) if isinstance(load, (int, float)) else load
         dt_s, plant, valve, sensor, supervisor = self.dt_s, self.plant, self.valve, self.sensor, self.supervisor

@@ -18,10 +18,7 @@ from retuner.adaptive.supervision.decision import Mode
 def package(module: str, who: str, install: str) -> Any:  # noqa: ANN401  a module without types
     """A module that brings a plant. who : what needs it. install : the command that brings it.
 
-    Raises
-    ------
-    SystemExit
-        It is not installed.
+    Raises SystemExit: it is not installed.
     """
     try:
         return importlib.import_module(module)
@@ -86,10 +83,7 @@ class Plant(Protocol):
     def session(self, controls: Mapping[str, Control], loop: str, seed: int) -> None:
         """A normal session, with setpoints and loads for that loop; who is not named runs as published.
 
-        Raises
-        ------
-        Tripped
-            The plant shut itself down.
+        Raises Tripped: the plant shut itself down.
         """
 
     def calm(self, controls: Mapping[str, Control], seconds: float) -> None:

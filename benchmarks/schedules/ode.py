@@ -44,10 +44,7 @@ class Equations:
     def rest(self, y: float, w: float) -> tuple[list[float], float]:
         """State and input that hold y.
 
-        Raises
-        ------
-        ArithmeticError
-            The search found none.
+        Raises ArithmeticError: the search found none.
         """
         return _rest(self, y, w)
 
@@ -99,10 +96,7 @@ def _rest(equations: Equations, y: float, w: float) -> tuple[list[float], float]
 def transfer(a: np.ndarray, b: np.ndarray, c: np.ndarray, theta_s: float) -> LinearProcess:
     """Poles, zeros and gain of c (s - a)^-1 b, pairs that cancel and what is very fast left out.
 
-    Raises
-    ------
-    ArithmeticError
-        It is unstable, or its zeros are complex.
+    Raises ArithmeticError: it is unstable, or its zeros are complex.
     """
     n = len(b)
     poles = [complex(p) for p in np.linalg.eigvals(a)]

@@ -41,10 +41,7 @@ def table(revision: int) -> GainTable:
 def work(folder: Path, rows: int, acknowledge: int, synchronous: str = "") -> None:
     """The job; acknowledge : file descriptor; synchronous : another setting of SQLite's, to see a test find its loss.
 
-    Raises
-    ------
-    LedgerError, OSError
-        The disk refuses.
+    Raises LedgerError, OSError: the disk refuses.
     """
     kept = folder / TABLE
     revision = from_toml(kept.read_text("utf-8")).revision if kept.exists() else 0

@@ -146,10 +146,7 @@ def drawn(
 ) -> WorldCase:
     """One loop of a set. historian : its record as a historian keeps it.
 
-    Raises
-    ------
-    RuntimeError
-        None could be drawn in TRIES.
+    Raises RuntimeError: none could be drawn in TRIES.
     """
     rng = np.random.default_rng([seed, index, SETS[kind]])
     cause, loops = BENDS if kind == "bends" else CLASSES[index % len(CLASSES)], real_loops(folder, fold)

@@ -36,8 +36,6 @@ SENT = {HEARTBEAT: 8, STATUS: 8, TELEMETRY_PV: 8, TELEMETRY_SP: 8, IDENTITY: 8, 
 class Answers:
     """What a device says, frame by frame.
 
-    Parameters
-    ----------
     settings : of the device. sets : what its pages should hold.
     """
 

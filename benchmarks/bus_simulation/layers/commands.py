@@ -11,8 +11,6 @@ CO_STEP = 0.0001
 class Leases:
     """Who may command, and until when.
 
-    Parameters
-    ----------
     longest : samples of the longest lease.
     """
 
@@ -61,8 +59,6 @@ class Leases:
 class Commands:
     """Setpoint, mode and load.
 
-    Parameters
-    ----------
     settings : ranges of the device.
     """
 

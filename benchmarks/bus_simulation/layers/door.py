@@ -42,8 +42,6 @@ PLANT = 1 << 16  # identifiers of what plants measure beside pv
 class Door:
     """One device's.
 
-    Parameters
-    ----------
     codes : who draws its challenges. It begins to look when it is told the device.
     """
 

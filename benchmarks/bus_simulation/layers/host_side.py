@@ -70,8 +70,6 @@ class Heard(NamedTuple):
 class Overheard:
     """See the head of this file.
 
-    Parameters
-    ----------
     node : of the device. sample_time_s : that it should have.
     """
 
@@ -174,8 +172,6 @@ NO_TIME = 100_000  # a device that says it is as old is a forged one
 class HostSide:
     """See the head of this file.
 
-    Parameters
-    ----------
     settings : of the host. rows : its ledger.
     """
 

@@ -10,8 +10,6 @@ RELATIVE, ABSOLUTE = 1e-5, 1e-3  # the firmware counts in float32; the largest g
 class Law:
     """co foretold from the sample before, where neither end of the range was touched.
 
-    Parameters
-    ----------
     device : whose pv, setpoint and output are looked at.
     """
 

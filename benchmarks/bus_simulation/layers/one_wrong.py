@@ -41,8 +41,6 @@ OF_CODES = ("low half", "high half", "nonce", "no code", "codes of before")
 class OneWrong:
     """See the head of this file.
 
-    Parameters
-    ----------
     codes : challenges in force.
     """
 

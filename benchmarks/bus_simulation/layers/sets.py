@@ -17,8 +17,6 @@ SAVE = b"save"
 class Sets:
     """What is staged, what waits, what was refused, what is on trial, what is stored.
 
-    Parameters
-    ----------
     settings : of the device. first : how it began. codes : the layer above the conditions.
     """
 

@@ -143,8 +143,6 @@ HALVES = 4
 class Codes:
     """Challenges and halves of codes, as they were drawn and came.
 
-    Parameters
-    ----------
     key : the device's. draw : makes a challenge.
     """
 
