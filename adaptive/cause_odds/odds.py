@@ -40,6 +40,7 @@ from retuner.adaptive.explanations.wandering_load import (
     MOST_SAMPLES,
     TEMPER,
     Prepared,
+    lead_of_steps,
     log_likelihood,
     setpoint_share,
     temper,
@@ -55,8 +56,6 @@ FEWEST = 60
 """Samples of a record that a load that wanders is looked for in."""
 FINAL = 0.9
 """Confidence from which an unknown without any fit needs none."""
-STEP_PRICE, OWN_PRICE = 2.0, 5.0
-"""Numbers of a load step, and of process, start and level: each costs ln(n)/2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +64,7 @@ class Walk:
 
     log_likelihood : of the grid's processes, records joined. valve : ln Bayes factor of a valve, tempered. along : what
     they say for a gain that changes along pv.
-    record : the longest window as it was compared. best : its own largest tempered log-likelihood a sample.
+    record : the longest window as it was compared. of_record : the log-likelihood of that one, tempered as it comes.
     moved : largest share of setpoint or hand in what moves a record (wandering_load.py).
     """
 
@@ -73,7 +72,7 @@ class Walk:
     valve: float
     along: GainAlongPv
     record: Prepared
-    best: float
+    of_record: FloatArray
     moved: float
 
 
@@ -190,14 +189,13 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     each = [log_likelihood(r, direction, unit) if gains is not None else np.zeros(1) for r in records]
     valve = sum(log_odds_of_valve(r, direction) for r in records)
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
-    size = 0.5 * math.log(float(np.var(records[longest].pv)))  # likelihoods are counted in it
-    best = TEMPER * float(np.max(each[longest])) / len(records[longest].pv) - size
+    of_longest = each[longest]
     shares = [0.0] * len(records)
     if gains is not None:
         shares = [_share(*one, likelihood) for one, likelihood in zip(both, each, strict=True)]
         each = [TEMPER / temper(share) * likelihood for share, likelihood in zip(shares, each, strict=True)]
     along = gain_along_pv(records, direction, [TEMPER / temper(share) for share in shares])
-    return Walk(np.sum(each, axis=0), valve, along, records[longest], best, max(shares))
+    return Walk(np.sum(each, axis=0), valve, along, records[longest], of_longest, max(shares))
 
 
 def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> float:
@@ -323,8 +321,11 @@ def _weight_of_steps(cause: Cause, found: Found, walk: Walk, settings: OddsSetti
     fit = found.fits.get(BEHIND.get(cause, "linear"))
     if fit is None:
         return settings.tone_alone if cause == Cause.EXTERNAL else HALF
-    samples = len(fit.fit.misfit.record.pv)
-    lead = samples * (_per_sample(fit, samples, walk) - walk.best)
+    misfit, record = fit.fit.misfit, walk.record
+    left = float(np.mean((misfit.record.pv - fit.fit.at.explained) ** 2))
+    left /= max(record.sample_time_s / misfit.record.sample_time_s, 1.0)
+    steps = misfit.loads + misfit.harmonics
+    lead = lead_of_steps(left, steps, len(misfit.record.pv), record, walk.of_record)
     most = settings.tone_alone if cause == Cause.EXTERNAL else 1.0
     if _white(fit, settings):
         lead, most = max(lead, 0.0), 1.0
@@ -333,16 +334,6 @@ def _weight_of_steps(cause: Cause, found: Found, walk: Walk, settings: OddsSetti
 
 HALF = 0.5
 """Of a verdict by stretches, whose fits are not compared."""
-
-
-def _per_sample(fit: Candidate, samples: int, walk: Walk) -> float:
-    """Log-likelihood of a fit with load steps a sample, less the price of its numbers."""
-    misfit = fit.fit.misfit
-    left = float(np.mean((misfit.record.pv - fit.fit.at.explained) ** 2))
-    block = max(walk.record.sample_time_s / misfit.record.sample_time_s, 1.0)
-    variance = left / block + walk.record.resolution**2
-    numbers = OWN_PRICE + STEP_PRICE * misfit.loads + 2 * misfit.harmonics
-    return -0.5 * math.log(variance * len(walk.record.pv)) - numbers * math.log(samples) / (2 * samples)
 
 
 def _mixed(steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: float, most: float) -> dict[Cause, float]:

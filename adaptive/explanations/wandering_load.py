@@ -321,6 +321,22 @@ def likeliest_load(record: Prepared, lag: float) -> tuple[LoadModel, float]:
     return load_model(lag, *LOADS[best]), math.sqrt(float(variance[best]))
 
 
+def lead_of_steps(left: float, steps: int, samples: int, record: Prepared, likelihood: FloatArray) -> float:
+    """By how much, ln, a fit whose loads are steps is likelier than every process under a load that wanders.
+
+    left : mean square of what the fit leaves of a row of the record. steps : of load, or harmonics of a tone. samples :
+    that were fitted; each number costs half of their logarithm (Schwarz 1978). likelihood : of the record, see below.
+    """
+    rows, numbers = len(record.pv), OWN_NUMBERS + NUMBERS_OF_STEP * steps
+    best = TEMPER * float(np.max(likelihood)) / rows - 0.5 * math.log(float(np.var(record.pv)))
+    price = numbers * math.log(samples) / (2 * samples)
+    return samples * (-0.5 * math.log((left + record.resolution**2) * rows) - price - best)
+
+
+OWN_NUMBERS, NUMBERS_OF_STEP = 5.0, 2.0
+"""Of a fit: process, start and level; size and time of each load step."""
+
+
 def setpoint_share(record: Prepared, setpoint: FloatArray, lag: float) -> float:
     """s of the head of this file. setpoint : of the record, from its first value, shape (n,). lag : of the process."""
     n = len(record.pv)

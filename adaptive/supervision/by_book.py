@@ -23,7 +23,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, shares
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
-from retuner.adaptive.explanations.wandering_load import Prepared
+from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
 from retuner.adaptive.identification.plausible import Plausible
@@ -31,6 +31,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
+from retuner.adaptive.supervision.causes import doubt_of, is_known, is_sure
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import Known, may_follow
 from retuner.adaptive.supervision.held_process import runaway
@@ -123,20 +124,26 @@ def by_all_samples(found: Findings) -> None:
 
 def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *, shown: bool) -> None:
     """The change that the pipeline makes is dropped where the book speaks against it. Less action, which is slower for
-    certain, is to be better on most of the book. More must not do harm by models and book together: that the loads are
+    certain, is to be better on most of the book, and its cause no less likely there than not: so diagnose says it of
+    the same samples (cause_odds/). More must not do harm by models and book together: that the loads are
     steps, and that one wanders, are as likely. Where a loop whose process was shown mostly rests, none wanders.
     """
     verdict, record, look = found.verdict, found.record, found.question.look
     assert verdict is not None
     assert verdict.gains is not None
-    if record.table.lookup is not Lookup.HARD or not book.records or found.growth is not None:
-        return
-    if shown and (look is None or _rests(found, look)):
+    if record.table.lookup is not Lookup.HARD or found.growth is not None:
         return
     now, new, numbers, drawn = record.in_force, verdict.gains, found.numbers, book.drawn(settings.drawn)
+    less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
+    told_of, needed = (told.numbers.book_high, HALF) if less else (told.numbers.book_room, settings.more_odds)
+    if told_of < needed and (doubt := _doubt(found, book, less=less)):
+        found.doubted(replace(doubt, reason=f"{told.words}; {doubt.reason}"))
+        return
+    if not book.records or (shown and (look is None or _rests(found, look))):
+        return
     worth, better = gain(drawn, now, new, settings)
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
-    if abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki):
+    if less:
         against = better < settings.borne_out
     else:
         against = by_models + worth < 0.0 or (not shown and shares(drawn, new, settings)[0] >= settings.less_odds)
@@ -144,6 +151,36 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
         found.verdict = found.basis = found.promise = None
         by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
         found.stop("unconfirmed", f"{told.words}; by that, {by_that}")
+
+
+def _doubt(found: Findings, book: Book, *, less: bool) -> Diagnosis | None:
+    """Why a change does not stand of which the book says that its cause is not there; None where it does.
+
+    Loads may be steps for all that: a clear response (for more action also one that agrees with such) is then likelier
+    by its fit than by any process under a load that wanders. Else the whole diagnosis must name the tuning, and no
+    valve be likelier.
+    """
+    record, learned, verdict, look = found.record, found.learned, found.verdict, found.question.look
+    assert verdict is not None
+    if record.crossed or found.joined:  # not of this region, or not of one response
+        return None
+    if learned is not None and found.in_use is not None and is_sure(found, verdict, learned, found.in_use):
+        return None
+    if learned is not None and (found.clear or (not less and is_known(found, learned))):
+        estimate, n, window = learned.estimate, len(record.window.pv), Prepared.at(record.window, book.dt_s)
+        left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
+        likelihood = log_likelihood(window, book.direction, book.unit)
+        if len(window.pv) < FEWEST_ROWS or lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood) > 0.0:
+            return None
+    if (doubt := doubt_of(found, found.diagnosis)) is not None:
+        return doubt
+    if look is None or log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction) <= MOST_VALVE:
+        return None
+    return Diagnosis(Cause.STICTION, HALF, {}, "a valve that sticks or has play explains all samples better")
+
+
+HALF, FEWEST_ROWS = 0.5, 16
+"""Odds of too high an Ms under which less action is doubted; intervals of a response that a walk can be fitted to."""
 
 
 def _rests(found: Findings, look: Look) -> bool:

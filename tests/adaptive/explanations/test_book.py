@@ -13,6 +13,7 @@ import pytest
 from retuner import PidController, PidGains
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers
 from retuner.adaptive.declared_setting import declared
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import ODD, Book, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain
@@ -250,7 +251,7 @@ def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to:
 
 def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
-    at_rest: bool = False, first: bool = False, code: str = "",
+    at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None,
 ) -> Findings:  # fmt: skip
     """A change that the pipeline accepted, or with a code how it ended without. times : of the good gains, in force.
 
@@ -275,8 +276,24 @@ def put_to_the_book(
         found.stop(code, "")
     if expected is not None:
         found.numbers = ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8)
-    by_all_samples(found)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(by_book_stage, "_doubt", lambda *_, **__: doubt)
+        by_all_samples(found)
     return found
+
+
+@pytest.mark.parametrize(
+    ("times", "to", "asked"), [(1.0, 0.7, True), (2.6, 0.4, False), (0.25, 4.0, False), (1.0, 1.9, True)]
+)
+def test_a_change_whose_cause_the_book_does_not_see_needs_the_whole_diagnosis(
+    times: float, to: float, *, asked: bool
+) -> None:
+    doubt = Diagnosis(Cause.STICTION, 0.9, {}, "a valve sticks")
+    for more in ({"first": True}, {"at_rest": True}):
+        found = put_to_the_book(times, to, 0.8, doubt=doubt, **more)
+        assert (found.verdict is None) is asked
+        assert (found.diagnosis is not None and found.diagnosis.cause is Cause.STICTION) is asked
+        assert not asked or (found.end is not None and found.end.reason.endswith("; a valve sticks"))
 
 
 @pytest.mark.parametrize(

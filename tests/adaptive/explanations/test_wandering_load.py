@@ -16,6 +16,7 @@ from retuner.adaptive.explanations.wandering_load import (
     Prepared,
     UnderLoads,
     impulse_response,
+    lead_of_steps,
     load_model,
     log_likelihood,
     responses,
@@ -203,3 +204,14 @@ def test_a_record_whose_process_does_nothing_is_answered_by_both_engines() -> No
             found = log_likelihood(record, 1, 1.0)
         assert np.all(np.isfinite(found))
         assert np.ptp(found, axis=2) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_what_steps_leave_is_priced_against_the_best_walk() -> None:
+    record = drawn_record(3)
+    n, likelihood = len(record.pv), log_likelihood(record, 1, 1.0)
+    left = float(np.var(record.pv)) - record.resolution**2
+    nothing = lead_of_steps(left, 0, n, record, likelihood)
+    assert nothing < 0  # a fit that explains nothing, against one that does
+    assert nothing - lead_of_steps(left, 1, n, record, likelihood) == pytest.approx(math.log(n))
+    half = left / 2 - record.resolution**2 / 2
+    assert lead_of_steps(half, 0, n, record, likelihood) - nothing == pytest.approx(n / 2 * math.log(2))
