@@ -1,8 +1,12 @@
-"""The book of one loop and region: how likely each process is, by all samples so far, under a load that wanders.
+"""The book of one loop and region: how likely each process is, by all samples so far, under a load that wanders,
+without a tone from outside and with one (tone.py).
 
     L         the likelihood of a window of samples, whatever the gains were while it was recorded: co is the input
     update    ln w  <-  ln w + ln((1 - ODD) L / max L + ODD mean L / max L)
-    move      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard)
+    move      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard);      a tone begins and ends likewise
+
+A tone lasts, so that it is kept with each process whether there is one: a single window of it may look like a loop near
+instability, and several of them would make that sure.
 
 No window makes anything sure: it may be an odd one, that says nothing. A process may change, so what is known fades to
 what was known before any record. Windows add up point by point on one grid (process_grid.py), because gains are counted
@@ -33,22 +37,23 @@ from retuner.adaptive.explanations.process_grid import (
     shapes,
 )
 from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses
-from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
+from retuner.adaptive.explanations.tone import likeliest_tone
+from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihoods
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 
 STEP, DEEPEST = 0.05, 255
 """Levels of the logarithms that are kept, and the one of what is left out: no loop at work comes from there."""
-ODD = 0.02
-"""Probability that a window says nothing of the process."""
+ODD, FEWEST = 0.02, 30
+"""Probability that a window says nothing of the process; samples of one that may say something."""
+TONE, TONE_LASTS = 0.3, 20000
+"""Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
 GRID = (len(shapes()), len(DEAD_TIMES), len(GAINS))
-
-
-BEYOND = 1.25
-"""Loop gains so many times beyond the limit of stability are left out."""
-MOST_ROOM, MS_OF_ROOM = 12.0, 1.7
-"""Processes on which so many times all actions keep Ms under this are left out. A loop at work comes from neither: one
-that does next to nothing looks like one that works well, whose co undoes its load.
+BOTH = (2, *GRID)
+"""Every process without a tone, then with one."""
+BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
+"""Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
+keep Ms under this. A loop at work comes from neither: one that does next to nothing has a co that undoes its load, too.
 """
 
 
@@ -58,9 +63,9 @@ class Book:
 
     direction : sign of its gain. unit, dt_s : what loop gains and times of the grid are counted in. t_s : time up to
     which samples are entered for good. records : windows entered. leans : what followed from it at the last look, -1
-    less action, 1 more, 0 nothing. levels : of each process of the grid, how many STEP its logarithm of the weight lies
-    under the largest; whole : the same without the window that still grows; prior : before any record. One byte a
-    process.
+    less action, 1 more, 0 nothing. levels : of each process of the grid without and with a tone, how many STEP its
+    logarithm of the weight lies under the largest; whole : the same without the window that still grows; prior : before
+    any record. One byte each.
     """
 
     direction: int
@@ -78,12 +83,17 @@ class Book:
         """Before any record. gains : in force. dt_s : interval of the condensed samples."""
         known = robustness(gains, dt_s)
         possible = (known.ultimate * BEYOND >= GAINS) & (known.room(MS_OF_ROOM) <= MOST_ROOM)
-        levels = _levels(np.where(possible, 0.0, -math.inf))
+        levels = _levels(np.where(possible, np.log([1.0 - TONE, TONE])[:, None, None, None], -math.inf))
         return cls(gains.direction, gain_unit(gains, dt_s), dt_s, t_s, 0, 0, levels, levels, levels)
 
     def weights(self) -> FloatArray:
         """Of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
-        return _weights(self.levels)
+        return np.asarray(_weights(self.levels).sum(axis=0))
+
+    @property
+    def tone(self) -> float:
+        """Probability of a tone from outside."""
+        return float(_weights(self.levels)[1].sum())
 
     def drawn(self, count: int) -> LikelyProcesses:
         """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).
@@ -124,8 +134,11 @@ def update(book: Book, window: Window, *, grows: bool = False) -> Book:
     """With a window of all samples since the last one. grows : it will come again, with more samples."""
     record = Prepared.at(window, book.dt_s)
     logs = -STEP * _array(book.whole)
-    if np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
-        found = log_likelihood(record, book.direction, book.unit)
+    if len(record.pv) >= FEWEST and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
+        columns, taken, prices = likeliest_tone(Prepared.at(replace(window, pv=window.sp - window.pv), book.dt_s).pv)
+        each = log_likelihoods(record, book.direction, book.unit, columns, taken)
+        alone, line, drifting = (one - price / TEMPER for one, price in zip(each, prices, strict=True))
+        found = np.array([alone, np.logaddexp(line, drifting) - math.log(2.0)])
         share = np.exp(found - float(np.max(found)))
         logs += np.log((1.0 - ODD) * share + ODD * float(np.mean(share)))
     logs[_array(book.whole) == DEEPEST] = -math.inf
@@ -136,14 +149,19 @@ def update(book: Book, window: Window, *, grows: bool = False) -> Book:
 
 
 def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
-    """After a time in which the process may have become another one. hazard_s : mean time after which it has."""
-    change = -math.expm1(-max(elapsed_s, 0.0) / hazard_s)
-    weights = (1.0 - change) * _weights(book.whole) + change * _weights(book.prior)
+    """After a time in which the process may have become another one, and a tone may have begun or ended.
+
+    hazard_s : mean time after which the process has.
+    """
+    change, turn = (-math.expm1(-max(elapsed_s, 0.0) / lasts) for lasts in (hazard_s, TONE_LASTS * book.dt_s))
+    weights = _weights(book.whole)
+    weights = (1.0 - turn) * weights + turn * np.array([1.0 - TONE, TONE])[:, None, None, None] * weights.sum(axis=0)
+    weights = (1.0 - change) * weights + change * _weights(book.prior)
     return replace(book, whole=_levels(np.where(weights > 0.0, np.log(np.maximum(weights, 1e-300)), -math.inf)))
 
 
 def _array(levels: bytes) -> FloatArray:
-    return np.frombuffer(levels, dtype=np.uint8).reshape(GRID).astype(np.float64)
+    return np.frombuffer(levels, dtype=np.uint8).reshape(BOTH).astype(np.float64)
 
 
 def _weights(levels: bytes) -> FloatArray:
@@ -169,6 +187,6 @@ def _unpacked(text: str) -> bytes:
         levels = zlib.decompress(base64.b64decode(text, validate=True))
     except (ValueError, zlib.error) as error:
         raise ValueError(f"weights of a book that cannot be read: {error}") from None
-    if len(levels) != math.prod(GRID) or min(levels) != 0:
-        raise ValueError(f"a book of {len(levels)} processes, the grid has {math.prod(GRID)}")
+    if len(levels) != math.prod(BOTH) or min(levels) != 0:
+        raise ValueError(f"a book of {len(levels)} processes, without and with a tone {math.prod(BOTH)} are known")
     return levels

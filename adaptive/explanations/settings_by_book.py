@@ -4,8 +4,9 @@
 
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
 expectation is over processes drawn from the book, each as likely as the others. On line a change costs more than words:
-it is made where the book is clear, and was at the look before. Less action, where Ms is probably too high with the
-gains in force. More, where they have room probably. Nothing else: a good set is not changed for another good one.
+it is made where the book is clear, and was at the look before, and where no tone from outside may be what moves the
+loop. Less action, where Ms is probably too high with the gains in force. More, where they have room probably. Nothing
+else: a good set is not changed for another good one.
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
 """
@@ -53,6 +54,7 @@ class BookSettings:
     bad_share: float = setting(0.1, "Share of the odds that may come out badly", 0.05, 0.4)
     unstable_share: float = setting(0.02, "Share of the odds that may be unstable", 0.0, 0.05)
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", 0.5, 0.9)
+    tone: float = setting(0.2, "Odds of an external oscillation from which nothing follows", 0.05, 0.9)
     sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", 0.9, 0.99)
     more_odds: float = setting(0.85, "Odds of room from which more action follows", 0.5, 0.9)
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", 0.1, 0.9)
@@ -73,17 +75,15 @@ LESS, LONGER = (0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25), (1.0, 1.5, 2.0, 4.0)
 """Times all actions, and times the integral time, that are tried for a loop with too little robustness."""
 MORE, SHORTER = (1.0, 1.25, 1.6, 2.0), (1.0, 0.7, 0.5)
 """The same for a loop that has room."""
-AT_ONCE = 2.5
-"""Times the integral action that a change may make of it."""
-PROVED_ON = 12
-"""Processes on which a change is proved, spread over the odds."""
+AT_ONCE, PROVED_ON = 2.5, 12
+"""Times the integral action that a change may make of it; processes on which one is proved, spread over the odds."""
 
 
 @dataclass(frozen=True, slots=True)
 class BookNumbers(Numbers):
     """What the book says of the gains in force. high : probability that Ms is over its limit. room : that they have
-    room. ms, ms_low, ms_high : the middle of its odds and where nine of ten lie. records : windows behind it.
-    worth : of the change, ln; None where none is worth making.
+    room. ms, ms_low, ms_high : the middle of its odds and where nine of ten lie. records : windows behind it. tone :
+    that one from outside moves the loop. worth : of the change, ln; None where none is worth making.
     """
 
     book_high: float
@@ -92,6 +92,7 @@ class BookNumbers(Numbers):
     book_ms_low: float
     book_ms_high: float
     book_records: float
+    book_tone: float = 0.0
     book_worth: float | None = None
 
 
@@ -113,11 +114,12 @@ class ByBook:
         n = self.numbers
         most = "or more" if n.book_ms_high >= MS_SHOWN else f"to {n.book_ms_high:.2f}"
         odds = f"{n.book_high:.0%} probability that Ms is over its limit, {n.book_room:.0%} that there is room for more"
-        return f"from all samples, Ms {n.book_ms:.2f} ({n.book_ms_low:.2f} {most}); {odds}"
+        tone = f", {n.book_tone:.0%} that an external oscillation moves the loop" if n.book_tone >= TONE_SHOWN else ""
+        return f"from all samples, Ms {n.book_ms:.2f} ({n.book_ms_low:.2f} {most}); {odds}{tone}"
 
 
-MS_SHOWN = 20.0
-"""A larger Ms, and an unstable loop, is told as this."""
+MS_SHOWN, TONE_SHOWN = 20.0, 0.2
+"""A larger Ms, and an unstable loop, is told as this; a tone that is less likely is not told."""
 
 
 def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
@@ -125,9 +127,9 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     drawn = book.drawn(settings.drawn)
     ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
-    numbers = BookNumbers(high, room, middle, low, most, float(book.records))
-    leans = (room >= settings.more_odds) - (high >= settings.less_odds)
-    sure = high >= settings.sure_odds and book.records > 0  # a part of a window may be one tone, and looks sure
+    numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
+    leans = 0 if book.tone >= settings.tone else (room >= settings.more_odds) - (high >= settings.less_odds)
+    sure = high >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     if not leans or (leans != book.leans and not sure):
         return ByBook(numbers, leans)
     more = _more(gains, _integral_times(book, drawn), settings)
@@ -176,8 +178,8 @@ def _more(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -
                 yield _times(gains, times, shorter)
 
 
-SLACK = 1.25
-"""The rule's integral time over one that is short enough to be no longer the rule's."""
+SLACK, PER_PROCESS = 1.25, 300
+"""The rule's integral time over one that is too short for it; times that a process with all of the weight counts."""
 
 
 def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
@@ -189,10 +191,6 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
         own = min(shape.lag + second, 8.0 * (dead + second))
         found += [own * book.dt_s] * max(round(float(weight) * PER_PROCESS), 1)
     return np.array(found)
-
-
-PER_PROCESS = 300
-"""Times that a process with all of the weight would be counted."""
 
 
 def _best(

@@ -22,8 +22,8 @@ it counts. What the setpoint makes co do owes nothing to loads, and is trusted m
 each other: with s the share of the setpoint in what moves the record, in whitened coordinates,
     1/T = (1 - s)/T_LOADS + s/T_SETPOINT,      s = E/(E + n),      E = sum (A/C sp)^2 / sigma^2
 Both were chosen so that what is told at 90 % is right in nine of ten (benchmarks/world). A load that oscillates (poles
-near the unit circle, at pv's own peak) was tried beside the walk: it explains every tight loop away, and makes the odds
-of the world no better.
+near the unit circle, at pv's own peak) explains every tight loop away; a tone that keeps its phase does not. The book
+has it (tone.py), the odds of a record do not.
 """
 
 import math
@@ -158,6 +158,11 @@ class UnderLoads:
     freedom: FloatArray
     size: float
 
+    def each(self, first: int, count: int) -> "UnderLoads":
+        """Every count-th of the loads, from the first of these on."""
+        gain, information, left = (x[first::count].copy() for x in (self.gain, self.information, self.left))
+        return UnderLoads(gain, information, left, self.freedom[first::count], self.size)
+
     def tempered(self, gain: FloatArray) -> FloatArray:
         """Tempered log-likelihood of gains; shape (loads, inputs, dead times, gains). gain : along the last axis."""
         more = self.information[..., None] * (gain - self.gain[..., None]) ** 2
@@ -179,20 +184,15 @@ class UnderLoads:
 
 
 def under_loads(
-    record: Prepared,
-    inputs: FloatArray,
-    lag: float,
-    loads: Sequence[tuple[float, int]],
-    dead_times: tuple[float, ...],
-    *,
-    first_only: bool = False,
-    through: int | None = None,
-) -> UnderLoads:
+    record: Prepared, inputs: FloatArray, lag: float, loads: Sequence[tuple[float, int]], dead_times: Sequence[float],
+    *, first_only: bool = False, through: int | None = None, tones: FloatArray | None = None, ends: Sequence[int] = (0,)
+) -> UnderLoads:  # fmt: skip
     """What inputs through a first lag, each second one and each dead time explain of a record under each load.
 
     inputs : held between samples, shape (inputs, n). loads : bandwidth and order of each. first_only : without second
     lags. through : the number of the only second lag, through which a walk of order 1 goes as well; None for all of
-    them. The rows of the answer are second lags by inputs.
+    them. tones : sinusoids that a load may hold besides, shape (number, n). ends : how many of them it does, ascending;
+    every load comes with each of these numbers. The rows of the answer are second lags by inputs.
     """
     rows = slice(through, None if through is None else through + 1) if not first_only else slice(1)
     seconds, behind = second_lags(lag)[rows], 0.0 if through is None else second_lags(lag)[through]
@@ -203,16 +203,19 @@ def under_loads(
     models = [next(by_order[order]) for _, order in loads]
     falls = [_pole(second) for second in second_lags(lag)[1:]]
     unknown = [len({*falls} - {*model.roots}) + len(model.roots) for model in models]
-    freedom = len(record.pv) - np.array(unknown, dtype=np.float64)
+    freedom = len(record.pv) - np.add.outer(unknown, ends).ravel().astype(np.float64)
+    tones = np.zeros((0, len(record.pv))) if tones is None else tones
     size = float(np.var(record.pv)) or 1.0
     if (engine := compiled()) is not None:
         poles = [0.0 if not second else _pole(second) for second in seconds]
         walks = [(model.roots, model.c) for model in models]
         noise = record.resolution**2
-        gain, information, left = engine.walks(record.pv, inputs, lag, walks, poles, falls, dead_times, noise)
+        gain, information, left = engine.walks(
+            record.pv, inputs, lag, walks, poles, falls, dead_times, noise, tones, ends
+        )
         return UnderLoads(gain, information, left, freedom, size)
     moved = responses(inputs, lag)[rows].reshape(-1, len(record.pv))
-    each = [_whitened(record, moved, lag, model, dead_times) for model in models]
+    each = [_whitened(record, moved, lag, model, dead_times, tones[:end]) for model in models for end in ends]
     gain, information, left = (np.array(part) for part in zip(*each, strict=True))
     return UnderLoads(gain, information, left, freedom, size)
 
@@ -269,11 +272,13 @@ def reduced(rows: FloatArray, roots: tuple[float, ...]) -> FloatArray:
 
 
 def _whitened(
-    record: Prepared, moved: FloatArray, lag: float, model: LoadModel, dead_times: tuple[float, ...]
+    record: Prepared, moved: FloatArray, lag: float, model: LoadModel, dead_times: Sequence[float], tones: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """gain, information and left under one load, shape (inputs, dead times). moved : of `responses`."""
     n = len(record.pv)
     memory, basis = _whitening(n, lag, model)
+    if len(tones):  # a filter makes of a tone the same one turned, and starts
+        basis = np.linalg.qr(np.column_stack([basis, tones.T]))[0]
     rows = filtered(spectrum(reduced(np.vstack([record.pv, moved]), model.roots)), n, memory)
     y = rows[0] - basis @ (basis.T @ rows[0])
     padded = np.concatenate([np.zeros((len(rows) - 1, _PAD)), rows[1:]], axis=1)
@@ -358,10 +363,21 @@ def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatA
     direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit).
     Returns shape (shapes, dead times, gains); the largest is not zero: differences between records count.
     """
+    return np.asarray(log_likelihoods(record, direction, gain_unit, np.zeros((0, len(record.pv))), (0,))[0])
+
+
+def log_likelihoods(
+    record: Prepared, direction: int, gain_unit: float, tones: FloatArray, ends: Sequence[int]
+) -> FloatArray:
+    """The same where the load holds so many of these tones besides (under_loads), of any size and phase.
+
+    Returns shape (ends, shapes, dead times, gains).
+    """
     gains = direction * GAINS * units() / gain_unit
     each = ((lag, second) for lag in LAGS for second in range(len(second_lags(lag))))
-    found = [
-        under_loads(record, record.co[None], lag, LOADS_OF_BOOK, DEAD_TIMES, through=second).mixed(gains[at : at + 1])
-        for at, (lag, second) in enumerate(each)
-    ]
-    return np.concatenate(found)
+    found = []
+    for at, (lag, second) in enumerate(each):
+        given = (record, record.co[None], lag, LOADS_OF_BOOK, DEAD_TIMES)
+        fits = under_loads(*given, through=second, tones=tones, ends=ends)
+        found.append([fits.each(e, len(ends)).mixed(gains[at : at + 1])[0] for e in range(len(ends))])
+    return np.stack(found, axis=1)

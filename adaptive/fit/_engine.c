@@ -450,29 +450,32 @@ static int are_loads(const View *v) {
     return 0;
 }
 
-/* walk(pv, inputs, loads, seconds, falls, deads, numbers, gain, information, left): see Walk; numbers are pole, rise and
- * noise. */
+/* walk(pv, inputs, loads, seconds, falls, deads, numbers, tones, ends, gain, information, left): see Walk; numbers are pole,
+ * rise and noise. */
 static PyObject *py_walk(View *v, Work *w, PyObject *const *from) {
     (void)w;
-    static const char *const NAMES[] = {"pv", "inputs", "loads", "seconds", "falls", "deads", "numbers"};
+    static const char *const NAMES[] = {"pv", "inputs", "loads", "seconds", "falls", "deads", "numbers", "tones", "ends"};
     static const char *const ANSWERS[] = {"gain", "information", "left"};
-    for (int i = 0; i < 7; i++)
+    for (int i = 0; i < 9; i++)
         if (finite_view(from[i], &v[i], NAMES[i], 0))
             return NULL;
-    Py_ssize_t n = v[0].n, inputs = n ? v[1].n / n : 0, rows = inputs * v[3].n;
+    Py_ssize_t n = v[0].n, inputs = n ? v[1].n / n : 0, rows = inputs * v[3].n, tones = n ? v[7].n / n : 0;
     if (n < LANES || n > 10000000 || inputs > 4096 || v[3].n > 64 || v[4].n > MOST_FALLS || v[5].n > MOST_DEADS)
         return refuse("walk: too few samples, or too many inputs, lags or dead times"), NULL;
+    if (tones > MOST_TONES || v[8].n < 1 || v[8].n > 1 + MOST_TONES)
+        return refuse("walk: too many tones, or no number of them"), NULL;
     if (sized(&v[1], inputs * n, "inputs") || are_loads(&v[2]) ||
         within(&v[3], 0, 1, "seconds: poles from 0 to 1") || within(&v[4], 0, 1, "falls: poles from 0 to 1") ||
         within(&v[5], 0, 100000, "deads: 0 to 100000 samples") || sized(&v[6], 3, "numbers") ||
-        within(&v[6], 0, 1e300, "numbers: none below 0"))
+        within(&v[6], 0, 1e300, "numbers: none below 0") || sized(&v[7], tones * n, "tones") ||
+        within(&v[8], 0, (double)tones, "ends: numbers of tones"))
         return NULL;
     for (int i = 0; i < 3; i++)
-        if (view(from[7 + i], &v[7 + i], ANSWERS[i], 1) ||
-            sized(&v[7 + i], v[2].n / LOAD * rows * v[5].n, ANSWERS[i]))
+        if (view(from[9 + i], &v[9 + i], ANSWERS[i], 1) ||
+            sized(&v[9 + i], v[2].n / LOAD * v[8].n * rows * v[5].n, ANSWERS[i]))
             return NULL;
-    Walk of = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, n, inputs, v[2].n / LOAD, v[3].n, v[4].n, v[5].n,
-              v[6].x[0], v[6].x[1], v[6].x[2], v[7].x, v[8].x, v[9].x};
+    Walk of = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, v[7].x, v[8].x, n, inputs, v[2].n / LOAD, v[3].n, v[4].n,
+               v[5].n, tones, v[8].n, v[6].x[0], v[6].x[1], v[6].x[2], v[9].x, v[10].x, v[11].x};
     int failed;
     Py_BEGIN_ALLOW_THREADS
     failed = walk(&of);
@@ -611,7 +614,7 @@ static PyObject *py_held(View *v, Work *w, PyObject *const *from) {
 /* Every function with how many arguments it has. */
 #define FUNCTIONS(M)                                                                                                  \
     M(refine, 13) M(costs, 6) M(project, 11) M(jacobian, 6) M(gains, 8) M(colour, 3) M(search, 11) M(position, 3)     \
-    M(scan, 14) M(valve_costs, 7) M(screen, 9) M(walk, 10) M(mix, 8) M(steps, 6) M(move_steps, 7) M(closed, 8)        \
+    M(scan, 14) M(valve_costs, 7) M(screen, 9) M(walk, 12) M(mix, 8) M(steps, 6) M(move_steps, 7) M(closed, 8)        \
     M(held, 2)
 #define DOOR(name, arguments)                                                                                         \
     static PyObject *door_##name(PyObject *self, PyObject *args) {                                                    \

@@ -98,6 +98,8 @@ def walk(
     falls: Numbers,
     deads: Numbers,
     numbers: Numbers,
+    tones: Numbers,
+    ends: Numbers,
     gain: Numbers,
     information: Numbers,
     left: Numbers,

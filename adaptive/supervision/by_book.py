@@ -7,8 +7,8 @@
     object    where the pipeline changes gains, and the book speaks against it
     excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
 
-The book does not speak where one tone moves the loop, where the output stands at a limit, and where a valve may not
-follow: such a case is not the book's. Nor where clear steps have shown the process and the loop mostly rests.
+The book does not speak where the output stands at a limit, and where a valve may not follow: such a case is not the
+book's. Nor where clear steps have shown the process and the loop mostly rests.
 """
 
 import math
@@ -200,9 +200,7 @@ def _may_speak(found: Findings, look: Look) -> bool:
         return False
     if look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
         return False
-    if found.question.alone and admitted(record, found.settings).ground in SPOILT:
-        return False
-    return not one_tone(look.window) and not one_tone(Window.of(list(record.samples)), LASTING_PERIODS)
+    return not (found.question.alone and admitted(record, found.settings).ground in SPOILT)
 
 
 SPOILT = frozenset({
@@ -229,37 +227,24 @@ def shown_clearly(known: RegionModel | None, excitation: Excitation, foreign: in
     return known is not None and known.identifiable and excitation.clear > 0 and not foreign
 
 
-FEWEST_PERIODS, LASTING_PERIODS = 2, 5
-"""Periods of a tone in a look, and in all samples that are kept, from which it is one."""
-
-
-def one_tone(window: Window, fewest: int = FEWEST_PERIODS) -> bool:
-    """Whether one tone is most of what moves the loop: it identifies no process, whatever fits it.
-
-    fewest : periods of it; fewer are how a load wanders. A look may hold too few of them, as a tone began or the gains
-    changed in the middle: then all samples that are kept show that it lasts.
-    """
-    error = window.sp - window.pv
-    power = np.abs(np.fft.rfft((error - np.mean(error)) * np.hanning(len(error)))) ** 2
-    peak = int(np.argmax(power))
-    return peak >= fewest and float(np.sum(power[peak - 2 : peak + 3])) > TONE_SHARE * float(np.sum(power))
-
-
-TONE_SHARE = 0.5
-"""Share of the error's power in one line: loops near instability under real loads wander in amplitude and phase."""
-
-
 def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool) -> None:
     """The change that is worth having over the book, proved as any other; on what clear steps have shown besides."""
-    settings = found.settings
+    record, settings, region = found.record, found.settings, found.record.region
     if told.tuning is None or not told.models:
         return
     less = told.leans < 0
     valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
     if valve > (MOST_VALVE if less else 0.0):
         return
-    known = found.record.region_models[found.record.region].plausible if shown and not less else ()
-    verdict = prove(_request(found, book, told, known), settings.guard)
+    also = record.region_models[region].plausible if shown and not less else ()
+    known = Known(record.table, record.region_models, float(record.window.t_s[-1]), settings)
+    request = ChangeRequest(
+        record.table.gains_of(region), record.commissioned.gains_of(region), told.tuning,
+        (*told.models, *(Plausible(one.model, 0.0) for one in also)), settings.sample_time_s,
+        Evidence(records=book.records + 1), known.borders(region), filter_s=settings.filter_s,
+        locks=settings.locks_of(region), units=settings.units,
+    )  # fmt: skip
+    verdict = prove(request, settings.guard)
     if not verdict.accepted:
         return
     odds = told.numbers.book_high if less else told.numbers.book_room
@@ -275,23 +260,3 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97
 """Tempered logarithm of the odds of a valve from which not even less action follows; no cause is told surer."""
-
-
-def _request(found: Findings, book: Book, told: ByBook, also: Sequence[Plausible]) -> ChangeRequest:
-    """The guard's question: the processes on which it is proved are those of the book, and others."""
-    record, settings = found.record, found.settings
-    region, now_s = record.region, float(record.window.t_s[-1])
-    assert told.tuning is not None
-    known = Known(record.table, record.region_models, now_s, settings)
-    return ChangeRequest(
-        record.table.gains_of(region),
-        record.commissioned.gains_of(region),
-        told.tuning,
-        (*told.models, *(Plausible(one.model, 0.0) for one in also)),
-        settings.sample_time_s,
-        Evidence(records=book.records + 1),
-        known.borders(region),
-        filter_s=settings.filter_s,
-        locks=settings.locks_of(region),
-        units=settings.units,
-    )

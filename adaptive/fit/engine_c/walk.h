@@ -5,7 +5,8 @@
 
 #include "misfit.h"
 
-enum { LANES = 8, MOST_DEGREE = 3, MOST_FALLS = 4, MOST_DEADS = 64, MOST_MIXED = 64 };
+enum { LANES = 8, MOST_DEGREE = 3, MOST_FALLS = 4, MOST_TONES = 8, MOST_DEADS = 64, MOST_MIXED = 64 };
+enum { MOST_BASIS = 1 + MOST_DEGREE + MOST_FALLS + MOST_TONES };
 enum { DEGREE, ROOTS, BOTTOM = ROOTS + MOST_DEGREE, LOAD = BOTTOM + MOST_DEGREE };
 static const double SILENT = 1e-200;          /* what is left in a filter is nothing below this */
 static const double DEPENDENT_SHARE = 1e-10;  /* less of a column than this is round-off: the others have it already */
@@ -13,21 +14,23 @@ static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHAR
 
 /* A = (1 - root q)(1 - root q)..., C = 1 + bottom q + ...: loads are rows of degree, roots, bottom. The inputs, held from
  * sample to sample, go through a first lag (pole, rise) and each second one (seconds: poles, 0 for none). falls : poles
- * of what unknown starts of second lags add. noise : what pv cannot show, squared, a sample. Answers: shape (load_count,
- * second_count, input_count, dead_count). */
+ * of what unknown starts of second lags add. tones : sinusoids that the load may hold besides, (tone_count, n); a filter
+ * makes of one the same one turned, and starts. ends : so many of them are taken, none first. noise : what pv cannot show,
+ * squared, a sample. Answers: shape (load_count, end_count, second_count, input_count, dead_count). */
 typedef struct {
-    const double *pv, *inputs, *loads, *seconds, *falls, *deads;
-    Py_ssize_t n, input_count, load_count, second_count, fall_count, dead_count;
+    const double *pv, *inputs, *loads, *seconds, *falls, *deads, *tones, *ends;
+    Py_ssize_t n, input_count, load_count, second_count, fall_count, dead_count, tone_count, end_count;
     double pole, rise, noise;
     double *gain, *information, *left;
 } Walk;
 
 /* Signals lie LANES abreast, (blocks, n, LANES): pv, the impulse, the falls, the inputs as they come out of the lags.
- * rows : the inputs once whitened, each with `pad` zeros before it. basis : (LANES, wide), pv first; wide : n and
- * zeros, so many that LANES divides it. starts : columns of the basis that are not zero, without pv's. */
+ * rows : the inputs once whitened, each with `pad` zeros before it. basis : (MOST_BASIS, wide), pv first; wide : n and
+ * zeros, so many that LANES divides it. columns : of the basis without the tones. starts : those that are not zero,
+ * without pv's. toned : pv along each tone. */
 typedef struct {
     Py_ssize_t blocks, pad, wide, columns, starts;
-    double *source, *reduced, *white, *rows, *basis, *sums, *memory;
+    double *source, *reduced, *white, *rows, *basis, *sums, *memory, toned[MOST_TONES];
 } Lanes;
 
 static double *lane(double *from, Py_ssize_t n, Py_ssize_t which) {
@@ -115,31 +118,42 @@ static void whiten_all(const Walk *w, Lanes *lanes, const double *load, const do
     }
 }
 
-/* What unknown starts add, orthonormal (Gram-Schmidt, twice: Giraud et al. 2005), and pv free of it. Returns pv'pv. */
+/* Makes column j orthonormal to those before it (Gram-Schmidt, twice: Giraud et al. 2005), or zero where they have it. */
+static int made_orthonormal(double *columns, Py_ssize_t j, Py_ssize_t wide, Py_ssize_t n) {
+    double *column = columns + j * wide, whole = dot(column, column, n), left;
+    for (int pass = 0; pass < 2; pass++)
+        for (Py_ssize_t m = 0; m < j; m++)
+            add(column, -dot(columns + m * wide, column, n), columns + m * wide, n);
+    left = dot(column, column, n);
+    int adds = left > DEPENDENT_SHARE * DEPENDENT_SHARE * whole && left > 0;
+    multiply(column, adds ? 1 / sqrt(left) : 0, n);
+    return adds;
+}
+
+/* What unknown starts and tones add, orthonormal, and pv free of the starts. Returns pv'pv. */
 static double put_starts(const Walk *w, Lanes *lanes, int degree) {
     Py_ssize_t n = w->n, k = degree + w->fall_count;
     double *y = lanes->basis, *columns = y + lanes->wide;
     const double *impulse = lane(lanes->white, n, 1), *pv = lane(lanes->white, n, 0);
     for (Py_ssize_t i = 0; i < n; i++)
         y[i] = pv[i * LANES];
-    lanes->starts = 0;
+    lanes->starts = 0, lanes->columns = 1 + k;
     for (Py_ssize_t j = 0; j < k; j++) {
         double *column = columns + j * lanes->wide;
         const double *from = j < degree ? impulse : lane(lanes->white, n, 2 + j - degree);
         Py_ssize_t late = j < degree ? j : 0;
         for (Py_ssize_t i = 0; i < n; i++)
             column[i] = i < late ? 0 : from[(i - late) * LANES];
-        double whole = dot(column, column, n), left;
-        for (int pass = 0; pass < 2; pass++)
-            for (Py_ssize_t m = 0; m < j; m++)
-                add(column, -dot(columns + m * lanes->wide, column, n), columns + m * lanes->wide, n);
-        left = dot(column, column, n);
-        int adds = left > DEPENDENT_SHARE * DEPENDENT_SHARE * whole && left > 0;
-        multiply(column, adds ? 1 / sqrt(left) : 0, n);
-        lanes->starts += adds;
+        lanes->starts += made_orthonormal(columns, j, lanes->wide, n);
         add(y, -dot(column, y, n), column, n);
     }
-    memset(columns + k * lanes->wide, 0, (size_t)((LANES - 1 - k) * lanes->wide) * sizeof *y);
+    for (Py_ssize_t j = 0; j < w->tone_count; j++) {
+        memcpy(columns + (k + j) * lanes->wide, w->tones + j * n, (size_t)n * sizeof *y);
+        made_orthonormal(columns, k + j, lanes->wide, n);
+        lanes->toned[j] = dot(columns + (k + j) * lanes->wide, y, n);
+    }
+    k += w->tone_count;
+    memset(columns + k * lanes->wide, 0, (size_t)((MOST_BASIS - 1 - k) * lanes->wide) * sizeof *y);
     return dot(y, y, n);
 }
 
@@ -201,25 +215,31 @@ static void own_sums(const double *row, Py_ssize_t n, Py_ssize_t pad, double *su
     }
 }
 
-/* Least squares of pv on one row at every dead time; information as it comes. */
+/* Least squares of pv on one row at every dead time and number of tones, `cells` apart; information as it comes. */
 static void fit_row(const Walk *w, const Lanes *lanes, const double *row, const Py_ssize_t *late, int count,
-                    const int *place, double *gain, double *information) {
-    double along[(2 * MOST_DEADS) * LANES];
+                    const int *place, Py_ssize_t cells, double *gain, double *information) {
+    double along[(2 * MOST_DEADS) * MOST_BASIS];
     for (int k = 0; k < count; k++)
-        for (Py_ssize_t j = 0; j < lanes->columns; j += 4)
-            four_dots(lanes->basis + j * lanes->wide, row - late[k], lanes->wide, along + k * LANES + j);
+        for (Py_ssize_t j = 0; j < lanes->columns + w->tone_count; j += 4)
+            four_dots(lanes->basis + j * lanes->wide, row - late[k], lanes->wide, along + k * MOST_BASIS + j);
     own_sums(row, w->n, lanes->pad, lanes->sums);
     for (Py_ssize_t d = 0; d < w->dead_count; d++) {
-        double part = w->deads[d] - floor(w->deads[d]), whole = 1 - part, most;
-        int at = place[2 * d], next = part > 0 ? place[2 * d + 1] : at;
-        const double *own = lanes->sums + 2 * (lanes->pad - late[at]), *after = lanes->sums + 2 * (lanes->pad - late[next]);
+        double part = w->deads[d] - floor(w->deads[d]), whole = 1 - part, most, both;
+        const double *at = along + place[2 * d] * MOST_BASIS, *next = at;
+        const double *own = lanes->sums + 2 * (lanes->pad - late[place[2 * d]]), *after = own;
+        if (part > 0)
+            next = along + place[2 * d + 1] * MOST_BASIS, after = lanes->sums + 2 * (lanes->pad - late[place[2 * d + 1]]);
         most = whole * whole * own[0] + part * part * after[0] + 2 * whole * part * own[1];
-        for (Py_ssize_t j = 1; j < lanes->columns; j++) {
-            double one = whole * along[at * LANES + j] + part * along[next * LANES + j];
-            most -= one * one;
+        both = whole * at[0] + part * next[0]; /* y'x; divided later */
+        Py_ssize_t j = 1;
+        for (Py_ssize_t e = 0; e < w->end_count; e++) {
+            for (; j < lanes->columns + (Py_ssize_t)w->ends[e]; j++) {
+                double one = whole * at[j] + part * next[j];
+                most -= one * one;
+                both -= j < lanes->columns ? 0 : one * lanes->toned[j - lanes->columns];
+            }
+            gain[e * cells + d] = both, information[e * cells + d] = most;
         }
-        gain[d] = whole * along[at * LANES] + part * along[next * LANES]; /* y'x; divided below */
-        information[d] = most;
     }
 }
 
@@ -233,15 +253,30 @@ static int open_lanes(const Walk *w, Lanes *lanes) {
     size_t wide = (n + LANES - 1) / LANES * LANES, block = (size_t)lanes->blocks * n * LANES;
     size_t all = rows * (wide + (size_t)lanes->pad);
     lanes->wide = (Py_ssize_t)wide;
-    lanes->memory = calloc(3 * block + all + wide * LANES + 2 * (size_t)lanes->pad + 2, sizeof(double));
+    lanes->memory = calloc(3 * block + all + wide * MOST_BASIS + 2 * (size_t)lanes->pad + 2, sizeof(double));
     if (!lanes->memory)
         return -1;
     lanes->source = lanes->memory, lanes->reduced = lanes->source + block, lanes->white = lanes->reduced + block;
-    lanes->rows = lanes->white + block, lanes->basis = lanes->rows + all, lanes->sums = lanes->basis + wide * LANES;
+    lanes->rows = lanes->white + block, lanes->basis = lanes->rows + all;
+    lanes->sums = lanes->basis + wide * MOST_BASIS;
     return 0;
 }
 
-/* The least squares of every load, row and dead time; -1 without memory. */
+/* Gains from y'x, and what is left. whole : y'y. silent : of what pv cannot show. */
+static void put_left(double *gain, double *information, double *left, Py_ssize_t cells, double whole, double silent) {
+    double most = 0;
+    for (Py_ssize_t i = 0; i < cells; i++)
+        most = fmax(most, information[i]);
+    double least = LEAST_SHARE * most + LEAST_INFORMATION;
+    for (Py_ssize_t i = 0; i < cells; i++) {
+        double along = gain[i];
+        information[i] = fmax(information[i], least);
+        gain[i] = along / information[i];
+        left[i] = fmax(whole - gain[i] * along, 0) + silent;
+    }
+}
+
+/* The least squares of every load, number of tones, row and dead time; -1 without memory. */
 static int walk(const Walk *w) {
     Lanes lanes;
     Py_ssize_t late[2 * MOST_DEADS], rows = w->second_count * w->input_count, cells = rows * w->dead_count;
@@ -251,22 +286,18 @@ static int walk(const Walk *w) {
     lay_sources(w, &lanes);
     for (Py_ssize_t l = 0; l < w->load_count; l++) {
         const double *load = w->loads + l * LOAD;
-        double *gain = w->gain + l * cells, *information = w->information + l * cells, *left = w->left + l * cells;
+        Py_ssize_t first = l * w->end_count * cells;
+        double *gain = w->gain + first, *information = w->information + first, *left = w->left + first;
         whiten_all(w, &lanes, load, l ? load - LOAD : NULL);
-        double whole = put_starts(w, &lanes, (int)load[DEGREE]), most = 0;
-        lanes.columns = 1 + (int)load[DEGREE] + w->fall_count;
+        double whole = put_starts(w, &lanes, (int)load[DEGREE]);
         for (Py_ssize_t r = 0; r < rows; r++)
-            fit_row(w, &lanes, lanes.rows + r * (lanes.pad + lanes.wide) + lanes.pad, late, count, place,
+            fit_row(w, &lanes, lanes.rows + r * (lanes.pad + lanes.wide) + lanes.pad, late, count, place, cells,
                     gain + r * w->dead_count, information + r * w->dead_count);
-        for (Py_ssize_t i = 0; i < cells; i++)
-            most = fmax(most, information[i]);
-        double least = LEAST_SHARE * most + LEAST_INFORMATION;
-        double silent = (double)(w->n - lanes.starts) * w->noise;
-        for (Py_ssize_t i = 0; i < cells; i++) {
-            double along = gain[i];
-            information[i] = fmax(information[i], least);
-            gain[i] = along / information[i];
-            left[i] = fmax(whole - gain[i] * along, 0) + silent;
+        Py_ssize_t taken = 0;
+        for (Py_ssize_t e = 0; e < w->end_count; e++, gain += cells, information += cells, left += cells) {
+            for (; taken < (Py_ssize_t)w->ends[e]; taken++)
+                whole -= lanes.toned[taken] * lanes.toned[taken];
+            put_left(gain, information, left, cells, fmax(whole, 0), (double)(w->n - lanes.starts - taken) * w->noise);
         }
     }
     free(lanes.memory);

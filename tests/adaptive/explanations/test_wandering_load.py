@@ -185,6 +185,26 @@ def test_the_compiled_least_squares_of_a_load_through_both_lags_are_those_of_num
         assert np.max(np.abs(found[-2] - found[-1]) / largest) < 1e-7, lag
 
 
+@pytest.mark.parametrize("lag", [3.0, math.inf])
+def test_the_compiled_least_squares_beside_tones_are_those_of_numpy(lag: float) -> None:
+    pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
+    record, found = drawn_record(12), []
+    turned = np.outer([0.05, 0.051, 0.4], np.arange(len(record.pv)))
+    tones = np.vstack([np.cos(turned), np.sin(turned)])
+    for name in ("c", "numpy"):
+        with engine.using(name):
+            given = (record, record.co[None], lag, LOADS_OF_BOOK[3:5], DEAD_TIMES)
+            found.append(under_loads(*given, through=1, tones=tones, ends=(0, 1, 6)))
+    for name in ("gain", "information", "left"):
+        one, other = (getattr(fits, name) for fits in found)
+        assert np.max(np.abs(one - other) / np.max(np.abs(other), axis=(1, 2), keepdims=True)) < 1e-7, name
+    assert found[0].freedom[:3] == pytest.approx(found[0].freedom[0] - np.array([0, 1, 6]))
+    with engine.using("c"):
+        without = under_loads(*given, through=1)
+    assert np.array_equal(without.left, found[0].each(0, 3).left)
+    assert np.all(found[0].each(2, 3).left <= without.left)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_compiled_likelihood_is_that_of_numpy(seed: int) -> None:
     pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")

@@ -1,0 +1,48 @@
+"""A tone from outside, in the load beside its walk: columns of a fit, whose size and phase are free.
+
+A loop near instability swings at a frequency of its own, but loads that wander move it: it forgets its size and phase
+within a few periods. A tone keeps its period. Without one among the hypotheses, a process on which the loop is just
+unstable at its frequency, G(jw) = -1/C(jw), explains any tone. Two kinds, likely alike:
+
+    line      one frequency, one size, one phase                                                               2 columns
+    drifting  besides, one with the phase that the error had over TRACKED periods, in a mean, and that times its own
+              frequency's distance from the line, since a filter turns each by another angle                   6 columns
+              (where a window has fewer periods: with a size that grows or falls evenly, 4 columns)
+
+The frequency is that of the error's highest line. What was chosen by the record is paid for: the half of ln(n/2) for a
+column and for a phase (Schwarz 1978), and the logarithm of the number of lines for the frequency.
+"""
+
+import math
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+
+FEWEST_PERIODS, FEWEST_SAMPLES = 1.5, 6
+"""Of a tone within a window, and to its period: others are how a load wanders, or noise."""
+TRACKED = 2.0
+"""Periods over which the phase of a drifting tone is a mean; the periods of other loops' cycles are not all alike."""
+FINER = 16
+"""Times that lines are looked at closer than those of a Fourier series lie."""
+
+
+def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, int, int], tuple[float, float, float]]:
+    """The columns of a window's tone, shape (number, n); how many of them no tone, a line and a drifting one take; and
+    the price of each, as a logarithm that is not tempered. error : setpoint less pv, shape (n,).
+    """
+    n, away = len(error), error - np.mean(error)
+    length = FINER << (n - 1).bit_length()
+    first = math.ceil(FEWEST_PERIODS * length / n)
+    size = np.abs(np.fft.rfft(away * np.hanning(n), length))[first : length // FEWEST_SAMPLES]
+    top = first + int(np.argmax(size))
+    turned, mean_over = 2.0 * math.pi * top / length * np.arange(n), round(TRACKED * length / top)
+    line, phases = np.array([np.cos(turned), np.sin(turned)]), 0.0
+    besides = line * np.linspace(-1.0, 1.0, n)
+    if mean_over < n:
+        off = np.unwrap(np.angle(np.convolve(away * np.exp(-1j * turned), np.hanning(mean_over + 2), "same")))
+        drifting, phases = np.array([np.cos(turned + off), np.sin(turned + off)]), 2.0 * n / mean_over
+        besides = np.vstack([drifting, drifting * np.gradient(off)])
+    column, lines, number = 0.5 * math.log(n / 2.0), math.log(n / FEWEST_SAMPLES), 2 + len(besides)
+    prices = (0.0, 2.0 * column + lines, (number + phases) * column + lines)
+    return np.vstack([line, besides]), (0, 2, number), prices

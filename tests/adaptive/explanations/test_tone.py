@@ -1,0 +1,99 @@
+"""A tone from outside beside the walk: found, paid for, kept in the book, and not taken for a loop near instability."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.explanations.book import TONE, TONE_LASTS, Book, move, update
+from retuner.adaptive.explanations.process_grid import robustness
+from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book
+from retuner.adaptive.explanations.tone import likeliest_tone
+from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import law, start, step
+
+LAG, DEAD, N = 20.0, 4, 1000
+GOOD = PidGains(LAG / (2.0 * (DEAD + 0.5)), 0.5 / (DEAD + 0.5))
+SETTINGS = BookSettings()
+
+
+def cycle(period: float, jitter: float, n: int = N) -> FloatArray:
+    """Of another loop: its periods are not all alike."""
+    rng = np.random.default_rng(7)
+    edges = np.cumsum([0.0, *(period * np.exp(jitter * rng.normal(size=2 * int(n / period) + 2)))])
+    return np.asarray(np.sin(2.0 * math.pi * np.interp(np.arange(n), edges, np.arange(len(edges)))))
+
+
+def recorded(gains: PidGains, load: FloatArray) -> Window:
+    """A lag with dead time and gain one under a load."""
+    rules = law(gains, co_min=-1e6, co_max=1e6)
+    state, rows, pv, late = start(rules, 0.0, 0.0, 0.0), [], 0.0, [0.0] * DEAD
+    noise = 0.1 * np.random.default_rng(8).normal(size=len(load))
+    for i, upset in enumerate(load.tolist()):
+        seen = pv + float(noise[i])
+        state, co = step(rules, state, 0.0, seen, 1.0)
+        rows.append((float(i), 0.0, seen, co))
+        late.append(co + upset)
+        pv += (late.pop(0) - pv) * (1.0 - math.exp(-1.0 / LAG))
+    return Window(*np.array(rows).T)
+
+
+@pytest.mark.parametrize("period", [12.0, 47.3, 450.0])
+def test_the_tone_is_found_and_takes_the_error_with_it(period: float) -> None:
+    error = 3.0 + np.sin(2.0 * math.pi * np.arange(N) / period + 1.0)
+    columns, taken, prices = likeliest_tone(error)
+    basis = np.linalg.qr(np.column_stack([np.ones(N), columns[: taken[1]].T]))[0]
+    assert np.std(error - basis @ (basis.T @ error)) < 0.1
+    assert prices[0] == 0.0 < prices[1] < prices[2]
+    assert taken == (0, 2, len(columns))
+
+
+def test_the_phase_of_one_that_drifts_is_followed() -> None:
+    error = cycle(60.0, 0.05)
+    columns, taken, _ = likeliest_tone(error)
+    left = [
+        float(np.std(error - q @ (q.T @ error)))
+        for end in taken[1:]
+        for q in [np.linalg.qr(np.column_stack([np.ones(N), columns[:end].T]))[0]]
+    ]
+    assert left[1] < 0.5 * left[0]
+
+
+@pytest.mark.parametrize(("period", "jitter"), [(450.0, 0.0), (60.0, 0.0), (60.0, 0.03)])
+def test_a_tone_is_not_taken_for_a_loop_near_instability(period: float, jitter: float) -> None:
+    window = recorded(GOOD, cycle(period, jitter))
+    book = update(Book.begun(GOOD, 1.0, 0.0), window)
+    told = by_book(replace(book, leans=-1), GOOD, SETTINGS)
+    assert book.tone > 0.5
+    assert told.numbers.book_high < SETTINGS.less_odds
+    assert told.tuning is None
+    assert "that an external oscillation moves the loop" in told.words
+
+
+def test_without_it_that_record_would_have_been_a_loop_near_instability() -> None:
+    window, possible = recorded(GOOD, cycle(60.0, 0.0)), Book.begun(GOOD, 1.0, 0.0).weights() > 0.0
+    book = Book.begun(GOOD, 1.0, 0.0)
+    found = np.where(possible, log_likelihood(Prepared.at(window, 1.0), 1, book.unit), -math.inf)
+    share = np.exp(found - found.max())
+    assert float(share[robustness(GOOD, 1.0).ms > SETTINGS.ms_high].sum() / share.sum()) > 0.9
+
+
+def test_the_swing_of_a_loop_near_instability_is_no_tone() -> None:
+    tight = PidGains(2.4 * GOOD.kp, 2.4 * GOOD.ki)
+    window = recorded(tight, np.cumsum(np.random.default_rng(9).normal(size=N)) * 0.2)
+    book = update(Book.begun(tight, 1.0, 0.0), window)
+    told = by_book(book, tight, SETTINGS)
+    assert book.tone < SETTINGS.tone
+    assert told.leans == -1
+    assert "oscillation" not in told.words
+
+
+def test_a_tone_ends_as_time_goes_by() -> None:
+    book = update(Book.begun(GOOD, 1.0, 0.0), recorded(GOOD, cycle(60.0, 0.0)))
+    later, much_later = (replace(b, levels=b.whole) for b in (move(book, t, 1e12) for t in (1000.0, 9.0 * TONE_LASTS)))
+    assert TONE + 0.5 < later.tone < book.tone
+    assert much_later.tone == pytest.approx(TONE, abs=0.02)
+    assert np.allclose(much_later.weights(), book.weights(), atol=1e-4)  # of the process nothing was forgotten
