@@ -193,9 +193,11 @@ def call_walk(random: Random) -> list[Any]:
         walks.extend((degree, *(random.choice((1.0, random.random())) for _ in range(3)), -0.9, 0.2, 0.0))
     poles = [array("d", [random.random() for _ in range(random.randint(low, 4))]) for low in (1, 0)]
     late = array("d", [random.choice((0.0, 0.5, 3.0, 70.0, random.uniform(0, 90))) for _ in range(deads)])
-    cells = loads * len(poles[0]) * inputs * deads
+    tones = random.randint(0, 8)
+    ends = array("d", sorted(random.randint(0, tones) for _ in range(random.randint(1, 4))))
+    cells = loads * len(ends) * len(poles[0]) * inputs * deads
     return [numbers(random, n), numbers(random, inputs * n), walks, *poles, late, array("d", (0.9, 0.1, 1e-4)),
-            *(zeros(cells) for _ in range(3))]  # fmt: skip
+            numbers(random, tones * n), ends, *(zeros(cells) for _ in range(3))]  # fmt: skip
 
 
 def call_mix(random: Random) -> list[Any]:
