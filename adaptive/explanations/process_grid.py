@@ -1,6 +1,7 @@
 """The processes that a record is compared with, on one grid for all records of a loop, and how a controller does there.
 
     G(s) = K e^(-theta s) / ((tau1 s + 1) (tau2 s + 1)),      K' e^(-theta s) / (s (tau2 s + 1)) where tau1 has no end
+    G(s) = K e^(-theta s) / ((tau1 s - 1) (tau2 s + 1))       where it runs away by itself; tau1 is written negative
 
 Lags and dead times are in samples, so the grid is one constant. The gain is a grid too, spaced evenly in its logarithm
 and counted in loop gains: kc K = 1 is its middle. A grid and no search: every corner of what the record allows is seen,
@@ -23,6 +24,8 @@ ComplexArray = npt.NDArray[np.complex128]
 
 LAGS = (0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0, 50.0, 80.0, 130.0, 250.0, math.inf)
 """First lag in samples; without end the process integrates."""
+RUNAWAY_LAGS = (-8.0, -16.0, -33.0, -66.0, -130.0)
+"""Of processes that run away: what is left alone grows by a factor of e in so many samples. The book has them."""
 SECOND_SHARES = (0.0, 0.15, 0.4, 0.8)
 """Second lag as a share of the first."""
 SECOND_OF_INTEGRATING = 40.0
@@ -40,7 +43,9 @@ FREQUENCIES = np.logspace(math.log10(3e-4), math.log10(math.pi), 90)
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A process but for its gain and dead time. lag, second : in samples; lag without end where it integrates."""
+    """A process but for its gain and dead time. lag, second : in samples; lag without end where it integrates, negative
+    where it runs away.
+    """
 
     lag: float
     second: float
@@ -59,30 +64,34 @@ class Shape:
 @cache
 def second_lags(lag: float) -> tuple[float, ...]:
     """The second lags of a first one, zero first; in samples."""
-    base = SECOND_OF_INTEGRATING if math.isinf(lag) else lag
-    return tuple(share * base for share in SECOND_SHARES if not share or share * base >= LEAST_SECOND)
+    base = SECOND_OF_INTEGRATING if math.isinf(lag) else abs(lag)
+    shares = SECOND_SHARES if lag > 0 else SECOND_SHARES[:2]
+    return tuple(share * base for share in shares if not share or share * base >= LEAST_SECOND)
 
 
 @cache
-def shapes() -> tuple[Shape, ...]:
-    """All shapes, in the order of every array of the grid."""
-    return tuple(Shape(lag, second) for lag in LAGS for second in second_lags(lag))
+def shapes(lags: tuple[float, ...] = LAGS) -> tuple[Shape, ...]:
+    """All shapes, in the order of every array of the grid. lags : EVERY_LAG adds those that run away, at the end."""
+    return tuple(Shape(lag, second) for lag in lags for second in second_lags(lag))
+
+
+EVERY_LAG = (*LAGS, *RUNAWAY_LAGS)
 
 
 @cache
-def units() -> FloatArray:
+def units(lags: tuple[float, ...] = LAGS) -> FloatArray:
     """The unit of each shape's gain, shape (shapes, 1, 1)."""
-    return np.array([shape.unit for shape in shapes()])[:, None, None]
+    return np.array([shape.unit for shape in shapes(lags)])[:, None, None]
 
 
 @cache
 def _responses() -> ComplexArray:
-    """Frequency responses at gain one, complex, shape (shapes, dead times, frequencies)."""
+    """Frequency responses at gain one, complex, shape (shapes of every lag, dead times, frequencies)."""
     s = 1j * FREQUENCIES
     delays = np.exp(-s * (np.array(DEAD_TIMES)[:, None] + 0.5))
     rows = []
-    for shape in shapes():
-        first = 1.0 / s if shape.integrates else 1.0 / (shape.lag * s + 1.0)
+    for shape in shapes(EVERY_LAG):
+        first = 1.0 / s if shape.integrates else 1.0 / (abs(shape.lag) * s + math.copysign(1.0, shape.lag))
         rows.append(shape.unit * first / (shape.second * s + 1.0) * delays)
     return np.array(rows)
 
@@ -131,7 +140,7 @@ def robustness(gains: PidGains, sample_time_s: float, unit: float | None = None)
     own = gain_unit(gains, sample_time_s)
     s = 1j * FREQUENCIES
     law = (abs(gains.kp) + abs(gains.ki) * sample_time_s / s + abs(gains.kd) / sample_time_s * s) / own
-    loop = _responses() * law
+    loop = _responses()[: len(shapes())] * law
     size, phase = np.abs(loop), np.unwrap(np.angle(loop), axis=2)
     ultimate = _ultimate(size, phase)[:, :, None]
     scale = own / (own if unit is None else unit)

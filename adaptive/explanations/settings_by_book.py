@@ -7,6 +7,7 @@ expectation is over processes drawn from the book, each as likely as the others.
 it is made where the book is clear, and was at the look before, and where no tone from outside may be what moves the
 loop. Less action, where Ms is probably too high with the gains in force. More, where they have room probably. Nothing
 else: a good set is not changed for another good one.
+No less where a process that runs away by itself is alive and would be held worse, or no longer: it needs gain.
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
 """
@@ -20,7 +21,7 @@ import numpy as np
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.explanations.book import Book
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, shapes
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, shapes
 from retuner.adaptive.explanations.settings_by_odds import (
     LikelyProcesses,
     WorthSettings,
@@ -128,12 +129,14 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    leans = 0 if book.tone >= settings.tone else (room >= settings.more_odds) - (high >= settings.less_odds)
+    leans = 1 if room >= settings.more_odds else -(high >= settings.less_odds)  # both: more robust by more action
+    leans = 0 if book.tone >= settings.tone else leans
     sure = high >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     if not leans or (leans != book.leans and not sure):
         return ByBook(numbers, leans)
     more = _more(gains, _integral_times(book, drawn), settings)
-    best = _best(drawn, gains, more if leans > 0 else _less(gains), settings, more=leans > 0)
+    less = (_times(gains, share, longer) for share in LESS for longer in (LONGER if gains.kp else (1.0,)))
+    best = _best(drawn, gains, more if leans > 0 else less, settings, more=leans > 0)
     if best is None:
         return ByBook(numbers, leans)
     worth, new, peaks = best
@@ -154,17 +157,25 @@ def gain(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSet
     return float(drawn.weights @ np.clip(each, -settings.most, settings.most)), float(drawn.weights @ (each > 0.0))
 
 
+def lets_go(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
+    """Whether new gains hold processes that run away by themselves worse than those in force, on more than the share of
+    the odds that may come out badly: Ms is larger, or gain is taken though HELD times as much would hold it. Its Ms is
+    over every limit, whatever the gains, and what holds it is gain: from a least one up (De Paor & O'Malley 1989).
+    """
+    worse = drawn.peaks(new) > np.maximum(drawn.peaks(now), settings.ms_high)
+    if abs(new.kp) < abs(now.kp):
+        worse |= np.isfinite(drawn.peaks(_times(now, HELD, 1.0)))
+    return float(drawn.weights @ (drawn.runs_away & worse)) > settings.bad_share
+
+
+HELD = 1.5
+"""Gain margin from which such a process has not too much gain: with a smaller one Ms is over 3 whatever the process."""
+
+
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
     """All actions so many times, and the integral time besides."""
     a = all_of_them
     return PidGains(a * gains.kp, a * gains.ki / integral_time, a * gains.kd)
-
-
-def _less(gains: PidGains) -> Iterator[PidGains]:
-    """Candidates with less action."""
-    for share in LESS:
-        for longer in LONGER if gains.kp else (1.0,):
-            yield _times(gains, share, longer)
 
 
 def _more(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -> Iterator[PidGains]:
@@ -186,9 +197,9 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
     """SIMC's integral time on each process, seconds: min(tau1, 8 theta) by the half rule, tau_c = theta."""
     found = []
     for (i, j, _), weight in zip(drawn.index, drawn.weights, strict=True):
-        shape, dead = shapes()[i], DEAD_TIMES[j] + 0.5
+        shape, dead = shapes(EVERY_LAG)[i], DEAD_TIMES[j] + 0.5
         second = shape.second if shape.integrates else shape.second / 2
-        own = min(shape.lag + second, 8.0 * (dead + second))
+        own = min(shape.lag + second if shape.lag > 0 else math.inf, 8.0 * (dead + second))
         found += [own * book.dt_s] * max(round(float(weight) * PER_PROCESS), 1)
     return np.array(found)
 
@@ -203,6 +214,8 @@ def _best(
         bad, lost = float(drawn.weights @ (peaks > settings.ms_bad)), float(drawn.weights @ np.isinf(peaks))
         if more and (bad > settings.bad_share or lost > settings.unstable_share):
             continue
+        if not more and lets_go(drawn, gains, new, settings):
+            continue
         worth = now - cost
         if worth >= settings.worth and (best is None or worth > best[0]):
             best = worth, new, peaks
@@ -210,11 +223,17 @@ def _best(
 
 
 def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> tuple[Plausible, ...]:
-    """Processes spread over the odds by their Ms with the new gains, without the worst that may come out badly."""
+    """Processes spread over the odds by their Ms with the new gains, without the worst that may come out badly, and
+    without those that run away: the guard has no such model, `lets_go` has asked.
+    """
     order = np.argsort(peaks, kind="stable")
+    order = order[~drawn.runs_away[order]]
     whole = np.cumsum(drawn.weights[order])
-    at = np.searchsorted(whole, (1.0 - settings.bad_share) * (np.arange(PROVED_ON) + 0.5) / PROVED_ON)
-    chosen = [int(order[min(int(i), len(order) - 1)]) for i in (np.searchsorted(whole, 0.5), *at)]
+    if not len(whole):
+        return ()
+    at = whole[-1] * (1.0 - settings.bad_share) * (np.arange(PROVED_ON) + 0.5) / PROVED_ON
+    at = np.searchsorted(whole, np.array([0.5 * whole[-1], *at]))
+    chosen = [int(order[min(int(i), len(order) - 1)]) for i in at]
     return tuple(Plausible(_model(book, drawn, i), 0.0) for i in dict.fromkeys(chosen))
 
 

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.explanations.process_grid import (
@@ -34,6 +35,8 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +107,23 @@ class LikelyProcesses:
         """Ms on each process, infinite where the loop is unstable; shape (processes,)."""
         s, dt = 1j * FREQUENCIES, self.sample_time_s
         law = abs(gains.kp) + abs(gains.ki) * dt / s + abs(gains.kd) / dt * s
-        loop = self.responses * law
+        loop, away = self.responses * law, self.runs_away
         phase = np.unwrap(np.angle(loop), axis=1)
-        falls = (phase[:, :-1] > -math.pi) & (phase[:, 1:] <= -math.pi)
-        size = np.sqrt(np.abs(loop[:, :-1]) * np.abs(loop[:, 1:]))
-        unstable = (falls & (size >= 1.0)).any(axis=1) | (phase[:, 0] <= -math.pi)
+        phase -= np.where(away & (phase[:, 0] > 0.0), 2 * math.pi, 0.0)[:, None]  # from -270 degrees or -180
+        over = phase > -math.pi
+        falls, rises = over[:, :-1] & ~over[:, 1:], ~over[:, :-1] & over[:, 1:]
+        large = np.sqrt(np.abs(loop[:, :-1]) * np.abs(loop[:, 1:])) >= 1.0
+        unstable = (falls & large).any(axis=1) | ~over[:, 0]
+        if away.any():  # one turn round -1 holds one pole (Nyquist's criterion); a rise may lie below the frequencies
+            turns = (rises & large).sum(axis=1) - (falls & large).sum(axis=1)
+            turns += over[:, 0] & (np.abs(loop[:, 0]) >= 1.0)
+            unstable = np.where(away, turns != 1, unstable)
         return np.where(unstable, np.inf, 1.0 / np.min(np.abs(1.0 + loop), axis=1))
+
+    @property
+    def runs_away(self) -> BoolArray:
+        """Which of the processes run away by themselves, shape (processes,)."""
+        return np.array([i >= len(shapes()) for i, _, _ in self.index])
 
 
 def likely_processes(odds: TuningOdds, most: int) -> LikelyProcesses:

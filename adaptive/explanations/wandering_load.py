@@ -108,7 +108,7 @@ def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: f
 
 
 def _pole(lag: float) -> float:
-    """What is left of a lag's state after a sample."""
+    """What a sample later is there of a lag's state: more than before where it runs away."""
     return 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
 
 
@@ -252,12 +252,14 @@ def impulse_response(top: tuple[float, ...], bottom: tuple[float, ...], n: int) 
 def responses(inputs: FloatArray, lag: float) -> FloatArray:
     """What inputs held between samples do at gain one, through the first lag and each second one.
 
-    inputs : shape (..., n). Returns shape (second lags, ..., n).
+    inputs : shape (..., n). Returns shape (second lags, ..., n). Where the first runs away it is free of that, as A
+    makes it: what grows leaves no digits to subtract.
     """
     n = inputs.shape[-1]
     k = np.arange(n, dtype=np.float64)
-    pole = 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
-    rise = np.where(k > 0, pole ** np.maximum(k - 1.0, 0.0), 0.0) * (1.0 if math.isinf(lag) else 1.0 - pole)
+    pole = _pole(lag)
+    stays = pole if pole <= 1.0 else 0.0
+    rise = np.where(k > 0, stays ** np.maximum(k - 1.0, 0.0), 0.0) * (1.0 if math.isinf(lag) else abs(1.0 - pole))
     first = filtered(spectrum(inputs), n, rise)
     others = [math.exp(-1.0 / second) for second in second_lags(lag)[1:]]
     passed = spectrum(first)
@@ -279,7 +281,9 @@ def _whitened(
     memory, basis = _whitening(n, lag, model)
     if len(tones):  # a filter makes of a tone the same one turned, and starts
         basis = np.linalg.qr(np.column_stack([basis, tones.T]))[0]
-    rows = filtered(spectrum(reduced(np.vstack([record.pv, moved]), model.roots)), n, memory)
+    own = model.roots[1:] if lag < 0 else model.roots  # see `responses`
+    both = np.vstack([reduced(record.pv[None], model.roots), reduced(moved, own)])
+    rows = filtered(spectrum(both), n, memory)
     y = rows[0] - basis @ (basis.T @ rows[0])
     padded = np.concatenate([np.zeros((len(rows) - 1, _PAD)), rows[1:]], axis=1)
     delayed = np.empty((len(rows) - 1, len(dead_times), n))
@@ -357,24 +361,27 @@ def temper(share: float) -> float:
     return 1.0 / ((1.0 - share) / T_LOADS + share / T_SETPOINT)
 
 
-def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatArray:
+def log_likelihood(record: Prepared, direction: int, gain_unit: float, lags: tuple[float, ...] = LAGS) -> FloatArray:
     """Tempered log-likelihood of every process of the grid, loads and noise summed over.
 
-    direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit).
+    direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit). lags : the
+    first ones; EVERY_LAG for processes that run away besides.
     Returns shape (shapes, dead times, gains); the largest is not zero: differences between records count.
     """
-    return np.asarray(log_likelihoods(record, direction, gain_unit, np.zeros((0, len(record.pv))), (0,))[0])
+    no_tones = np.zeros((0, len(record.pv)))
+    return np.asarray(log_likelihoods(record, direction, gain_unit, no_tones, (0,), lags)[0])
 
 
 def log_likelihoods(
-    record: Prepared, direction: int, gain_unit: float, tones: FloatArray, ends: Sequence[int]
-) -> FloatArray:
+    record: Prepared, direction: int, gain_unit: float, tones: FloatArray, ends: Sequence[int],
+    lags: tuple[float, ...] = LAGS,
+) -> FloatArray:  # fmt: skip
     """The same where the load holds so many of these tones besides (under_loads), of any size and phase.
 
     Returns shape (ends, shapes, dead times, gains).
     """
-    gains = direction * GAINS * units() / gain_unit
-    each = ((lag, second) for lag in LAGS for second in range(len(second_lags(lag))))
+    gains = direction * GAINS * units(lags) / gain_unit
+    each = ((lag, second) for lag in lags for second in range(len(second_lags(lag))))
     found = []
     for at, (lag, second) in enumerate(each):
         given = (record, record.co[None], lag, LOADS_OF_BOOK, DEAD_TIMES)

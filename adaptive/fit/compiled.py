@@ -200,7 +200,7 @@ def walks(
         row[0], row[1 : 1 + len(roots)], row[4 : 3 + len(c)] = len(roots), roots, c[1:]
     shape = (len(loads) * len(ends), len(seconds) * len(inputs), len(dead_times))
     gain, information, left = (np.empty(shape) for _ in range(3))
-    rise = 1.0 if math.isinf(lag) else 1.0 - pole
+    rise = 1.0 if math.isinf(lag) else abs(1.0 - pole)
     _engine.walk(
         np.ascontiguousarray(pv), np.ascontiguousarray(inputs), packed_loads, np.array(seconds), np.array(falls),
         np.array(dead_times), np.array((pole, rise, noise)), np.ascontiguousarray(tones), np.array(ends, dtype=float),

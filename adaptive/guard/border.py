@@ -102,7 +102,8 @@ def at_border(
         return sensitivity_peak(process, mixed(gains, border, share), filter_s)
 
     worst, proper = -math.inf, True
-    pairs, shares = _pairs(border, own), _shares(border)
+    pairs, mixed_at = _pairs(border, own), SHARES_MIXED if border.models else SHARES_UNKNOWN
+    shares = mixed_at if border.interpolated else tuple(border.reach * share for share in SHARES_HARD)
     for place, share in enumerate(shares):
         asked = [(ms_of(pair, new, share), pair) for pair in pairs]
         for ms, pair in asked:
@@ -129,12 +130,6 @@ def _pairs(border: NeighbourBorder, own: Sequence[Plausible]) -> list[tuple[Proc
     here, there = own[0].model, border.models[0].model
     pairs = [(here, other.model) for other in border.models] + [(mine.model, there) for mine in own[1:]]
     return [pair for pair in pairs if between_models(*pair, 0.5) is not None]
-
-
-def _shares(border: NeighbourBorder) -> tuple[float, ...]:
-    if not border.interpolated:
-        return tuple(border.reach * share for share in SHARES_HARD)
-    return SHARES_MIXED if border.models else SHARES_UNKNOWN
 
 
 def _between(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, share: float) -> ProcessModel | None:

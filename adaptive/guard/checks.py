@@ -58,12 +58,6 @@ def no_worse(check: Check, in_force: float, terms: str = "no further than") -> C
     return _on_terms(check, met, f"{terms} the active value, {text(check.name, in_force)}")
 
 
-def no_less(check: Check, in_force: float) -> Check:
-    """The check of a least value, which passes where the value in force is as small."""
-    met = check.value * (1 + ROUNDING) >= in_force
-    return _on_terms(check, met, f"no further than the active value, {text(check.name, in_force)}")
-
-
 def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Ruling, DoubtNumbers] | None:
     """The first of them that failed, as a ruling."""
     rulings = {
@@ -169,8 +163,10 @@ def _most(name: str, words: str, value: float, limit: float, in_force: float) ->
 
 
 def _least(name: str, words: str, value: float, limit: float, in_force: float) -> Check:
-    """A least value; in_force : NaN where there is none."""
-    return no_less(Check(name, words, value, limit, value * (1 + ROUNDING) >= limit), in_force)
+    """A least value, which passes where the value in force is as small; in_force : NaN where there is none."""
+    check = Check(name, words, value, limit, value * (1 + ROUNDING) >= limit)
+    met = value * (1 + ROUNDING) >= in_force
+    return _on_terms(check, met, f"no further than the active value, {text(name, in_force)}")
 
 
 def robustness_checks(ms: tuple[float, float], in_force: tuple[float, float], settings: GuardSettings) -> list[Check]:

@@ -84,7 +84,7 @@ def _beside(first: Goal, cuts: list[Cut], limits: "_Limits", request: ChangeRequ
     shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
     moved = replace(first, gains=_made(direction, kc_cut, shorter, tau_d), notes=("tau_I moved with Kc", *notes))
     may_move = kc_cut < kc and not locks.tau_i and first.wanted.ki != 0.0
-    by_integral = may_move and _by_integral(request)
+    by_integral = may_move and bool(request.models) and asks_for_integral(request.models[0].model)
     found = [first]
     if tau_i_by is not None and not locks.kc:
         kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
@@ -93,11 +93,6 @@ def _beside(first: Goal, cuts: list[Cut], limits: "_Limits", request: ChangeRequ
     elif may_move and not by_integral:
         found = [first, moved]
     return [moved, *found] if by_integral else found
-
-
-def _by_integral(request: ChangeRequest) -> bool:
-    """Whether hardly more than the integral counts on the most likely model."""
-    return bool(request.models) and asks_for_integral(request.models[0].model)
 
 
 CALMER = (0.8, 0.64, 0.5, 0.35, 0.25)

@@ -107,14 +107,10 @@ def shown_by(crossing: Crossing) -> Shown:
         return Shown(alone, ())
     axis = crossing.regions.axes[crossing.along]
     x = np.clip(crossing.ways[crossing.along], axis.low, axis.high)
-    return Shown(alone, in_motion(crossing.window, x, Axis(axis.low, axis.high), alone, _curves(crossing)))
-
-
-def _curves(crossing: Crossing) -> list[CoCurve]:
-    """What the records of all regions say of co's curve; one that taught several counts once."""
     points = [point for model in crossing.region_models.values() for point in model.points]
-    found = {point.t_s: point.co_curve for point in points if point.co_curve is not None}
-    return [found[t_s] for t_s in sorted(found)]
+    found = {point.t_s: point.co_curve for point in points if point.co_curve is not None}  # one teaches several regions
+    curves = [found[t_s] for t_s in sorted(found)]
+    return Shown(alone, in_motion(crossing.window, x, Axis(axis.low, axis.high), alone, curves))
 
 
 def update_across(crossing: Crossing, shown: Shown, region: int, known: RegionModel | None) -> Learned:

@@ -21,7 +21,7 @@ import numpy as np
 
 from retuner.adaptive.identification.candidate import MODEL_ERROR
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, proper_covariance
-from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
 from retuner.adaptive.schedule_design.curves import inflation
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, noise_of, refined
@@ -111,9 +111,12 @@ def in_motion(
     lagged = next((a.log.model() for a in alone.alternatives if a.log.type in _STARTS), None)
     if lagged is None:
         return ()
-    found, felt = [], _felt(stretch, curves)
+    lag = lagged.tau1_s + lagged.tau2_s
+    centre = (math.log(abs(lagged.k) / lag), math.log(lagged.theta_s), math.log(lag))
+    form = Form(axis, (Shape.BENT,) * 3, centre, 1 if lagged.k > 0 else -1, _felt(stretch, curves))
+    found = []
     for loads in sorted({joint.loads[0], _rows(stretch, alone)}, key=len):
-        one = _fitted(replace(joint, loads=(loads,)), _of_one_lag(axis, lagged, felt))
+        one = _fitted(replace(joint, loads=(loads,)), form)
         found += [one, _fitted(replace(joint, loads=(loads,)), *_with_second_lag(one))]
     best = [min((f for f in found if f.type is t), key=lambda f: f.evidence) for t in _STARTS]
     return tuple(sorted(best, key=lambda one: one.evidence + len(one.form.shapes) * math.log(len(stretch))))
@@ -139,13 +142,6 @@ def _rows(stretch: Stretch, alone: ModelEstimate) -> tuple[int, ...]:
 
 
 _STARTS = (ProcessType.FOPDT, ProcessType.SOPDT)
-
-
-def _of_one_lag(axis: Axis, model: ProcessModel, felt: Characteristic | None) -> Form:
-    """Curves about a linear model; its lags are taken for one. felt : how co acts."""
-    lag = model.tau1_s + model.tau2_s
-    centre = (math.log(abs(model.k) / lag), math.log(model.theta_s), math.log(lag))
-    return Form(axis, (Shape.BENT,) * 3, centre, 1 if model.k > 0 else -1, felt)
 
 
 def _with_second_lag(one: InMotion) -> tuple[Form, FloatArray]:

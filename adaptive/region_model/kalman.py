@@ -69,7 +69,11 @@ def back_to_mean(known: StructureModel, prior: LogModel, posterior: LogModel) ->
 
 def update(prior: LogModel, estimate: ModelEstimate) -> tuple[float, LogModel]:
     """Innovation statistic (chi-square, one degree of freedom a parameter) and posterior for the prior's structure."""
-    kf, d = _filter(prior), len(prior.x)
+    from filterpy.kalman import KalmanFilter
+
+    d = len(prior.x)
+    kf = KalmanFilter(dim_x=d, dim_z=d)
+    kf.x, kf.P = prior.x.reshape(d, 1).copy(), prior.p.copy()
     record = estimate.of(prior.type)
     kf.update(record.score.reshape(d, 1), R=np.eye(d), H=record.information)
     y: FloatArray = kf.y
@@ -103,15 +107,4 @@ def _joint_filter(log: LogModel, drift: Drift) -> "KalmanFilter":
     kf = KalmanFilter(dim_x=2 * d, dim_z=d)
     kf.x = np.concatenate([log.x, drift.v]).reshape(2 * d, 1)
     kf.P = np.block([[log.p, drift.along], [drift.along.T, drift.p]])
-    return kf
-
-
-def _filter(log: LogModel) -> "KalmanFilter":
-    """A filterpy filter that stands where the estimate stands."""
-    d = len(log.x)
-    from filterpy.kalman import KalmanFilter
-
-    kf = KalmanFilter(dim_x=d, dim_z=d)
-    kf.x = log.x.reshape(d, 1).copy()
-    kf.P = log.p.copy()
     return kf

@@ -227,12 +227,6 @@ def _chance(spot: Spot, gains: PidGains) -> float:
     return spot.chance(math.log(abs(gains.kp)), gains.kp / gains.ki)
 
 
-def _has_room(table: GainTable, region: int, x: float) -> bool:
-    """Whether a boundary there leaves the hysteresis its room on both sides."""
-    low, high = table.regions.span(region)
-    return min(x - low, high - x) >= 2 * table.regions.axes[0].hysteresis
-
-
 @dataclass(frozen=True, slots=True)
 class _Way:
     """A schedule, and how many places of each present region it is expected to serve."""
@@ -255,7 +249,9 @@ def _split(
         bounds.append(table.regions.span(region)[0])
         cut = _best_cut(spots[region]) if region in wide else None
         more = cut.below.kept + cut.above.kept - now[region].kept if cut is not None else 0.0
-        if cut is None or more < WORTH * len(spots[region]) or not _has_room(table, region, cut.x):
+        low, high = table.regions.span(region)  # the boundary leaves the hysteresis its room on both sides
+        room = cut is not None and min(cut.x - low, high - cut.x) >= 2 * table.regions.axes[0].hysteresis
+        if cut is None or more < WORTH * len(spots[region]) or not room:
             names, sets = [*names, name], [*sets, table.gains_of(region)]
             continue
         names += [f"{name} lower", f"{name} upper"]

@@ -243,13 +243,15 @@ def _split(
     tried = sum(cut.tried for cut in cuts if cut is not None)
     if not tried:
         return None
+    from scipy.special import chdtri  # takes longer to load than all of a short command
+
     k, cut = min(((k, cut) for k, cut in enumerate(cuts) if cut is not None), key=lambda one: one[1].left)
     in_time = _best_cut(weighted, [p.t_s for p in placed], least)
     one = _side(weighted).left
     limit = -2 * math.log(settings.alpha / tried)
     against_time = (one if in_time is None else in_time.left) - cut.left
     explains = one - cut.left > limit and against_time >= settings.against_time
-    consistent = cut.left <= _gate(SIZE * (len(placed) - 2), settings.alpha)
+    consistent = cut.left <= chdtri(SIZE * (len(placed) - 2), settings.alpha)
     if not (explains and consistent and _is_worth_it(regions, region, k, cut, settings)):
         return None
     places, counted = (regions.names[region],), (cut.below.count, cut.above.count)
@@ -278,26 +280,6 @@ def _is_worth_it(regions: Regions, region: int, k: int, cut: _Cut, settings: Adv
     low, high = regions.span(region, k)
     room = min(cut.border - low, high - cut.border)
     return apart >= math.log(settings.split_factor) and room > 0 and room >= 2 * regions.axes[k].hysteresis
-
-
-def _gate(freedom: int, alpha: float) -> float:
-    """The value that chi-square with an even freedom exceeds with probability alpha, by bisection of its tail."""
-    low, high = 0.0, float(freedom)
-    while _tail(high, freedom) > alpha:
-        low, high = high, 2 * high
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if _tail(middle, freedom) > alpha else (low, middle)
-    return high
-
-
-BISECTIONS = 40
-
-
-def _tail(value: float, freedom: int) -> float:
-    """exp(-v/2) sum over j < f/2 of (v/2)^j / j!, for an even freedom f (Abramowitz & Stegun 1964, 26.4.5)."""
-    half = value / 2
-    return math.exp(-half) * sum(half**j / math.factorial(j) for j in range(freedom // 2))
 
 
 def _merges(

@@ -349,7 +349,9 @@ def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: N
     apart = min(_criterion(k, record) for k in known) + min(a.evidence for a in alone.alternatives)
     together = min(_criterion(k, record) for k in after)
     linear, _ = update(priors[known[0].log.type], alone)
-    rise = together - apart - _owed(record, again, least)
+    by_itself, best = record.found[0].fit.misfit, again[0].fit.misfit  # each needs the loads, and pays for them
+    missing = max(least - by_itself.loads, 0) if best.loads >= least else 0
+    rise = together - apart - load_price(by_itself) * missing
     return Posterior(_led(after, record), estimate, min(linear, max(rise, 0.0)), rise)
 
 
@@ -362,13 +364,6 @@ def _loads_at_least(record: NewRecord) -> int:
 
 BEGINS, RESTS_WITHIN = 3, 4.0
 """Samples with which a record begins, and noise standard deviations of pv within which it rests."""
-
-
-def _owed(record: NewRecord, again: list[Candidate], least: int) -> float:
-    """What a load costs that a record by itself was fitted without: it needs one either way."""
-    alone, best = record.found[0].fit.misfit, again[0].fit.misfit
-    missing = max(least - alone.loads, 0) if best.loads >= least else 0
-    return load_price(alone) * missing
 
 
 def _criterion(known: StructureModel, record: NewRecord) -> float:

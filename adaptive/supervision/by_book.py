@@ -21,7 +21,7 @@ from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, move, update
-from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, shares
+from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
@@ -126,30 +126,35 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
     """The change that the pipeline makes is dropped where the book speaks against it. Less action, which is slower for
     certain, is to be better on most of the book, and its cause no less likely there than not: so diagnose says it of
     the same samples (cause_odds/). More must not do harm by models and book together: that the loads are
-    steps, and that one wanders, are as likely. Where a loop whose process was shown mostly rests, none wanders.
+    steps, and that one wanders, are as likely. Where a loop whose process was shown mostly rests, none wanders. A whole
+    window it takes, but not against less action by a model that is not identifiable.
     """
     verdict, record, look = found.verdict, found.record, found.question.look
     assert verdict is not None
     assert verdict.gains is not None
-    if record.table.lookup is not Lookup.HARD or found.growth is not None:
-        return
     now, new, numbers, drawn = record.in_force, verdict.gains, found.numbers, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
+    away = less and record.table.lookup is Lookup.HARD and lets_go(drawn, now, new, settings)
+    if record.table.lookup is not Lookup.HARD or (found.growth is not None and not away):
+        return
     told_of, needed = (told.numbers.book_high, HALF) if less else (told.numbers.book_room, settings.more_odds)
     if told_of < needed and (doubt := _doubt(found, book, less=less)):
         found.doubted(replace(doubt, reason=f"{told.words}; {doubt.reason}"))
         return
-    if not book.records or (shown and (look is None or _rests(found, look))):
+    carries = book.records or (look is not None and less and found.in_use and not found.in_use.identifiable)
+    if not away and (not carries or (shown and (look is None or _rests(found, look)))):
         return
     worth, better = gain(drawn, now, new, settings)
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
     if less:
-        against = better < settings.borne_out
+        against = away or better < settings.borne_out
     else:
         against = by_models + worth < 0.0 or (not shown and shares(drawn, new, settings)[0] >= settings.less_odds)
     if against:
         found.verdict = found.basis = found.promise = None
         by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
+        if away:
+            by_that = f"the process runs away by itself with {float(drawn.weights @ drawn.runs_away):.0%} probability"
         found.stop("unconfirmed", f"{told.words}; by that, {by_that}")
 
 
@@ -245,7 +250,9 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
         locks=settings.locks_of(region), units=settings.units,
     )  # fmt: skip
     verdict = prove(request, settings.guard)
-    if not verdict.accepted:
+    if not verdict.accepted or verdict.gains is None:
+        return
+    if less and lets_go(book.drawn(settings.book.drawn), record.in_force, verdict.gains, settings.book):
         return
     odds = told.numbers.book_high if less else told.numbers.book_room
     cause = Cause.AGGRESSIVE if less else Cause.SLUGGISH

@@ -14,7 +14,6 @@ from retuner.adaptive.region_model.region_advice import (
     AdviceKind,
     AdviceSettings,
     RegionAdvice,
-    _gate,
     features,
     region_advice,
 )
@@ -202,12 +201,6 @@ def test_features_are_simcs_settings_with_their_spread() -> None:
     delay = 10.0 / 10.5  # d ln(theta + 0.5) / d ln theta
     assert found.p[0, 0] == pytest.approx(STD**2 * (1 + delay**2), rel=1e-4)
     assert found.p[1, 1] == pytest.approx(STD**2, rel=1e-4)
-
-
-@pytest.mark.parametrize(("freedom", "alpha", "value"), [(2, 0.001, 13.816), (10, 0.05, 18.307), (20, 0.001, 45.315)])
-def test_the_gate_is_chi_square(freedom: int, alpha: float, value: float) -> None:
-    """Against the printed tables."""
-    assert _gate(freedom, alpha) == pytest.approx(value, abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ static const double DEPENDENT_SHARE = 1e-10;  /* less of a column than this is r
 static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHARE = -45;
 
 /* A = (1 - root q)(1 - root q)..., C = 1 + bottom q + ...: loads are rows of degree, roots, bottom. The inputs, held from
- * sample to sample, go through a first lag (pole, rise) and each second one (seconds: poles, 0 for none). falls : poles
+ * sample to sample, go through a first lag (pole, rise) and each second one (seconds: poles, 0 for none). A pole over 1 runs
+ * away: its inputs are laid free of it, as A makes them, for what grows leaves no digits to subtract. falls : poles
  * of what unknown starts of second lags add. tones : sinusoids that the load may hold besides, (tone_count, n); a filter
  * makes of one the same one turned, and starts. ends : so many of them are taken, none first. noise : what pv cannot show,
  * squared, a sample. Answers: shape (load_count, end_count, second_count, input_count, dead_count). */
@@ -47,7 +48,7 @@ static void through_lags(const Walk *w, Lanes *lanes) {
             for (Py_ssize_t i = 0; i < w->n; i++) {
                 last = other * last + (1 - other) * first;
                 out[i * LANES] = last;
-                first = w->pole * first + w->rise * u[i];
+                first = (w->pole > 1 ? 0 : w->pole) * first + w->rise * u[i];
                 first = fabs(first) < SILENT ? 0 : first;
                 last = fabs(last) < SILENT ? 0 : last;
             }
@@ -67,13 +68,15 @@ static void lay_sources(const Walk *w, Lanes *lanes) {
     through_lags(w, lanes);
 }
 
-/* x - root x(before it), in place; the impulse (lane 1 of the first block) stays. */
-WIDE static void reduce(double *restrict x, Py_ssize_t n, double root) {
-    double before[LANES] = {0}, now[LANES];
+/* x - root x(before it), in place, in lanes before `end`; the impulse (lane 1 of the first block) stays. */
+WIDE static void reduce(double *restrict x, Py_ssize_t n, double each, Py_ssize_t end) {
+    double before[LANES] = {0}, now[LANES], root[LANES];
+    for (int l = 0; l < LANES; l++)
+        root[l] = l < end ? each : 0;
     for (Py_ssize_t i = 0; i < n; i++)
         for (int l = 0; l < LANES; l++) {
             now[l] = x[i * LANES + l];
-            x[i * LANES + l] = now[l] - root * before[l];
+            x[i * LANES + l] = now[l] - root[l] * before[l];
             before[l] = now[l];
         }
 }
@@ -103,7 +106,8 @@ static void whiten_all(const Walk *w, Lanes *lanes, const double *load, const do
         memcpy(lanes->reduced, lanes->source, (size_t)(lanes->blocks * size) * sizeof(double));
         for (Py_ssize_t b = 0; b < lanes->blocks; b++)
             for (int j = 0; j < (int)load[DEGREE]; j++)
-                reduce(lanes->reduced + b * size, w->n, load[ROOTS + j]);
+                reduce(lanes->reduced + b * size, w->n, load[ROOTS + j],
+                       j == 0 && w->pole > 1 ? 2 + w->fall_count - b * LANES : LANES);
         double *impulse = lane(lanes->reduced, w->n, 1);
         for (Py_ssize_t i = 0; i < w->n; i++)
             impulse[i * LANES] = i == 0;

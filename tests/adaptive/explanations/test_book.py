@@ -15,8 +15,9 @@ from retuner.adaptive.choice.expected_cost import ChoiceNumbers
 from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.explanations.book import ODD, Book, move, update
-from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain
+from retuner.adaptive.explanations.book import ODD, RUNAWAYS, Book, move, update
+from retuner.adaptive.explanations.process_grid import shapes
+from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.region_model.update import Agreement
@@ -27,6 +28,8 @@ from retuner.adaptive.supervision.by_book import KEPT_LOOKS, by_all_samples, loo
 from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.pipeline_types import Findings, Look
 from retuner.adaptive.supervision.settings import RetunerSettings, demanded
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN
+from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.pid import law, start, step
 from retuner.schedule.table import Lookup
 
@@ -46,22 +49,23 @@ def scaled(times: float) -> PidGains:
 
 
 class Plant:
-    """A lag with dead time, a sample at a time."""
+    """A lag with dead time, a sample at a time; a negative one runs away by itself."""
 
-    def __init__(self) -> None:
-        self.pv, self.late = 0.0, [0.0] * DEAD
+    def __init__(self, lag: float = LAG) -> None:
+        self.pv, self.late, self.lag = 0.0, [0.0] * DEAD, lag
 
     def move(self, u: float) -> float:
         self.late.append(u)
-        self.pv += (K * self.late.pop(0) - self.pv) * (1.0 - math.exp(-1.0 / LAG))
+        k = math.copysign(K, self.lag)
+        self.pv += (k * self.late.pop(0) - self.pv) * (1.0 - math.exp(-1.0 / self.lag))
         return self.pv
 
 
-def recorded(gains: PidGains, seed: int, n: int = 1000) -> Window:
+def recorded(gains: PidGains, seed: int, n: int = 1000, lag: float = LAG) -> Window:
     """A loop under a load that wanders, with one setpoint step."""
     load, noise = walk(seed, n), np.random.default_rng([seed, 1]).normal(size=n) * 0.05
     rules = law(gains, co_min=-1e6, co_max=1e6)
-    state, plant, pv = start(rules, 0.0, 0.0, 0.0), Plant(), 0.0
+    state, plant, pv = start(rules, 0.0, 0.0, 0.0), Plant(lag), 0.0
     rows = []
     for i in range(n):
         sp, seen = (0.0 if i < n // 3 else 4.0), pv + float(noise[i])
@@ -103,6 +107,21 @@ def test_less_action_follows_at_once_and_more_only_at_the_second_look() -> None:
     second = by_book(replace(book, leans=first.leans), scaled(0.2), SETTINGS)
     assert second.tuning is not None
     assert 1.0 < second.tuning.gains.ki / scaled(0.2).ki <= 2.5
+
+
+@pytest.mark.parametrize(("kc", "cut"), [(0.75, 0.6), (1.6, 0.3)])
+def test_the_gain_of_a_process_that_runs_away_is_not_cut(kc: float, cut: float) -> None:
+    """k 2, tau 33 to the wrong side, dead time 4: held from kc 0.5 to 4."""
+    gains = PidGains(kc, kc / 80.0)
+    book = update(begun(gains), recorded(gains, 1, lag=-33.0))
+    assert float(begun(gains).weights()[len(shapes()) :].sum()) == pytest.approx(RUNAWAYS, rel=0.1)
+    assert float(book.weights()[len(shapes()) :].sum()) > 0.5
+    told, drawn = by_book(replace(book, leans=-1), gains, SETTINGS), book.drawn(SETTINGS.drawn)
+    less = PidGains(cut * gains.kp, cut * gains.ki)
+    assert lets_go(drawn, gains, less, SETTINGS)
+    assert gain(drawn, gains, less, SETTINGS)[1] < 0.2
+    assert told.tuning is None or told.tuning.gains.kp >= gains.kp
+    assert not lets_go(after(scaled(2.6), 3).drawn(SETTINGS.drawn), scaled(2.6), scaled(1.0), SETTINGS)
 
 
 def test_a_record_under_other_gains_counts_for_the_same_process() -> None:
@@ -239,7 +258,7 @@ def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to:
 
 def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
-    at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None,
+    at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None, settled: bool = True,
 ) -> Findings:  # fmt: skip
     """A change that the pipeline accepted, or with a code how it ended without. times : of the good gains, in force.
 
@@ -259,6 +278,7 @@ def put_to_the_book(
     )
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
     found = Findings(question, verdict=verdict, learned=SimpleNamespace(agreement=agreement, valve=None))  # type: ignore[arg-type]
+    found.in_use = SimpleNamespace(identifiable=settled)  # type: ignore[assignment]
     if code:
         found.verdict = None
         found.stop(code, "")
@@ -304,6 +324,24 @@ def test_the_book_objects_to_a_change_that_it_holds_for_the_worse(
     assert not dropped or found.end is None or "probability, its expected" in found.end.reason
     assert put_to_the_book(times, to, expected, at_rest=True).verdict, "no load wanders"
     assert put_to_the_book(times, to, expected, first=True).verdict, "no whole window yet"
+
+
+def test_less_action_by_a_model_that_is_not_identifiable_is_dropped_before_a_whole_window() -> None:
+    found = put_to_the_book(1.0, 0.3, 1.5, first=True, settled=False)
+    assert found.verdict is None
+    assert found.end is not None
+    assert put_to_the_book(1.0, 0.3, 1.5, first=True).verdict
+    assert put_to_the_book(2.6, 0.4, 0.2, first=True, settled=False).verdict, "too much gain"
+
+
+def test_no_model_without_that_pole_keeps_out_the_gain_that_held_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    held, less = PidGains(1.6, 0.02), PidGains(0.6, 0.01)
+    one = controller(1.0).retuner
+    one.books[0] = update(begun(held), recorded(held, 1, lag=-33.0))
+    monkeypatch.setattr(retuner, "known_of", lambda *_: "models")
+    for old, new, expected in ((held, less, NOTHING_KNOWN), (less, held, "models")):
+        one.trials._trials[0] = Trial(old=old, new=new)
+        assert one._still_allowed(0) == expected
 
 
 def test_more_action_that_would_take_robustness_is_not_taken_where_no_step_has_shown_the_process() -> None:

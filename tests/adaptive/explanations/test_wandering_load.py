@@ -5,8 +5,18 @@ import math
 import numpy as np
 import pytest
 from drawn_loop import PRIOR, loop_record
+from scipy.optimize import brentq
 
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, robustness, shapes
+from retuner.adaptive.explanations.process_grid import (
+    DEAD_TIMES,
+    EVERY_LAG,
+    GAINS,
+    gain_unit,
+    responses_of,
+    robustness,
+    shapes,
+)
+from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, class_of, tuning_odds
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (
@@ -29,7 +39,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 
 
-@pytest.mark.parametrize("lag", [3.0, 33.0, math.inf])
+@pytest.mark.parametrize("lag", [3.0, 33.0, math.inf, -16.0])
 @pytest.mark.parametrize("bandwidth", [0.05, 0.4])
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_filter_factors_the_spectrum_of_load_and_noise(lag: float, bandwidth: float, order: int) -> None:
@@ -110,6 +120,26 @@ def test_the_units_of_pv_mean_nothing(scale: float) -> None:
     assert other - other.max() == pytest.approx(one - one.max(), abs=1e-6)
 
 
+@pytest.mark.parametrize(("row", "dead"), [(-1, 4.0), (-3, 8.0), (-5, 0.0)])
+def test_a_process_that_runs_away_is_held_between_two_gains(row: int, dead: float) -> None:
+    """P control of k e^(-theta s)/(tau s - 1): from k kc = 1 to sqrt(1 + (w tau)^2), w theta = atan(w tau) (De Paor &
+    O'Malley 1989).
+    """
+    every = shapes(EVERY_LAG)
+    rows = [i for i, shape in enumerate(every) if shape.lag < 0 and not shape.second]
+    places = tuple((rows[row], DEAD_TIMES.index(dead), i) for i in range(len(GAINS)))
+    i, j, k = np.array(places).T
+    known = LikelyProcesses(places, np.ones(len(places)), responses_of(i, j) * GAINS[k][:, None], 1.0)
+    tau, theta = -every[rows[row]].lag, dead + 0.5
+    most = math.sqrt(1.0 + (brentq(lambda w: w * theta - math.atan(w * tau), 1e-3, math.pi / theta) * tau) ** 2)
+    held = np.isfinite(known.peaks(PidGains(1.0, 0.0)))
+    assert held.tolist() == [1.0 < gain < most for gain in GAINS.tolist()]
+    assert known.runs_away.all()
+    held_by_pi = np.isfinite(known.peaks(PidGains(1.0, 0.1 / tau)))
+    assert np.flatnonzero(held_by_pi)[0] >= np.flatnonzero(held)[0]
+    assert 0 < held_by_pi.sum() <= held.sum()
+
+
 @pytest.mark.parametrize("gain", [0.5, 2.0, 6.0])
 def test_robustness_of_the_grid_is_that_of_the_margins(gain: float) -> None:
     gains = PidGains(gain, gain / 22.0)
@@ -156,7 +186,7 @@ def drawn_record(seed: int) -> Prepared:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize(
-    ("lag", "close"), [(0.5, 1e-9), (3.0, 1e-9), (22.0, 1e-9), (250.0, 1e-7), (math.inf, 1e-8)], ids=str
+    ("lag", "close"), [(0.5, 1e-9), (3.0, 1e-9), (22.0, 1e-9), (250.0, 1e-7), (math.inf, 1e-8), (-33.0, 1e-9)], ids=str
 )
 def test_the_compiled_least_squares_are_those_of_numpy(seed: int, lag: float, close: float) -> None:
     """close : what numpy's transforms leave of a digit where the starts of long second lags look alike."""
@@ -176,7 +206,7 @@ def test_the_compiled_least_squares_of_a_load_through_both_lags_are_those_of_num
     """A second lag that is in the load adds no start: the round-off of one had taken up to a third of what is left."""
     pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
     record, found = drawn_record(seed + 10), []
-    for lag in (1.0, 22.0, 80.0, 250.0):
+    for lag in (1.0, 22.0, 80.0, 250.0, -16.0):
         for name in ("c", "numpy"):
             with engine.using(name):
                 given = (record, record.co[None], lag, LOADS_OF_BOOK, DEAD_TIMES)
