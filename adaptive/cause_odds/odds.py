@@ -364,8 +364,12 @@ def _verdict(
     cause, p = next(iter(causes.items()))
     shares = {str(c): q for c, q in causes.items()}
     by_steps = weight >= HALF and told.diagnosis.cause == cause
-    wanted = odds if sure and not _swings_alone(open_ones) and not (by_steps and told.tuning is not None) else None
+    open_to_odds = sure and not (by_steps and told.tuning is not None)
+    alone = _swings_alone(open_ones) and _less(causes) < settings.loads_less
+    wanted = odds if open_to_odds and not alone else None
     worth = _settings(causes, wanted, walk.moved, settings) if wanted is not None else None
+    if wanted is not None and worth is not None and not _calmer(worth, wanted) and _overshoot_seen(open_ones):
+        worth = None
     if by_steps and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
@@ -414,6 +418,11 @@ IN_QUESTION = 0.05
 """Odds of a valve from which it is asked for."""
 
 
+def _overshoot_seen(open_ones: Sequence[tuple[Window, Found]]) -> bool:
+    """Whether setpoint responses overshoot so far that more action is no answer, whatever a load does beside them."""
+    return any(found.diagnosis.evidence.get("overshoot", 0.0) > OVERSHOOTS for _, found in open_ones)
+
+
 def _swings_alone(open_ones: Sequence[tuple[Window, Found]]) -> bool:
     """Whether an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it."""
     return not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
@@ -424,13 +433,14 @@ def _settings(
 ) -> Worthwhile | None:
     """Settings worth having, where tuning is the cause and the odds that they are asked for are large enough.
 
-    moved : of Walk. Loads alone may pass for the loop's own doing however sure the odds: then the test comes first.
+    moved : of Walk. Loads alone may pass for the loop's own doing: then the test comes first, but where less action is
+    as good as sure.
     """
     if next(iter(causes)) not in TUNING_CAUSES:
         return None
-    if moved < settings.moved and next(iter(causes.values())) < settings.loads_odds:
+    less, most = _less(causes), next(iter(causes.values()))
+    if moved < settings.moved and less < settings.loads_less and most < settings.loads_odds:
         return None
-    less = causes.get(Cause.AGGRESSIVE, 0.0) + causes.get(Cause.SLOW_INTEGRATING, 0.0)
     more = causes.get(Cause.SLUGGISH, 0.0)
     found = worthwhile(odds, settings.worth)
     if less >= settings.less_odds and (found is None or _calmer(found, odds) is False):
@@ -442,6 +452,11 @@ def _settings(
     bends = causes.get(Cause.NONLINEAR, 0.0) > settings.nonlinear  # then more is too much elsewhere
     unseen = bends or causes.get(Cause.STICTION, 0.0) > settings.most_valve  # behind a valve no process is seen
     return found if more >= settings.more_odds and not unseen else None
+
+
+def _less(causes: Mapping[Cause, float]) -> float:
+    """Odds of the causes that ask for less action."""
+    return causes.get(Cause.AGGRESSIVE, 0.0) + causes.get(Cause.SLOW_INTEGRATING, 0.0)
 
 
 def _calmer(found: Worthwhile, odds: TuningOdds) -> bool:
@@ -463,7 +478,7 @@ MS_SHOWN = 20.0
 """A larger Ms, and an unstable loop, is told as this."""
 
 OVERSHOOTS = 0.25
-"""Overshoot from which it is told with a verdict."""
+"""Overshoot from which it is told with a verdict, and more action is not advised."""
 
 WORDS = {
     Cause.OK: "the tuning is in order",

@@ -43,8 +43,7 @@ def test_settings_are_robust_on_nearly_all_odds_and_on_the_truth(kc: float, seed
     assert sensitivity_peak(TRUTH, gains) < 2.1
     assert (gains.kp > kc) is (kc < 1.0)
     assert gains.kp <= settings.most_at_once * kc * (1 + 1e-9)
-    if gains.kp < kc:
-        assert gains.ki <= kc / 20.0 * (1 + 1e-9)
+    assert gains.ki <= gains.kp / 20.0 * (1 + 1e-9), "an integral time shorter than the one in force"
     assert found.sure <= found.likely
 
 
@@ -59,7 +58,7 @@ def test_a_loop_far_too_tight_is_calmed_where_no_set_is_sure() -> None:
     found = halved(odds, WorthSettings())
     assert found is not None
     share = found.tuning.gains.kp / 5.0
-    assert 0.25 <= share <= 0.5
+    assert 0.15 <= share <= 0.5
     assert found.tuning.gains.ki == pytest.approx(share * 0.25)
 
 
