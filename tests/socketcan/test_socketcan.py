@@ -19,7 +19,6 @@ from pathlib import Path
 import can
 import cantools
 import pytest
-from effort import EFFORT
 from once import once
 
 from retuner.config import load_config
@@ -31,7 +30,6 @@ NODES = ROOT / "examples" / "nodes"
 RUNNER = ROOT / "scripts" / "socketcan" / "run.py"
 IMPOSSIBLE = 77  # the runner's status when there is no way to a vcan0
 NODE = 5  # as in tank.toml
-STRANGERS = ["zone", "axis"] if EFFORT.name == "nightly" else ["zone"]  # the axis turns in real time
 MARGIN = 0.2  # share by which the written gains may miss those of SIMC for the true plant
 
 
@@ -52,20 +50,29 @@ def run_inside(*command: str | Path, timeout_s: float = 240) -> subprocess.Compl
     return done
 
 
+def run_on_vcan(out: Path, *groups: str) -> None:
+    """Loops on one vcan0, of one boot, and what they leave in a folder."""
+    folder = ROOT / "drivers" / "firmware"
+    subprocess.run(["make", "-s", "-C", folder, f"BUILD={out}", "all"], check=True, timeout=120)
+    job = [sys.executable, "-P", HERE / "loops_job.py", out / "retuner-firmware", out, *groups]
+    done = run_inside(*job, timeout_s=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+    print(done.stderr, end="")
+
+
 @pytest.fixture(scope="module")
 def loops(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that the loops on one vcan0 left: one boot for all of them."""
-    groups = ["tank+firmware", "zone+conformance", *STRANGERS[1:]]
+    """The folder that the virtual device, the firmware and the sessions with them left."""
+    return once(tmp_path_factory, "socketcan-loops", lambda out: run_on_vcan(out, "tank+firmware"))
 
-    def run(out: Path) -> None:
-        folder = ROOT / "drivers" / "firmware"
-        subprocess.run(["make", "-s", "-C", folder, f"BUILD={out}", "all"], check=True, timeout=120)
-        job = [sys.executable, "-P", HERE / "loops_job.py", out / "retuner-firmware", out, *groups]
-        done = run_inside(*job, timeout_s=600)
-        assert done.returncode == 0, done.stdout + done.stderr
-        print(done.stderr, end="")
 
-    return once(tmp_path_factory, "socketcan-loops", run)
+@pytest.fixture(scope="module")
+def strangers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that controllers of others and the examination of the firmware left: minutes, so the nightly's.
+
+    In CI such controllers speak over udp_multicast, and the firmware is examined on a bus of its own.
+    """
+    return once(tmp_path_factory, "socketcan-strangers", lambda out: run_on_vcan(out, "zone+conformance", "axis"))
 
 
 def ended(folder: Path, name: str) -> tuple[int, int]:
@@ -146,29 +153,29 @@ def test_the_firmware_in_c_is_retuned_by_what_it_does_itself(loops: Path) -> Non
     assert after["kp"] > 1.3 * before.kp  # its plant: 1.2, 30 s, 5 s of dead time; SIMC has 2.5
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", STRANGERS)
-def test_a_strangers_controller_is_retuned_by_its_description_and_40_lines(name: str, loops: Path) -> None:
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["zone", "axis"])
+def test_a_strangers_controller_is_retuned_by_its_description_and_40_lines(name: str, strangers: Path) -> None:
     assert len((NODES / f"{name}.toml").read_text().splitlines()) < 40
-    assert ended(loops, name) == (0, 0)
-    assert "committed" in kinds(loops, name)
-    assert (loops / f"{name}.device").read_text()  # and the controller tells its new gains too
+    assert ended(strangers, name) == (0, 0)
+    assert "committed" in kinds(strangers, name)
+    assert (strangers / f"{name}.device").read_text()  # and the controller tells its new gains too
 
 
-@pytest.mark.slow
-def test_its_gains_travel_by_sdo_in_an_order_that_was_proved(loops: Path) -> None:
-    with LedgerReader(loops / "zone" / "ledger.sqlite") as ledger:
+@pytest.mark.nightly
+def test_its_gains_travel_by_sdo_in_an_order_that_was_proved(strangers: Path) -> None:
+    with LedgerReader(strangers / "zone" / "ledger.sqlite") as ledger:
         orders = [row.body for row in ledger.rows() if row.kind == "order_of_writes"]
     assert all(order["proved"] for order in orders), orders
-    with can.LogReader(loops / "capture.log") as capture:
+    with can.LogReader(strangers / "capture.log") as capture:
         written = [message.data for message in capture if message.arbitration_id == 0x609 and message.data[0] == 0x2B]
     assert (0x2110, 2) in {(int.from_bytes(data[1:3], "little"), data[3]) for data in written}  # Tn
 
 
-@pytest.mark.slow
-def test_the_firmware_in_c_keeps_the_protocol_on_a_real_bus(loops: Path) -> None:
-    assert ended(loops, "conformance") == (0, 0)
-    examined = json.loads((loops / "conformance.json").read_text())
+@pytest.mark.nightly
+def test_the_firmware_in_c_keeps_the_protocol_on_a_real_bus(strangers: Path) -> None:
+    assert ended(strangers, "conformance") == (0, 0)
+    examined = json.loads((strangers / "conformance.json").read_text())
     assert examined["findings"] == []
     assert examined["tried"] > 150
 
