@@ -173,8 +173,18 @@ def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
     change, turn = (-math.expm1(-max(elapsed_s, 0.0) / lasts) for lasts in (hazard_s, TONE_LASTS * book.dt_s))
     weights = _weights(book.whole)
     weights = (1.0 - turn) * weights + turn * np.array([1.0 - TONE, TONE])[:, None, None, None] * weights.sum(axis=0)
-    weights = (1.0 - change) * weights + change * _weights(book.prior)
-    return replace(book, whole=_levels(np.where(weights > 0.0, np.log(np.maximum(weights, 1e-300)), -math.inf)))
+    return replace(book, whole=_mixed(weights, book.prior, change))
+
+
+def doubted(book: Book, change: float) -> Book:
+    """Where the process has become another one with this probability."""
+    levels, whole = (_mixed(_weights(known), book.prior, change) for known in (book.levels, book.whole))
+    return replace(book, levels=levels, whole=whole)
+
+
+def _mixed(weights: FloatArray, prior: bytes, change: float) -> bytes:
+    weights = (1.0 - change) * weights + change * _weights(prior)
+    return _levels(np.where(weights > 0.0, np.log(np.maximum(weights, 1e-300)), -math.inf))
 
 
 def _array(levels: bytes) -> FloatArray:

@@ -47,6 +47,9 @@ class BookSettings:
     hazard_s: float = setting(
         30 * 86400.0, "Mean time after which a process is another one", 86400.0, 3.2e7, "s", "fouling, wear"
     )
+    changed_odds: float = setting(
+        0.5, "Odds that a process has changed where two responses differ from all before", 0.1, 0.9
+    )
     drawn: int = setting(300, "Processes that stand for the weights", 100, 1000)
     worth: float = setting(0.25, "How much cheaper a change must be expected to be", 0.1, 0.7)
     ms_high: float = setting(2.0, "Ms above which a loop has too little robustness", *_MS)
@@ -129,15 +132,15 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    leans = 1 if room >= settings.more_odds else -(high >= settings.less_odds)  # both: more robust by more action
+    leans, best = 0, _best(drawn, gains, _more(gains, _integral_times(book, drawn), settings), settings, more=True)
+    if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
+        leans = 1  # also where Ms is too high, if more action makes it less
+    elif high >= settings.less_odds:
+        less = (_times(gains, share, longer) for share in LESS for longer in (LONGER if gains.kp else (1.0,)))
+        leans, best = -1, _best(drawn, gains, less, settings, more=False)
     leans = 0 if book.tone >= settings.tone else leans
     sure = high >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
-    if not leans or (leans != book.leans and not sure):
-        return ByBook(numbers, leans)
-    more = _more(gains, _integral_times(book, drawn), settings)
-    less = (_times(gains, share, longer) for share in LESS for longer in (LONGER if gains.kp else (1.0,)))
-    best = _best(drawn, gains, more if leans > 0 else less, settings, more=leans > 0)
-    if best is None:
+    if not leans or best is None or (leans != book.leans and not sure):
         return ByBook(numbers, leans)
     worth, new, peaks = best
     tuning, models = Tuning("simc", "series", new), _proved_on(book, drawn, peaks, settings)

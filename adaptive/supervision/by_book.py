@@ -20,7 +20,7 @@ import numpy as np
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.explanations.book import Book, move, update
+from retuner.adaptive.explanations.book import Book, doubted, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
@@ -97,9 +97,9 @@ def by_all_samples(found: Findings) -> None:
     look, settings, record = found.question.look, found.settings.book, found.record
     book, shown = record.book, shown_clearly(record.region_models.get(record.region), record.excitation, record.foreign)
     gains, dt_s = record.in_force, found.settings.sample_time_s
-    if book is not None and found.learned is not None and found.learned.agreement is Agreement.CHANGED:
-        found.book = Book.begun(gains, interval_s(gains, dt_s), found.question.t_s)  # all before is of another process
-        return
+    changed = found.learned is not None and found.learned.agreement is Agreement.CHANGED
+    if book is not None and changed:
+        book = found.book = doubted(book, settings.changed_odds)
     changes = found.verdict is not None and found.verdict.accepted
     doubts = not shown or (found.end is not None and found.end.code in OPEN and not found.question.alone)
     if look is not None and not ((look.due and doubts) or changes):
@@ -107,13 +107,14 @@ def by_all_samples(found: Findings) -> None:
     if look is not None:
         now_s, first_s = float(look.window.t_s[-1]), float(look.window.t_s[0])
         known = look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)
-        known = move(known, now_s - first_s, settings.hazard_s)
+        known = doubted(known, settings.changed_odds) if changed else move(known, now_s - first_s, settings.hazard_s)
         book = found.book = update(known, look.window, grows=look.grows)
     if book is not None and not (look is None and shown):
         told = by_book(book, gains, settings)
         if changes:
             _object(found, book, told, settings, shown=shown)
-        elif look is not None and _may_speak(found, look) and not (shown and _rests(found, look)):
+        dropped = not changes or found.verdict is None
+        if look is not None and dropped and _may_speak(found, look) and not (shown and _rests(found, look)):
             _speak(found, look, book, told, shown=shown)
         found.all_samples = told.numbers
         if look is not None:
@@ -125,9 +126,9 @@ def by_all_samples(found: Findings) -> None:
 def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *, shown: bool) -> None:
     """The change that the pipeline makes is dropped where the book speaks against it. Less action, which is slower for
     certain, is to be better on most of the book, and its cause no less likely there than not: so diagnose says it of
-    the same samples (cause_odds/). More must not do harm by models and book together: that the loads are
-    steps, and that one wanders, are as likely. Where a loop whose process was shown mostly rests, none wanders. A whole
-    window it takes, but not against less action by a model that is not identifiable.
+    the same samples (cause_odds/). More must not do harm by models and book together: that the loads are steps, and
+    that one wanders, are as likely. Where a loop whose process was shown mostly rests, none wanders, and the book must
+    be sure. A whole window it takes, but not against less action by a model that is not identifiable.
     """
     verdict, record, look = found.verdict, found.record, found.question.look
     assert verdict is not None
@@ -137,17 +138,20 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
     away = less and record.table.lookup is Lookup.HARD and lets_go(drawn, now, new, settings)
     if record.table.lookup is not Lookup.HARD or (found.growth is not None and not away):
         return
+    rests = shown and look is not None and _rests(found, look)
     told_of, needed = (told.numbers.book_high, HALF) if less else (told.numbers.book_room, settings.more_odds)
     if told_of < needed and (doubt := _doubt(found, book, less=less)):
         found.doubted(replace(doubt, reason=f"{told.words}; {doubt.reason}"))
         return
     carries = book.records or (look is not None and less and found.in_use and not found.in_use.identifiable)
-    if not away and (not carries or (shown and (look is None or _rests(found, look)))):
+    if not away and (not carries or (shown and look is None)):
         return
     worth, better = gain(drawn, now, new, settings)
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
     if less:
-        against = away or better < settings.borne_out
+        against = away or better < (1.0 - settings.less_odds if rests else settings.borne_out)
+    elif rests:
+        against = False
     else:
         against = by_models + worth < 0.0 or (not shown and shares(drawn, new, settings)[0] >= settings.less_odds)
     if against:

@@ -31,6 +31,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.admission import Ground
+from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -386,6 +387,7 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    safer_due = outcome.verdict is not None and outcome.verdict.accepted and outcome.verdict.urgent
-    told = (outcome.posterior, case.crossed, safer_due, outcome.walked)
+    verdict = outcome.verdict
+    next_due = verdict is not None and verdict.accepted and (verdict.urgent or outcome.basis is Basis.ALL_SAMPLES)
+    told = (outcome.posterior, case.crossed, next_due, outcome.walked)
     return JudgedResponse(case.response, window, limited, outside, *told)

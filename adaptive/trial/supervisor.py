@@ -269,7 +269,7 @@ class TrialSupervisor:
             if kept >= self.settings.responses:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         else:
-            return self.silent(region, found, t_s, enough=seen.safer_due and not ask, walked=seen.walked)
+            return self.silent(region, found, t_s, enough=seen.next_due and not ask, walked=seen.walked)
         return found
 
     def silent(
@@ -277,7 +277,7 @@ class TrialSupervisor:
     ) -> Judgement:
         """A response said nothing for or against: enough of them end the trial. found : why it did not; with that.
 
-        enough : this one does, because a change towards safety is due that must not wait for others. walked : what is
+        enough : this one does, because a change is due that must not wait for others. walked : what is
         left of the process beside a load that wanders; it stands for the models where there are none, and where it is
         nothing they say nothing.
         """
@@ -290,7 +290,7 @@ class TrialSupervisor:
         if few or not self._end(region, E.TIMED_OUT, t_s, known):
             return found
         what = AFTER_SILENCE.get(self.phase(region), "stay")
-        why = "a safer change is due" if enough else f"{trial.silent + 1} responses were inconclusive"
+        why = "another change is due" if enough else f"{trial.silent + 1} responses were inconclusive"
         return replace(found, reason=f"{found.reason}; {why}, the trial gains {what}")
 
     def to_dict(self) -> dict[str, object]:

@@ -15,7 +15,7 @@ from retuner.adaptive.choice.expected_cost import ChoiceNumbers
 from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.explanations.book import ODD, RUNAWAYS, Book, move, update
+from retuner.adaptive.explanations.book import ODD, RUNAWAYS, Book, doubted, move, update
 from retuner.adaptive.explanations.process_grid import shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings
@@ -269,7 +269,7 @@ def put_to_the_book(
     book = begun(now) if first else after(now, 3)
     record: Any = SimpleNamespace(
         region=0, region_models={0: SimpleNamespace(identifiable=True)}, excitation=Excitation(clear=int(shown)),
-        foreign=0, in_force=now, book=book,
+        foreign=0, in_force=now, book=book, crossed=True,
         table=SimpleNamespace(lookup=Lookup.HARD), response=SimpleNamespace(band=100.0 if at_rest else 0.1),
     )  # fmt: skip
     look = Look(book, window, grows=True, limited=0.0)
@@ -322,7 +322,8 @@ def test_the_book_objects_to_a_change_that_it_holds_for_the_worse(
     assert (found.verdict is None) is dropped
     assert dropped is (found.end is not None and found.end.code == "unconfirmed")
     assert not dropped or found.end is None or "probability, its expected" in found.end.reason
-    assert put_to_the_book(times, to, expected, at_rest=True).verdict, "no load wanders"
+    resting = put_to_the_book(times, to, expected, at_rest=True).verdict
+    assert (resting is None) is (times == 1.0 and to < 1.0), "no load wanders: only less action, which is surely worse"
     assert put_to_the_book(times, to, expected, first=True).verdict, "no whole window yet"
 
 
@@ -364,11 +365,25 @@ def test_on_a_process_that_steps_have_shown_it_speaks_where_the_pipeline_cannot_
     assert asked == [True] * speaks
 
 
-def test_a_process_that_has_changed_begins_a_new_book() -> None:
+def test_where_it_objects_it_says_what_it_would_do_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(by_book_stage, "_may_speak", lambda *_: True)
+    asked: list[bool] = []
+    monkeypatch.setattr(by_book_stage, "_speak", lambda *_, shown: asked.append(shown))
+    put_to_the_book(1.0, 0.7, 0.7)
+    put_to_the_book(2.6, 0.4, 0.2)  # no objection
+    assert asked == [True]
+
+
+def test_a_process_that_has_perhaps_changed_is_doubted_and_not_forgotten() -> None:
+    known = after(scaled(1.0), 3)
+    half = doubted(known, 0.5)
+    likeliest = np.unravel_index(int(np.argmax(known.weights())), known.weights().shape)
+    assert half.weights()[likeliest] == pytest.approx(0.5 * known.weights()[likeliest], rel=0.1)
+    assert half.records == known.records
     found = put_to_the_book(1.0, 0.7, 0.3, Agreement.CHANGED)
-    assert found.verdict
     assert found.book is not None
-    assert (found.book.records, found.book.t_s, found.book.levels) == (0, 2000.0, found.book.prior)
+    assert found.book.records == 3
+    assert found.book.weights()[likeliest] < put_to_the_book(1.0, 0.7, 0.3).book.weights()[likeliest]  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("settings", [BookSettings, WorthSettings])

@@ -117,10 +117,10 @@ def test_a_safer_change_that_is_due_ends_a_trial_that_no_person_has_to_approve(a
     bench.write()
     response = Response(0.0, 50.0, (Peak(5.0, 0.01),), Ending.QUIET, sp_changed=True, band=0.1)
     window = Window(*(np.arange(60.0) + shift for shift in (-5.0, 0.0, 0.0, 0.0)))
-    seen = JudgedResponse(response, window, safer_due=True)
+    seen = JudgedResponse(response, window, next_due=True)
     found = bench.trials.judge(0, seen, NEW, 60.0, ask=asks)
     assert found is not None
-    assert ("a safer change is due" in found.reason) is not asks
+    assert ("another change is due" in found.reason) is not asks
     assert bench.trials.phase(0) is phase
     assert bench.table[0] == NEW
 
