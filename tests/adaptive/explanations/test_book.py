@@ -382,7 +382,7 @@ def test_a_process_that_has_perhaps_changed_is_doubted_and_not_forgotten() -> No
     assert half.records == known.records
     found = put_to_the_book(1.0, 0.7, 0.3, Agreement.CHANGED)
     assert found.book is not None
-    assert found.book.records == 3
+    assert found.book.records == 2  # the window that grows is not entered yet
     assert found.book.weights()[likeliest] < put_to_the_book(1.0, 0.7, 0.3).book.weights()[likeliest]  # type: ignore[union-attr]
 
 
