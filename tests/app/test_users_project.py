@@ -33,7 +33,7 @@ co: str = retuner.PidController(retuner.PidGains(2.0, 0.1), dt_s=1.0, pv_range=(
 retuner.identfy
 """
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 def clean_environment() -> dict[str, str]:

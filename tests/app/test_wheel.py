@@ -19,7 +19,7 @@ NOT_SOURCE = shutil.ignore_patterns(".*", "build", "dist", "runs", "*.egg-info",
 NEIGHBOURS = ("schedule", "adaptive")
 OFFLINE = ("NewConnectionError", "Temporary failure in name resolution", "No matching distribution", "timed out")
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly  # in CI scripts/release.py installs and tries the wheels
 
 
 @dataclass(frozen=True)

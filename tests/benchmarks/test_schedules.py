@@ -79,6 +79,7 @@ def test_one_set_suffices_for_a_constant_process_and_not_for_one_that_changes_by
 
 
 @pytest.mark.uncounted
+@pytest.mark.nightly
 def test_a_case_is_walked_counted_and_not_run_twice(tmp_path):
     tasks = measure.tasks(1, 1, ("constant",), ("fixed",), visits=1, places=3, walk=2, rivals=False)
     file, ran = tmp_path / "rows.jsonl", []

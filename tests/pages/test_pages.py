@@ -23,7 +23,7 @@ import run_pages  # noqa: E402  stands in scripts/
 from docstring_markup import as_rst  # noqa: E402
 from run_pages import agrees, blocks, rewritten  # noqa: E402
 
-FRONT = {"README", "start", "how-to-control", "diagnose", "concepts"}
+FRONT = {"README", "start", "diagnose", "concepts"}
 """What a newcomer copies from; the other pages take minutes, and are the nightly's."""
 RUN = [page for page in run_pages.pages() if page.stem in FRONT or EFFORT.name == "nightly"]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
