@@ -183,6 +183,8 @@ def _range(frame: str, signal: Signal) -> tuple[float, float]:
     if signal.is_float:
         if signal.length != FLOAT_BITS or signal.start % 8 or (signal.scale, signal.offset) != (1, 0):
             raise ValueError(f"{where}: only unscaled float32 on byte boundaries is laid out")
+        near_low, near_high = struct.unpack("<2f", struct.pack("<2f", low, high))  # 0.0001 s comes back a little less
+        low, high = min(low, near_low), max(high, near_high)
     else:
         least, greatest = _reach(signal)
         if not least <= low <= high <= greatest:

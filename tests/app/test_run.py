@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import can
@@ -21,8 +22,10 @@ from two_regions import two_regions
 from retuner import drivers
 from retuner.adaptive.supervision.decision import Mode
 from retuner.cli import main
+from retuner.commands import run as commands_run
 from retuner.config import load_config
 from retuner.config.bench_plants import known_plant
+from retuner.drivers.device import WriteRefusedError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.chain import Row
 from retuner.report.scores import region_scores, twin_steps
@@ -392,3 +395,17 @@ def test_a_run_that_ended_the_wrong_way_says_so_and_fails(tmp_path: Path, capsys
     assert "the controller acts the wrong way; turn its action" in said.err
     assert (tmp_path / "out" / "report.html").is_file()
     assert "Traceback" not in said.err
+
+
+def test_a_run_that_the_device_ends_says_why() -> None:
+    """With no setpoint in a device's description, a scenario's step of it ends the run."""
+
+    class Ended(SimpleNamespace):
+        def simulated(self) -> None:
+            raise WriteRefusedError("the mapping has no entry for setpoint")
+
+    ended = Ended(session=SimpleNamespace(loops=[SimpleNamespace(trend=SimpleNamespace(rows=1))]), ended_by="")
+    job = SimpleNamespace(config=SimpleNamespace(simulated=True))
+    session, stopped = commands_run._play(job, ended)  # type: ignore[arg-type]
+    assert (session, stopped) == (ended.session, True)
+    assert ended.ended_by == "the mapping has no entry for setpoint"

@@ -34,6 +34,15 @@ def test_any_bytes_give_cantools_numbers_or_nothing_when_one_is_out_of_range(lay
         assert (got if got is None else list(got)) == (expected if inside else None)
 
 
+def test_the_least_sample_time_comes_back_though_its_float_is_a_little_less() -> None:
+    (layout,) = [one for one in LAYOUTS if one.name == "IDENTITY"]
+    bits = prepared(layout)
+    values = [1e-4 if one.name == "sample_time" else 1 for one in signals(layout)]
+    back = bits.unpack(bits.pack(values))
+    assert back is not None
+    assert back[[one.name for one in signals(layout)].index("sample_time")] == pytest.approx(1e-4)
+
+
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
 def test_any_numbers_in_range_give_cantools_bytes(layout) -> None:
     rng = random.Random(layout.name)

@@ -100,6 +100,8 @@ def _device_notes(config: "Config") -> "Iterator[str]":
     access = make_access(config, foreign)
     if reason := closed(foreign, access):
         yield f"watched only: {reason}"
+    if not access.takes_setpoint and config.scenario and sum(one.sp is not None for one in config.scenario.steps) > 1:
+        yield "!! device.setpoint is missing: a step of sp in [scenario] ends the run"
     if told := getattr(access, "polled", lambda _: "")(config.loop.sample_time_s):
         yield told
 

@@ -304,7 +304,7 @@ def _carried_out(job: RunJob, job_run: Run, ledger: Ledger, watching: "Watching"
         interrupted |= compare and fixed is None
         left = product("what a run leaves")
         left.leave(job, ledger, session, fixed, proposed, screen, interrupted=interrupted)
-    if wrong := [*_wrong(job, session), *job_run.stopped_plants]:
+    if wrong := [*_wrong(job, session), *job_run.stopped_plants, *filter(None, [job_run.ended_by])]:
         raise UserError(*wrong)
     return 130 if interrupted else 0
 
@@ -355,6 +355,8 @@ def _play(job: RunJob, job_run: Run) -> tuple[Session, bool]:
     except (KeyboardInterrupt, DeviceError) as stop:
         if job_run.session is None or not any(loop.trend.rows for loop in job_run.session.loops):
             raise NothingHappenedError(stop) from stop
+        if isinstance(stop, DeviceError):
+            job_run.ended_by = str(stop)
         return job_run.session, True
 
 

@@ -242,6 +242,7 @@ class Run:
         self._log = log
         self.session: Session | None = None
         self.stopped_plants: Sequence[str] = ()
+        self.ended_by = ""
         earlier = _before(before, self.config)
         self._loops = [_Loop(one, self, folder, earlier) for one in self.config.loops]
 
