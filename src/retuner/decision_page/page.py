@@ -18,7 +18,7 @@ from retuner.decision_page.evidence_words import evidence_table
 from retuner.decision_page.explain import process_text, settings_text, stays
 from retuner.decision_page.html import document, escaped, pairs, paragraph, section, table, text_table
 from retuner.decision_page.outcome import judgement_section, later_section, promise_section
-from retuner.decision_page.row_values import finite, gains_of, number, numbers, part, parts, words
+from retuner.decision_page.row_values import finite, gains_of, in_full, number, numbers, part, parts, words
 from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import (
     DONE,
@@ -49,8 +49,6 @@ FIRST_GROUPS = ("margins with the active settings", "competing explanations")
 """Groups of evidence that are shown at once; the others unfold."""
 SWINGS = 0.25
 """Ratio of successive half swings from which a response looks like an oscillation: a quarter decay."""
-WRITTEN_IN_FULL = 1e4
-"""Numbers from here on are written out in full."""
 SAME = 1e-6
 """Gains that a formula gives are the proposal's to this share, or the formula is not shown."""
 
@@ -70,7 +68,7 @@ def article(view: DecisionView) -> str:
     response = response_svg(view)
     drawing = robustness_svg(view, ms_limit(view))
     mode = words(view.document, "mode")
-    parts_ = [f"region {words(view.document, 'region')}", f"{view.t_s:,.0f} s", f"mode {mode}" if mode else ""]
+    parts_ = [f"region {words(view.document, 'region')}", f"{in_full(view.t_s)} s", f"mode {mode}" if mode else ""]
     body = [
         f'<p>{badge(view)} <span class="muted">{escaped(", ".join(one for one in parts_ if one))}</span></p>',
         paragraph(headline(view), "lead"),
@@ -294,7 +292,7 @@ def _value(value: object, none: str) -> str:
     known = finite(value)
     if known is None:
         return none
-    return f"{known:,.0f}" if abs(known) >= WRITTEN_IN_FULL else f"{known:.4g}"
+    return in_full(known)
 
 
 def _margins(view: DecisionView) -> str:

@@ -58,6 +58,14 @@ def brief(value: float) -> str:
 
 
 MOST_WRITTEN_OUT = 1e7
+
+
+def in_full(value: float) -> str:
+    """A time or a sum as people write it: 28,636 or 0.0312."""
+    return f"{value:,.0f}" if abs(value) >= WRITTEN_IN_FULL else f"{value:.4g}"
+
+
+WRITTEN_IN_FULL = 1e3
 """Larger numbers are easier to read with an exponent."""
 
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision
 from retuner.decision_page.explain import cause_text, change_text, model_text, short_settings, stays, takes_back
+from retuner.decision_page.row_values import in_full
 from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import MS_LIMIT, ms_text
 from retuner.report.scores import RegionScore
@@ -80,7 +81,7 @@ class RunScreen:
         self._samples += 1
         if self._task is not None and self._samples % REFRESH_SAMPLES == 0:
             values = f"sp {sample.sp:.1f}  pv {sample.pv:.1f} {self._unit}  co {sample.co:.0f} %"
-            state = f"t {sample.t_s:,.0f} s  {region}  {values}"
+            state = f"t {in_full(sample.t_s)} s  {region}  {values}"
             self._progress.update(self._task, completed=progress, state=state)
 
     def decision(self, decision: Decision, loop: str = "") -> None:
@@ -115,7 +116,7 @@ def live_line(decision: Decision, loop: str = "") -> str:
     cause = UNDONE if undone else KEPT if stays(decision) else cause_text(decision)
     colour = COLOURS.get(cause, "magenta")
     where = f"{loop} {decision.region}" if loop else decision.region
-    head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(where):6}[/] [{colour}]{cause:10}[/]"
+    head = f"[dim]{in_full(decision.t_s):>8} s[/] [bold]{escape(where):6}[/] [{colour}]{cause:10}[/]"
     told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(short_reason(decision))]
     told += [] if decision.action == Action.NONE else [f"[bold]{escape(change_text(decision))}[/]"]
     judged = decision.judgement.reason if decision.judgement and not undone else ""
@@ -144,10 +145,10 @@ def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit:
     for name in ("writes", "baseline Ms", "final Ms", "IAE fixed", "IAE retuned"):
         table.add_column(name, justify="right", no_wrap=True)
     for s in scores:
-        fixed = "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}"
+        fixed = "-" if s.iae_fixed is None else in_full(s.iae_fixed)
         same = s.iae_fixed is None or s.iae == s.iae_fixed
         colour = "green" if s.iae_fixed is not None and s.iae < s.iae_fixed else "red"
-        retuned = f"{s.iae:,.0f}" if same else f"[{colour}]{s.iae:,.0f}[/]"
+        retuned = in_full(s.iae) if same else f"[{colour}]{in_full(s.iae)}[/]"
         table.add_row(
             escape(s.region),
             short_settings(s.before, loop),

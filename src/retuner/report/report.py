@@ -24,7 +24,7 @@ from retuner.decision_page.explain import (
 from retuner.decision_page.html import document as html_document
 from retuner.decision_page.html import escaped, figure, paragraph, table
 from retuner.decision_page.page import article
-from retuner.decision_page.row_values import Document, number, part, words
+from retuner.decision_page.row_values import Document, in_full, number, part, words
 from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import MS_LIMIT, ms_text
 from retuner.report.plots import Mark, trend_svg, twin_svg
@@ -166,8 +166,8 @@ def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
                 escaped(s.changes),
                 ms_text(s.ms_before),
                 _ms_cell(s, data.ms_limit, documents),
-                "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}",
-                f'<span class="{mark}">{s.iae:,.0f}</span>',
+                "-" if s.iae_fixed is None else in_full(s.iae_fixed),
+                f'<span class="{mark}">{in_full(s.iae)}</span>',
             )
         )
     note = (
@@ -258,5 +258,5 @@ def _anchor(decision: int) -> str:
 
 def _page(view: DecisionView) -> str:
     """A page that is seen when its row's link is followed, and on paper."""
-    line = f"Decision {view.number}: {words(view.document, 'region')} at {view.t_s:,.0f} s"
+    line = f"Decision {view.number}: {words(view.document, 'region')} at {in_full(view.t_s)} s"
     return f'<section class="page" id="{_anchor(view.number)}"><h2>{escaped(line)}</h2>{article(view)}</section>'
