@@ -125,10 +125,11 @@ def by_all_samples(found: Findings) -> None:
 
 def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *, shown: bool) -> None:
     """The change that the pipeline makes is dropped where the book speaks against it. Less action, which is slower for
-    certain, is to be better on most of the book, and its cause no less likely there than not: so diagnose says it of
-    the same samples (cause_odds/). More must not do harm by models and book together: that the loads are steps, and
-    that one wanders, are as likely. Where a loop whose process was shown mostly rests, none wanders, and the book must
-    be sure. A whole window it takes, but not against less action by a model that is not identifiable.
+    certain, is to be better on most of the book. Its cause is to be no less likely there than not, unless the change
+    leads back: so diagnose says it of the same samples (cause_odds/). More must do no harm by models and book together:
+    that the loads are steps, and that one wanders, are as likely. Where a loop whose process was shown mostly rests,
+    none wanders, and the book must be sure. A whole window it takes, but not against less action by a model that is not
+    identifiable.
     """
     verdict, record, look = found.verdict, found.record, found.question.look
     assert verdict is not None
@@ -140,7 +141,7 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
         return
     rests = shown and look is not None and _rests(found, look)
     told_of, needed = (told.numbers.book_high, HALF) if less else (told.numbers.book_room, settings.more_odds)
-    if told_of < needed and (doubt := _doubt(found, book, less=less)):
+    if found.basis is not Basis.RAN and told_of < needed and (doubt := _doubt(found, book, less=less)):
         found.doubted(replace(doubt, reason=f"{told.words}; {doubt.reason}"))
         return
     carries = book.records or (look is not None and less and found.in_use and not found.in_use.identifiable)
