@@ -109,10 +109,12 @@ def by_all_samples(found: Findings) -> None:
         known = look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)
         known = doubted(known, settings.changed_odds) if changed else move(known, now_s - first_s, settings.hazard_s)
         book = found.book = update(known, look.window, grows=look.grows)
-    if book is not None and not (look is None and shown):
+    silent = look is None and shown  # but for what it is sure of
+    if book is not None and (changes or not silent):
         told = by_book(book, gains, settings)
         if changes:
             _object(found, book, told, settings, shown=shown)
+    if book is not None and not silent:
         dropped = not changes or found.verdict is None
         if look is not None and dropped and _may_speak(found, look) and not (shown and _rests(found, look)):
             _speak(found, look, book, told, shown=shown)
@@ -139,13 +141,14 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
     away = less and record.table.lookup is Lookup.HARD and lets_go(drawn, now, new, settings)
     if record.table.lookup is not Lookup.HARD or (found.growth is not None and not away):
         return
-    rests = shown and look is not None and _rests(found, look)
+    rests = shown and (look is None or _rests(found, look))
     told_of, needed = (told.numbers.book_high, HALF) if less else (told.numbers.book_room, settings.more_odds)
-    if found.basis is not Basis.RAN and told_of < needed and (doubt := _doubt(found, book, less=less)):
+    asked = found.basis is not Basis.RAN and not (shown and look is None)
+    if asked and told_of < needed and (doubt := _doubt(found, book, less=less)):
         found.doubted(replace(doubt, reason=f"{told.words}; {doubt.reason}"))
         return
     carries = book.records or (look is not None and less and found.in_use and not found.in_use.identifiable)
-    if not away and (not carries or (shown and look is None)):
+    if not away and not carries:
         return
     worth, better = gain(drawn, now, new, settings)
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
