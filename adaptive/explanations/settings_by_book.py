@@ -5,8 +5,8 @@
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
 expectation is over processes drawn from the book, each as likely as the others. On line a change costs more than words:
 it is made where the book is clear, and was at the look before, and where no tone from outside may be what moves the
-loop. Less action, where Ms is probably too high with the gains in force. More, where they have room probably. Nothing
-else: a good set is not changed for another good one.
+loop. Less action, where Ms is probably too high with the gains in force. More, where a set with more is probably
+cheaper, and next to no process makes a bad loop of it: a share of the way, where the whole is not sure.
 No less where a process that runs away by itself is alive and would be held worse, or no longer: it needs gain.
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
@@ -60,7 +60,7 @@ class BookSettings:
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", 0.5, 0.9)
     tone: float = setting(0.2, "Odds of an external oscillation from which nothing follows", 0.05, 0.9)
     sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", 0.9, 0.99)
-    more_odds: float = setting(0.85, "Odds of room from which more action follows", 0.5, 0.9)
+    more_odds: float = setting(0.85, "Odds of being cheaper from which more action follows", 0.5, 0.9)
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", 0.1, 0.9)
     most: float = setting(
         0.7, "How much a change may save or cost on a process", 0.2, 2.5, source="ln 2: it is on trial"

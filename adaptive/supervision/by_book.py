@@ -4,7 +4,7 @@
     speak     where the pipeline cannot tell (no response, nothing identifiable, a residual that no load step explains,
               a record that contradicts) and the odds are clear: settings worth having over the book, proved, on trial,
               with a sentence; also where clear setpoint steps have shown the process, and its models bear them too
-    object    where the pipeline changes gains, and the book speaks against it
+    object    where the pipeline changes gains, and the book speaks against it; then it may speak itself
     excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
 
 The book does not speak where the output stands at a limit, and where a valve may not follow: such a case is not the
@@ -110,19 +110,21 @@ def by_all_samples(found: Findings) -> None:
         known = doubted(known, settings.changed_odds) if changed else move(known, now_s - first_s, settings.hazard_s)
         book = found.book = update(known, look.window, grows=look.grows)
     silent = look is None and shown  # but for what it is sure of
-    if book is not None and (changes or not silent):
-        told = by_book(book, gains, settings)
-        if changes:
-            _object(found, book, told, settings, shown=shown)
-    if book is not None and not silent:
-        dropped = not changes or found.verdict is None
-        if look is not None and dropped and _may_speak(found, look) and not (shown and _rests(found, look)):
-            _speak(found, look, book, told, shown=shown)
-        found.all_samples = told.numbers
-        if look is not None:
-            found.book = replace(book, leans=told.leans)
-        if found.end is None:
-            found.stop(LOOKED, f"no response to judge; {told.words}")
+    if book is None or (silent and not changes):
+        return
+    told = by_book(book, gains, settings)
+    if changes:
+        _object(found, book, told, settings, shown=shown)
+    if silent:
+        return
+    dropped = not changes or found.verdict is None
+    if look is not None and dropped and _may_speak(found, look) and not (shown and _rests(found, look)):
+        _speak(found, look, book, told, shown=shown)
+    found.all_samples = told.numbers
+    if look is not None:
+        found.book = replace(book, leans=told.leans)
+    if found.end is None:
+        found.stop(LOOKED, f"no response to judge; {told.words}")
 
 
 def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *, shown: bool) -> None:
@@ -136,10 +138,12 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
     verdict, record, look = found.verdict, found.record, found.question.look
     assert verdict is not None
     assert verdict.gains is not None
+    if record.table.lookup is not Lookup.HARD:
+        return
     now, new, numbers, drawn = record.in_force, verdict.gains, found.numbers, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
-    away = less and record.table.lookup is Lookup.HARD and lets_go(drawn, now, new, settings)
-    if record.table.lookup is not Lookup.HARD or (found.growth is not None and not away):
+    away = less and lets_go(drawn, now, new, settings)
+    if found.growth is not None and not away:
         return
     rests = shown and (look is None or _rests(found, look))
     told_of, needed = (told.numbers.book_high, HALF) if less else (told.numbers.book_room, settings.more_odds)

@@ -122,10 +122,10 @@ class JudgedResponse:
     limited_share : share of the samples with the output at a limit. outside : the sentence of another cause than the
     tuning that was found behind the response, empty when none was. crossed : part of it ran in another region, under
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
-    say of both sets, None where there are none. next_due : a change that must not wait is
-    proved: by this response the tried set swings, and this one is safer; or all samples, those of the trial among them,
-    bear more. walked : what the loop did lately leaves of its process beside a load that wanders as before the change
-    (random_walk.py); None where none did.
+    say of both sets, None where there are none. next_due : a change is proved that must not wait: by this response the
+    tried set swings, and this one is safer; or it follows from all samples, those of the trial among them. walked :
+    what the loop did lately leaves of its process beside a load that wanders as before the change (random_walk.py);
+    None where none did.
     """
 
     response: Response
