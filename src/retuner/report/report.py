@@ -36,6 +36,8 @@ from retuner.schedule.table import GainTable
 
 SAME_GAINS = 1e-4
 """Relative difference up to which gains of a trend are those of the table (the wire rounds them)."""
+SHORTEST_H = 0.01
+"""A shorter run is told in seconds."""
 LONG_S = 3 * 3600.0
 """Longer runs have times in hours and minutes since their start, as their picture has."""
 MOST_PAGES = 40
@@ -85,9 +87,8 @@ def render(data: ReportData) -> str:
     # the result in a few sentences
     hours = float(data.run["t"][-1] - data.run["t"][0]) / 3600
     parts = ["The run was stopped before its end."] if data.stopped else []
-    parts.append(
-        f"{_counted(sum(bool(d.get('response')) for d in documents), 'response')} recognised in {hours:.2g} h."
-    )
+    lasted = f"{hours:.2g} h" if hours >= SHORTEST_H else f"{3600 * hours:.2g} s"
+    parts.append(f"{_counted(sum(bool(d.get('response')) for d in documents), 'response')} recognised in {lasted}.")
     parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
     # when changes were taken back, s
     undone = len([number(one, "t_s") or 0.0 for one in documents if takes_back(one)])
