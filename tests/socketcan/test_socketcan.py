@@ -55,7 +55,7 @@ def run_on_vcan(out: Path, *groups: str) -> None:
     folder = ROOT / "drivers" / "firmware"
     subprocess.run(["make", "-s", "-C", folder, f"BUILD={out}", "all"], check=True, timeout=120)
     job = [sys.executable, "-P", HERE / "loops_job.py", out / "retuner-firmware", out, *groups]
-    done = run_inside(*job, timeout_s=600)
+    done = run_inside(*job, timeout_s=900)
     assert done.returncode == 0, done.stdout + done.stderr
     print(done.stderr, end="")
 
