@@ -46,10 +46,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Without the tracer run long tests, and the further cases of a test that has taken its time under it."""
+    """Without the tracer run uncounted tests, and the further cases of a test that has taken its time under it."""
     test, begun_s = item.nodeid.partition("[")[0], time.process_time()
-    long = any(item.get_closest_marker(mark) for mark in ("slow", "uncounted"))
-    if (long or _spent_s[test] > COUNTED_S) and not item.config.getoption("cov_context", None):  # who runs which line?
+    long = item.get_closest_marker("uncounted") or _spent_s[test] > COUNTED_S
+    if long and not item.config.getoption("cov_context", None):  # who runs which line?
         item.add_marker("no_cover")
     try:
         return (yield)

@@ -34,6 +34,7 @@ def cut(rig: Rig, gains: PidGains) -> None:
     rig.revision += 1
 
 
+@pytest.mark.slow
 def test_a_tone_that_goes_on_through_a_cut_brings_the_set_before_back() -> None:
     rig = Rig(GOOD)
     rig.run(60)
@@ -49,6 +50,7 @@ def test_a_tone_that_goes_on_through_a_cut_brings_the_set_before_back() -> None:
     assert rig.retuner.foreign[0] > 0, "what is alive stays so under a set that comes back"
 
 
+@pytest.mark.slow
 def test_a_set_that_is_less_stable_by_what_is_known_does_not_come_back() -> None:
     """Whatever the tone: the door is closed, and the decision says so."""
     rig = Rig(GOOD)

@@ -328,6 +328,7 @@ def test_a_loop_that_is_over_its_limit_is_made_slower() -> None:
     assert "commit" in {str(d.action) for d in decided(USUAL, 2.0)}
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_small_steps_are_weighed_by_the_way_that_they_are_of() -> None:
     """Each of them brings less than a change must; together they bring much."""

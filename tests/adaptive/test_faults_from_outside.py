@@ -75,6 +75,7 @@ def test_a_process_without_dead_time_is_tuned_from_its_record() -> None:
     assert sensitivity_peak(LinearProcess(1.2, (40.0,), (), 0.5), found.recommended) < 1.7
 
 
+@pytest.mark.slow
 def test_a_process_without_dead_time_is_tuned_while_it_runs() -> None:
     """The dead time counts as one sampling interval."""
     gains = PidGains(0.5, 0.5 / 120)

@@ -74,6 +74,7 @@ def test_a_tone_of_changing_height_is_not_taken_for_growth_from_where_it_was_low
     assert grows(samples, BAND, S) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_a_tone_whose_height_wanders_does_not_grow(seed: int) -> None:
     rng = np.random.default_rng(seed)

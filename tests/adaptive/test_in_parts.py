@@ -21,6 +21,7 @@ def tank(theta_s: float, gap_s: float, noise: float = 0.02) -> Window:
     return simulate(model, GAINS, setpoint=setpoint, loads=loads, until_s=8 * gap_s, noise=noise).window
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("theta_s", "gap_s"), [(0.0, 250.0), (2.0, 250.0), (2.0, 600.0), (4.0, 250.0), (4.0, 600.0)])
 def test_a_long_trend_of_a_plain_tank_is_identified_as_its_first_part_is(theta_s: float, gap_s: float) -> None:
     record = tank(theta_s, gap_s)

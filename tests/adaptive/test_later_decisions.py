@@ -115,6 +115,7 @@ def run_later(bench: Bench, later: int) -> list[Decision]:
     return decisions
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_the_same_delay_repeats_the_same_decisions() -> None:
     first, again = (run_later(made(scaled(2.4, 2.4)), 20) for _ in range(2))
@@ -123,6 +124,7 @@ def test_the_same_delay_repeats_the_same_decisions() -> None:
     assert all(d.delay is not None and d.delay.entered == d.delay.raised + 20 for d in first)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_no_delay_is_observe() -> None:
     bench = made(scaled(2.4, 2.4))

@@ -110,6 +110,7 @@ def test_the_noise_of_a_signal_is_found_however_long_it_stood_still() -> None:
     assert state.median * MEDIAN_TO_SIGMA == pytest.approx(1.0, rel=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_that_a_setpoint_is_led_is_said_once_and_then_with_a_count() -> None:
     every, few = told(made(again_s=0.0), samples(led())), told(made(AGAIN_S), samples(led()))

@@ -198,6 +198,7 @@ def compare(found: Margins, loop: OpenLoop, theirs: tuple, rel: float) -> None:
         assert math.isinf(found.wc)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_margins_agree_with_python_control() -> None:
     """Stable random loops (500 in CI), without dead time (polynomials) and with it (exact frequency response)."""
@@ -439,6 +440,7 @@ SIMULATED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("process", "gains", "tau_f"), SIMULATED)
 def test_against_a_plain_simulation(process: LinearProcess, gains: PidGains, tau_f: float) -> None:
     found, dt = performance(process, gains, tau_f), 0.01

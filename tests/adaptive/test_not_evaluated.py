@@ -47,6 +47,7 @@ def breaking(error: BaseException, at: str) -> tuple[Stage, ...]:
     return tuple(stage._replace(run=broken) if stage.name == at else stage for stage in STAGES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", ERRORS, ids=lambda e: type(e).__name__)
 def test_what_a_stage_raises_is_the_reason_of_a_decision_and_the_next_response_is_evaluated(
     error: Exception, monkeypatch: pytest.MonkeyPatch
@@ -65,6 +66,7 @@ def test_what_a_stage_raises_is_the_reason_of_a_decision_and_the_next_response_i
     assert next_one.known is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", ["action", "admission", "worth", "expectation", "elsewhere"])
 def test_any_stage_may_raise_and_nothing_changes(at: str, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(Retuner(table(scaled(0.4, 0.4)), USUAL), seed=2)
@@ -160,6 +162,7 @@ def signal(kind: str, n: int, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(made, dtype=np.float64)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(60), deadline=None)
 @given(SIGNAL, SIGNAL, SIGNAL, st.integers(30, 700), st.integers(0, 2**16), st.sampled_from([0.0, 0.02, 0.2]))
 def test_no_window_of_any_signals_raises(sp: str, pv: str, co: str, n: int, seed: int, gaps: float) -> None:
@@ -182,6 +185,7 @@ def test_no_window_of_any_signals_raises(sp: str, pv: str, co: str, n: int, seed
     assert NOT_EVALUATED not in {d.code for d in told}
 
 
+@pytest.mark.slow
 @settings(max_examples=sized(3, 3, 400), deadline=None)
 @given(
     st.sampled_from([2.0, 5.0, 30.0]),

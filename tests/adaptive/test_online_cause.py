@@ -249,6 +249,7 @@ class Rig:
             self.retuner.restored()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period_s", [45.0, 90.0])
 def test_a_well_tuned_loop_under_an_outside_tone_is_left_alone_and_asked_again_when_it_is_over(period_s: float) -> None:
     rig = Rig(GOOD)
@@ -281,6 +282,7 @@ def test_a_load_response_from_rest_to_rest_speaks_against_a_tone_without_being_a
     assert rig.retuner.region_models[0].records == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("period_s", "amplitude"), [(120.0, 3.0), (320.0, 3.0), (400.0, 1.0), (450.0, 3.0)])
 def test_a_large_slow_tone_is_not_the_swing_of_a_loop_that_happens_to_stand_at_its_border(
     period_s: float, amplitude: float
@@ -313,6 +315,7 @@ def test_a_loop_that_a_setpoint_step_has_shown_to_swing_is_not_called_external_w
     assert causes == [Cause.AGGRESSIVE] * 3
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_lasting_swing_between_the_limits_teaches_nothing_more() -> None:
     rig = Rig(PidGains(4 * GOOD.kp, 4 * GOOD.ki), co_max=1.5, mode=Mode.ADVISE)

@@ -283,6 +283,7 @@ def test_the_last_records_are_remembered_by_what_they_said_alone(loop: Callable)
     assert region_model_out(again) == region_model_out(region_model)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.6, 1.0])
 @pytest.mark.parametrize("lead", [0, 20])
 @pytest.mark.parametrize("seed", range(6))

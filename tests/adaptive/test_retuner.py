@@ -60,6 +60,7 @@ def test_a_load_that_agrees_lets_the_rest_of_a_limited_change_through(monkeypatc
     assert all(d.gains_after and d.gains_after.ki > 1.5 * d.gains_before.ki for d in steps)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_load_that_confirms_what_a_setpoint_step_had_shown_changes_the_gains() -> None:
     """The process loses more than half of its gain at rest: one step is odd, the load after it is the second record."""
@@ -98,6 +99,7 @@ def test_good_gains_are_left_alone() -> None:
     assert {d.diagnosis.cause for d in decisions if d.diagnosis} == {Cause.OK}
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_advise_changes_nothing_but_says_what_it_would() -> None:
     decisions = made(scaled(0.25, 0.25), Mode.ADVISE).exercise()
@@ -116,6 +118,7 @@ def test_a_quiet_loop_gives_no_decision() -> None:
     assert made(GOOD).run(3000) == []
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_the_same_samples_give_the_same_bytes() -> None:
     first, second = (made(scaled(0.25, 0.4), seed=3).exercise(3) for _ in range(2))
@@ -185,6 +188,7 @@ def test_a_loop_whose_output_never_leaves_its_limit_is_not_retuned() -> None:
     assert all(d.action == Action.NONE for d in found)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_restored_memory_decides_as_if_never_stopped() -> None:
     bench, twin = made(scaled(0.25, 0.4), seed=5), made(scaled(0.25, 0.4), seed=5)
@@ -254,6 +258,7 @@ def test_a_response_longer_than_what_is_kept_is_cut_and_still_teaches() -> None:
     assert found[0].estimate is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
 def test_samples_and_gains_in_numbers_of_numpy_decide_the_same_bytes(kind: type[np.floating]) -> None:
     start = [kind(scaled(0.25, 0.25).kp), kind(scaled(0.25, 0.25).ki)]

@@ -86,6 +86,7 @@ def test_pv_without_loads_is_what_its_steps_make_of_the_loops_response() -> None
     assert np.array(one.pv) == pytest.approx(one.said(setpoint_response(held, SampledLaw(GOOD, 1.0))), abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_load_as_large_as_the_steps_leaves_the_process_and_how_surely_is_told() -> None:
     held = []
@@ -171,6 +172,7 @@ def test_sequences_under_other_gains_are_fitted_with_the_rest() -> None:
     assert found.log.x[0] == pytest.approx(TRUE[0], abs=0.5)
 
 
+@pytest.mark.slow
 def test_what_was_known_is_given_up_when_two_sequences_contradict_it() -> None:
     gains, law = scaled(0.5, 0.5), SampledLaw(scaled(0.5, 0.5), 1.0)
     old, new = sequences(2, 0.0, gains), sequences(2, 0.0, gains)

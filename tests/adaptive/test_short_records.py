@@ -83,6 +83,7 @@ def test_a_record_with_fewer_samples_than_unknowns_says_so(n: int) -> None:
     assert retuner.diagnose(*many_gaps(n)).cause is Cause.UNKNOWN
 
 
+@pytest.mark.slow
 def test_the_fewest_samples_that_are_enough_are_fitted() -> None:
     for n in range(20, 34):
         if not too_few(Window(*many_gaps(n))):

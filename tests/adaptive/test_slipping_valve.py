@@ -71,6 +71,7 @@ def test_the_slips_of_an_irregular_valve_are_found() -> None:
     assert 0.1 < found.slips.share < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [5, 7])
 def test_an_irregular_valve_is_called_stiction(seed: int) -> None:
     told = diagnose_window(irregular_record(seed), GAINS).diagnosis

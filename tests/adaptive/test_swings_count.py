@@ -29,6 +29,7 @@ def watched(gains: PidGains, samples: int, *, gap_every: int = 0) -> tuple[PidCo
     return pid, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gains", [PidGains(9.0, 0.9), PidGains(12.0, 0.2), PidGains(4.0, 1.6)])
 def test_a_loop_that_every_model_calls_unstable_is_made_safer_by_the_second_record(gains: PidGains) -> None:
     assert math.isinf(sensitivity_peak(PROCESS, gains))

@@ -17,6 +17,7 @@ def first_two(gains: PidGains, doubt: float = ChoiceSettings().doubt) -> list[De
     return [d for d in found if d.estimate is not None][:2]
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_loop_that_behaves_is_moved_when_a_second_record_agrees() -> None:
     first, second = first_two(scaled(0.6, 0.6), doubt=2.0)

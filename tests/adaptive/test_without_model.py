@@ -53,6 +53,7 @@ def calm() -> list[Decision]:
     return decided(CALM, SETTINGS)
 
 
+@pytest.mark.slow
 def test_a_calm_loop_is_made_faster_by_the_pattern_and_says_so(calm: list[Decision]) -> None:
     first = next(d for d in calm if d.action is Action.COMMIT)
     assert first.basis is Basis.PATTERN

@@ -104,6 +104,7 @@ def test_an_approved_proposal_is_written_by_the_running_session_and_replayed(
     assert "identical" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_rollback_is_taken_and_replayed(with_person: Any, capsys: pytest.CaptureFixture[str]) -> None:
     folder, person = with_person([("revert", written)], "--mode", "auto")
     assert person.statuses == [0]
@@ -126,6 +127,7 @@ def in_manual(session: LoopSession, sample: LoopSample) -> bool:
     return session.retuner.trials.phase(0) != TrialPhase.TRIAL and not session.writer.restoring
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_an_approval_and_its_trial_that_manual_mode_interrupts_are_replayed(
     with_person: Any, capsys: pytest.CaptureFixture[str]
@@ -151,6 +153,7 @@ def waits(session: LoopSession, sample: LoopSample) -> bool:
     return bool(session.decisions) and session.decisions[-1].trial == TrialPhase.WAITING
 
 
+@pytest.mark.slow
 def test_a_change_that_was_tried_waits_for_a_person(with_person: Any, capsys: pytest.CaptureFixture[str]) -> None:
     folder, person = with_person([("accept", waits)], "--mode", "trial")
     assert person.statuses == [0]
@@ -162,6 +165,7 @@ def test_a_change_that_was_tried_waits_for_a_person(with_person: Any, capsys: py
     assert main(["replay", str(folder)]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(
     with_person: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -251,6 +255,7 @@ def test_a_revert_names_a_decision_that_is_there(copy: Path, capsys: pytest.Capt
     assert json.loads(Path(told["file"]).read_text())["decision"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_what_is_no_order_is_refused_with_a_row_and_nothing_else_happens(
     with_person: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]

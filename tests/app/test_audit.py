@@ -298,6 +298,7 @@ def test_a_process_that_dies_costs_its_own_loop_only() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_a_cluster_whose_worker_is_killed_does_all_the_work(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
     copies = [Path(shutil.copy(VALVE, tmp_path / f"loop{i}.csv")) for i in range(6)]
@@ -328,6 +329,7 @@ def test_a_cluster_does_the_same_work() -> None:
     assert rows[0]["cause"] == "stiction"
 
 
+@pytest.mark.slow
 def test_a_share_of_the_loops_is_diagnosed_those_that_the_screening_shows_worst(
     plant: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

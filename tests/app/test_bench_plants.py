@@ -122,6 +122,7 @@ def trend(folder: Path) -> np.ndarray:
     return np.asarray(table["pv"], dtype=float)
 
 
+@pytest.mark.slow
 def test_one_plant_as_matrices_and_as_a_class_runs_alike(tmp_path: Path) -> None:
     """A class that integrates in steps of a sample is the exact one within a few percent of the move."""
     for name, plant in (("matrices", LAG.replace("theta_s = 2.5\n", "")), ("class", python_plant(tmp_path))):

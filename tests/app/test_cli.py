@@ -167,6 +167,7 @@ def test_errors_on_the_way_become_a_line_and_a_status(
     assert run("check", "x") == (status, "", told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("environment", "status", "lines"), [({}, 70, 1), ({"RETUNER_TRACEBACK": "1"}, 1, 9)])
 def test_a_defect_of_ours_is_one_line_unless_asked_for(environment: dict[str, str], status: int, lines: int) -> None:
     script = """if True:

@@ -86,6 +86,7 @@ def waited(worker: Decider) -> Answer:
     raise AssertionError
 
 
+@pytest.mark.slow
 def test_the_worker_answers_as_this_process_would(asked: tuple[Retuner, Question]) -> None:
     _, question = asked
     here = decide(pickle.loads(pickle.dumps(question)))  # sent as to the worker: arrays share types or not
@@ -98,6 +99,7 @@ def test_the_worker_answers_as_this_process_would(asked: tuple[Retuner, Question
     assert pickle.dumps(there.result) == pickle.dumps(pickle.loads(pickle.dumps(here)))
 
 
+@pytest.mark.slow
 def test_loops_share_a_worker_and_each_gets_the_answer_to_its_newest_question(asked: tuple[Retuner, Question]) -> None:
     _, question = asked
     with DecisionWorkers(2, processes=1) as workers:
@@ -112,6 +114,7 @@ def test_loops_share_a_worker_and_each_gets_the_answer_to_its_newest_question(as
     assert pickle.dumps(found[0].result) == pickle.dumps(found[1].result)
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_costs_this_decision_and_not_the_next(asked: tuple[Retuner, Question]) -> None:
     _, question = asked
     with DecideInWorker(PATIENCE_S) as worker:
@@ -129,6 +132,7 @@ def test_a_worker_that_is_killed_costs_this_decision_and_not_the_next(asked: tup
         assert waited(worker).trouble == ""
 
 
+@pytest.mark.slow
 def test_a_worker_is_warm_when_it_has_imported_and_one_that_is_gone_holds_nobody_up() -> None:
     with DecideInWorker(60.0) as decider:
         worker = decider._worker
@@ -146,6 +150,7 @@ def test_a_worker_is_warm_when_it_has_imported_and_one_that_is_gone_holds_nobody
         assert worker.warm.is_set()
 
 
+@pytest.mark.slow
 def test_a_worker_that_died_between_two_questions_is_replaced_unnoticed(asked: tuple[Retuner, Question]) -> None:
     _, question = asked
     with DecideInWorker(PATIENCE_S) as worker:
@@ -159,6 +164,7 @@ def test_a_worker_that_died_between_two_questions_is_replaced_unnoticed(asked: t
         assert worker.pid != first
 
 
+@pytest.mark.slow
 def test_a_worker_that_hangs_is_ended_at_the_deadline_and_nothing_waits_for_it(asked: tuple[Retuner, Question]) -> None:
     _, question = asked
     clock = SimulatedClock()

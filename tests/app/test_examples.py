@@ -15,6 +15,7 @@ OF_OTHERS = {"aircraft": "jsbsim", "motor": "gym_electric_motor"}
 """Examples that need a package of others, which no extra installs."""
 
 
+@pytest.mark.slow
 def test_one_sample_at_a_time_cures_the_loop() -> None:
     done = subprocess.run(
         [sys.executable, "-P", "-W", "error", EXAMPLES / "one_sample_at_a_time.py"],

@@ -195,6 +195,7 @@ def test_settings_beyond_the_configured_limits_are_not_written_even_when_confirm
     assert "kc_max" in str(found["write"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", [Phase.RESTING, Phase.PREPARING, Phase.EXCITING, Phase.RESTORING])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_restores_and_says_so(

@@ -42,6 +42,7 @@ def test_the_examples_are_short_and_those_that_init_writes(profile: str, tmp_pat
     assert (tmp_path / "mine.toml").read_text() == text
 
 
+@pytest.mark.slow
 def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -73,6 +74,7 @@ def test_a_log_without_notes_of_samples_says_so(tmp_path: Path, capsys: pytest.C
     assert "no sample is noted in it" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_without_read_back_and_without_the_users_word_it_is_advice(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -108,6 +108,7 @@ def test_what_a_finished_session_has_learned_is_what_the_next_one_begins_with(wh
     assert again.commissioned == whole.session.retuner.commissioned
 
 
+@pytest.mark.slow
 def test_killed_at_any_row_or_file_the_next_session_knows_what_the_ledger_knows(
     tmp_path: Path, config: Config, whole: Life
 ) -> None:

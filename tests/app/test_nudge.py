@@ -68,6 +68,7 @@ def ran(folder: Path, allowed: str) -> Path:
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_quiet_loop_learns_by_bumps_and_a_replay_decides_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -87,6 +88,7 @@ def test_without_leave_the_setpoint_is_never_moved(tmp_path: Path, capsys: pytes
     assert bodies(run, "nudge") == []
 
 
+@pytest.mark.slow
 def test_the_example_bumps_to_and_fro_within_its_budget_and_tells_it_beforehand(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

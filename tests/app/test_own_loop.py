@@ -33,6 +33,7 @@ def here(retuner: Retuner) -> BackgroundRetuner:
     return BackgroundRetuner(retuner, decider=DecideHere(5))
 
 
+@pytest.mark.slow
 def test_it_retunes_respects_the_person_goes_on_and_takes_back(
     example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -54,6 +55,7 @@ def test_it_retunes_respects_the_person_goes_on_and_takes_back(
     assert min(told.find(one) for one in order) > 0
 
 
+@pytest.mark.slow
 def test_gains_for_a_region_where_the_loop_is_not_are_not_written(
     example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -71,6 +73,7 @@ def test_gains_for_a_region_where_the_loop_is_not_are_not_written(
     assert rig.gains.kp > 1.0  # of low or mid; high's new ones have 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("written", [False, True])
 def test_a_process_that_dies_in_a_write_leaves_gains_that_the_next_one_knows(
     example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], *, written: bool

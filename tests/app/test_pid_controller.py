@@ -69,6 +69,7 @@ def test_at_the_end_it_is_decided_what_runs_when_nobody_watches() -> None:
     assert not pid.retuner.trials.restored(0.0)  # it was told that they run
 
 
+@pytest.mark.slow
 def test_a_process_that_runs_away_gets_its_old_gains_back() -> None:
     pid, tank = controller(), Tank()
     changed(pid, tank)

@@ -76,6 +76,7 @@ def test_the_ledger_ends_with_the_command_that_takes_it_up(session: Path, capsys
     assert "open: to take up the schedule that the records ask for; retuner approve" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_replay_asks_again(
     session: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

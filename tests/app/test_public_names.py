@@ -45,6 +45,7 @@ def test_no_import_of_a_module_takes_the_place_of_a_public_name() -> None:
     assert not submodules & set(retuner.__all__)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["", "[::-1]"])
 def test_after_every_import_the_names_are_what_they_were(order: str) -> None:
     script = f"""if True:

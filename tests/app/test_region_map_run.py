@@ -105,6 +105,7 @@ def bench(config: Config, channel: str, mode: Mode = Mode.OFF, log: Path | None 
         yield Bench(config, device, session, clock, DeviceOnBus(device, far), rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lookup", ["hard", "interpolated"])
 @pytest.mark.parametrize(
     ("derivative", "loop"),
@@ -226,6 +227,7 @@ def bodies(session: Path, kind: str, loop: str) -> list[dict[str, Any]]:
         return [row.body for row in ledger.rows() if row.kind == kind and row.body.get("loop") == loop]
 
 
+@pytest.mark.slow
 def test_each_loop_decides_what_it_decides_alone(session: Path, tmp_path: Path) -> None:
     found = parse_session(IN_STEP)
     for i, name in enumerate((SLOW, FAST)):
@@ -250,6 +252,7 @@ def test_each_loop_has_its_mode_its_folder_and_its_rows(session: Path) -> None:
     assert [one["loop"] for one in summary["loops"]] == [SLOW, FAST]
 
 
+@pytest.mark.slow
 def test_every_loop_is_replayed_byte_for_byte(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", str(session), "--json"]) == 0
     loops = json.loads(capsys.readouterr().out)["loops"]
@@ -295,6 +298,7 @@ def test_a_proposal_is_approved_by_its_hash_whose_loop_it_is_of(
     order.parent.rmdir()
 
 
+@pytest.mark.slow
 def test_the_report_is_made_again_with_its_index(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for path in session.glob("**/report.html"):
         path.unlink()

@@ -154,6 +154,7 @@ def in_parts(folder: Path, frames_a_look: int) -> Path:
         return run_short(folder, "--mode", "auto")
 
 
+@pytest.mark.slow
 def test_a_bus_log_in_parts_is_one_log_until_its_beginning_is_gone(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -186,6 +187,7 @@ def test_a_bus_log_that_is_not_there_is_bad_input(
     assert "bus.blf: no such file" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_missing_frames_are_found_where_they_are_missing(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -313,6 +315,7 @@ def by_another_engine(session: Path, to: Path, change: Callable[[dict[str, Any]]
     return rewritten(session, to, changed)
 
 
+@pytest.mark.slow
 def test_another_engine_is_asked_for_the_same_verdicts_and_not_for_the_same_bytes(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

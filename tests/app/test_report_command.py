@@ -29,6 +29,7 @@ def first_with_verdict(session: Path) -> dict[str, object]:
     return next(body for body in bodies(session, "decision") if body["verdict"])
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_the_report_is_made_again_with_the_same_decisions(session: Path, tmp_path: Path, capsys) -> None:
     capsys.readouterr()
@@ -55,6 +56,7 @@ def test_a_page_tells_the_decision_and_where_the_ledger_has_it(session: Path, tm
     assert "src=" not in text  # nothing is loaded from elsewhere
 
 
+@pytest.mark.slow
 def test_without_a_trend_the_samples_come_from_the_bus_log(session: Path, tmp_path: Path) -> None:
     copy = tmp_path / "killed"
     shutil.copytree(session, copy)
@@ -104,6 +106,7 @@ def test_a_damaged_session_is_told_in_one_line(session: Path, tmp_path: Path, da
     assert told.out == ""
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 @pytest.mark.parametrize(
     ("out", "said"),
@@ -125,6 +128,7 @@ def test_a_decision_that_is_not_there_is_named(session: Path, capsys) -> None:
     assert "has no decision 999; it has 1 to" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_odd_bodies_in_a_ledger_do_no_harm(session: Path, tmp_path: Path) -> None:
     def odd(row):
         body = json.loads(row.text)

@@ -140,6 +140,7 @@ def test_the_same_seed_gives_the_same_ledger_and_another_seed_another(quick: Pat
     assert same == finished.head() != other
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_run_that_ends_just_after_a_setpoint_step_has_its_report_and_summary(quick: Path) -> None:
     ending = QUICK.replace("duration_s = 160.0", "duration_s = 140.5")
@@ -151,6 +152,7 @@ def test_a_run_that_ends_just_after_a_setpoint_step_has_its_report_and_summary(q
     assert main(["report", str(out)]) == 0
 
 
+@pytest.mark.slow
 def test_gains_of_the_wrong_sign_are_told_before_anything_runs(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
     quick.write_text(QUICK.replace("kc = ", "kc = -"))
     assert main(["run", str(quick), "--out", str(quick.parent / "out"), "--no-compare"]) == 2
@@ -158,6 +160,7 @@ def test_gains_of_the_wrong_sign_are_told_before_anything_runs(quick: Path, caps
     assert "needs a reverse-acting controller; these gains are direct acting" in told[0]
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_advise_changes_nothing(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(quick), "--mode", "advise", "--no-compare", "--json"]) == 0
@@ -231,6 +234,7 @@ def test_parquet_without_pyarrow_is_refused_before_the_run(
     assert not (quick.parent / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("failing", "rows"), [("session", 0), ("decision", 1), ("intent", 2), ("committed", 3)])
 def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
     quick: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, failing: str, rows: int
@@ -268,6 +272,7 @@ def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
     assert commits == kinds.count("intent") == summary["revision"]  # what was written had been recorded before
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_bus_log_that_fails_is_told_and_the_run_goes_on(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
@@ -280,6 +285,7 @@ def test_a_bus_log_that_fails_is_told_and_the_run_goes_on(quick: Path, monkeypat
     assert rows == [{"fault": "the bus log cannot be written", "times": 1, "samples": 0}]
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
     longer = QUICK.replace("duration_s = 160.0", "duration_s = 1e7")
     quick.write_text(longer, encoding="utf-8")
@@ -301,6 +307,7 @@ def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
         assert list(reader.rows())[-1].kind == "end"
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_ctrl_c_in_the_comparison_run_keeps_the_run_that_is_over(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = Run.simulated
@@ -323,6 +330,7 @@ def test_ctrl_c_in_the_comparison_run_keeps_the_run_that_is_over(quick: Path, mo
     assert score["iae_fixed"] is None
 
 
+@pytest.mark.slow
 def test_a_signal_in_the_middle_of_a_row_waits_until_what_the_row_tells_of_is_done(
     quick: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -385,6 +393,7 @@ def test_every_region_ends_robust_and_better_than_fixed_gains(seed: int) -> None
 BENCH = Path(__file__).parents[2] / "examples" / "bench.toml"
 
 
+@pytest.mark.slow
 def test_a_run_that_ended_the_wrong_way_says_so_and_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = tmp_path / "bench.toml"
     text = BENCH.read_text(encoding="utf-8")

@@ -66,6 +66,7 @@ def level(path: Path, n: int = 600) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_schedule_from_one_command_is_taken_by_check_and_export(tmp_path: Path, capsys: Capture) -> None:
     record, out = level(tmp_path / "level.csv"), tmp_path / "out"
     assert main(["schedule", str(record), "--by", "pv", "--unit", "%", "--out", str(out), "--json"]) == 0
@@ -118,6 +119,7 @@ def test_wrong_options_are_one_line(options: list[str], named: str, tmp_path: Pa
     assert named in said.err
 
 
+@pytest.mark.slow
 def test_where_the_records_never_were_nothing_is_known(tmp_path: Path) -> None:
     record = retuner.read(level(tmp_path / "level.csv"))
     found = retuner.design_schedule(record, by="pv", low=0.0, high=100.0)
@@ -128,6 +130,7 @@ def test_where_the_records_never_were_nothing_is_known(tmp_path: Path) -> None:
     assert max(visited) <= high + 0.1 * (high - low)
 
 
+@pytest.mark.slow
 def test_in_python_a_path_is_a_record_and_the_design_shows_itself_as_the_command_does(
     tmp_path: Path, capsys: Capture
 ) -> None:
@@ -180,6 +183,7 @@ def test_which_variable_is_told_with_how_far_the_others_are_behind() -> None:
     assert variable_sentence(cast("ScheduleDesign", found)) == ""
 
 
+@pytest.mark.slow
 def test_a_column_of_the_record_may_be_the_variable_and_others_the_gains(tmp_path: Path, capsys: Capture) -> None:
     rows = level(tmp_path / "level.csv", 300).read_text().splitlines()
     wide = tmp_path / "wide.csv"
@@ -197,6 +201,7 @@ def test_a_column_of_the_record_may_be_the_variable_and_others_the_gains(tmp_pat
     assert "--gain-columns" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_gains_are_shown_in_the_units_of_the_controller(tmp_path: Path, capsys: Capture) -> None:
     record = level(tmp_path / "level.csv")
@@ -239,6 +244,7 @@ def test_a_variable_from_outside_is_told_to_leave_the_bands_too_narrow(pushed: b
 DAY = Path(__file__).parents[2] / "examples" / "records" / "day.csv"
 
 
+@pytest.mark.slow
 def test_the_gain_table_of_records_names_their_unit_of_co(tmp_path: Path) -> None:
     """co of 4 to 20 mA: read as percent, the gains would be six times off."""
     whole = np.genfromtxt(DAY, delimiter=",", names=True)

@@ -11,6 +11,7 @@ SOAK = Path(__file__).resolve().parents[2] / "benchmarks" / "soak.py"
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_two_loops_run_for_hours_without_new_handles_or_threads_or_loss() -> None:
     command = [sys.executable, "-P", str(SOAK), "--hours", "6", "--loops", "2", "--slope-max", "2000"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -32,6 +32,7 @@ def part(*command: object) -> dict:
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_killed_or_refused_at_durable_system_calls_nothing_acknowledged_is_lost() -> None:
     result = part(FAULTS, "sweep", "--every", 23)
     assert result["wrong"] == []
@@ -55,6 +56,7 @@ def test_full_read_only_missing_and_shared_places_are_one_line_and_lose_nothing(
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_power_cuts_lose_nothing_acknowledged() -> None:
     if not shutil.which("dmsetup") or not shutil.which("linux.uml"):
         pytest.skip("apt-get install user-mode-linux dmsetup")
@@ -97,6 +99,7 @@ def test_a_hostile_file_ends_in_one_line_or_is_harmless(kind: str, count: int, c
     assert result["cuts"]["refused"] > 5
 
 
+@pytest.mark.slow
 def test_hostile_files_end_a_command_in_status_2_and_one_line_and_a_broken_ledger_in_1() -> None:
     count = sized(3000, 12_000)
     result = judged("commands", "--count", count)
@@ -106,6 +109,7 @@ def test_hostile_files_end_a_command_in_status_2_and_one_line_and_a_broken_ledge
     assert result["statuses"]["ledger"]["1"] >= 1
 
 
+@pytest.mark.slow
 def test_hostile_frames_stop_neither_end_and_change_no_gains() -> None:
     count = sized(15_000, 60_000)
     result = judged("frames", "--count", count)
@@ -113,6 +117,7 @@ def test_hostile_frames_stop_neither_end_and_change_no_gains() -> None:
     assert min(result["frames"].values()) > count / 6
 
 
+@pytest.mark.slow
 def test_hostile_datagrams_are_dropped_and_counted() -> None:
     result = judged("datagrams", "--count", 4000)
     assert result["wrong"] == []

@@ -71,6 +71,7 @@ def test_a_superseded_proposal_is_refused_with_its_successor(copy: Path, capsys:
     assert main(["approve", str(copy), newest["hash"][:8], "--by", "Ada"]) == 0
 
 
+@pytest.mark.slow
 def test_the_next_session_refuses_it_as_well(copy: Path, tmp_path: Path) -> None:
     shown = only_place(copy, None).shown
     older, newest = shown.proposals
@@ -81,6 +82,7 @@ def test_the_next_session_refuses_it_as_well(copy: Path, tmp_path: Path) -> None
     assert bodies(tmp_path / "run", "committed") == []
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_the_running_session_refuses_it_as_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -45,6 +45,7 @@ def test_the_contract_refuses_a_limit_in_units() -> None:
         assert_keeps_contract(lambda window: look(window) if np.ptp(window.pv) < 100.0 else None, spiky())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("at_the_root")
 def test_the_template_of_a_profile_is_short_checked_and_retuned(tmp_path: Path) -> None:
     path = FOLDER / "profile.toml"

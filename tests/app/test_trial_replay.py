@@ -22,6 +22,7 @@ SHORT = two_regions(
 """A sluggish loop: its first response ends three seconds before the run does."""
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_again_by_a_replay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -45,7 +46,7 @@ def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_agai
     assert "identical" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("back", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("back", [pytest.param(False, marks=[pytest.mark.slow, pytest.mark.uncounted]), True])
 def test_a_turned_action_is_an_alarm_in_the_run_and_is_decided_again_by_a_replay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], back: bool
 ) -> None:

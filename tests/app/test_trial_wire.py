@@ -175,6 +175,7 @@ def test_rows_tell_the_whole_story_before_it_happens(make_wire: Callable[..., Wi
     assert wire.session.decisions[-1].action is Action.RESTORE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 @pytest.mark.parametrize("upset", ["setpoint", "load"])
 def test_a_deliberately_bad_change_is_rolled_back(make_wire: Callable[..., Wire], name: str, upset: str) -> None:

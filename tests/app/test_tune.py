@@ -170,6 +170,7 @@ def test_the_table_of_all_rules(capsys: Capture) -> None:
     assert any(line.startswith("not applicable: itae-load") for line in lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model",
     [
@@ -191,6 +192,7 @@ def test_every_type_has_answers_without_nan_or_zero(model: ProcessModel) -> None
     json.dumps(compare_rules(model, kind="pi").to_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["simc", "optimal"])
 def test_pictures_of_one_rule(capsys: Capture, tmp_path: Path, rule: str) -> None:
     picture = tmp_path / "one.png"

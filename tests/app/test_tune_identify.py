@@ -205,6 +205,7 @@ def test_python_dash_m_is_the_command() -> None:
     assert done.stdout.startswith("retuner ")
 
 
+@pytest.mark.slow
 def test_gains_are_given_and_shown_in_the_controllers_units(tmp_path: Path, capsys: Capture) -> None:
     path = str(closed_loop(tmp_path / "loop.csv"))
     plain = answer(capsys, "identify", path, "--kc", "2", "--tau-i", "20")

@@ -43,6 +43,7 @@ def asked(log: Path, config: Path, capsys: pytest.CaptureFixture[str], *more: st
     return found
 
 
+@pytest.mark.slow
 def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -126,6 +127,7 @@ def test_a_bare_table_with_other_names_is_enough(
     assert found["gains"][0]["kp"] == 5.0
 
 
+@pytest.mark.slow
 def test_an_export_is_replayed_as_the_plain_record_of_it(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

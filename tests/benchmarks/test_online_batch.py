@@ -117,6 +117,7 @@ def test_gains_change_without_a_bump_and_hold_from_the_next_sample():
     assert loop.changes == 1
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 @pytest.mark.parametrize("name", ["P1 T=2", "P6 L=0.5"])
 def test_retuner_brings_a_sluggish_loop_into_spec_in_a_whole_run(name):
@@ -249,6 +250,7 @@ def test_an_unstable_set_on_trial_is_taken_back_to_the_verified_one():
     assert 1 < row["excursion"] < 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in injected.KINDS if kind != "right"])
 def test_bad_sets_are_bad_and_the_wrong_model_calls_them_good(kind):
     for index in range(4):
@@ -272,6 +274,7 @@ def test_a_right_set_takes_the_place_of_a_sluggish_one():
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_a_load_that_wanders_takes_back_no_right_set_and_hides_no_unstable_one():
     right = injected.run(injected.Task("right", 31, 3, "walk"))
     assert not right["rolled_back"]
@@ -355,6 +358,7 @@ def test_doubling_the_gain_takes_simc_out_of_spec_and_the_new_simc_is_in_it():
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_a_loop_that_changes_is_run_and_judged_as_what_it_has_become():
     row = changes.run(changes.Task("gain", 3, 0))
     assert len(row["spec"]) == changes.AFTER

@@ -71,6 +71,7 @@ def story(process: LinearProcess, start: tuple[float, float]) -> Story:
     return Story([first, *(gains for _, gains in rule.changes)], late, best, sampled, lost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROCESSES)
 @pytest.mark.parametrize("start", [(4.0, 1.0), (0.25, 1.0), (1.0, 4.0), (1.0, 0.25)], ids=str)
 def test_from_gains_far_off_to_calm_ones_and_no_loop_is_made_unstable(name: str, start: tuple[float, float]) -> None:
@@ -84,6 +85,7 @@ def test_from_gains_far_off_to_calm_ones_and_no_loop_is_made_unstable(name: str,
         assert ms[-1] < ms[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROCESSES)
 def test_a_loop_that_is_right_keeps_its_neighbourhood(name: str) -> None:
     told = story(PROCESSES[name], (1.0, 1.0))
@@ -93,6 +95,7 @@ def test_a_loop_that_is_right_keeps_its_neighbourhood(name: str) -> None:
     assert told.late <= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PROCESSES if name != "P6 L=0.9"])
 def test_a_sluggish_loop_rejects_loads_faster_in_the_end(name: str) -> None:
     told = story(PROCESSES[name], (0.25, 1.0))

@@ -58,6 +58,7 @@ def test_a_story_has_its_disturbances_and_its_plant_rests_at_the_start() -> None
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_a_loop_that_begins_wrong_ends_in_spec_and_is_counted() -> None:
     row = run(tasks(1, 1, ("forms",))[0])
     assert (row["error"], row["odd"]) == ("", [])

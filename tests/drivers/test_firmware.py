@@ -389,6 +389,7 @@ def test_with_a_key_only_its_holder_writes(program: Path, tmp_path: Path) -> Non
     link.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [

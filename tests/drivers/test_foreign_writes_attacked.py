@@ -126,6 +126,7 @@ def test_forged_answers_lead_to_no_set_that_was_not_proved(seed: int) -> None:
     stage.left_alone()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(sized(6, 20, 60)))
 def test_outages_in_the_middle_of_writes_are_recovered_from(seed: int) -> None:
     stage = Attacked(seed)

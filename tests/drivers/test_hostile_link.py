@@ -161,6 +161,7 @@ class World:
         assert len(self.ended) == self.asked
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 @pytest.mark.parametrize("first_seed", range(0, sized(60, 60, 1200), 30))
 def test_the_running_set_is_always_a_committed_one_and_the_host_knows_which(first_seed: int) -> None:

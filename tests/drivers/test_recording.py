@@ -319,6 +319,7 @@ class Overheard:
                 self.send(message)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("back", [130, 200, 255, 300, 1000])
 @pytest.mark.parametrize("kinds", [(TelemetryPv, TelemetrySp), (TelemetryPv, TelemetrySp, Heartbeat)])
 def test_a_replay_does_not_move_the_clock(bench, back: int, kinds) -> None:
@@ -354,6 +355,7 @@ def test_a_counter_that_begins_anew_in_the_same_epoch_is_told_and_moves_no_clock
     assert any(isinstance(event, DeviceConflict) for event in events)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 @given(seed=st.integers(0, 2**32), beat=st.sampled_from([1, 2, 5, 20, 100]), start=st.integers(0, 2**20))
 @settings(max_examples=examples(100))

@@ -17,7 +17,7 @@ from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule import pid
 from retuner.schedule.gains import PidGains
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.uncounted]
 VALVE = Path(__file__).parent.parent / "data" / "plant" / "FIC20102_1016_12.csv"
 LOOPS = 10_000
 SLOW = "FIC00777"

@@ -14,7 +14,7 @@ from stepped import Server, Stepped, serving, stepped
 
 from retuner.report.report import ReportData, render
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.uncounted]
 
 
 @pytest.fixture

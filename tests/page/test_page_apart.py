@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from stepped import Server, Stepped, serving, stepped
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.uncounted]
 
 BEFORE, AFTER = 400, 1200
 """Turns before and after the page is treated badly: two decisions lie in the second part."""

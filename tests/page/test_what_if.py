@@ -22,7 +22,7 @@ from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.dials import CONTROLLERS
 from retuner.schedule.gains import PidGains
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.uncounted]
 ACTIVE, NEW = PidGains(4.0, 0.25, 6.0), PidGains(2.0, 0.1, 3.0)
 MODELS = {
     "fopdt": ProcessModel(ProcessType.FOPDT, 1.0, 20.0, theta_s=4.3),

@@ -30,6 +30,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 @pytest.mark.parametrize("page", RUN, ids=lambda page: page.stem)
 def test_what_a_page_prints_is_what_comes(page: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     def demo() -> Path:

@@ -48,6 +48,7 @@ def ill_treat(folder: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 @pytest.mark.parametrize(
     "part", ["updown", "recreate", "overflow", "clock", "errors", "gateway", "netem", "foreign", "kill"]
 )
@@ -61,6 +62,7 @@ def test_everything_is_recovered_from_and_every_loss_is_reported(part: str, part
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_the_ill_treatment_took_place(parts: dict[str, dict]) -> None:
     assert parts["updown"]["noticed by the host"] == parts["updown"]["outages"] >= 2
     assert parts["recreate"]["noticed by the host"] == parts["recreate"]["outages"] >= 2

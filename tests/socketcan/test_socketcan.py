@@ -101,12 +101,14 @@ def of_node(path: Path, node: int) -> Iterator[can.Message]:
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_both_processes_end_well(loops: Path) -> None:
     assert ended(loops, "tank") == (0, 130)  # Ctrl-C
     assert " samples" in (loops / "tank.device").read_text()
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_the_loop_was_retuned_and_the_ledger_says_so(loops: Path) -> None:
     found = kinds(loops, "tank")
     assert found.index("intent") < found.index("committed")
@@ -122,6 +124,7 @@ def test_the_loop_was_retuned_and_the_ledger_says_so(loops: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_every_frame_on_the_bus_decodes_by_the_dbc(loops: Path) -> None:
     database = cantools.database.load_string(files("retuner.drivers").joinpath("retuner.dbc").read_text(), "dbc")
     names = Counter[str]()
@@ -137,6 +140,7 @@ def test_every_frame_on_the_bus_decodes_by_the_dbc(loops: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_the_run_logged_the_same_bus(loops: Path) -> None:
     logged = Counter(message.arbitration_id for message in of_node(loops / "tank" / "bus.blf", NODE))
     heard = Counter(message.arbitration_id for message in of_node(loops / "capture.log", NODE))
@@ -183,6 +187,7 @@ def test_the_firmware_in_c_keeps_the_protocol_on_a_real_bus(strangers: Path) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_the_runner_hands_on_output_and_status() -> None:
     done = run_inside("sh", "-c", "ip -brief link show vcan0; echo to stderr >&2; exit 5")
     assert done.returncode == 5, done.stderr
@@ -191,6 +196,7 @@ def test_the_runner_hands_on_output_and_status() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_the_runner_ends_what_takes_too_long() -> None:
     done = run_inside("sh", "-c", "while :; do :; done", timeout_s=6)
     assert done.returncode == 75
@@ -206,6 +212,7 @@ def test_the_runner_says_what_is_missing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 def test_kernel_can_is_used_where_there_is_one() -> None:
     done = run_inside(sys.executable, RUNNER, "--", "ip", "-brief", "link", "show", "vcan0")
     assert done.returncode == 0, done.stderr

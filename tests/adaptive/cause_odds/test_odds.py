@@ -47,6 +47,7 @@ def told(window: Window, kc: float = 1.0, sign: int = 1) -> Diagnosis:
     return diagnose_records([window], PidGains(sign * kc, sign * kc / 20.0)).found.diagnosis
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "window",
     [loop(), loop(4.0, step=4.0), recorded("FIC46002_1102_1.csv"), recorded("LIC42502_0620_1.csv")],
@@ -61,6 +62,7 @@ def test_the_odds_sum_to_one_the_largest_is_named(window: Window) -> None:
     assert found.confidence <= found.causes[str(found.cause)] + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kc", "cause"), [(4.2, Cause.AGGRESSIVE), (0.12, Cause.SLUGGISH)])
 def test_a_step_of_some_times_the_load_shows_the_tuning(kc: float, cause: Cause) -> None:
     window = loop(kc, step=6.0 if kc > 1 else 40.0, seed=4)
@@ -75,6 +77,7 @@ def _same(one: Diagnosis, other: Diagnosis, within: float = 0.02) -> None:
     assert other.causes == pytest.approx(one.causes, abs=within)
 
 
+@pytest.mark.slow
 def test_units_signs_places_and_times_that_mean_nothing_change_nothing() -> None:
     window = loop(seed=2)
     one = told(window)
@@ -88,6 +91,7 @@ def test_units_signs_places_and_times_that_mean_nothing_change_nothing() -> None
     _same(one, told(turned, sign=-1))
 
 
+@pytest.mark.slow
 def test_records_of_a_loop_add_up() -> None:
     windows = [loop(4.0, seed=seed) for seed in (1, 2, 3)]
     gains = PidGains(4.0, 0.2)
@@ -97,6 +101,7 @@ def test_records_of_a_loop_add_up() -> None:
     assert together.found.diagnosis.cause == Cause.AGGRESSIVE
 
 
+@pytest.mark.slow
 def test_records_of_the_same_sticking_valve_are_surer_than_one() -> None:
     window = recorded("FIC20102_1016_12.csv")
     one = diagnose_windows([window])
@@ -106,6 +111,7 @@ def test_records_of_the_same_sticking_valve_are_surer_than_one() -> None:
     assert both.recommended is None
 
 
+@pytest.mark.slow
 def test_a_record_of_a_test_in_manual_adds_to_the_odds() -> None:
     window = loop(0.3, seed=9)
     n = 400
@@ -149,6 +155,7 @@ def test_a_long_record_is_cut_into_windows_over_all_of_it() -> None:
     assert len(windows_of(loop(n=300), 1.0, 4)) == 1
 
 
+@pytest.mark.slow
 def test_a_list_of_records_is_diagnosed_as_one_loop() -> None:
     paths = [PLANT / "FIC46002_1102_1.csv"] * 2
     found = diagnose(paths)

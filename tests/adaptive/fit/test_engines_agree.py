@@ -99,6 +99,7 @@ def digits_lost(misfit: Misfit, p: FloatArray) -> float:
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 @pytest.mark.parametrize("type_", SIZE)
 def test_columns_residuals_costs_and_derivatives_at_random_points(type_: ProcessType) -> None:
     for misfit, p in points(type_):

@@ -108,6 +108,7 @@ def test_reverse_action_mirrors(rule: Rule, kind: ControllerKind, data: st.DataO
     assert (other.kp, other.ki, other.kd) == (-base.kp, -base.ki, -base.kd)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pi", "pid"])
 def test_optimal_scales_and_mirrors(kind: str) -> None:
     base = tune(ProcessModel(T.SOPDT, 1.0, 5.0, 1.0, 1.0), "optimal", kind=kind).tuning.gains
@@ -235,6 +236,7 @@ def test_ms_over_the_batch() -> None:
     assert high == {n for n in BATCH if n.startswith("P9") or (n.startswith("P6") and float(n[5:]) <= 0.7)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["P1 T=0.02", "P2 T=2", "P4 n=4", "P6 L=0.5", "P8 a=1", "P9 T=0.5"])
 def test_simc_is_near_the_best_pi_at_its_ms(name: str) -> None:
     # over the whole batch (benchmarks/rules.py): median 1.05, at most 1.33 on the nearly pure delay

@@ -20,6 +20,7 @@ def over(factor: float, factor2: float) -> list[Place]:
     return [replace(made[factor**a * factor2**b], x=100 * a, x2=10 * b) for a, b in product(shares, shares)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lookup", ["hard", "interpolated"])
 def test_every_place_is_served_in_the_way_that_is_asked_for(lookup: str) -> None:
     places = over(2.5, 2.0)
@@ -41,6 +42,7 @@ def test_a_variable_that_changes_nothing_needs_no_border() -> None:
     assert len(only.sets) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_the_table_looks_up_what_was_proved() -> None:
     places = over(2.5, 2.0)

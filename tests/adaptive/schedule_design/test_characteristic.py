@@ -60,6 +60,7 @@ def test_records_are_summed_once_and_by_their_own_time() -> None:
     assert sums[0][:, 0] == pytest.approx(stretches[0].signals.fired)
 
 
+@pytest.mark.slow
 def test_a_gain_that_follows_the_output_is_told_within_its_band_at_every_place() -> None:
     window = record()
     stretches = cut(signals_of(window, window.pv, 2))

@@ -42,6 +42,7 @@ def test_a_process_that_is_the_same_everywhere_needs_one_set() -> None:
         assert found.edges == (0.0, 100.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(15))
 @given(st.floats(1.2, 8.0), st.sampled_from([steps, knots]))
 def test_every_place_is_served_and_no_set_less_would_do(factor: float, cover: object) -> None:

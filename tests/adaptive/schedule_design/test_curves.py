@@ -55,6 +55,7 @@ def test_every_place_of_the_true_process_is_in_spec_with_the_schedule() -> None:
         assert place.judged(design.gains_at(place.x)).j <= 1.25
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 @pytest.mark.parametrize("load", [0.0, 15.0])
 def test_a_process_that_is_the_same_everywhere_gets_one_region(load: float) -> None:
@@ -76,6 +77,7 @@ def test_a_load_step_is_found_and_not_taken_for_the_process() -> None:
     assert any(abs(t - 675) < 12 and abs(size - 15) < 2 for t, size in entered), entered
 
 
+@pytest.mark.slow
 def test_the_variable_that_matters_is_chosen_among_others() -> None:
     window = record()
     n = len(window.t_s)
@@ -92,6 +94,7 @@ def test_a_reverse_acting_process_is_seen_as_one() -> None:
     assert direction([mirrored]) == -1
 
 
+@pytest.mark.slow
 def test_gains_in_force_are_read_off_and_judged() -> None:
     design = found()
     before = design.before_at(50.0)

@@ -200,6 +200,7 @@ def test_everything_that_may_happen_in_every_phase(phase: TrialPhase, known: str
 
 
 @pytest.mark.slow
+@pytest.mark.uncounted
 @pytest.mark.parametrize("phase", UNDECIDED, ids=lambda p: p.name)
 def test_two_things_in_every_order(phase: TrialPhase) -> None:
     for pair, first, second in itertools.product(PAIRS[:2], HAPPENS, HAPPENS):

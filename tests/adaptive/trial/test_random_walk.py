@@ -40,6 +40,7 @@ def explained(samples: list[LoopSample], models: list[ProcessModel], gains: PidG
     return found is not None and not found.processes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_model_that_took_a_walk_for_the_process_says_nothing_against_a_right_set(seed: int) -> None:
     fiction = [replace(MODEL, k=3.0 * MODEL.k), replace(MODEL, k=3.5 * MODEL.k)]
@@ -47,6 +48,7 @@ def test_a_model_that_took_a_walk_for_the_process_says_nothing_against_a_right_s
     assert explained(walked(1.0, seed), fiction)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_no_walk_clears_a_set_that_is_too_strong(seed: int) -> None:
     truth = replace(MODEL, k=2.2 * MODEL.k)
@@ -96,6 +98,7 @@ def test_the_models_word_does_not_count_where_the_walk_explains_it() -> None:
     assert "a wandering load explains this response equally well" in found.reason
 
 
+@pytest.mark.slow
 def test_the_processes_for_which_a_set_was_made_are_no_witnesses_for_it() -> None:
     found = beside_a_walk(walked(2.2, 1), [], GOOD, DT_S, 0.0, S.harmless_ms, S.level)
     assert found is not None

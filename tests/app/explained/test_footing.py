@@ -16,6 +16,7 @@ BEFORE = f"{RESTS}the model before this record (k 1.4 +- 0.42 (30.0%) degC/%, "
 APART = " The proposal does not use it."
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("parts", "begins", "ends"),
     [

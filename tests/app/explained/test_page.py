@@ -63,6 +63,7 @@ def words_of(text: str) -> str:
     return re.sub(r"<[^>]*>", " ", re.sub(r"<svg.*?</svg>", " ", text, flags=re.DOTALL))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", EVERY_KIND)
 def test_every_kind_of_decision_has_a_page(kind: str) -> None:
     text = page(view(EVERY_KIND[kind]))
@@ -144,6 +145,7 @@ def test_the_formula_is_shown_only_where_it_gives_the_proposal() -> None:
     assert "Skogestad 2003" in text
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_no_text_becomes_markup() -> None:
     bad = '<script>alert("x")</script>&'

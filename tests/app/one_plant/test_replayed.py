@@ -46,7 +46,8 @@ scenario = {{ duration_s = 120.0, steps = [{steps}] }}
 
 @pytest.mark.uncounted
 @pytest.mark.parametrize(
-    ("most", "code"), [(1.7, "accepted"), pytest.param(1.05, "not_survived", marks=pytest.mark.slow)]
+    ("most", "code"),
+    [(1.7, "accepted"), pytest.param(1.05, "not_survived", marks=[pytest.mark.slow, pytest.mark.uncounted])],
 )
 def test_a_session_with_a_refused_change_is_decided_again_byte_for_byte(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], most: float, code: str
