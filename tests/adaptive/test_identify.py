@@ -62,7 +62,6 @@ def test_time_and_unit_scaling(loop: Callable) -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(other.p)), np.sqrt(np.diag(plain.p)), rtol=0.02)
 
 
-@pytest.mark.slow
 @pytest.mark.uncounted
 @pytest.mark.parametrize("upset", ["setpoint", "load"])
 def test_standard_deviations_are_calibrated(loop: Callable, upset: str) -> None:

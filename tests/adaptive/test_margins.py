@@ -198,7 +198,6 @@ def compare(found: Margins, loop: OpenLoop, theirs: tuple, rel: float) -> None:
         assert math.isinf(found.wc)
 
 
-@pytest.mark.slow
 @pytest.mark.uncounted
 def test_margins_agree_with_python_control() -> None:
     """Stable random loops (500 in CI), without dead time (polynomials) and with it (exact frequency response)."""

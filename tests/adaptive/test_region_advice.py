@@ -80,7 +80,6 @@ def test_the_advised_settings_are_those_of_a_sampled_controller() -> None:
     assert found.kc_factor == pytest.approx((1.0 + 1.0) / (4.0 + 1.0))
 
 
-@pytest.mark.slow
 @pytest.mark.uncounted
 def test_one_process_is_hardly_ever_taken_for_two() -> None:
     """One process with about the scatter that is allowed: at alpha = 0.001 fourteen of 5,000 at most."""

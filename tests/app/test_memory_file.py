@@ -25,6 +25,7 @@ from retuner.session.running import Run
 
 sys.path.append(str(Path(__file__).parent))
 
+from effort import sized
 from recorded import SHORT
 
 
@@ -114,7 +115,7 @@ def test_killed_at_any_row_or_file_the_next_session_knows_what_the_ledger_knows(
 ) -> None:
     points = len(believed_rows(whole.folder / LEDGER)) + len(whole.known)
     without: list[tuple[int, str]] = []
-    for fuse in range(1, points + 1):
+    for fuse in range(1, points + 1, sized(6, 3, 1)):
         life = Life(tmp_path / f"killed-{fuse}", config, fuse).live()
         rows = believed_rows(life.folder / LEDGER)
         decided = sum(row.kind == "decision" for row in rows)

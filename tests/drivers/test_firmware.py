@@ -203,7 +203,7 @@ class Twins:
                 self.step()
 
 
-@pytest.mark.parametrize("seed", range(sized(6, 40, 1000)))
+@pytest.mark.parametrize("seed", range(sized(6, 20, 1000)))
 def test_the_firmware_answers_as_the_virtual_device_does(seed: int) -> None:
     twins = Twins(seed, key=KEY if seed % 2 else None, trial_samples=(0, 9)[seed // 2 % 2])
     twins.run(1500)

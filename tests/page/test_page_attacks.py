@@ -136,10 +136,9 @@ def test_every_answer_says_what_a_browser_may_do_with_it(served: Served) -> None
         assert headers["referrer-policy"] == "no-referrer"
 
 
-MALFORMED = sized(300, 3000, 100_000)
+MALFORMED = sized(300, 1000, 100_000)
 
 
-@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_flood_of_malformed_messages_does_no_harm(session: Session, served: Served) -> None:
     served.login()
