@@ -68,6 +68,7 @@ def test_a_region_that_nothing_moved_in_has_no_model() -> None:
     assert empty.to_dict()["identifiable"] is False
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, window = tmp_path / "level.csv", level()
     rows = np.stack([window.t_s, window.sp, window.pv, window.co], axis=1)

@@ -53,6 +53,7 @@ def test_models_apart():
     assert apart(one, late, 1.0) == pytest.approx(math.log(2.0))  # the gain follows 1 / theta
 
 
+@pytest.mark.slow
 def test_a_healthy_flow_loop_does_not_become_a_fiction():
     """A load bought at the one setpoint change makes a dead time of 110 s of a loop that answers within 30 s."""
     record = recorded("FIC46002_1102_1.csv")

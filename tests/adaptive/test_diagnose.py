@@ -152,6 +152,7 @@ def test_a_dead_signal_is_never_tuned(name: str) -> None:
     assert "does not change" in found.reason
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_random_load_changes_no_gains() -> None:
     walk = np.cumsum(np.random.default_rng(5).standard_normal(N)) * 0.05
@@ -198,6 +199,7 @@ def test_a_real_relay_test_is_no_oscillation_from_outside():
     assert "co switches between -100 and 100" in found.reason
 
 
+@pytest.mark.slow
 def test_a_real_servo_that_overshoots_is_said_to():
     found = diagnosing.diagnose(*recorded("../servo/pid_step.csv")).diagnosis
     assert not found.retune
@@ -205,6 +207,7 @@ def test_a_real_servo_that_overshoots_is_said_to():
     assert "its setpoint responses overshoot by 4" in found.reason
 
 
+@pytest.mark.slow
 def test_margins_beside_a_verdict_are_of_one_model() -> None:
     """No loop has a gain margin under Ms / (Ms - 1), nor a phase margin under 2 asin(1 / (2 Ms))."""
     by_odds = diagnosing.diagnose(*recorded("FIC46002_1102_1.csv")).diagnosis

@@ -177,6 +177,7 @@ def test_what_is_known_of_a_region_without_records_is_what_the_others_lend() -> 
     assert known_of(Known(table, {}, 0.0, OPENED), 2) == NOTHING_KNOWN
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_what_is_due_and_was_not_made_before_a_restart_is_found_again() -> None:
     """A restart forgets that it was due; what it follows from is remembered."""

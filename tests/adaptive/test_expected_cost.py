@@ -323,6 +323,7 @@ def test_a_loop_in_order_is_left_alone() -> None:
     assert "commit" not in {str(d.action) for d in found}
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_loop_that_is_over_its_limit_is_made_slower() -> None:
     assert "commit" in {str(d.action) for d in decided(USUAL, 2.0)}

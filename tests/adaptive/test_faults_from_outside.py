@@ -66,6 +66,7 @@ def test_a_covariance_with_a_row_of_zeros_is_a_covariance() -> None:
     assert found.model.tau1_s + found.model.theta_s == pytest.approx(40.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_process_without_dead_time_is_tuned_from_its_record() -> None:
     _, record = heated(PidGains(0.5, 0.5 / 120), "off", 3000, (30.0, 36.0), 400)
     found = retuner.diagnose(*record)

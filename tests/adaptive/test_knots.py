@@ -83,6 +83,7 @@ def test_where_one_region_is_known_its_model_stays_and_opens() -> None:
     assert at_knots({0: centred}, REGIONS, 0.0, STILL)[0] is centred
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 @settings(max_examples=25, deadline=None)
 @given(

@@ -158,6 +158,7 @@ def test_an_answer_is_overtaken_by_a_set_that_the_controller_reports() -> None:
     assert refused(bench, found) == "overtaken_gains_changed"
 
 
+@pytest.mark.slow
 def test_an_answer_is_overtaken_when_the_region_is_left_or_the_record_breaks_off() -> None:
     for change, code in (
         ({"x": 90.0}, "overtaken_region_left"),

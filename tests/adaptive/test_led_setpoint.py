@@ -131,6 +131,7 @@ def test_once_a_person_sets_the_setpoint_again_the_loop_learns_again() -> None:
     assert [d.code for d in late if d.estimate is not None]
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_what_else_is_wrong_is_said_while_the_setpoint_is_led() -> None:
     def uneven(s: LoopSample) -> LoopSample:
@@ -140,12 +141,14 @@ def test_what_else_is_wrong_is_said_while_the_setpoint_is_led() -> None:
     assert Ground.IRREGULAR.name.lower() in {d.code for d in decisions}
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_response_that_ends_at_a_limit_is_asked() -> None:
     limited = [s._replace(limited=int(s.t_s > 1000)) for s in samples(led())]
     assert len([d for d in told(made(), limited) if d.t_s > 1000]) > 5
 
 
+@pytest.mark.slow
 def test_over_a_restart_it_counts_on() -> None:
     seen = samples(led(1300))
     whole = told(made(AGAIN_S), seen)

@@ -306,6 +306,7 @@ def test_an_unstable_loop_between_its_limits_is_made_stable() -> None:
     assert rig.retuner.table.gains_of(0).kp < 1.3 * GOOD.kp
 
 
+@pytest.mark.slow
 def test_a_loop_that_a_setpoint_step_has_shown_to_swing_is_not_called_external_while_it_swings_on() -> None:
     rig = Rig(PidGains(3.42 * GOOD.kp, 3.42 * GOOD.ki), mode=Mode.ADVISE)  # gain margin 1.01
     rig.run(60)

@@ -180,6 +180,7 @@ def test_the_posterior_is_the_joint_fit_of_all_records(loop: Callable) -> None:
     np.testing.assert_allclose((region_model.log.x - joint) / np.sqrt(np.diag(region_model.log.p)), 0.0, atol=0.35)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_records_that_do_not_settle_the_process_alone_settle_it_together(loop: Callable) -> None:
     weak = [loop(noise=0.25, n=400, kc=1.0, at=40.0, sp=1.0).run(seed=i, t0=i * 400.0) for i in range(12)]
@@ -258,6 +259,7 @@ def test_a_single_record_gives_way_to_one_that_knows_far_better(loop: Callable) 
     )
 
 
+@pytest.mark.slow
 def test_slow_fouling_is_followed(loop: Callable) -> None:
     region_model, steps = None, 10
     for i in range(steps):
@@ -301,6 +303,7 @@ def test_a_small_load_does_not_move_what_is_known(loop: Callable, size: float, l
     assert [round(at_s) for at_s in learned.estimate.load_times_s] == pytest.approx([4040], abs=6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_a_load_is_free_only_where_nothing_else_moves_a_loop_at_rest(loop: Callable, seed: int) -> None:
     """By themselves these records need no load, so the one that they get beside the known process is no surprise."""

@@ -78,6 +78,7 @@ def test_a_load_that_confirms_what_a_setpoint_step_had_shown_changes_the_gains()
     assert confirming.gains_after.kp == pytest.approx(2 * GOOD.kp)  # the most that one change may do
 
 
+@pytest.mark.slow
 def test_a_model_that_the_loop_refutes_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = made(scaled(2.4, 2.4), Mode.ADVISE)
     bench.run(400)
@@ -247,6 +248,7 @@ def test_a_damaged_memory_is_refused_in_one_line(damage: dict[str, object]) -> N
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_response_longer_than_what_is_kept_is_cut_and_still_teaches() -> None:
     short = RetunerSettings(1.0, 10.0, Mode.AUTO, wait_s=2000.0, history=150)

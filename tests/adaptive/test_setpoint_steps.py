@@ -152,6 +152,7 @@ def test_a_loop_that_would_run_away_explains_no_record() -> None:
         assert math.isinf(fitting.deviance(ProcessType.INTEGRATING, np.log([slope, 30.0])))
 
 
+@pytest.mark.slow
 def test_more_sequences_say_more_and_are_kept_with_the_model() -> None:
     every = sequences(4, WALK)
     few, many = (update_by_sequences(None, tuple(part), 1, TrackerSettings(), FitSettings(), LAW)
@@ -165,6 +166,7 @@ def test_more_sequences_say_more_and_are_kept_with_the_model() -> None:
     assert again.sequences == many.region_model.sequences == tuple(every)
 
 
+@pytest.mark.slow
 def test_sequences_under_other_gains_are_fitted_with_the_rest() -> None:
     both = (*sequences(2, WALK, scaled(0.5, 0.5)), *sequences(2, WALK))
     found = process_behind(both, 1, FitSettings())
@@ -276,6 +278,7 @@ def test_two_lags_that_are_equal_are_known_as_well_as_two_that_are_not() -> None
     assert logs[0].std()["tau2"] < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3, 6])
 def test_a_load_invented_for_want_of_a_zero_loses_to_the_rests(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the structure that the process has, a load at the step pays; the gain that it brings is not the one."""

@@ -104,6 +104,7 @@ def test_derivative_and_its_filter_are_found(kp, tau_i, tau_d, filtering, seed):
     assert found.gains.ki == pytest.approx(gains.ki, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_the_level_equation_takes_the_rounding_of_co():
     gains = PidGains(0.8, 0.8 / 25)

@@ -60,6 +60,7 @@ def irregular_record(seed: int) -> Window:
     return Window(*np.array(rows[100:]).T)
 
 
+@pytest.mark.slow
 def test_the_slips_of_an_irregular_valve_are_found() -> None:
     window = irregular_record(7)
     best = linear(window, (1,), SETTINGS.fit.choice, SETTINGS.fit.most_samples)[0]

@@ -36,6 +36,7 @@ def product_after(found: RecordDiagnosis) -> float:
     return SLOPE * found.recommended.kp**2 / found.recommended.ki
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("product", [0.15, 0.4])
 def test_after_a_load_the_swing_is_named_and_cured_whatever_the_dead_time(product: float) -> None:
     record, gains = swinging(product, setpoint=False)
@@ -46,6 +47,7 @@ def test_after_a_load_the_swing_is_named_and_cured_whatever_the_dead_time(produc
     assert found.recommended.kp >= gains.kp
 
 
+@pytest.mark.slow
 def test_under_more_loads_than_are_looked_for_parts_of_the_record_show_it() -> None:
     record, gains = swinging(0.3, setpoint=False, loads=10)
     found = diagnose(*record, gains=gains)

@@ -91,6 +91,7 @@ def test_under_a_load_that_walks_they_are_judged_once_and_together() -> None:
     assert model.k / model.tau1_s == pytest.approx(1 / 50, rel=0.3)
 
 
+@pytest.mark.slow
 def test_steps_on_their_way_are_told_twice_at_most() -> None:
     parts = [d for d in decided(0.03) if "one of several setpoint steps to and fro" in d.reason]
     assert 1 <= len(parts) <= 2

@@ -51,6 +51,7 @@ def through(window: Window, sign: int = 1) -> tuple[Fits, Through | None]:
     return fits, through_valve(window, sign, fits, FitSettings())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("valve", VALVES)
 def test_the_process_behind_a_valve_is_found(valve: StuckValve) -> None:
     fits, found = through(stepped(valve))

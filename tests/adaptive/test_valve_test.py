@@ -39,6 +39,7 @@ def test_the_staircase_leads_back_and_a_sound_valve_follows_it() -> None:
     assert np.ptp(valve_positions(levels, 1.0, 0.0)) == pytest.approx(np.ptp(levels) - 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [FLOW, TANK])
 @pytest.mark.parametrize(("dead_band", "resolution"), [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (0.4, 0.0)])
 def test_play_is_read_back_with_its_odds(model: ProcessModel, dead_band: float, resolution: float) -> None:

@@ -80,6 +80,7 @@ def test_a_tone_from_outside_moves_nothing() -> None:
     assert all(d.action is Action.NONE for d in decisions)
 
 
+@pytest.mark.slow
 def test_a_pattern_gives_no_more_action_where_a_plausible_model_says_too_much() -> None:
     """Ms 1.55, 1.72, 1.97, back, and on again: what does not carry settings still says how far not to go."""
     decisions = decided(PidGains(4.5, 4.5 / 100), SETTINGS)

@@ -288,6 +288,7 @@ def test_a_folder_without_a_loop_and_an_audit_of_another_version_are_told(
         rows_of(tmp_path / "old")
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_costs_its_own_loop_only() -> None:
     tasks = [Task((name,), ()) for name in ("a", "killer", "b", "c")]
     rows = {str(r["tag"]): r for _, some in on_this_machine(tasks, AuditSettings(), 2, dies_or_works) for r in some}

@@ -50,6 +50,7 @@ def read(found: Catalogue, form: RecordForm = FORM) -> dict[str, Row]:
     return {str(row["tag"]): row for task in found.tasks for row in audit_task(task, AuditSettings(1, form))}
 
 
+@pytest.mark.slow
 def test_a_wide_data_set_by_days_is_read_column_by_column(tmp_path: Path) -> None:
     whole = signals("ABCDEF", 600)
     for day in range(3):

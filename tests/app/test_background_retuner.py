@@ -39,6 +39,7 @@ def heard(watcher: Retuner | BackgroundRetuner) -> list[Decision]:
     return [decision for sample in samples() if (decision := watcher.observe(sample)) is not None]
 
 
+@pytest.mark.slow
 def test_the_same_decisions_come_later() -> None:
     at_once, later = heard(made()), heard(BackgroundRetuner(made(), decider=DecideHere(20)))
     assert any(decision.action is Action.COMMIT for decision in at_once)
@@ -93,6 +94,7 @@ def test_its_own_worker_ends_with_it() -> None:
         BackgroundRetuner(made(), deadline_s=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [np.float64, np.float32])
 def test_gains_and_samples_in_numpys_numbers_are_told_in_plain_ones(number: type) -> None:
     watcher = made(number)

@@ -48,6 +48,7 @@ def test_help_and_version_load_nothing_heavy() -> None:
     assert done.stdout.startswith("retuner ")
 
 
+@pytest.mark.slow
 def test_help_of_no_command_loads_a_bus_or_numbers() -> None:
     names = sorted(cli.COMMANDS)
     script = f"""if True:
@@ -59,6 +60,7 @@ def test_help_of_no_command_loads_a_bus_or_numbers() -> None:
     assert (done.stderr.strip(), len(names) > 10) == ("[]", True)
 
 
+@pytest.mark.slow
 def test_identify_loads_only_what_it_works_with(tmp_path: Path) -> None:
     rows = [f"{i * 0.1:.1f},0,{pv:.3f},{i >= 100:d}" for i, pv in enumerate(0.1 * max(0, i - 120) for i in range(300))]
     (tmp_path / "a.csv").write_text("t,sp,pv,co\n" + "\n".join(rows) + "\n")

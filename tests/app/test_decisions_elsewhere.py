@@ -185,6 +185,7 @@ def test_a_worker_that_hangs_is_ended_at_the_deadline_and_nothing_waits_for_it(a
         assert waited(worker).trouble == ""
 
 
+@pytest.mark.slow
 def test_a_worker_without_memory_is_named_and_the_loop_goes_on(asked: tuple[Retuner, Question]) -> None:
     _, question = asked
     with DecideInWorker(PATIENCE_S, memory_bytes=1 << 23) as worker:

@@ -199,6 +199,7 @@ def test_a_change_is_told_by_what_it_does(tmp_path, capsys):
     assert float(found[5]) < 1.8
 
 
+@pytest.mark.slow
 def test_another_aim_than_tight_control_has_settings_of_its_own(tmp_path, capsys):
     path = str(loop(tmp_path / "a.csv", kc=7.0))
     main(["diagnose", path, "--aim", "smooth", "--ymax", "4", "--u0", "2", "--json"])
@@ -214,6 +215,7 @@ def test_another_aim_than_tight_control_has_settings_of_its_own(tmp_path, capsys
         assert told in refused(capsys, "diagnose", path, *arguments)
 
 
+@pytest.mark.slow
 def test_records_of_one_loop_give_one_answer(tmp_path, capsys):
     paths = [str(loop(tmp_path / f"{i}.csv", n=n, kc=7.0)) for i, n in enumerate((400, 300))]
     one, both = answer(capsys, "diagnose", paths[0]), answer(capsys, "diagnose", *paths)
@@ -266,6 +268,7 @@ def test_a_record_with_dates_is_cut_by_them(tmp_path):
     assert (read.recording.t_s[0], read.recording.t_s[-1]) == (120.0, 300.0)
 
 
+@pytest.mark.slow
 def test_the_deciding_test_is_told_where_the_odds_are_open(capsys):
     found = answer(capsys, "diagnose", str(PLANT / "FIC46002_1102_1.csv"))
     assert found["confidence"] < 0.9

@@ -163,6 +163,7 @@ def test_confirmed_settings_are_written_read_back_and_recorded(loop: Path, capsy
     assert kinds[0][1]["why"] == kinds[1][1]["why"] == "experiment"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("answer", "applied"), [(True, True), (False, False)])
 def test_at_a_terminal_the_person_is_asked(
     answer: bool, applied: bool, loop: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -33,6 +33,7 @@ def broken(session: Path, tmp_path: Path) -> Path:
     return tmp_path / "broken"
 
 
+@pytest.mark.slow
 def test_every_row_is_told(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["ledger", "show", str(session), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

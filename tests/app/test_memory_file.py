@@ -162,6 +162,7 @@ def forged(change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
     return do
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("harm", "line"),
     [

@@ -114,6 +114,7 @@ def test_a_person_takes_it_up_and_the_next_run_says_so(
     assert taken_up(load_session(config)[0].loops) == []
 
 
+@pytest.mark.slow
 def test_a_run_of_it_begins_its_ledger_with_that(session: Path, tmp_path: Path) -> None:
     config = tmp_path / "short.toml"
     shutil.copy(session.parent / "short.toml", config)

@@ -239,6 +239,7 @@ def test_each_loop_decides_what_it_decides_alone(session: Path, tmp_path: Path) 
         assert [one["action"] for one in decided] == [["commit", "restore"], ["advise"]][i]
 
 
+@pytest.mark.slow
 def test_each_loop_has_its_mode_its_folder_and_its_rows(session: Path) -> None:
     assert [body["why"] for body in bodies(session, "committed", SLOW)] == ["retune"]  # the cure stays
     assert bodies(session, "committed", FAST) == []

@@ -332,6 +332,7 @@ def test_another_engine_is_asked_for_the_same_verdicts_and_not_for_the_same_byte
     assert f"by engine {engine_name()} instead of abacus 1" in said
 
 
+@pytest.mark.slow
 def test_another_engine_that_decides_otherwise_is_found(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

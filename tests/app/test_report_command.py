@@ -44,6 +44,7 @@ def test_the_report_is_made_again_with_the_same_decisions(session: Path, tmp_pat
     assert table(again) == table(once)
 
 
+@pytest.mark.slow
 def test_a_page_tells_the_decision_and_where_the_ledger_has_it(session: Path, tmp_path: Path) -> None:
     body = first_with_verdict(session)
     path = tmp_path / "page.html"

@@ -79,6 +79,7 @@ def test_a_controller_from_kc_is_one_from_gains() -> None:
         PidController.from_kc(2.0, 20.0, form="parallel", dt_s=1.0, pv_range=(0.0, 10.0))
 
 
+@pytest.mark.slow
 def test_a_controller_keeps_its_history_and_draws_it() -> None:
     pid = a_controller(mode="auto")
     trend = simulate(MODEL, pid, setpoint=lambda t: 50.0 + 5.0 * (t // 400 % 2), until_s=2000.0, noise=0.02)
@@ -114,6 +115,7 @@ def test_history_is_bounded() -> None:
         a_controller(history=-1)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_is_read_without_digging_and_drawn() -> None:
     found = retuner.diagnose(
         simulate(MODEL, PidGains(3.4, 0.2), setpoint=[(0, 50), (100, 55)], until_s=600.0, noise=0.05).frame(),

@@ -40,6 +40,7 @@ def test_killed_or_refused_at_durable_system_calls_nothing_acknowledged_is_lost(
     assert min(result["points"].values()) >= 4, result["points"]
 
 
+@pytest.mark.slow
 def test_killed_at_random_moments_nothing_acknowledged_is_lost() -> None:
     result = part(FAULTS, "kills", "--count", 60)
     assert result["wrong"] == []
@@ -47,6 +48,7 @@ def test_killed_at_random_moments_nothing_acknowledged_is_lost() -> None:
     assert result["rows"] > 60
 
 
+@pytest.mark.slow
 def test_full_read_only_missing_and_shared_places_are_one_line_and_lose_nothing() -> None:
     result = part(FAULTS, "disk")
     assert result["wrong"] == []

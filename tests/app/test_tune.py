@@ -130,6 +130,7 @@ def test_the_explained_formulas_give_the_settings(rule: str, type_: str) -> None
             assert evaluated(line) == pytest.approx(value, rel=1e-5), line
 
 
+@pytest.mark.slow
 def test_all_rules_side_by_side(capsys: Capture, tmp_path: Path) -> None:
     picture = tmp_path / "all.png"
     found = answer(capsys, *FOPDT, "--all", "--plot", str(picture))

@@ -73,6 +73,7 @@ def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(
         assert [d["reason"] for d in again] == [d["reason"] for d in bus["decisions"]], suffix
 
 
+@pytest.mark.slow
 def test_the_library_of_mf4_waits_until_one_is_read(tmp_path: Path) -> None:
     log = tmp_path / "bus.mf4"
     with can.Logger(log) as writer:
@@ -101,6 +102,7 @@ def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.Captu
     assert shown[-1].endswith("nothing was written")
 
 
+@pytest.mark.slow
 def test_one_change_of_the_records_gains_is_told_as_once(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -154,6 +156,7 @@ def test_an_export_is_replayed_as_the_plain_record_of_it(
         assert one["gains_after"] == pytest.approx(other["gains_after"], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "text", "told"),
     [

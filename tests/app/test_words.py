@@ -35,26 +35,26 @@ CALLS = {"list", "dict", "set", "tuple", "sorted", "asdict", "gains_dict", "toli
 """What is shown as Python writes it when it stands in an f-string."""
 
 
-def docstrings(tree: ast.AST) -> set[int]:
+def docstrings(nodes: list[ast.AST]) -> set[int]:
     """The nodes that are documentation: expressions that stand alone, but for the help of a command."""
     helps = {
         id(node.body[0])
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.FunctionDef) and any("command" in ast.unparse(one) for one in node.decorator_list)
     }
-    return {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr) and id(node) not in helps}
+    return {id(node.value) for node in nodes if isinstance(node, ast.Expr) and id(node) not in helps}
 
 
 def texts(source: str) -> Iterator[tuple[int, str]]:
     """Line and text of everything that may be shown, an X for each value in it; keys have no space and are left out."""
-    tree = ast.parse(source)
-    apart = docstrings(tree)
-    for node in ast.walk(tree):
+    nodes = list(ast.walk(ast.parse(source)))
+    apart = docstrings(nodes)
+    for node in nodes:
         if isinstance(node, ast.JoinedStr):
             apart |= {id(inner) for inner in node.values if isinstance(inner, ast.Constant)}
             apart |= {id(inner.format_spec) for inner in node.values if isinstance(inner, ast.FormattedValue)}
-    beside = {id(one) for node in ast.walk(tree) for one in _listed(node)}
-    for node in ast.walk(tree):
+    beside = {id(one) for node in nodes for one in _listed(node)}
+    for node in nodes:
         if id(node) in apart:
             continue
         text = ""

@@ -38,6 +38,7 @@ def same(one, two):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", identification.GROUPS)
 def test_identification_cases(group):
     index = identification.GROUPS.index(group)

@@ -200,6 +200,7 @@ def test_a_loop_in_other_time_is_the_same_loop(family):
     assert slower.margins(slower.best).ms == pytest.approx(loop.margins(loop.best).ms, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", harm.KINDS)
 def test_scenes_are_reproducible_and_in_spec_at_the_start(kind):
     def drawn(index):

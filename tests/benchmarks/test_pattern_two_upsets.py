@@ -56,6 +56,7 @@ def all_heard() -> list[PatternAdvice]:
     return [advice for case in cases for advice in heard(*case)]
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_nearly_all_pairs_of_upsets_are_refused(all_heard: list[PatternAdvice]) -> None:
     assert len(all_heard) >= len(PROCESSES) * len(SECOND) * len(GAPS_THETA)

@@ -80,6 +80,7 @@ class Quick:
             y = plant.move(control(sp, 30.0 + y + more) - 50.0)
 
 
+@pytest.mark.slow
 def test_a_session_is_told_with_its_replays() -> None:
     plant = Quick()
     known = truth(plant, CARD, StepTest(300.0, 300.0))

@@ -123,6 +123,7 @@ DEVICE_PROCESS = """
 """
 
 
+@pytest.mark.slow
 def test_two_processes_in_real_time_at_bench_speed() -> None:
     settings = udp_settings()
     command = [sys.executable, "-P", "-c", textwrap.dedent(DEVICE_PROCESS), GROUP, str(settings.options["port"])]

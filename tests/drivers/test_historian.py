@@ -396,6 +396,7 @@ def test_mv_is_what_the_other_names_leave_open() -> None:
     assert "mv" in loops(["F.MV"])["F"]
 
 
+@pytest.mark.slow
 @given(st.text(max_size=30))
 def test_any_text_can_be_quoted(content: str) -> None:
     import tomllib

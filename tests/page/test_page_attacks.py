@@ -161,6 +161,7 @@ def test_a_flood_of_malformed_messages_does_no_harm(session: Session, served: Se
     assert served.client.get("/api/overview").status_code == 200
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_client_that_asks_too_often_is_told_to_wait(served: Served) -> None:
     found = [served.client.get("/nothing").status_code for _ in range(450)]

@@ -315,6 +315,7 @@ def test_the_step_after_a_change_gives_what_the_old_law_would_have_given():
     assert moved > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_between_samples_the_changed_law_stands_where_the_old_one_stood():
     """Without dt_s: at the last sample's sp and pv both laws give the same co, D as it stands included."""

@@ -136,6 +136,7 @@ def test_a_dead_signal_has_nothing_but_unknown() -> None:
     assert diagnose_records([window, loop(4.0, step=4.0)], PidGains(4.0, 0.2)).record == 1
 
 
+@pytest.mark.slow
 def test_open_odds_come_with_a_test_and_sure_ones_without() -> None:
     open_one = told(loop(seed=2))
     assert open_one.confidence < 0.9

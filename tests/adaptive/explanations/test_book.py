@@ -109,6 +109,7 @@ def test_less_action_follows_at_once_and_more_only_at_the_second_look() -> None:
     assert 1.0 < second.tuning.gains.ki / scaled(0.2).ki <= 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kc", "cut"), [(0.75, 0.6), (1.6, 0.3)])
 def test_the_gain_of_a_process_that_runs_away_is_not_cut(kc: float, cut: float) -> None:
     """k 2, tau 33 to the wrong side, dead time 4: held from kc 0.5 to 4."""
@@ -160,6 +161,7 @@ def test_a_stored_book_is_the_same() -> None:
     assert Book.from_dict(json.loads(json.dumps(book.to_dict(), allow_nan=False))) == book
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wrong", [{"levels": "no"}, {"levels": "eJwDAAAAAAE="}, {"unit": 0.0}, {"dt_s": -1.0}, {"t_s": math.inf}]
 )
@@ -194,6 +196,7 @@ def controller(times: float) -> PidController:
     return PidController(scaled(times), dt_s=1.0, pv_range=(0.0, 100.0), co_range=(-1e6, 1e6), mode="auto")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_itself")
 def test_a_loop_that_is_too_tight_is_calmed_without_a_setpoint_step() -> None:
     _, pid = watched(controller(2.7), 4, 2200)
@@ -201,6 +204,7 @@ def test_a_loop_that_is_too_tight_is_calmed_without_a_setpoint_step() -> None:
     assert pid.gains.kp > 0.3 * GOOD.kp
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_itself")
 def test_the_book_is_in_the_memory() -> None:
     whole, one = watched(controller(0.25), 4, 1800)
@@ -327,6 +331,7 @@ def test_the_book_objects_to_a_change_that_it_holds_for_the_worse(
     assert put_to_the_book(times, to, expected, first=True).verdict, "no whole window yet"
 
 
+@pytest.mark.slow
 def test_less_action_by_a_model_that_is_not_identifiable_is_dropped_before_a_whole_window() -> None:
     found = put_to_the_book(1.0, 0.3, 1.5, first=True, settled=False)
     assert found.verdict is None

@@ -28,6 +28,7 @@ def odds_of(kc: float, *, seed: int = 5, step: float = 4.0) -> tuple[TuningOdds,
     return tuning_odds(log_likelihood(record, 1, gain_unit(gains, 1.0)), gains, 1.0, PRIOR, TuningLimits()), record
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("kc", [0.3, 4.2])
 def test_settings_are_robust_on_nearly_all_odds_and_on_the_truth(kc: float, seed: int) -> None:

@@ -62,6 +62,7 @@ def test_the_phase_of_one_that_drifts_is_followed() -> None:
     assert left[1] < 0.5 * left[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("period", "jitter"), [(450.0, 0.0), (60.0, 0.0), (60.0, 0.03)])
 def test_a_tone_is_not_taken_for_a_loop_near_instability(period: float, jitter: float) -> None:
     window = recorded(GOOD, cycle(period, jitter))

@@ -124,6 +124,7 @@ def test_columns_residuals_costs_and_derivatives_at_random_points(type_: Process
         assert np.all(worst * stride <= allowed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("type_", SIZE)
 @pytest.mark.parametrize("with_prior", [False, True])
 def test_a_refinement_ends_in_the_same_optimum(type_: ProcessType, with_prior: bool) -> None:

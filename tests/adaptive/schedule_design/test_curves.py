@@ -66,6 +66,7 @@ def test_a_process_that_is_the_same_everywhere_gets_one_region(load: float) -> N
     assert design.model_at(50.0).slope == pytest.approx(C, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_load_step_is_found_and_not_taken_for_the_process() -> None:
     design = found(0.0, 15.0)
     joint, sizes = design.design.curves.joint, design.design.curves.now.sizes
@@ -102,6 +103,7 @@ def test_gains_in_force_are_read_off_and_judged() -> None:
     assert (before.kp, before.kp / before.ki) == pytest.approx((1.2, 40.0), rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_next_experiment_moves_pv_visibly_and_ends() -> None:
     wanted = found().next_experiment
     assert min(abs(p.x - wanted.x) for p in found().places) == 0

@@ -435,6 +435,7 @@ def test_a_loop_that_rests_and_is_known_from_two_records_needs_no_bump() -> None
     assert news(0.0) == []
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_where_loads_never_rest_what_single_responses_say_is_not_enough() -> None:
     first = news(1.0)[0]

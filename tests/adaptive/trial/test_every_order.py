@@ -192,6 +192,7 @@ def do(world: World, name: str) -> None:
         assert world.trials.phase(at) in TO_BE_SEEN, "what is to run must be seen to run"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", KNOWN)
 @pytest.mark.parametrize("phase", UNDECIDED, ids=lambda p: p.name)
 def test_everything_that_may_happen_in_every_phase(phase: TrialPhase, known: str) -> None:

@@ -229,6 +229,7 @@ def test_who_takes_ours_away_again_and_again_is_left_alone_for_longer() -> None:
     assert holds == [100.0, 200.0, 400.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_numbers_of_numpy_come_through(kind: type) -> None:
     stand = Stand(PidGains(kind(WEAK.kp), kind(WEAK.ki)))
@@ -245,6 +246,7 @@ def test_numbers_of_numpy_come_through(kind: type) -> None:
     json.dumps(remember(stand.retuner), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_the_example_obeys_every_decision() -> None:
     """Its loop puts a bad set back that is on trial when it stops."""
     example = Path(__file__).parents[3] / "examples" / "one_sample_at_a_time.py"

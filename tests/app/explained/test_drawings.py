@@ -66,6 +66,7 @@ def test_equal_decisions_give_equal_drawings_and_others_other_ids() -> None:
     assert not ids[0] & ids[1]
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 @settings(max_examples=examples(12), deadline=None)
 @given(
