@@ -1,7 +1,5 @@
 """Pitch hold of a Cessna 172 with gains scheduled over dynamic pressure, in JSBSim (PyPI jsbsim, LGPL-2.1).
 
-    pip install jsbsim
-
 Dynamic pressure grows 2.4-fold between 75 and 115 knots, and the best ki with it. Three regions along it begin with the
 same gains; legs at three speeds, with setpoint steps of pitch, visit each of them twice or more. Wings are held level
 and the speed is held by the throttle, by laws of our own that are not retuned. What is true is the aircraft's own
@@ -34,7 +32,7 @@ class Flight:
     """The aircraft, trimmed for level flight at a speed."""
 
     def __init__(self, speed_kt: float) -> None:
-        jsbsim = package("jsbsim", "the aircraft", "pip install jsbsim")
+        jsbsim = package("jsbsim", "the aircraft")
         jsbsim.FGJSBBase().debug_lvl = 0
         self._fdm: Any = jsbsim.FGFDMExec(jsbsim.get_default_root_dir())
         self._fdm.set_debug_level(0)

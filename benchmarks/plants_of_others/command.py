@@ -1,13 +1,8 @@
 """Retuner on plants and loads made by others. docs/developers/plants-of-others.md has the tables and licences.
 
-Each part needs the package that brings its plant, and says so when it is missing:
+The plants come with packages of their own, which a part that misses one names:
 
-  pip install tclab                                                        lab
-  pip install --no-deps tep-studio; pip install cffi pandas gymnasium      eastman
-  pip install --no-deps bsm2-python; pip install control numba tqdm        wastewater
-  pip install --no-deps gym-electric-motor gymnasium cloudpickle farama-notifications    motor
-  pip install --no-deps pcgym; pip install jax                             pc-gym
-  pip install jsbsim                                                       aircraft
+  pip install tclab tep-studio bsm2-python gym-electric-motor jsbsim jax && pip install --no-deps pcgym
 
 Examples
 --------

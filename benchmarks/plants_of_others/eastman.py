@@ -1,7 +1,5 @@
 """The Tennessee Eastman plant (Downs & Vogel 1993; revised by Bathelt, Ricker & Jelali 2015): tep-studio (PyPI).
 
-    pip install --no-deps tep-studio; pip install cffi pandas gymnasium
-
 The package brings the authors' C code, its measurement noise, its 28 disturbances (IDV), and the decentralised control
 of Ricker (1996) with its gains. One of its loops has ours in its place, at an interval of its own. Licences:
 BSD-3-Clause for the package; the model is its authors', for research and education.
@@ -52,8 +50,7 @@ LOOPS = {
 
 def load() -> Any:  # noqa: ANN401  a module without types
     """The package; SystemExit where it is not installed."""
-    install = "pip install --no-deps tep-studio; pip install cffi pandas gymnasium"
-    return package("tep_studio", "Tennessee Eastman", install)
+    return package("tep_studio", "Tennessee Eastman")
 
 
 class Eastman:

@@ -14,16 +14,19 @@ from retuner import Action, Decision, PidController, PidGains, RetunerSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.supervision.decision import Mode
 
+INSTALL = "pip install tclab tep-studio bsm2-python gym-electric-motor jsbsim jax && pip install --no-deps pcgym"
+"""Brings all plants. pc-gym only gives its equations; what its reinforcement learning needs stays away."""
 
-def package(module: str, who: str, install: str) -> Any:  # noqa: ANN401  a module without types
-    """A module that brings a plant. who : what needs it. install : the command that brings it.
+
+def package(module: str, who: str) -> Any:  # noqa: ANN401  a module without types
+    """A module that brings a plant. who : what needs it.
 
     Raises SystemExit: it is not installed.
     """
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as missing:
-        raise SystemExit(f"{who} needs {missing.name}: {install}") from None
+        raise SystemExit(f"{who} needs {missing.name}: {INSTALL}") from None
 
 
 Control = Callable[[float, float], float]

@@ -1,7 +1,5 @@
 """The armature current of a DC motor at 10 kHz: gym-electric-motor (PyPI, MIT).
 
-    pip install --no-deps gym-electric-motor gymnasium cloudpickle farama-notifications; pip install matplotlib
-
 The package brings motor (PMG 132, permanently excited), four-quadrant converter and solver. Its dead-time wrapper lets
 an output act one sample late, as in a drive. The shaft's speed is given from outside and is the load: its voltage is
 0.165 V s. Gains: the symmetrical optimum with a = 4 of gem_controllers, the package's own tuning.
@@ -21,12 +19,11 @@ L_H, A = 19e-6, 4.0
 """The motor's inductance and the design parameter: kc = L / (a dt), tau_I = a^2 dt."""
 HOLD_S, EVENTS = 0.03, 12
 CURRENT_A, SPEEDS, NOISE_A = 40.0, (100.0, 120.0, 140.0), 0.3
-INSTALL = "pip install --no-deps gym-electric-motor gymnasium cloudpickle farama-notifications"
 
 
 def load() -> Any:  # noqa: ANN401  a module without types
     """The package; SystemExit where it is not installed."""
-    return package("gym_electric_motor", "the motor", INSTALL)
+    return package("gym_electric_motor", "the motor")
 
 
 class Motor:

@@ -1,7 +1,5 @@
 """A reactor that swings and a quadruple tank with a right half plane zero: the models of pc-gym (PyPI pcgym, MIT).
 
-    pip install --no-deps pcgym; pip install jax
-
 Bloor et al. (2024). Only the package's equations are used: its reinforcement learning needs more libraries. Reactor:
 temperature by jacket temperature, feed temperature and composition as loads; between 318 and 334 K its gain grows
 threefold and its poles turn complex. Tanks: pumps and levels are paired crosswise, since most of each pump's flow goes
@@ -17,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from plants_of_others.loop import Card, Control, package
+from plants_of_others.loop import INSTALL, Card, Control, package
 from retuner import PidGains
 
 MINUTE_S, EVENTS, NOISE = 60.0, 12, 0.01
@@ -34,11 +32,10 @@ State = np.ndarray
 
 def load() -> Any:  # noqa: ANN401  a module without types
     """The package's equations; SystemExit where it is not installed."""
-    install = "pip install --no-deps pcgym; pip install jax"
-    package("jax", "the reactor", install)
+    package("jax", "the reactor")
     found = importlib.util.find_spec("pcgym")
     if found is None or not found.submodule_search_locations:
-        raise SystemExit(f"the reactor needs pcgym: {install}")
+        raise SystemExit(f"the reactor needs pcgym: {INSTALL}")
     path = Path(found.submodule_search_locations[0]) / "model_classes.py"
     spec = importlib.util.spec_from_file_location("pcgym_model_classes", path)
     assert spec is not None

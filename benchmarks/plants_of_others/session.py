@@ -20,6 +20,8 @@ from retuner import PidGains
 Row = dict[str, Any]
 FACTOR = 4.0
 AFTER = (1, 3, 6)
+OVER = ("start", "published", "best")
+"""Whose IAE that of the end is told over: the middle session, and in brackets the worst."""
 REPLAYED: dict[tuple[object, ...], Row] = {}
 """Sessions under gains that stay: the same for every start."""
 STARTS = {"published": None, "low": (1 / FACTOR, 1.0), "high": (FACTOR, 1.0), "slow": (1 / FACTOR, FACTOR)}
@@ -157,14 +159,14 @@ def tell(live: Controlled, truth: Truth) -> None:
         now = truth.judge.of(after or d.gains_before)
         cause = "" if d.diagnosis is None else f" [{d.diagnosis.cause}]"
         sys.stdout.write(
-            f"  {d.t_s:>9.0f} s {d.action:<8} {d.code:<24}{cause} Ms {now.ms:.2f} J {now.j:.2f}: {d.reason}\n"
+            f"  {d.t_s:>9.6g} s {d.action:<8} {d.code:<24}{cause} Ms {now.ms:.2f} J {now.j:.2f}: {d.reason}\n"
         )
 
 
 def line(row: Row) -> str:
     """A session for people."""
     judged, replays = row["judged"], row["replays"]
-    ratios = " ".join(f"{name} {_ratio(replays, name):.2f}" for name in ("end", "published", "best") if replays)
+    ratios = " ".join(f"{name} {_ratio(replays, name, 'start'):.2f}" for name in ("end", *OVER[1:]) if replays)
     marks = "".join("+" if ok else "-" for ok in row["spec"])
     shown = " ".join(f"{name} {ms:.2f}/{j:.2f}" for name, (ms, j, _) in judged.items())
     return (
@@ -175,10 +177,10 @@ def line(row: Row) -> str:
     )
 
 
-def _ratio(replays: dict[str, Row], name: str) -> float:
-    if replays["start"]["tripped"] or replays[name]["tripped"]:
+def _ratio(replays: dict[str, Row], name: str, over: str) -> float:
+    if replays[over]["tripped"] or replays[name]["tripped"]:
         return 0.0 if not replays[name]["tripped"] else math.inf
-    return float(replays[name]["iae"] / replays["start"]["iae"])
+    return float(replays[name]["iae"] / replays[over]["iae"])
 
 
 def table(rows: list[Row]) -> list[str]:
@@ -188,7 +190,7 @@ def table(rows: list[Row]) -> list[str]:
         for key in (f"{row['plant']} {row['start']}", f"all {row['start']}", "all"):
             groups.setdefault(key, []).append(row)
     head = f"{'plant, start':<26}{'runs':>5}{'in spec after 1, 3, 6, end':>28}"
-    head += "  changes  worse  unstable  tripped  IAE end/start, end/best"
+    head += f"  changes  worse  unstable  tripped  IAE at the end over that of: {', '.join(OVER)}"
     order = sorted(groups, key=lambda key: (key.startswith("all"), key == "all", key))
     return [head, *(_line(key, groups[key]) for key in order)]
 
@@ -196,17 +198,10 @@ def table(rows: list[Row]) -> list[str]:
 def _line(key: str, rows: list[Row]) -> str:
     counts = [sum(all(row["spec"][n - 1 :]) for row in rows) for n in AFTER]
     counts.append(sum(row["spec"][-1] for row in rows))
-    ratio = sorted(_ratio(row["replays"], "end") for row in rows if row["replays"])
-    best = sorted(_over_best(row["replays"]) for row in rows if row["replays"])
-    told = [f"{x[len(x) // 2]:.2f} ({x[-1]:.2f})" if x else "-" for x in (ratio, best)]
+    ratios = [sorted(_ratio(row["replays"], "end", who) for row in rows if row["replays"]) for who in OVER]
+    told = [f"{x[len(x) // 2]:.2f} ({x[-1]:.2f})" if x else "-" for x in ratios]
     worse = sum(row["worse"] + row["worse_restored"] for row in rows)
     return (
         f"{key:<26}{len(rows):>5}{' '.join(f'{c:>6}' for c in counts):>28}{sum(r['changes'] for r in rows):>9}"
         f"{worse:>7}{sum(r['unstable'] for r in rows):>10}{sum(bool(r['tripped']) for r in rows):>9}  {' '.join(told)}"
     )
-
-
-def _over_best(replays: dict[str, Row]) -> float:
-    if replays["end"]["tripped"]:
-        return math.inf
-    return float(replays["end"]["iae"] / replays["best"]["iae"])

@@ -1,7 +1,5 @@
 """The temperature control lab of Brigham Young University as its own package simulates it: tclab (PyPI, Apache 2.0).
 
-    pip install tclab
-
 Two transistors heat two sensors; a heater takes 0 to 100 %, a sensor tells 0.32 K steps with 0.04 K of noise. One
 sample a second, simulated time (the package's `synced=False`). Loops T1 and T2. Gains: the makers' course gives the
 process as 0.9 K/%, 175 s, dead time 15 s, and IMC with tau_c = max(0.1 tau, 0.8 theta).
@@ -38,7 +36,7 @@ def imc() -> PidGains:
 
 def load() -> Any:  # noqa: ANN401  a module without types
     """The package; SystemExit where it is not installed."""
-    return package("tclab.tclab", "the temperature lab", "pip install tclab")
+    return package("tclab.tclab", "the temperature lab")
 
 
 class TemperatureLab:

@@ -1,7 +1,5 @@
 """Oxygen in an aeration tank of the benchmark wastewater plant BSM1: bsm2-python 0.0.16 (PyPI, BSD-3-Clause).
 
-    pip install --no-deps bsm2-python; pip install control numba tqdm
-
 The package brings the activated sludge model (IWA ASM1), two weeks of inflow in dry weather and in rain, and sensor and
 blower as transfer functions with their published noise. Nobody moves the setpoint of 2 g/m3: the inflow is the load.
 Gains: the package's (25, 0.002 d), and those of the benchmark's book (500, 0.001 d), which its comments name. Its own
@@ -28,8 +26,7 @@ MOVES = {"oxygen": 0.0, "oxygen_stepped": 0.5}
 
 def load(part: str) -> Any:  # noqa: ANN401  a module without types
     """A module of the package; SystemExit where it is not installed."""
-    install = "pip install --no-deps bsm2-python; pip install control numba tqdm"
-    return package(f"bsm2_python.{part}", "the wastewater plant", install)
+    return package(f"bsm2_python.{part}", "the wastewater plant")
 
 
 class Wastewater:
