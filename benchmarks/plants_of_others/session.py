@@ -62,6 +62,8 @@ def run(plant: Plant, truths: dict[str, Truth], task: Task) -> Row:
     live, truth = all_live[task.loop], truths[task.loop]
     if task.verbose:
         tell(live, truth)
+    if not any(control.writes for control in all_live.values()):  # so it was a session under gains that stay
+        REPLAYED[_key(plant, task, first)] = {**measured(live), "tripped": tripped}
     everybody = {
         "start": first,
         "end": {loop: control.gains[-1] for loop, control in all_live.items()},
@@ -104,8 +106,12 @@ def _session(plant: Plant, task: Task, sets: Sets, *, watched: bool) -> tuple[di
     return controls, ""
 
 
+def _key(plant: Plant, task: Task, sets: Sets) -> tuple[object, ...]:
+    return plant.name, task.loop, task.seed, *sets.items()
+
+
 def _replayed(plant: Plant, task: Task, sets: Sets) -> Row:
-    key = (plant.name, task.loop, task.seed, *sets.items())
+    key = _key(plant, task, sets)
     if key not in REPLAYED:
         controls, tripped = _session(plant, task, sets, watched=False)
         REPLAYED[key] = {**measured(controls[task.loop]), "tripped": tripped}
