@@ -35,7 +35,7 @@ from retuner.adaptive.supervision.causes import doubt_of, is_known, is_sure
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import Known, may_follow
 from retuner.adaptive.supervision.held_process import runaway
-from retuner.adaptive.supervision.pipeline_types import Findings, Look, admitted
+from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, Look, admitted
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -43,6 +43,7 @@ LOOKED = "looked"
 """Code: all samples were looked at, without a response."""
 OPEN = frozenset({
     LOOKED, "not_identifiable", "unconfirmed", "unknown", "external", "low_excitation", "contradicted", "one_record",
+    OTHER_LOOP,
 })  # fmt: skip
 """Codes with which the pipeline says that it cannot tell."""
 LOOK, WHOLE = 500, 1000

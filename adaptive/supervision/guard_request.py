@@ -32,7 +32,7 @@ from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord, StageResult
+from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
@@ -383,7 +383,7 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     what its own record says of the tried set and of the one before.
     """
     found, window = outcome.diagnosis, case.window
-    blameless = outcome.code in NOT_ADMITTED or (found is not None and found.cause in OUTSIDE)
+    blameless = outcome.code in {OTHER_LOOP, *NOT_ADMITTED} or (found is not None and found.cause in OUTSIDE)
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""

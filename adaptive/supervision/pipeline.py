@@ -52,6 +52,7 @@ from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import may_follow, posterior_of, promised, unproved_request, walked
 from retuner.adaptive.supervision.held_process import cut_refuted, runaway
 from retuner.adaptive.supervision.pipeline_types import (
+    OTHER_LOOP,
     Findings,
     Question,
     ResponseRecord,
@@ -80,6 +81,8 @@ def decide(question: Question) -> StageResult:
         That hangs on the machine, not on the question.
     """
     found, name = Findings(question), ""
+    if question.spoilt:
+        found.stop(OTHER_LOOP, question.spoilt)
     try:
         for stage in STAGES:
             name = stage.name
@@ -89,7 +92,7 @@ def decide(question: Question) -> StageResult:
                 due = found.end is None or stage.always
             if due:
                 stage.run(found)
-        result = found.result()
+        result = replace(found.result(), code=OTHER_LOOP) if question.spoilt else found.result()
         return question.after(question, result) if question.after else result
     except MemoryError:
         raise
@@ -412,6 +415,8 @@ def expectation(found: Findings) -> None:
 def check_after_trial(found: Findings) -> None:
     """What the record of a trial says of the tried set and of the one before."""
     trial = found.question.trial
+    if found.question.spoilt:
+        return
     if trial.phase is TrialPhase.TRIAL and found.end is not None and found.end.code != Ground.SATURATED.name.lower():
         found.posterior = posterior_of(found.record, found.learned, trial, found.settings)
     if trial.phase is TrialPhase.TRIAL:

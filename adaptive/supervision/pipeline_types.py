@@ -176,7 +176,8 @@ class Question:
     sample_number : of the sample that raised it, counted by the retuner from 1. trial : where the region stood then.
     free : the other regions that no trial, hold or mode keeps from a change. away : those whose trial waits until the
     loop comes. look : the samples that are due to be looked at, None for none. alone : no response has completed, so
-    nothing but that is asked. after : what loops on the same plant make of this and its answer; None for none.
+    nothing but that is asked. after : what loops on the same plant make of this and its answer; None for none. spoilt :
+    which known disturbance is in the response of a trial, so that it says nothing; all samples may.
     """
 
     record: ResponseRecord
@@ -188,6 +189,7 @@ class Question:
     look: Look | None = None
     alone: bool = False
     after: "Callable[[Question, StageResult], StageResult] | None" = None
+    spoilt: str = ""
 
     @property
     def t_s(self) -> float:
@@ -300,6 +302,8 @@ MOST_TOLD = 200
 
 OTHER_LOOP = "other_loop"
 """Code: another loop on the same plant moved, a known disturbance that is no verdict on this one."""
+NO_VERDICT = "a known disturbance, no verdict on this loop"
+"""How it ends what is told of that."""
 
 PASSED_OVER = StageResult(
     "passed_over", "the previous response was still being evaluated: not used to update the model"

@@ -44,7 +44,6 @@ from retuner.adaptive.supervision.pipeline_types import (
     NOBODY,
     NOT_EVALUATED,
     NOTHING,
-    OTHER_LOOP,
     PASSED_OVER,
     Ended,
     Led,
@@ -511,8 +510,7 @@ class Retuner:
     def _judge(self, case: ResponseRecord, outcome: StageResult) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""
         trial = self.trials.of(case.region)
-        unseen = outcome.code == OTHER_LOOP or (case.crossed and outcome.posterior is None)
-        if trial.phase != TrialPhase.TRIAL or unseen:
+        if trial.phase != TrialPhase.TRIAL or (case.crossed and outcome.posterior is None):
             return None
         if outcome.code in {Ground.SATURATED.name.lower(), NOT_EVALUATED}:
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)

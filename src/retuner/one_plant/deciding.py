@@ -1,6 +1,6 @@
 """Decides for a loop that is not alone on its plant.
 
-question -> on trial, and another loop's setpoint moved meanwhile?  yes: no verdict, nothing is learned
+question -> on trial, and another loop's setpoint moved meanwhile?  yes: the response says nothing, all samples may
          -> decided as ever, then put to the loops together (below): a change that they do not survive is not made
 
 Whether the loops on one plant survive a change of one of them, as far as the plant is known.
@@ -17,6 +17,7 @@ from retuner.adaptive.interaction.windows import Record, seen_in
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
     IN_PART,
+    NO_VERDICT,
     NOT_SURVIVED,
     OTHER_LOOP,
     Question,
@@ -28,8 +29,6 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
 from retuner.decisions.decider import Answer, Decider, without_decision
 from retuner.schedule.gains import PidGains
-
-# ---- Whether the loops on one plant survive a change of one of them, as far as the plant is known
 
 NO_WORSE = 1.05
 """An Ms over the limit may grow by this factor: the plant is known no better."""
@@ -116,10 +115,6 @@ class OnePlant:
     def __init__(self, retuners: Sequence[Retuner]) -> None:
         self.retuners = tuple(retuners)
 
-    def gains(self) -> tuple[PidGains, ...]:
-        """In force in each loop, or being written."""
-        return tuple(_gains(one) for one in self.retuners)
-
     def moved_beside(self, own: int, question: Question) -> str:
         """Which other loop's setpoint moved during the response of a question, in a sentence; empty for none.
 
@@ -148,10 +143,8 @@ class OnePlant:
             end_s = response.t_end_s - off
             moves = [b.t_s for a, b in pairwise(kept) if a.sp != b.sp and begin <= b.t_s <= end_s]
             if 0 < len(moves) <= MOVES_MOST:
-                return (
-                    f"{other.table.loop}, on the same plant, moved its setpoint at {moves[-1] + off:,.0f} s: a known "
-                    "disturbance, no verdict on this loop"
-                )
+                moved = f"moved its setpoint at {moves[-1] + off:,.0f} s"
+                return f"{other.table.loop}, on the same plant, {moved}: {NO_VERDICT}"
         return ""
 
     def among(self, own: int) -> Among | None:
@@ -185,7 +178,7 @@ class DecideAmong:
 
     def __init__(self, inner: Decider, plant: OnePlant, own: int) -> None:
         self._inner, self._plant, self._own = inner, plant, own
-        self._asked = 0
+        self._asked, self._spoilt = 0, ""
         self._others: tuple[PidGains, ...] = ()
         self._waits: Answer | None = None
 
@@ -193,11 +186,8 @@ class DecideAmong:
         """See Decider."""
         self._asked, self._others, self._waits = question.sample_number, self._other_gains(), None
         on_trial = question.trial.phase in UNDECIDED and not question.alone
-        moved = self._plant.moved_beside(self._own, question) if on_trial else ""
-        if moved:
-            self._waits = without_decision(OTHER_LOOP, moved)
-            return
-        among = self._plant.among(self._own)
+        self._spoilt = self._plant.moved_beside(self._own, question) if on_trial else ""
+        question, among = replace(question, spoilt=self._spoilt), self._plant.among(self._own)
         self._inner.ask(question if among is None else replace(question, after=among.answered))
 
     def answer(self, sample_number: int) -> Answer | None:
@@ -216,14 +206,16 @@ class DecideAmong:
     def _in_place_of(self, answer: Answer) -> Answer | None:
         """What is entered for an answer that changes gains; None for itself."""
         verdict, reason = answer.result.verdict, answer.result.reason
-        if answer.result.code == NOT_SURVIVED:
-            return Answer(answer.result, reason)
+        held = reason if answer.result.code == NOT_SURVIVED or reason.startswith(IN_PART) else ""
+        if self._spoilt and held:
+            return without_decision(OTHER_LOOP, f"{self._spoilt}; {held}")
         if verdict is None or not verdict.accepted or self._other_gains() == self._others:
-            return Answer(answer.result, reason) if reason.startswith(IN_PART) else None
+            trouble = held or self._spoilt
+            return Answer(answer.result, trouble) if trouble else None
         return without_decision(OTHER_LOOP, "another loop on the same plant has got other gains meanwhile")
 
     def _other_gains(self) -> tuple[PidGains, ...]:
-        return tuple(gains for i, gains in enumerate(self._plant.gains()) if i != self._own)
+        return tuple(_gains(one) for i, one in enumerate(self._plant.retuners) if i != self._own)
 
 
 def _gains(one: Retuner) -> PidGains:

@@ -12,7 +12,14 @@ from retuner.adaptive.setpoint_bumps.planner import NudgePhase
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import IN_PART, NOT_SURVIVED, half_way, without_change
+from retuner.adaptive.supervision.pipeline_types import (
+    IN_PART,
+    NO_VERDICT,
+    NOT_SURVIVED,
+    OTHER_LOOP,
+    half_way,
+    without_change,
+)
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import Answer, without_decision
@@ -153,6 +160,8 @@ def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
     trouble, code = str(body["reason"]), str(body["code"])
     if trouble and code == NOT_SURVIVED:
         answer = Answer(without_change(decide(question), trouble))
+    elif code == OTHER_LOOP and trouble.endswith(NO_VERDICT):
+        answer = Answer(decide(replace(question, spoilt=trouble)))
     elif trouble.startswith(IN_PART):
         whole = decide(question).verdict
         assert whole is not None

@@ -1,6 +1,6 @@
 """A loop that is not alone on its plant: what the others do is no verdict, and what they do not survive is not made."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -12,7 +12,20 @@ from retuner.adaptive.guard import GuardSettings, Verdict
 from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.interaction.together import Closed
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.pipeline_types import NOT_SURVIVED, OTHER_LOOP, Question, StageResult, half_way
+from retuner.adaptive.supervision import pipeline
+from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.guard_request import seen_of
+from retuner.adaptive.supervision.pipeline import Stage
+from retuner.adaptive.supervision.pipeline_types import (
+    NO_VERDICT,
+    NOT_SURVIVED,
+    OTHER_LOOP,
+    Findings,
+    Question,
+    StageResult,
+    half_way,
+    without_change,
+)
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.decider import Answer
 from retuner.one_plant import deciding
@@ -120,8 +133,8 @@ def pair(stepped_s: float, settles_s: float) -> OnePlant:
 
 def question(start_s: float, end_s: float, *, setpoint: bool = False, phase: TrialPhase = TrialPhase.TRIAL) -> Any:
     response = SimpleNamespace(t_start_s=start_s, t_end_s=end_s, sp_changed=setpoint)
-    record, trial = SimpleNamespace(response=response), SimpleNamespace(phase=phase)
-    return SimpleNamespace(record=record, trial=trial, t_s=199.0, sample_number=200, alone=False)
+    record = SimpleNamespace(response=response, samples=[SimpleNamespace(t_s=199.0)])
+    return Question(cast("Any", record), cast("Any", None), 200, cast("Any", SimpleNamespace(phase=phase)))
 
 
 @pytest.mark.parametrize(
@@ -147,25 +160,54 @@ class Inner:
     """A decider with one answer at once."""
 
     def __init__(self, result: StageResult) -> None:
-        self.result, self.asked = result, 0
+        self.result, self.spoilt = result, ""
 
-    def ask(self, _question: object) -> None:
-        self.asked += 1
+    def ask(self, question: Question) -> None:
+        self.spoilt = question.spoilt
 
     def answer(self, _sample_number: int) -> Answer | None:
         return Answer(self.result)
 
 
-def test_what_stands_in_place_of_a_decision_comes_after_the_questions_row() -> None:
-    inner = Inner(wanted(BLT[0]))
-    decider = DecideAmong(inner, pair(100.0, 15.0), 0)
+@pytest.mark.parametrize("refused", [False, True])
+def test_what_stands_in_place_of_a_decision_comes_after_the_questions_row(
+    monkeypatch: pytest.MonkeyPatch, *, refused: bool
+) -> None:
+    result = wanted(BLT[0])
+    inner = Inner(without_change(result, "refused: for once") if refused else result)
+    plant = pair(100.0, 15.0)
+    monkeypatch.setattr(plant, "among", lambda _own: None)
+    decider = DecideAmong(inner, plant, 0)
     decider.ask(question(105, 150))
+    assert inner.spoilt.endswith(NO_VERDICT)
     assert decider.answer(200) is None
     answer = decider.answer(200)
     assert answer is not None
-    assert answer.result.code == OTHER_LOOP
-    assert answer.trouble
-    assert inner.asked == 0
+    assert answer.trouble.startswith(inner.spoilt)
+    assert answer.trouble.endswith("refused: for once" if refused else NO_VERDICT)
+    assert (answer.result.verdict is None) == refused
+
+
+def test_a_response_of_a_trial_that_another_loop_moved_says_nothing_and_all_samples_may(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    change = wanted(BLT[0]).verdict
+
+    def speaks(found: Findings) -> None:
+        found.verdict, found.basis = change, Basis.ALL_SAMPLES
+        found.stop("accepted", "more action")
+
+    stages = (Stage("a response", lambda _: pytest.fail("it is asked")), Stage("all samples", speaks, always=True))
+    monkeypatch.setattr(pipeline, "STAGES", stages)
+    asked = replace(question(105, 150), spoilt="two moved")
+    found = pipeline.decide(asked)
+    assert (found.code, found.reason) == (OTHER_LOOP, "more action")
+    record = cast("Any", SimpleNamespace(window=SimpleNamespace(t_s=[199.0]), samples=[], response=None, crossed=False))
+    seen = seen_of(record, found)
+    assert seen.outside  # so the judge finds it inconclusive
+    assert seen.next_due  # and the trial makes room
+    monkeypatch.setattr(pipeline, "STAGES", stages[:1])
+    assert pipeline.decide(asked).reason == "two moved"
 
 
 def test_a_change_proved_beside_gains_that_are_no_longer_in_force_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
