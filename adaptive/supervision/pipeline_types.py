@@ -17,7 +17,6 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.settings_by_book import BookNumbers
 from retuner.adaptive.guard import Verdict
-from retuner.adaptive.guard.step_size import extent
 from retuner.adaptive.region_model.across import ways_of
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Learned, TrackerSettings, predicted
@@ -302,8 +301,7 @@ MOST_TOLD = 200
 
 OTHER_LOOP = "other_loop"
 """Code: another loop on the same plant moved, a known disturbance that is no verdict on this one."""
-NO_VERDICT = "a known disturbance, no verdict on this loop"
-"""How it ends what is told of that."""
+
 
 PASSED_OVER = StageResult(
     "passed_over", "the previous response was still being evaluated: not used to update the model"
@@ -471,25 +469,6 @@ def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
     elif trial.phase == TrialPhase.IDLE:
         words = "a change in another region is being written"
     return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"no change now: {words}")
-
-
-NOT_SURVIVED = "not_survived"
-"""Code: the other loops on the plant do not survive the change."""
-
-
-def without_change(outcome: StageResult, reason: str) -> StageResult:
-    """What was learned, and no change."""
-    return replace(outcome, code=NOT_SURVIVED, reason=reason, verdict=None, basis=None, promise=None)
-
-
-IN_PART = "half of a change that was "
-"""How the reason begins of a change that the other loops survive in half."""
-
-
-def half_way(question: Question, refused: PidGains) -> Question:
-    """The same question, where one change may go half the way (of logarithms) to gains that were refused."""
-    guard = question.settings.guard.held_to(math.exp(extent(question.record.in_force, refused) / 2))
-    return replace(question, settings=replace(question.settings, guard=guard), after=None)
 
 
 # A setpoint that another loop leads. The slave of a cascade completes a response every few samples, and none of them

@@ -8,27 +8,41 @@ Whether the loops on one plant survive a change of one of them, as far as the pl
 all loops' records -> answers to every output (interaction/) -> Ms of each loop, closed together, before and after
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+from retuner.adaptive.guard.step_size import extent
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.interaction.windows import Record, seen_in
 from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import (
-    IN_PART,
-    NO_VERDICT,
-    NOT_SURVIVED,
-    OTHER_LOOP,
-    Question,
-    StageResult,
-    half_way,
-    without_change,
-)
+from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Question, StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
 from retuner.decisions.decider import Answer, Decider, without_decision
 from retuner.schedule.gains import PidGains
+
+NO_VERDICT = "a known disturbance, no verdict on this loop"
+"""How it ends what is told of another loop's move in a response."""
+NOT_SURVIVED = "not_survived"
+"""Code: the other loops on the plant do not survive the change."""
+
+
+def without_change(outcome: StageResult, reason: str) -> StageResult:
+    """What was learned, and no change."""
+    return replace(outcome, code=NOT_SURVIVED, reason=reason, verdict=None, basis=None, promise=None)
+
+
+IN_PART = "half of a change that was "
+"""How the reason begins of a change that the other loops survive in half."""
+
+
+def half_way(question: Question, refused: PidGains) -> Question:
+    """The same question, where one change may go half the way (of logarithms) to gains that were refused."""
+    guard = question.settings.guard.held_to(math.exp(extent(question.record.in_force, refused) / 2))
+    return replace(question, settings=replace(question.settings, guard=guard), after=None)
+
 
 NO_WORSE = 1.05
 """An Ms over the limit may grow by this factor: the plant is known no better."""

@@ -1,11 +1,23 @@
 """Which loops of a session, or controllers of a program, are on one plant."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from retuner.adaptive.supervision.pipeline import decide
+from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Question
 from retuner.config import Config
 from retuner.config.plants import ModelSection
-from retuner.one_plant.deciding import DecideAmong, OnePlant
+from retuner.decisions.decider import Answer, without_decision
+from retuner.one_plant.deciding import (
+    IN_PART,
+    NO_VERDICT,
+    NOT_SURVIVED,
+    DecideAmong,
+    OnePlant,
+    half_way,
+    without_change,
+)
 
 if TYPE_CHECKING:
     from retuner.session.loop_session import LoopSession
@@ -27,3 +39,17 @@ def join(configs: Sequence[Config], sessions: "Sequence[LoopSession]") -> None:
         plant = OnePlant([one.retuner for one in loops])
         for i, one in enumerate(loops if len(loops) > 1 else ()):
             one.decider = DecideAmong(one.decider, plant, i)
+
+
+def answered_again(question: Question, code: str, trouble: str) -> Answer:
+    """What DecideAmong entered in place of a decision, for a replay. code, trouble : as the ledger has them."""
+    if code == NOT_SURVIVED:
+        return Answer(without_change(decide(question), trouble))
+    if code == OTHER_LOOP and trouble.endswith(NO_VERDICT):
+        return Answer(decide(replace(question, spoilt=trouble)))
+    if not trouble.startswith(IN_PART):
+        return without_decision(code, trouble)
+    whole = decide(question).verdict
+    assert whole is not None
+    assert whole.gains is not None
+    return Answer(replace(decide(half_way(question, whole.gains)), reason=trouble))

@@ -1,7 +1,7 @@
 """What the ledger keeps of a controller's events, and which of them end a trial."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -12,17 +12,9 @@ from retuner.adaptive.setpoint_bumps.planner import NudgePhase
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import (
-    IN_PART,
-    NO_VERDICT,
-    NOT_SURVIVED,
-    OTHER_LOOP,
-    half_way,
-    without_change,
-)
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
-from retuner.decisions.decider import Answer, without_decision
+from retuner.decisions.decider import LATE, LOST, Answer, without_decision
 from retuner.drivers.device import (
     CommandFailed,
     DeviceConflict,
@@ -40,6 +32,7 @@ from retuner.drivers.device import (
     WriteUnknown,
 )
 from retuner.ledger import Row
+from retuner.products import product
 from retuner.schedule.gains import PidGains
 
 HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, DeviceStopped, VariableChanged)
@@ -158,15 +151,8 @@ def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
     if question is None or question.sample_number != body["asked"]:
         raise ValueError(f"it answers a question of sample {body['asked']}, which is not open")
     trouble, code = str(body["reason"]), str(body["code"])
-    if trouble and code == NOT_SURVIVED:
-        answer = Answer(without_change(decide(question), trouble))
-    elif code == OTHER_LOOP and trouble.endswith(NO_VERDICT):
-        answer = Answer(decide(replace(question, spoilt=trouble)))
-    elif trouble.startswith(IN_PART):
-        whole = decide(question).verdict
-        assert whole is not None
-        assert whole.gains is not None
-        answer = Answer(replace(decide(half_way(question, whole.gains)), reason=trouble))
+    if trouble and code not in {LATE, LOST}:
+        answer = product("one plant").answered_again(question, code, trouble)
     else:
         answer = without_decision(code, trouble) if trouble else Answer(decide(question))
     return retuner.enter(question, answer.result, retuner.sample_number)

@@ -16,21 +16,21 @@ from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import seen_of
 from retuner.adaptive.supervision.pipeline import Stage
-from retuner.adaptive.supervision.pipeline_types import (
-    NO_VERDICT,
-    NOT_SURVIVED,
-    OTHER_LOOP,
-    Findings,
-    Question,
-    StageResult,
-    half_way,
-    without_change,
-)
+from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, Question, StageResult
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.decider import Answer
 from retuner.one_plant import deciding
 from retuner.one_plant.controllers import on_one_plant
-from retuner.one_plant.deciding import Among, DecideAmong, OnePlant, on_one_clock
+from retuner.one_plant.deciding import (
+    NO_VERDICT,
+    NOT_SURVIVED,
+    Among,
+    DecideAmong,
+    OnePlant,
+    half_way,
+    on_one_clock,
+    without_change,
+)
 
 
 @dataclass
