@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.indexes.limits import at_limits
 from retuner.adaptive.signals.sample import Window
@@ -19,14 +20,24 @@ MOST_DAYS = 8
 """Most days that are read; of more, the newest."""
 
 
-def days_of(window: Window) -> list[Window]:
-    """The stretches in which a loop was at work, each a record of its own; the record itself where it is only one.
+def days_of(window: Window, most: int = MOST_DAYS) -> list[Window]:
+    """The stretches in which a loop was at work, each a record of its own; the record itself where it is only one."""
+    n = len(window.t_s)
+    step = np.diff(window.t_s)
+    cut = (step > GAP * float(np.median(step))) | (np.diff(off_in(window).astype(np.int8)) != 0)
+    if not cut.any():
+        return [window]
+    edges = [0, *(np.flatnonzero(cut) + 1).tolist(), n]
+    parts = [slice(a, b) for a, b in pairwise(edges) if b - a >= FEWEST_ROWS]
+    days = [window.part(rows) for rows in parts if np.ptp(window.co[rows]) > 0 and np.ptp(window.pv[rows]) > 0]
+    return days[-most:] if len(days) > 1 else [window]
+
+
+def off_in(window: Window) -> npt.NDArray[np.bool_]:
+    """In which samples the controller is off, shape (n,): co stands still for long. In none where that is rare.
 
     co that stands still at a limit is at work: the error pushes it there (limits.py).
     """
-    n = len(window.t_s)
-    step = np.diff(window.t_s)
-    # in which samples co stands still for long at what is no limit, shape (n,)
     limits = at_limits(window.co, error=window.sp - window.pv)
     ends = [float(f(window.co)) for share, f in ((limits.low, np.min), (limits.high, np.max)) if share > 0]
     still = np.concatenate([[False], (np.diff(window.co) == 0) & ~np.isin(window.co[1:], ends), [False]])
@@ -34,16 +45,7 @@ def days_of(window: Window) -> list[Window]:
     off = np.zeros(len(window.co), dtype=bool)
     for a, b in zip(starts.tolist(), ends_at.tolist(), strict=True):
         off[a : b + 1] = b - a >= max(NIGHT * len(window.co), FEWEST_ROWS)
-    cut = np.zeros(n - 1, dtype=bool)
-    cut |= step > GAP * float(np.median(step))
-    if np.mean(off) >= OFF:
-        cut |= np.diff(off.astype(np.int8)) != 0
-    if not cut.any():
-        return [window]
-    edges = [0, *(np.flatnonzero(cut) + 1).tolist(), n]
-    parts = [slice(a, b) for a, b in pairwise(edges) if b - a >= FEWEST_ROWS]
-    days = [window.part(rows) for rows in parts if np.ptp(window.co[rows]) > 0 and np.ptp(window.pv[rows]) > 0]
-    return days[-MOST_DAYS:] if len(days) > 1 else [window]
+    return off & (np.mean(off) >= OFF)
 
 
 def at_gaps(window: Window) -> list[slice]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray, all_finite
 from retuner.drivers.historian.assumption import Assumption, quoted
-from retuner.drivers.historian.raw_table import MISSING, WITH_UNIT, RawTable
+from retuner.drivers.historian.raw_table import MISSING, WITH_STATUS, WITH_UNIT, RawTable, without_status
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import NUMBER, RecordingError
 
@@ -23,7 +23,8 @@ THREE_AFTER = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 """What may be a thousand and some as well as one and some thousandths."""
 SYSTEM_STATE = re.compile(r"\[-[0-9]+\].*")
 """A state of the historian instead of a value, as in "[-11059] No Good Data"."""
-GOOD_WORDS = frozenset({"good", "ok", "valid", "normal", "g", "true", "good, annotated"})
+GOOD_WORDS = frozenset({"good", "ok", "valid", "normal", "g", "true", "good, annotated", "alarm", "unackedalarm"})
+"""What is said of a good value; one in alarm is still what the sensor reads."""
 BAD_WORDS = frozenset({"bad", "uncertain", "invalid", "b", "u", "false", "questionable", "substituted", "stale"})
 OPC_GOOD = 192
 """Quality of OPC from which a value is good (OPC Data Access 2.05, 6.8)."""
@@ -57,7 +58,8 @@ def _text(table: RawTable, place: int) -> Sequence[str]:
 
 
 def _bare(text: str) -> str:
-    """A field without the unit that may stand in it."""
+    """A field without the state and the unit that may stand in it."""
+    text = without_status(text)
     with_unit = WITH_UNIT.fullmatch(text)
     return with_unit["number"] if with_unit else text
 
@@ -72,7 +74,7 @@ def unit_beside(table: RawTable, place: int) -> str:
     """
     first, where = "", ""
     for i, field in enumerate(_text(table, place)):
-        text = field.strip()
+        text = without_status(field)
         with_unit = WITH_UNIT.fullmatch(text)
         if text.lower() in MISSING or not (with_unit or NUMBER.fullmatch(text)):
             continue
@@ -110,6 +112,9 @@ def _number(table: RawTable, place: int, row: int, text: str, decimal: str, miss
         return np.nan
     if decimal == "." and NUMBER.fullmatch(text):
         return float(text)
+    status = WITH_STATUS.fullmatch(text)
+    if status:
+        return _number(table, place, row, status["value"], decimal, missing) if _fine(status["status"]) else np.nan
     plain = _bare(text)
     if decimal == ",":
         plain = plain.replace(".", "") if THOUSANDS[","].fullmatch(plain) else plain
@@ -126,6 +131,11 @@ def _number(table: RawTable, place: int, row: int, text: str, decimal: str, miss
     raise RecordingError(f"{table.source}{table.places[row]}: {table.names[place]} = {text[:40]!a}{why}")
 
 
+def _fine(status: str) -> bool:
+    """Whether a value of this state, one word or several between commas, is what the signal was."""
+    return {word.strip().lower() for word in status.split(",")} <= GOOD_WORDS
+
+
 def good(table: RawTable, place: int, form: RecordForm) -> np.ndarray:
     """Where a quality says that a value is good, shape (n,): words, OPC's numbers, or what the form names.
 
@@ -139,6 +149,8 @@ def good(table: RawTable, place: int, form: RecordForm) -> np.ndarray:
     seen = set(words)
     if form.good:
         return np.array([word == form.good.strip().lower() for word in words])
+    if all(word.startswith("{") for word in seen):
+        return np.array([_fine(word.strip("{} ")) for word in words])
     if len(seen) == 1 and not seen <= BAD_WORDS:
         return np.ones(len(words), dtype=bool)
     if seen <= GOOD_WORDS | BAD_WORDS | MISSING:

@@ -84,7 +84,7 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
     if not tables:
         raise RecordingError(EMPTY)
     read = [signals_of(table, own, in_automatic=in_automatic) for table, own in _forms(tables, form)]
-    loop = _chosen(_together(read), form, tables[0])
+    loop = _chosen(_together(read), form, tables)
     return _record(loop, read, form)
 
 
@@ -105,9 +105,7 @@ def read_records(
         tables, read = [list(chain(*tables))], [list(chain(*read))]
     if not all(tables):
         raise RecordingError(EMPTY)
-    found = [
-        _record(_chosen(_together(each), form, its[0]), each, form) for its, each in zip(tables, read, strict=True)
-    ]
+    found = [_record(_chosen(_together(each), form, its), each, form) for its, each in zip(tables, read, strict=True)]
     tags = {record.tag for record in found}
     if len(tags) > 1:
         raise RecordingError(
@@ -244,17 +242,22 @@ def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[
 def _forms(tables: Sequence[RawTable], form: RecordForm) -> list[tuple[RawTable, RecordForm]]:
     """Each table with what of the named columns is its own: a column of another file, or a file of one signal.
 
-    A name that no table has stays everybody's, and is complained of.
+    Raises
+    ------
+    RecordingError
+        No table has a column, or is a file, of a name; or a file of that name holds several signals.
     """
     if len(tables) < 2 or not form.columns:
         return [(table, form) for table in tables]
+    for role, name in form.columns.items():
+        if not any(_holds(table, name) for table in tables):
+            raise RecordingError(f'no column and no file is called "{name}"; {_to_be_named(tables, role)}')
     found = []
     for table in tables:
         files = {Path(table.source).name, Path(table.source).stem}
         columns = {}
         for role, name in form.columns.items():
-            elsewhere = any(_holds(other, name) for other in tables if other is not table)
-            if name in table.names or not (elsewhere or name in files):
+            if name in table.names:
                 columns[role] = name
             elif name in files:
                 columns[role] = _only_signal(table, form)
@@ -267,10 +270,20 @@ def _holds(table: RawTable, name: str) -> bool:
     return name in table.names or name in {Path(table.source).name, Path(table.source).stem}
 
 
+def _to_be_named(tables: Sequence[RawTable], role: str) -> str:
+    """What a signal may be called: a column, or where there are several files one of them."""
+    there = _listed(dict.fromkeys(name for table in tables for name in table.names))
+    if len(tables) < 2:
+        return f"there is {there}; name it as in --columns {role}=NAME"
+    files = _listed(Path(table.source).stem for table in tables)
+    return f"there is {there} in the files {files}; name a column or a file as in --columns {role}=NAME"
+
+
 def _only_signal(table: RawTable, form: RecordForm) -> str:
     """The column of a file of one signal."""
     named_ones = set(form.columns.values())
     free = [name for name in table.names if name not in named_ones and named(name).role not in BESIDE]
+    free = [name for name in free if named(name).role == "value"] or free
     if len(free) != 1:
         raise RecordingError(f"{table.source}: holds {_listed(table.names)}; name its column as in --columns pv=NAME")
     return free[0]
@@ -351,25 +364,22 @@ def _one_after_the_other(role: str, pieces: list[Trend], source: str) -> Trend:
     )
 
 
-def _chosen(loops: Mapping[str, Mapping[str, Trend]], form: RecordForm, table: RawTable) -> _Loop:
+def _chosen(loops: Mapping[str, Mapping[str, Trend]], form: RecordForm, tables: Sequence[RawTable]) -> _Loop:
+    source = tables[0].source
     whole = {tag: trends for tag, trends in loops.items() if {"pv", "co"} <= trends.keys()}
     if form.tag:
         fitting = [tag for tag in whole if tag.lower() == form.tag.lower()]
         if not fitting:
-            raise RecordingError(
-                f"{table.source}: no loop {quoted(form.tag)} with pv and co; there is {_listed(whole)}"
-            )
+            raise RecordingError(f"{source}: no loop {quoted(form.tag)} with pv and co; there is {_listed(whole)}")
         return _Loop(fitting[0], whole[fitting[0]])
     if len(whole) == 1:
         tag, trends = next(iter(whole.items()))
         return _Loop(tag, trends)
     if whole:
-        raise RecordingError(f"{table.source}: {len(whole)} loops in it; name one with --tag: {_listed(whole)}")
+        raise RecordingError(f"{source}: {len(whole)} loops in it; name one with --tag: {_listed(whole)}")
     roles = {role for trends in loops.values() for role in trends}
-    missing, there = "co" if "pv" in roles else "pv", _listed(table.names)
-    raise RecordingError(
-        f'{table.source}: no column "{missing}"; there is {there}; name it as in --columns {missing}=NAME'
-    )
+    missing = "co" if "pv" in roles else "pv"
+    raise RecordingError(f'{source}: no column "{missing}"; {_to_be_named(tables, missing)}')
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -36,6 +36,8 @@ VALUE = re.compile(
     r"|[0-9]{1,4}[-/.][0-9A-Za-z]{1,9}[-/.][0-9]{1,4}.*"  # a date, with or without the time
     r"|[0-9]{1,2}:[0-9]{2}.*"  # a time of day
 )
+WITH_STATUS = re.compile(r"(?P<value>[^{]*?) *\{(?P<status>[\w ,]*)\}(?: *@ *\w+)?")
+"""A value with its state beside it, as Niagara writes it: "50.00 % {ok}", "0.0 {down,stale}", "7 {overridden} @ 8"."""
 MISSING = frozenset(
     {
         "", "-", "--", "?", "nan", "null", "none", "na", "n/a", "#n/a", "#value!", "#ref!", "bad", "no data", "nodata",
@@ -150,9 +152,16 @@ def _sample(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
     return lines if len(lines) <= LOOKED_AT else [*lines[len(lines) // 2 :][:half], *lines[-half:]]
 
 
+def without_status(field: str) -> str:
+    """A field as it stands, without the state that may stand beside its value."""
+    text = field.strip().strip('"')
+    found = WITH_STATUS.fullmatch(text) if "{" in text else None
+    return found["value"] if found else text
+
+
 def is_value(field: str) -> bool:
     """Whether a field is a number, a stamp or a word for a missing value."""
-    text = field.strip().strip('"')
+    text = without_status(field)
     return bool(VALUE.fullmatch(text)) or text.lower() in MISSING
 
 
@@ -197,7 +206,7 @@ def _without_empty_columns(rows: Rows) -> Rows:
 
 def _is_row(fields: Sequence[str]) -> bool:
     """Whether a line is a row of values and not names."""
-    values = [bool(VALUE.fullmatch(field.strip())) for field in fields]
+    values = [bool(VALUE.fullmatch(without_status(field))) for field in fields]
     return any(values) and sum(map(is_value, fields)) >= len(fields) / 2
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.indexes.days import GAP
 from retuner.adaptive.signals.sample import FloatArray, all_finite
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.cells import decimal_mark, good, numbers, unit_beside
@@ -29,6 +30,8 @@ BESIDE = ("t", "date", "quality", "mode", "tag")
 """Roles of columns that hold no signal."""
 MANUAL = ("man", "hand", "off", "iman", "lo", "track", "init")
 """How words of modes begin in which the controller has not the valve."""
+A_DAY = 0.5
+"""Share of the longest stretch in automatic from which another one, after a night, is another day of the record."""
 OWN_WORDS: Mapping[str, frozenset[str]] = MappingProxyType(
     {"sp": frozenset({"sp", "sv"}), "pv": frozenset({"pv"}), "co": frozenset({"co", "op", "out", "output"})}
 )
@@ -297,7 +300,7 @@ def _good(table: RawTable, places: Sequence[int], form: RecordForm, told: list[A
 def _automatic(
     table: RawTable, places: Sequence[int], clock: _Clock, form: RecordForm, told: list[Assumption]
 ) -> np.ndarray:
-    """Rows of the longest stretch in automatic, where a column says the mode in words; else all."""
+    """Rows in automatic, where a column says the mode in words: the longest stretch, or each day of several."""
     everything = np.ones(len(table.places), dtype=bool)
     place = _column(table, "mode", form, places)
     column = table.columns[place] if place is not None else np.zeros(0)
@@ -309,11 +312,17 @@ def _automatic(
         if len(words) > 1 and any(NUMBER.fullmatch(word) for word in words):
             told.append(Assumption(f"mode is in numbers ({', '.join(words[:3])}): not used, all rows taken"))
         return everything
-    edges = np.flatnonzero(np.diff(np.r_[1, manual, 1]))
-    begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda stretch: stretch[1] - stretch[0])
-    told.append(Assumption(f"the longest stretch in automatic taken, {end - begin} of {len(manual)} rows"))
+    stretches = np.flatnonzero(np.diff(np.r_[1, manual, 1])).reshape(-1, 2)
+    lengths = stretches[:, 1] - stretches[:, 0]
+    days = stretches[lengths >= A_DAY * np.max(lengths)]
+    nights_s = clock.t_s[days[1:, 0]] - clock.t_s[days[:-1, 1] - 1]
+    if len(days) == 1 or np.min(nights_s) <= GAP * float(np.median(np.diff(clock.t_s))):
+        days = stretches[[int(np.argmax(lengths))]]
     everything[:] = False
-    everything[clock.rows[begin:end]] = True
+    for begin, end in days.tolist():
+        everything[clock.rows[begin:end]] = True
+    what = "the longest stretch" if len(days) == 1 else f"{len(days)} stretches"
+    told.append(Assumption(f"{what} in automatic taken, {int(np.sum(everything))} of {len(manual)} rows"))
     return everything
 
 

@@ -43,6 +43,8 @@ TIME_OF_DAY = re.compile(
     r"(?P<h>[0-9]{1,2}):(?P<m>[0-9]{2})(?::(?P<s>[0-9]{2})(?:[.,](?P<f>[0-9]{1,9}))?)?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
     rf"\s*(?P<zone>{'|'.join(sorted(ZONES, key=len, reverse=True))}|[+-][0-9]{{2}}:?[0-9]{{2}})?"
 )
+OTHER_ZONE = re.compile(r"[A-Z][A-Za-z/_]+")
+"""A zone by any other name behind a time of day."""
 DIGITS = re.compile(r"(?:19|20)[0-9]{12}(?:\.[0-9]+)?")
 """Date and time written together as 20241015215500."""
 EPOCHS = MappingProxyType({"s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e15), "ns": (1e18, 4e18)})
@@ -124,7 +126,24 @@ def from_text(
     if all(DIGITS.fullmatch(text) for text in texts[:SHOWN]):
         told = Assumption("stamps as digits of date and time", 'time_format = "%Y%m%d%H%M%S"')
         return Stamps(_timed(texts, _digits, form, source, begins), (told,))
-    return _of_usual_forms(texts, form, source, begins)
+    others = {text: zone for text in texts if (zone := _other_zone(text))}
+    if others and not form.zone:
+        raise RecordingError(
+            f"{source}: time {next(iter(others))[:40]!a} is of a zone that is not known; give it by its city, "
+            "as in --zone Asia/Kolkata"
+        )
+    found = _of_usual_forms([text.removesuffix(others.get(text, "")).strip() for text in texts], form, source, begins)
+    if others:  # no format of strptime has these letters either
+        told = f"{found.assumed[0].what}, {', '.join(sorted(set(others.values())))} as {form.zone}"
+        return Stamps(found.t_s, (Assumption(told),))
+    return found
+
+
+def _other_zone(text: str) -> str:
+    """The letters behind a time of day that are those of no zone in ZONES; empty for none."""
+    clock = TIME_OF_DAY.search(text) if text[-1:].isalpha() else None
+    rest = text[clock.end() :].strip() if clock and not clock["zone"] else ""
+    return rest if OTHER_ZONE.fullmatch(rest) else ""
 
 
 def _of_usual_forms(texts: list[str], form: RecordForm, source: str, begins: Sequence[int]) -> Stamps:

@@ -63,6 +63,14 @@ def test_an_audit_diagnoses_days(monkeypatch: pytest.MonkeyPatch) -> None:
     assert float(np.min(asked[0].co)) > 5.0
 
 
+def test_an_audit_screens_the_days_alone() -> None:
+    """Nights with the valve shut were a loop at its limit."""
+    seen, whole = _Seen(), several(3)
+    seen.add(LoopRecord(Recording("d.csv", whole.t_s, whole.pv, whole.co, whole.sp), ()), AuditSettings(stretches=0))
+    assert seen.screens[0].samples == 3 * DAY
+    assert seen.screens[0].at_limits == 0.0
+
+
 def test_a_schedule_takes_days_apart_at_gaps(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Window] = []
 

@@ -212,8 +212,12 @@ def test_names_that_differ_from_file_to_file_are_columns_or_files(written: Calla
     is_the_loop(
         read_loop_record(files, RecordForm(columns=dict(zip(("pv", "co", "sp"), columns.split(","), strict=True))))
     )
-    with pytest.raises(RecordingError, match='no column "elsewhere"'):
+    with pytest.raises(RecordingError, match=r'no column and no file is called "elsewhere"; .* or a file as in --col'):
         read_loop_record(files, RecordForm(columns={"pv": "static", "co": "elsewhere"}))
+    with pytest.raises(
+        RecordingError, match=r'no column "pv"; .* in the files fan, static, static_sp; name a column or'
+    ):
+        read_loop_record(files)
     both = written(text("Timestamp,PV,OP", when, PV, CO), "both.csv")
     with pytest.raises(RecordingError, match="holds Timestamp, PV, OP; name its column"):
         read_loop_record([*files, both], RecordForm(columns={"pv": "both", "co": "fan"}))
@@ -227,6 +231,49 @@ def test_trends_of_a_building_as_niagara_writes_them_are_read() -> None:
     assert set(np.diff(read.recording.t_s)) == {300.0}
     assert "CDT as UTC-5 h, CST as UTC-6 h" in in_a_line(read.assumed)
     assert read.begin_s == datetime(2022, 5, 7, 17, 10, tzinfo=UTC).timestamp()
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_state_beside_a_value_tells_whether_it_is_good(written: Callable[..., Path], apart: bool) -> None:
+    """Niagara's: one in alarm is what the sensor reads; one that is down, or that a hand has set, is not."""
+    states = ["{ok}"] * N
+    states[5:9] = ["{down,stale}", "{alarm,unackedAlarm}", "{overridden}", "{null}"]
+    when = stamps("%d-%b-%y %I:%M:%S %p CDT")
+    if apart:
+        files = [
+            written(
+                text("Timestamp,Trend Flags,Status,Value", when, ["{ }"] * N, [f'"{s}"' for s in states], values), name
+            )
+            for name, values in (("temp.csv", PV), ("valve.csv", CO), ("wanted.csv", SP))
+        ]
+        form = RecordForm(columns={"pv": "temp", "co": "valve", "sp": "wanted"})
+    else:
+        cells = [f'"{v} °F {s}"' for v, s in zip(PV, states, strict=True)]
+        files = [written(text(US, when, [f"{v} {{ok}}" for v in SP], cells, [f"{v} % {{ok}} @ def" for v in CO]))]
+        form = RecordForm()
+    read = read_loop_record(files, form).recording
+    kept = [i for i in range(N) if i not in {5, 7, 8}]
+    assert read.t_s.tolist() == T[kept].tolist()
+    assert np.array_equal(read.pv, PV[kept])
+    assert np.array_equal(read.co, CO[kept])
+
+
+def test_a_zone_that_is_not_known_is_asked_for(written: Callable[..., Path]) -> None:
+    path = written(text(US, stamps("%d-%b-%y %I:%M:%S %p XYZ"), SP, PV, CO))
+    with pytest.raises(RecordingError, match=r"PM XYZ' is of a zone that is not known; .* --zone") as told:
+        read_loop_record([path])
+    assert "time-format" not in str(told.value)
+    read = read_loop_record([path], RecordForm(zone="Asia/Kolkata"))
+    is_the_loop(read)
+    assert "XYZ as Asia/Kolkata" in in_a_line(read.assumed)
+
+
+def test_days_in_automatic_are_all_taken(written: Callable[..., Path]) -> None:
+    mode = ["OFF" if i % 90 >= 20 else "AUTO" for i in range(200)]
+    one = np.arange(200.0)
+    read = read_loop_record([written(text("t,sp,pv,co,mode", one, one, one, one, mode))], in_automatic=True)
+    assert len(read.recording.t_s) == 60
+    assert "3 stretches in automatic taken, 60 of 200 rows" in in_a_line(read.assumed)
 
 
 def test_an_output_stored_by_exception_is_held(written: Callable[..., Path]) -> None:

@@ -21,7 +21,7 @@ from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, 
 from retuner.adaptive.audit.windows import spread_over, stretches_of_interest
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.identification.robust_simc import RobustSettings, believed, robust_simc
-from retuner.adaptive.indexes.days import days_of
+from retuner.adaptive.indexes.days import MOST_DAYS, days_of, off_in
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.audit.catalogue import ANY_FAULT, Task, told_fault
 from retuner.diagnosing import RecordDiagnosis, diagnose_record
@@ -168,7 +168,9 @@ class _Seen:
         """Screen a record and diagnose its telling stretches; without a setpoint nothing can be diagnosed."""
         known = record.recording.sp is not None
         window = record.recording.window() if known else _about_its_mean(record)
-        screen = screen_loop(window, setpoint=known)
+        days = days_of(window, len(window.t_s)) if known else [window]
+        worked = days if off_in(window).any() else [window]  # a controller that is off is judged by nothing
+        screen = joined_screen([screen_loop(day, setpoint=known) for day in worked])
         if not self.screens:
             self.begin_s = record.begin_s
             self.period_s = period_of(float(window.t_s[-1] - window.t_s[0]))
@@ -178,7 +180,7 @@ class _Seen:
             swings = screen.swinging > 0
             parts = over_time(window, self.period_s, first_s, setpoint=known, swings=swings)
             self.course += [replace(part, begin_s=round(part.begin_s + later_s)) for part in parts]
-        days = days_of(window) if known else [window]
+        days = days[-MOST_DAYS:]
         most = -(-settings.stretches // len(days)) if known else 0
         for stretch in (one for day in days for one in stretches_of_interest(day, screen.period_s, most)):
             found = diagnose_record(stretch)
@@ -189,7 +191,7 @@ class _Seen:
             shown = {"file": file, **_stretch(stretch, seen, found)}
             self.parts.append(Part(seen, shown, found, _own_copy(stretch)))
         if settings.stretches and known:
-            self.spread += [_own_copy(part) for part in spread_over(window)]
+            self.spread += [_own_copy(part) for part in spread_over(max(worked, key=lambda day: len(day.t_s)))]
         if screen.span_s >= max((one.span_s for one in self.screens), default=0.0):
             self.tracks = _tracks(window, record.begin_s or 0.0, screen, _own_period_s(self.parts))
         self.end_s = max(self.end_s, later_s + float(window.t_s[-1]))

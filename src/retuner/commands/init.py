@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.api import identify_record
 from retuner.commands.signatures.init import InitOptions
@@ -174,7 +175,7 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
     low, high = float(window.co.min()), float(window.co.max())
     if low < PERCENT[0] or high > PERCENT[1]:
         raise UserError(f"{record}: co runs from {low:g} to {high:g}; a configuration has percent, so convert it first")
-    gains = given or settings_in_force(window).gains
+    gains = given or settings_in_force(max(days_of(window), key=lambda day: len(day.t_s))).gains
     if gains is None:
         raise UserError(f"{record}: the record does not show the active gains; give --kc, --tau-i and --tau-d")
     pv_min, pv_max = _range(window.pv)

@@ -24,7 +24,7 @@ from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.commands.options import RecordOptions
-from retuner.commands.recorded.record_form import tell_assumed
+from retuner.commands.recorded.record_form import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import (
     controller,
     read_records_of_loop,
@@ -105,6 +105,7 @@ def diagnose(options: DiagnoseOptions) -> int:
     if options.plot is not None:
         write_whole(options.plot, _picture(found, options))
     assumed = tuple(dict.fromkeys(one for read in records for one in read.assumed))
+    assumed += days_told(len(windows), len(records))
     tell_assumed(assumed, options)
     aimed = _aimed(found, options)
     if options.as_json:

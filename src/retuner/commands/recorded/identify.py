@@ -14,7 +14,7 @@ from retuner.api import (
 )
 from retuner.commands.options import RecordOptions
 from retuner.commands.recorded.other_cause import contradiction, other_cause
-from retuner.commands.recorded.record_form import tell_assumed
+from retuner.commands.recorded.record_form import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import (
     controller,
     read_loop,
@@ -72,9 +72,10 @@ def identify(options: IdentifyOptions) -> int:
         other = other_cause([recording.window()], gains, options.co_min, options.co_max) if asked else None
     if options.plot is not None:
         write_whole(options.plot, _picture(recording, found, options))
-    tell_assumed(read.assumed, options)
+    assumed = read.assumed + (() if options.open_loop else days_told(len(days_of(recording.window())), 1))
+    tell_assumed(assumed, options)
     if options.as_json:
-        said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in read.assumed]}
+        said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
         sys.stdout.write(json.dumps(found.to_dict() | said, indent=2, allow_nan=False) + "\n")
     else:
         sys.stdout.write("\n".join([*described(found), *contradiction(other)]) + "\n")

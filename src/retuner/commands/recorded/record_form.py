@@ -76,6 +76,12 @@ def read_several(files: Sequence[Path], options: FormOptions) -> list[LoopRecord
     return found
 
 
+def days_told(days: int, records: int) -> tuple[Assumption, ...]:
+    """That records were read day by day, where they were."""
+    told = f"{days} days, each a record of its own: nights without samples, or with the controller off, left out"
+    return (Assumption(told),) if days > records else ()
+
+
 def tell_assumed(assumed: tuple[Assumption, ...], options: FormOptions) -> None:
     """What was assumed, on the error stream, beside the result: in one line, or as a [record] section."""
     if options.assume:
