@@ -13,9 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from retuner.adaptive.guard.step_size import extent
+from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.interaction.windows import Record, seen_in
+from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Question, StageResult
 from retuner.adaptive.supervision.retuner import Retuner
@@ -66,20 +67,24 @@ class Among:
     def answered(self, question: Question, result: StageResult) -> StageResult:
         """The answer to a question; with half of its change, or none, where the others do not survive it."""
         gains = None if result.verdict is None else result.verdict.gains
-        words = "" if gains is None else self._against(gains)
+        words = "" if gains is None else self._against(gains, result.basis)
         if gains is None or not words:
             return result
         half = decide(half_way(question, gains))
         less = half.verdict.gains if half.verdict is not None and half.verdict.accepted else None
-        if less is None or self._against(less):
+        if less is None or self._against(less, half.basis):
             return without_change(result, words)
         return replace(half, reason=f"{IN_PART}{words}: {half.reason}")
 
-    def _against(self, gains: PidGains) -> str:
-        """What speaks against these gains; empty for nothing, or where the plant is not known."""
-        plant = seen_in(self.records, self.dt_s)
+    def _against(self, gains: PidGains, basis: Basis | None) -> str:
+        """What speaks against these gains; empty for nothing. Where the plant is not known, that nothing else is."""
+        plant, own = seen_in(self.records, self.dt_s), self.closed[self.own].gains
+        others = " and ".join(name for i, name in enumerate(self.names) if i != self.own)
         if plant is None:
-            return ""
+            blind = basis in {Basis.PATTERN, Basis.SLOW_OSCILLATION} and not less_of_everything(own, gains)
+            return (
+                f"refused: without a model, no more action before {others} on the same plant is known" if blind else ""
+            )
         now = together(plant, self.closed)
         changed = [replace(one, gains=gains) if i == self.own else one for i, one in enumerate(self.closed)]
         then = together(plant, changed)
@@ -90,7 +95,6 @@ class Among:
         ]
         if not told:
             return ""
-        others = " and ".join(name for i, name in enumerate(self.names) if i != self.own)
         return f"refused: with {others} on the same plant: {'; '.join(told)}; limit {self.ms_most:g}"
 
 
