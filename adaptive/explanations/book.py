@@ -96,8 +96,8 @@ class Book:
         rows, dead, gain = np.array(each).T
         answers: ComplexArray = responses_of(rows, dead) * (GAINS[gain] / unit)[:, None]
         away, g = LikelyProcesses(each, np.ones(len(each)), answers, dt_s), gains
-        under = [away.peaks(PidGains(x * g.kp, x * g.ki, x * g.kd)) for x in SHARES]
-        held = np.isfinite(under).any(axis=0).reshape(-1, *GRID[1:])
+        under = [away.stable(PidGains(x * g.kp, x * g.ki, x * g.kd)) for x in SHARES]
+        held = np.any(under, axis=0).reshape(-1, *GRID[1:])
         rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
         logs = np.concatenate([np.where(possible, 0.0, -math.inf), np.where(held, rare, -math.inf)])
         levels = _levels(logs + np.log([1.0 - TONE, TONE])[:, None, None, None])

@@ -39,6 +39,8 @@ GAINS = np.logspace(-2.5, 2.5, 61)
 INTEGRATING = 20.0
 FREQUENCIES = np.logspace(math.log10(3e-4), math.log10(math.pi), 90)
 """Where margins are computed, rad per sample."""
+HALF_TURN = 1e-9 - math.pi
+"""Phase of the stability limit, with the digits that sums of phases lose: a lag that is cancelled ends there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +98,18 @@ def _responses() -> ComplexArray:
     return np.array(rows)
 
 
+@cache
+def _phases() -> FloatArray:
+    """Of these responses, as they fall from that at rest: 0, -90 degrees (integrating), -180 (runs away by itself)."""
+    phase = np.unwrap(np.angle(_responses()), axis=2)
+    return np.asarray(phase - np.where(phase[:, :, :1] > 0.5 * math.pi, 2.0 * math.pi, 0.0))
+
+
+def loop_phases(rows: npt.NDArray[np.intp], dead: npt.NDArray[np.intp], law: ComplexArray) -> FloatArray:
+    """Phases of loops, shape (n, frequencies); they may begin below -180 degrees, where no gain is stable."""
+    return np.asarray(_phases()[rows, dead] + np.angle(law))
+
+
 def responses_of(rows: npt.NDArray[np.intp], dead: npt.NDArray[np.intp]) -> ComplexArray:
     """Frequency responses of some shapes and dead times at loop gain one, shape (n, frequencies)."""
     return _responses()[rows, dead]
@@ -141,7 +155,7 @@ def robustness(gains: PidGains, sample_time_s: float, unit: float | None = None)
     s = 1j * FREQUENCIES
     law = (abs(gains.kp) + abs(gains.ki) * sample_time_s / s + abs(gains.kd) / sample_time_s * s) / own
     loop = _responses()[: len(shapes())] * law
-    size, phase = np.abs(loop), np.unwrap(np.angle(loop), axis=2)
+    size, phase = np.abs(loop), _phases()[: len(shapes())] + np.angle(law)
     ultimate = _ultimate(size, phase)[:, :, None]
     scale = own / (own if unit is None else unit)
     ms = np.empty((*loop.shape[:2], len(GAINS)))
@@ -156,11 +170,11 @@ def _ultimate(size: FloatArray, phase: FloatArray) -> FloatArray:
 
     Shape of the arguments without the last axis.
     """
-    falls = (phase[..., :-1] > -math.pi) & (phase[..., 1:] <= -math.pi)
+    falls = (phase[..., :-1] > HALF_TURN) & (phase[..., 1:] <= HALF_TURN)
     first = np.argmax(falls, axis=-1)[..., None]
     before, after = (np.take_along_axis(phase, first + i, -1) for i in (0, 1))
-    share = np.clip((before + math.pi) / np.where(before == after, 1.0, before - after), 0.0, 1.0)
+    share = np.clip((before - HALF_TURN) / np.where(before == after, 1.0, before - after), 0.0, 1.0)
     below, above = (np.log(np.take_along_axis(size, first + i, -1)) for i in (0, 1))
     at_limit = np.exp(-(below * (1 - share) + above * share))[..., 0]
     found = np.where(falls.any(axis=-1), at_limit, np.inf)
-    return np.asarray(np.where(phase[..., 0] <= -math.pi, 0.0, found), dtype=np.float64)
+    return np.asarray(np.where(phase[..., 0] <= HALF_TURN, 0.0, found), dtype=np.float64)

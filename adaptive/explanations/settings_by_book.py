@@ -167,7 +167,7 @@ def lets_go(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: Book
     """
     worse = drawn.peaks(new) > np.maximum(drawn.peaks(now), settings.ms_high)
     if abs(new.kp) < abs(now.kp):
-        worse |= np.isfinite(drawn.peaks(_times(now, HELD, 1.0)))
+        worse |= drawn.stable(_times(now, HELD, 1.0))
     return float(drawn.weights @ (drawn.runs_away & worse)) > settings.bad_share
 
 

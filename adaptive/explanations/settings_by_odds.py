@@ -25,9 +25,11 @@ from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     FREQUENCIES,
     GAINS,
+    HALF_TURN,
     ComplexArray,
     Shape,
     gain_unit,
+    loop_phases,
     responses_of,
     shapes,
 )
@@ -108,20 +110,25 @@ class LikelyProcesses:
 
     def peaks(self, gains: PidGains) -> FloatArray:
         """Ms on each process, infinite where the loop is unstable; shape (processes,)."""
-        s, dt = 1j * FREQUENCIES, self.sample_time_s
-        law = abs(gains.kp) + abs(gains.ki) * dt / s + abs(gains.kd) / dt * s
-        loop, away = self.responses * law, self.runs_away
-        phase = np.unwrap(np.angle(loop), axis=1)
-        phase -= np.where(away & (phase[:, 0] > 0.0), 2 * math.pi, 0.0)[:, None]  # from -270 degrees or -180
-        over = phase > -math.pi
+        ms = 1.0 / np.min(np.abs(1.0 + self.responses * self._law(gains)), axis=1)
+        return np.where(self.stable(gains), ms, np.inf)
+
+    def stable(self, gains: PidGains) -> BoolArray:
+        """Which of the loops are stable, shape (processes,)."""
+        law, away, (rows, dead, _) = self._law(gains), self.runs_away, np.array(self.index).T
+        size, over = np.abs(self.responses) * np.abs(law), loop_phases(rows, dead, law) > HALF_TURN
         falls, rises = over[:, :-1] & ~over[:, 1:], ~over[:, :-1] & over[:, 1:]
-        large = np.sqrt(np.abs(loop[:, :-1]) * np.abs(loop[:, 1:])) >= 1.0
-        unstable = (falls & large).any(axis=1) | ~over[:, 0]
+        large = size[:, :-1] * size[:, 1:] >= 1.0
+        stable = ~(falls & large).any(axis=1) & over[:, 0]
         if away.any():  # one turn round -1 holds one pole (Nyquist's criterion); a rise may lie below the frequencies
             turns = (rises & large).sum(axis=1) - (falls & large).sum(axis=1)
-            turns += over[:, 0] & (np.abs(loop[:, 0]) >= 1.0)
-            unstable = np.where(away, turns != 1, unstable)
-        return np.where(unstable, np.inf, 1.0 / np.min(np.abs(1.0 + loop), axis=1))
+            turns += over[:, 0] & (size[:, 0] >= 1.0)
+            stable = np.where(away, turns == 1, stable)
+        return stable
+
+    def _law(self, gains: PidGains) -> ComplexArray:
+        s, dt = 1j * FREQUENCIES, self.sample_time_s
+        return np.asarray(abs(gains.kp) + abs(gains.ki) * dt / s + abs(gains.kd) / dt * s, dtype=np.complex128)
 
     @property
     def runs_away(self) -> BoolArray:

@@ -151,6 +151,27 @@ def test_robustness_of_the_grid_is_that_of_the_margins(gain: float) -> None:
     assert known.gain_margin[row, column, middle] == pytest.approx(gain_margin(process, gains), rel=0.03)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_grid_is_stable_where_the_margins_say_so(seed: int) -> None:
+    """A level loop with more integral action than gain, for one, is unstable whatever its gain."""
+    rng = np.random.default_rng(seed)
+    gains = PidGains(1.0, 10 ** rng.uniform(-2.0, -0.3))
+    known, count = robustness(gains, 1.0), 0
+    for i, j, k in zip(*(rng.integers(n, size=150) for n in known.ms.shape), strict=True):
+        shape = shapes()[i]
+        lags = (() if shape.integrates else (shape.lag,)) + ((shape.second,) if shape.second else ())
+        loop_gain = float(GAINS[k]) * known.scale * shape.unit
+        ms = sensitivity_peak(LinearProcess(loop_gain, lags, (), DEAD_TIMES[j] + 0.5, int(shape.integrates)), gains)
+        if not 0.9 < known.gain_margin[i, j, k] < 1.1:
+            assert math.isfinite(known.ms[i, j, k]) == math.isfinite(ms), (shape, DEAD_TIMES[j], loop_gain)
+            few = LikelyProcesses(
+                ((i, j, k),), np.ones(1), responses_of(np.array([i]), np.array([j])) * loop_gain / shape.unit, 1.0
+            )
+            assert few.stable(gains)[0] == math.isfinite(ms)
+            count += 1
+    assert count > 100
+
+
 def test_every_process_has_one_class_and_an_unstable_one_is_too_tight() -> None:
     gains = PidGains(2.0, 0.1)
     known = robustness(gains, 1.0)
