@@ -1,23 +1,28 @@
 """Many loops on one link: each host gets its own controller's frames, and one that is not polled takes no memory."""
 
 import itertools
+from pathlib import Path
 
 import can
 import pytest
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopSample
+from retuner.config.loading import parse_session
 from retuner.drivers.bus import shared_link as link_share
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.bus.shared_link import LinkShare
-from retuner.drivers.clock import SimulatedClock
+from retuner.drivers.clock import MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import LinkState, SamplesLost
 from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.telemetry.signal_source import plant_message
 from retuner.schedule.gains import PidGains
+from retuner.session.bench import live_buses
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 NODES = (1, 5, 63)
 CHANNELS = itertools.count()
 OTHER = 17  # a node that nobody here watches
@@ -75,6 +80,18 @@ def test_every_host_hears_its_own_controller(plant: Plant) -> None:
     assert plant.share.unclaimed > 60, "frames of the node that nobody watches"
     assert plant.share.port(1).state is LinkState.UP
     assert plant.share.port(1) is plant.share.port(1)
+
+
+@pytest.mark.parametrize("loop", ["aircraft", "bench"])
+def test_a_signal_that_schedules_is_heard_on_a_bus_too(loop: str) -> None:
+    """A port gave its host the frames of the node alone: no region was ever known, in real time only."""
+    clock, config = MonotonicClock(), parse_session((EXAMPLES / f"{loop}.toml").read_text())
+    with live_buses(config, 1.0, clock) as buses:
+        with CanLink(LinkSettings(channel=config.loops[0].bus.channel), clock) as far:
+            far.send(plant_message(1, 30.0))
+            far.send(can.Message(arbitration_id=config.loops[0].bus.node << 5, is_extended_id=False))
+        heard = [*buses.port(0).receive_all(), *buses.port(0).receive_all()]
+    assert [message.is_extended_id for message in heard] == ([True, False] if loop == "aircraft" else [False])
 
 
 def test_a_host_that_is_not_polled_takes_no_memory_and_sees_the_gap(

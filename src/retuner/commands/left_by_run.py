@@ -15,6 +15,7 @@ from retuner.adaptive.supervision.decision import gains_dict
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.commands.report import scores_of
 from retuner.commands.run import RunJob
+from retuner.errors import UserError
 from retuner.files import write_json
 from retuner.ledger import Ledger
 from retuner.ledger.trend import write_trend
@@ -60,6 +61,8 @@ def leave(
         for i, loop in enumerate(session.loops)
         if loop.trend.rows
     ]
+    if not left:
+        raise UserError("nothing to report: no sample told its region, as the scheduling variable was never known")
     if job.config.several:
         job.unwritten.write(job.folder / REPORT, render_index(_index_lines(session, left), _facts(job, ledger, LOOPS)))
     # the result as a file, and for whoever asked for it

@@ -29,7 +29,7 @@ from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.device import Bench, Device
 from retuner.drivers.host.connection import CanDevice
 from retuner.products import product
-from retuner.session.assembly import link_settings, make_device, make_far_side
+from retuner.session.assembly import link_settings, make_device, make_far_side, schedule_inputs
 from retuner.session.outputs import log_of_bus
 from retuner.stopping import unstoppable
 
@@ -82,9 +82,10 @@ def _share(link: CanLink, config: SessionConfig, loops: tuple[int, ...]) -> Host
 
 
 def _ports(share: LinkShare, config: SessionConfig, loops: tuple[int, ...]) -> ReadBus:
-    """A port for each loop on a shared link; one of every frame for a foreign controller."""
+    """A port for each loop on a shared link; one of every frame for a foreign controller, or if a signal schedules."""
     ones = [config.loops[i] for i in loops]
-    ports = (share.port(one.bus.node) if one.foreign_device is None else share.whole() for one in ones)
+    all_of_it = [one.foreign_device is not None or any(schedule_inputs(one).signals) for one in ones]
+    ports = [share.whole() if a else share.port(one.bus.node) for one, a in zip(ones, all_of_it, strict=True)]
     return ReadBus(share, loops, tuple(ports))
 
 
