@@ -25,13 +25,14 @@ import numpy.typing as npt
 
 from retuner.adaptive.fit.dynamics import Dynamics
 from retuner.adaptive.fit.engine import compiled
-from retuner.adaptive.fit.misfit import LOAD_COST, USEFUL, WHITE, Misfit
+from retuner.adaptive.fit.misfit import LOAD_COST, WHITE, Misfit
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.structure import SLOPE, THETA
 from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, Seen, judged
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.valve.fit import with_best_gain
 
 Rows = npt.NDArray[np.int64]
 
@@ -290,67 +291,50 @@ def _from_steps(misfit: Misfit, co: Co, steps: FreeSteps) -> Iterator[Start]:
 
 
 def _with_shares(misfit: Misfit, co: Co, rows: tuple[int, ...], x: FloatArray) -> Iterator[Start]:
-    y, q = misfit.record.pv, _basis(misfit, x)
-    free = y - q @ (q.T @ y)
-    for share in SHARES:
-        slips = Slips(rows, share, float(co.u[0]))
-        gain, left = _projected(free, q, replace(misfit, co=co.position(slips)).moved(x))
+    each = [Slips(rows, share, float(co.u[0])) for share in SHARES]
+    for slips, (gain, left) in zip(each, explained_by(misfit, x, co, each), strict=True):
         if gain > 0:
-            yield Start(left, misfit, slips, np.concatenate([[math.log(gain)], x[1:]]))
+            yield Start(left, misfit, slips, np.concatenate([[x[SLOPE] + math.log(gain)], x[1:]]))
 
 
-def _basis(misfit: Misfit, x: FloatArray) -> FloatArray:
-    """Orthonormal basis of what is not the valve: bias and start."""
-    columns, _ = misfit.columns(x)
-    q, r = np.linalg.qr(columns)
-    size = np.abs(np.diag(r))
-    return np.asarray(q[:, size > USEFUL * np.max(size)], dtype=np.float64)
-
-
-def _projected(free: FloatArray, q: FloatArray, moved: FloatArray) -> tuple[float, float]:
-    """Gain of what the valve moves, and what it leaves. free : pv outside the basis q."""
-    column = moved - q @ (q.T @ moved)
-    size, whole = float(column @ column), float(free @ free)
-    if not size > 1e-12 * float(moved @ moved):
-        return 0.0, whole
-    gain = float(column @ free) / size
-    return gain, whole - gain * gain * size
+def explained_by(misfit: Misfit, p: FloatArray, co: Co, each: Sequence[Slips]) -> list[tuple[float, float]]:
+    """Gain of what each moves, in units of p's, and what it leaves; lags and dead time held."""
+    engine = compiled()
+    if engine is None:
+        return list(with_best_gain(misfit, p, map(co.position, each)))
+    found: list[tuple[float, float]] = engine.slip_costs(misfit, p, [(s.rows, s.share, s.first) for s in each])
+    return found
 
 
 class Trial:
-    """Slips tried with the process held: what they leave, price of the slips included."""
+    """Slips tried with the process held: what they leave, price of the slips included. at : the best so far."""
 
-    def __init__(self, fit: Candidate, co: Co) -> None:
-        self._misfit, self._p, self._co = fit.fit.misfit, fit.fit.p, co
-        self._q = _basis(self._misfit, self._p)
-        y = self._misfit.record.pv
-        self._free = y - self._q @ (self._q.T @ y)
+    def __init__(self, fit: Candidate, at: Slips, co: Co) -> None:
+        self._misfit, self._p, self._co, self.at = fit.fit.misfit, fit.fit.p, co, at
         self._error = (MODEL_ERROR * self._misfit.record.pv_range) ** 2
+        (self._cost,) = self._costs([at])
 
-    def cost(self, slips: Slips) -> float:
+    def _costs(self, each: Sequence[Slips]) -> Iterator[float]:
         """The criterion, up to a constant."""
-        gain, left = _projected(self._free, self._q, replace(self._misfit, co=self._co.position(slips)).moved(self._p))
-        n = len(self._free)
-        if gain <= 0:
-            return math.inf
-        return n * math.log(max(left, 0.0) / n + self._error) + SLIP_COST * len(slips.rows) * math.log(n)
+        n = len(self._co.u)
+        for slips, (gain, left) in zip(each, explained_by(self._misfit, self._p, self._co, each), strict=True):
+            price = SLIP_COST * len(slips.rows) * math.log(n)
+            yield n * math.log(max(left, 0.0) / n + self._error) + price if gain > 0 else math.inf
 
-    def best(self, at: Slips, found: Iterator[Slips]) -> Slips:
-        """The best of them, or what there was."""
-        cost = self.cost(at)
-        for slips in found:
-            tried = self.cost(slips)
-            if tried < cost - 1e-9:
-                at, cost = slips, tried
-        return at
+    def better(self, each: Sequence[Slips]) -> bool:
+        """Whether one of them is, which is kept then."""
+        before = self.at
+        for slips, tried in zip(each, self._costs(each), strict=True):
+            if tried < self._cost - 1e-9:
+                self.at, self._cost = slips, tried
+        return self.at is not before
 
 
 def _settled(start: Start, co: Co) -> Slipping:
     """Slips and process refined in turn, until neither helps."""
     best = _explained(start.misfit, co, start.slips, start.x)
     for _ in range(ROUNDS):
-        trial = Trial(best.fit, co)
-        slips = _varied(trial, best.slips, co)
+        slips = _varied(Trial(best.fit, best.slips, co), co)
         after = _explained(best.fit.fit.misfit, co, slips, best.fit.fit.p)
         if after.criterion > best.criterion - ENOUGH:
             break
@@ -358,38 +342,32 @@ def _settled(start: Start, co: Co) -> Slipping:
     return best
 
 
-def _varied(trial: Trial, at: Slips, co: Co) -> Slips:
+def _varied(trial: Trial, co: Co) -> Slips:
     """Shares, starts and times in turn, then a slip less and one more where they pay."""
+    at, n = trial.at, len(co.u)
     typical = float(np.median(co.bands(at))) if at.rows else 0.0
     shares = [at.share + step for step in FINE_SHARES if LOWEST_SHARE <= at.share + step <= HIGHEST_SHARE]
-    at = trial.best(at, (replace(at, share=share) for share in shares))
-    at = trial.best(at, (replace(at, first=float(co.u[0]) + part * typical) for part in STARTS))
+    trial.better([replace(at, share=share) for share in shares])
+    trial.better([replace(trial.at, first=float(co.u[0]) + part * typical) for part in STARTS])
     for i in range(len(at.rows)):
-        at = trial.best(at, _moved(at, i, len(co.u)))
-    for row in at.rows:
-        at = trial.best(at, iter([replace(at, rows=tuple(r for r in at.rows if r != row))]))
-    while len(at.rows) < MOST_SLIPS:
-        more = trial.best(at, _with_one_more(at, len(co.u)))
-        if more is at:
-            return at
-        at = more
-    return at
+        trial.better(_moved(trial.at, i, n))
+    for row in trial.at.rows:
+        trial.better([replace(trial.at, rows=tuple(r for r in trial.at.rows if r != row))])
+    while len(trial.at.rows) < MOST_SLIPS and trial.better(_with_one_more(trial.at, n)):
+        pass
+    return trial.at
 
 
-def _moved(at: Slips, which: int, n: int) -> Iterator[Slips]:
+def _moved(at: Slips, which: int, n: int) -> list[Slips]:
     """One slip earlier or later, between its neighbours."""
-    low = at.rows[which - 1] if which else 0
-    high = at.rows[which + 1] if which + 1 < len(at.rows) else n
-    for move in MOVES:
-        row = at.rows[which] + move
-        if low < row < high:
-            yield replace(at, rows=(*at.rows[:which], row, *at.rows[which + 1 :]))
+    before, row, after = (0, *at.rows, n)[which : which + 3]
+    moved = [row + move for move in MOVES if before < row + move < after]
+    return [replace(at, rows=(*at.rows[:which], row, *at.rows[which + 1 :])) for row in moved]
 
 
-def _with_one_more(at: Slips, n: int) -> Iterator[Slips]:
-    for row in np.linspace(1, n - 1, TRIED).astype(int).tolist():
-        if row not in at.rows:
-            yield replace(at, rows=tuple(sorted((*at.rows, row))))
+def _with_one_more(at: Slips, n: int) -> list[Slips]:
+    places = [row for row in np.linspace(1, n - 1, TRIED).astype(int).tolist() if row not in at.rows]
+    return [replace(at, rows=tuple(sorted((*at.rows, row)))) for row in places]
 
 
 def _explained(misfit: Misfit, co: Co, slips: Slips, p: FloatArray) -> Slipping:

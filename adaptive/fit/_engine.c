@@ -31,7 +31,7 @@
 #include "engine_c/valves.h"
 #include "engine_c/walk.h"
 
-#define VERSION "8"
+#define VERSION "9"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -409,6 +409,32 @@ static PyObject *py_valve_costs(View *v, Work *w, PyObject *const *from) {
     return Py_NewRef(Py_None);
 }
 
+/* slip_costs(t, pv, co, numbers, p, slips, rows, out) */
+static PyObject *py_slip_costs(View *v, Work *w, PyObject *const *from) {
+    if (read_record(w, v, from) || finite_view(from[4], &v[4], "p", 0) || sized(&v[4], w->p.size, "p") ||
+        finite_view(from[5], &v[5], "slips", 0) || finite_view(from[6], &v[6], "rows", 0) ||
+        view(from[7], &v[7], "out", 1) || sized(&v[7], v[5].n / 3 * 2, "out") || sized(&v[5], v[5].n / 3 * 3, "slips"))
+        return NULL;
+    Py_ssize_t all = 0;
+    for (Py_ssize_t i = 0; i < v[5].n; i += 3) {
+        int many;
+        if (count_in(v[5].x[i], 100000, &many) || all + many > v[6].n)
+            return PyErr_Occurred() ? NULL : (refuse("rows: fewer than the slips have"), NULL);
+        double before = -1;
+        for (; many; many--, before = v[6].x[all++])
+            if (!(v[6].x[all] > before && v[6].x[all] < (double)w->p.n && v[6].x[all] == floor(v[6].x[all])))
+                return refuse("rows: of the record, ascending, are needed"), NULL;
+    }
+    double *input = malloc((size_t)w->p.n * sizeof *input);
+    if (!input)
+        return PyErr_NoMemory();
+    Py_BEGIN_ALLOW_THREADS
+    slip_costs(w, v[4].x, v[5].x, v[5].n / 3, v[6].x, v[2].x, input, v[7].x);
+    free(input);
+    Py_END_ALLOW_THREADS
+    return Py_NewRef(Py_None);
+}
+
 /* screen(t, sp, pv, co, longest, band, shortest, width, out): the numbers of a record, in the order of Sums. */
 static PyObject *py_screen(View *v, Work *w, PyObject *const *from) {
     (void)w;
@@ -614,8 +640,8 @@ static PyObject *py_held(View *v, Work *w, PyObject *const *from) {
 /* Every function with how many arguments it has. */
 #define FUNCTIONS(M)                                                                                                  \
     M(refine, 13) M(costs, 6) M(project, 11) M(jacobian, 6) M(gains, 8) M(colour, 3) M(search, 11) M(position, 3)     \
-    M(scan, 14) M(valve_costs, 7) M(screen, 9) M(walk, 12) M(mix, 8) M(steps, 6) M(move_steps, 7) M(closed, 8)        \
-    M(held, 2)
+    M(scan, 14) M(valve_costs, 7) M(slip_costs, 8) M(screen, 9) M(walk, 12) M(mix, 8) M(steps, 6) M(move_steps, 7)    \
+    M(closed, 8) M(held, 2)
 #define DOOR(name, arguments)                                                                                         \
     static PyObject *door_##name(PyObject *self, PyObject *args) {                                                    \
         (void)self;                                                                                                   \

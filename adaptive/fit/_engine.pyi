@@ -78,6 +78,17 @@ def scan(
 def valve_costs(
     t: Numbers, pv: Numbers, co: Numbers, numbers: Numbers, p: Numbers, valves: Numbers, out: Numbers, /
 ) -> None: ...
+def slip_costs(
+    t: Numbers,
+    pv: Numbers,
+    co: Numbers,
+    numbers: Numbers,
+    p: Numbers,
+    slips: Numbers,
+    rows: Numbers,
+    out: Numbers,
+    /,
+) -> None: ...
 def screen(
     t: Numbers,
     sp: Numbers,

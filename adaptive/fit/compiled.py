@@ -174,6 +174,17 @@ def valve_costs(misfit: Misfit, p: FloatArray, valves: Sequence[Valve]) -> list[
     return out.tolist()
 
 
+def slip_costs(
+    misfit: Misfit, p: FloatArray, slips: Sequence[tuple[tuple[int, ...], float, float]]
+) -> list[tuple[float, float]]:
+    """Gain, and sum of squares with it, for slips each; they are rows, share and first of Slips."""
+    t, pv, _, numbers = packed(misfit)
+    each = array("d", chain.from_iterable((len(rows), share, first) for rows, share, first in slips))
+    at, out = array("d", chain.from_iterable(rows for rows, _, _ in slips)), np.empty((len(slips), 2))
+    _engine.slip_costs(t, pv, misfit.record.co, numbers, np.ascontiguousarray(p), each, at, out)
+    return list(map(tuple, out.tolist()))
+
+
 def screened(record: Window, by: tuple[float, float, float, int], numbers: int) -> FloatArray:
     """The sums over a whole record (record_sums.py); by : of a Measure. numbers : of sums."""
     out = np.empty(numbers)

@@ -7,7 +7,7 @@ process, scanned finely round S, J and where the valve stood when the record beg
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -357,15 +357,18 @@ def valve_costs(fit: Fit, valves: list[StuckValve]) -> list[float]:
     if engine is not None:
         costs: list[float] = engine.valve_costs(misfit, fit.p, [v.numbers() for v in valves])
         return costs
-    columns, _ = misfit.columns(fit.p)
+    return [left for _, left in with_best_gain(misfit, fit.p, (_moved(record, valve) for valve in valves))]
+
+
+def with_best_gain(misfit: Misfit, p: FloatArray, inputs: Iterable[FloatArray]) -> Iterator[tuple[float, float]]:
+    """Gain, in units of the held one, and sum of squares with it, for every input in place of co."""
+    columns, _ = misfit.columns(p)
     size = np.abs(np.diag(np.linalg.qr(columns)[1]))
     q, _ = np.linalg.qr(columns[:, size > USEFUL * np.max(size)])
-    y = record.pv - q @ (q.T @ record.pv)
-    found = []
-    for valve in valves:
-        moved = replace(misfit, co=_moved(record, valve)).moved(fit.p)
-        found.append(_projected(y, moved, moved - q @ (q.T @ moved))[1])
-    return found
+    y = misfit.record.pv - q @ (q.T @ misfit.record.pv)
+    for co in inputs:
+        moved = replace(misfit, co=co).moved(p)
+        yield _projected(y, moved, moved - q @ (q.T @ moved))
 
 
 def _starts(valve: StuckValve) -> list[StuckValve]:

@@ -174,28 +174,78 @@ static int plain_basis(Work *w, const double *p) {
     return kept;
 }
 
-/* Misfit with each valve where lags and dead time are held, the gain free; neither whitened nor with priors. */
+/* Where lags and dead time are held: what a basis leaves of pv, and what an input in place of co, with the best gain,
+ * leaves of that; neither whitened nor with priors. */
+typedef struct {
+    Work *w;
+    int kept;
+    double *input, *y, all, lane[2];
+} Held;
+
+static Held held_at(Work *w, const double *p, double *input) {
+    Problem *q = &w->p;
+    Held h = {w, plain_basis(w, p), input, w->target, 0, {0, 0}};
+    memcpy(h.y, q->pv, (size_t)q->n * sizeof *h.y);
+    leave(w->rotated, h.kept, h.y, q->n);
+    h.all = dot(h.y, h.y, q->n);
+    q->u = input;
+    on_lanes(&w->modes, w->modes.w, h.lane);
+    return h;
+}
+
+/* Sum of squares with what stands in the input; *gain : in units of the held one. */
+static double left_by_input(const Held *h, double *gain) {
+    Work *w = h->w;
+    Py_ssize_t n = w->p.n;
+    run_late(w, 0);
+    for (Py_ssize_t i = 0; i < n; i++)
+        w->moved[i] = w->gain * (h->lane[0] * w->a[i] + h->lane[1] * w->b[i]);
+    lagged(w, w->moved);
+    double whole = dot(w->moved, w->moved, n);
+    leave(w->rotated, h->kept, w->moved, n);
+    double size = dot(w->moved, w->moved, n), along = dot(w->moved, h->y, n);
+    *gain = size > NOTHING_NEW * whole ? along / size : 0;
+    return size > NOTHING_NEW * whole ? h->all - along * along / size : h->all;
+}
+
 static void valve_costs(Work *w, const double *p, const double *valves, Py_ssize_t many, const double *co, double *input,
                         double *out) {
-    Problem *q = &w->p;
-    Py_ssize_t n = q->n;
-    int kept = plain_basis(w, p);
-    double lane[2], *y = w->target;
-    memcpy(y, q->pv, (size_t)n * sizeof *y);
-    leave(w->rotated, kept, y, n);
-    double all = dot(y, y, n);
-    q->u = input;
-    on_lanes(&w->modes, w->modes.w, lane);
+    Held h = held_at(w, p, input);
+    double gain;
     for (Py_ssize_t j = 0; j < many; j++) {
-        position(valves + j * VALVE, co, n, input);
-        run_late(w, 0);
-        for (Py_ssize_t i = 0; i < n; i++)
-            w->moved[i] = w->gain * (lane[0] * w->a[i] + lane[1] * w->b[i]);
-        lagged(w, w->moved);
-        double whole = dot(w->moved, w->moved, n);
-        leave(w->rotated, kept, w->moved, n);
-        double size = dot(w->moved, w->moved, n), along = dot(w->moved, y, n);
-        out[j] = size > NOTHING_NEW * whole ? all - along * along / size : all;
+        position(valves + j * VALVE, co, w->p.n, input);
+        out[j] = left_by_input(&h, &gain);
+    }
+}
+
+/* Where a slipping valve is (slipping_valve.py): at each of its rows it comes loose, goes to co but for a share of the
+ * distance, and on with co until that stops, turns, or the next slip. */
+static void slipped(const double *rows, Py_ssize_t many, double share, double first, const double *u, Py_ssize_t n,
+                    double *out) {
+    Py_ssize_t i = 0, end = many ? (Py_ssize_t)rows[0] : n;
+    double y = first;
+    while (i < end)
+        out[i++] = y;
+    for (Py_ssize_t j = 0; j < many; j++) {
+        double apart = u[i] - y, way = apart > 0 ? 1 : -1;
+        end = j + 1 < many ? (Py_ssize_t)rows[j + 1] : n;
+        for (int on = 1; on && i < end; i++) {
+            y = out[i] = u[i] - share * apart;
+            on = i + 1 < n && way * (u[i + 1] - u[i]) > 0;
+        }
+        while (i < end)
+            out[i++] = y;
+    }
+}
+
+/* slips : how many rows, share and first each. rows : those of all of them, one after the other. out : gain and sum of
+ * squares each. */
+static void slip_costs(Work *w, const double *p, const double *slips, Py_ssize_t many, const double *rows,
+                       const double *co, double *input, double *out) {
+    Held h = held_at(w, p, input);
+    for (Py_ssize_t j = 0; j < many; j++, slips += 3, rows += (Py_ssize_t)slips[-3]) {
+        slipped(rows, (Py_ssize_t)slips[0], slips[1], slips[2], co, w->p.n, input);
+        out[2 * j + 1] = left_by_input(&h, out + 2 * j);
     }
 }
 

@@ -11,7 +11,7 @@ from effort import sized
 from scipy.linalg import expm
 
 from retuner.adaptive.diagnosis.runaway_process import Runaway, _answer
-from retuner.adaptive.diagnosis.slipping_valve import _greedy
+from retuner.adaptive.diagnosis.slipping_valve import Co, Slips, _greedy, explained_by
 from retuner.adaptive.fit import engine
 from retuner.adaptive.fit.dynamics import told_apart
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
@@ -213,6 +213,19 @@ def test_sticking_valves_move_and_explain_alike() -> None:
         np.testing.assert_allclose(
             compiled.valve_costs(fit.misfit, fit.p, [v.numbers() for v in valves]), costs, rtol=1e-8
         )
+
+
+def test_a_slipping_valve_moves_and_explains_alike() -> None:
+    rng = np.random.default_rng(9)
+    for type_ in (ProcessType.FOPDT, ProcessType.SOPDT):
+        record = drawn_record(rng)
+        misfit, n = Misfit(record, type_, 1, 0, record.noise_std, 0.3), len(record.pv)
+        rows = sorted(rng.choice(np.arange(1, n), 6, replace=False).tolist())
+        each = [Slips(tuple(rows[:many]), share, float(record.co[0])) for many in (0, 1, 6) for share in (-0.2, 0.4)]
+        p = np.log([0.7, record.span_s / 90, record.span_s / 20, record.span_s / 60][: SIZE[type_]])
+        with engine.using("numpy"):
+            expected = explained_by(misfit, p, Co(record.co), each)
+        np.testing.assert_allclose(explained_by(misfit, p, Co(record.co), each), expected, rtol=1e-7)
 
 
 def test_a_valve_that_stands_still_says_nothing() -> None:
