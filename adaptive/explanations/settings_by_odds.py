@@ -187,19 +187,21 @@ def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
     likely = likely_processes(odds, settings.processes)
     known = models(odds, likely)
     before = expected_cost(likely, odds.gains, settings)[0]
-    best: Worthwhile | None = None
+    most, best = -math.inf, None
     for tuning in _candidates(odds.gains, known[: settings.rules], odds.sample_time_s, settings):
         cost, peaks = expected_cost(likely, tuning.gains, settings)
         bad = float(likely.weights @ (peaks > settings.ms_bad))
         if bad > settings.bad_share or float(likely.weights @ np.isinf(peaks)) > settings.unstable_share:
             continue
         worth = before - cost
-        if worth >= settings.worth and (best is None or worth > best.worth):
-            worst = quantile(peaks, likely.weights, 1.0 - settings.bad_share)
-            best = Worthwhile(
-                tuning, _told(known, likely), float(peaks[0]), worst, worth, *_room(odds, likely, settings)
-            )
-    return best
+        if worth >= settings.worth and worth > most:
+            most, best = worth, (tuning, peaks)
+    if best is None:
+        return None
+    tuning, peaks = best
+    worst = quantile(peaks, likely.weights, 1.0 - settings.bad_share)
+    told = _told(known, likely)
+    return Worthwhile(tuning, told, float(peaks[0]), worst, most, *_room(odds, likely, settings))
 
 
 def halved(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:

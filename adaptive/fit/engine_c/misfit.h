@@ -24,11 +24,48 @@ static inline void reflect(const double *rotated, Py_ssize_t rows, int j, double
     add(y + j + 1, -d, v + j + 1, rows - j - 1);
 }
 
+/* `add`, and the `dot` of another vector with what comes of it, bit for bit. */
+WIDE static double add_then_dot(double *restrict y, double k, const double *restrict x, const double *restrict z,
+                                Py_ssize_t n) {
+    double s[8] = {0};
+    Py_ssize_t i = 0;
+    for (; i + 8 <= n; i += 8)
+        for (int j = 0; j < 8; j++) {
+            double now = y[i + j] + k * x[i + j];
+            y[i + j] = now, s[j] += z[i + j] * now;
+        }
+    for (; i < n; i++) {
+        y[i] += k * x[i];
+        s[0] += z[i] * y[i];
+    }
+    return ((s[0] + s[4]) + (s[1] + s[5])) + ((s[2] + s[6]) + (s[3] + s[7]));
+}
+
+/* The reflections of the first columns on a vector, one after the other; while one acts the next one is measured. */
+static void rotate(const double *a, Py_ssize_t rows, int columns, const double *beta, double *y) {
+    int j = 0, next;
+    while (j < columns && beta[j] == 0)
+        j++;
+    double along = j < columns ? dot(a + j * rows + j + 1, y + j + 1, rows - j - 1) : 0;
+    for (; j < columns; j = next) {
+        const double *v = a + j * rows;
+        double d = beta[j] * (y[j] + along);
+        y[j] -= d;
+        for (next = j + 1; next < columns && beta[next] == 0; next++)
+            ;
+        Py_ssize_t from = next < columns ? next + 1 : rows;
+        add(y + j + 1, -d, v + j + 1, from - j - 1);
+        if (next < columns)
+            along = add_then_dot(y + from, -d, v + from, a + next * rows + from, rows - from);
+    }
+}
+
 /* Householder's decomposition of the columns in place: the triangle above, the reflections below the diagonal. */
 static void decompose(double *a, Py_ssize_t rows, int columns, double *beta) {
     for (int j = 0; j < columns; j++) {
-        double *v = a + j * rows, alpha = v[j];
-        double size = sqrt(dot(v + j + 1, v + j + 1, rows - j - 1));
+        double *v = a + j * rows;
+        rotate(a, rows, j, beta, v);
+        double alpha = v[j], size = sqrt(dot(v + j + 1, v + j + 1, rows - j - 1));
         beta[j] = 0;
         if (size > 0) {
             double diagonal = -copysign(hypot(alpha, size), alpha);
@@ -36,15 +73,7 @@ static void decompose(double *a, Py_ssize_t rows, int columns, double *beta) {
             multiply(v + j + 1, 1 / (alpha - diagonal), rows - j - 1);
             v[j] = diagonal;
         }
-        for (int k = j + 1; beta[j] != 0 && k < columns; k++)
-            reflect(a, rows, j, beta[j], a + k * rows);
     }
-}
-
-static void rotate(const double *a, Py_ssize_t rows, int columns, const double *beta, double *y) {
-    for (int j = 0; j < columns; j++)
-        if (beta[j] != 0)
-            reflect(a, rows, j, beta[j], y);
 }
 
 /* One-sided Jacobi (Hestenes 1958): the shortest solution of a triangle whose columns are not independent. */

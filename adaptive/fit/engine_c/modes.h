@@ -76,18 +76,25 @@ WIDE static void multiply(double *restrict y, double k, Py_ssize_t n) {
         y[i] *= k;
 }
 
-/* The first of the samples that are largest in size. */
+/* The first of the samples that are largest in size: their block, then their place in it. */
 WIDE static Py_ssize_t largest(const double *x, Py_ssize_t n) {
-    double lane[8] = {0}, most = 0;
-    Py_ssize_t whole = n - n % 8;
-    for (Py_ssize_t i = 0; i < whole; i += 8)
+    enum { BLOCK = 64 };
+    Py_ssize_t at = 0;
+    double most = 0;
+    for (Py_ssize_t start = 0; start < n; start += BLOCK) {
+        Py_ssize_t end = start + BLOCK < n ? start + BLOCK : n, i = start;
+        double lane[8] = {0}, here = 0;
+        for (; i + 8 <= end; i += 8)
+            for (int j = 0; j < 8; j++)
+                lane[j] = fabs(x[i + j]) > lane[j] ? fabs(x[i + j]) : lane[j];
+        for (; i < end; i++)
+            here = fmax(here, fabs(x[i]));
         for (int j = 0; j < 8; j++)
-            lane[j] = fabs(x[i + j]) > lane[j] ? fabs(x[i + j]) : lane[j];
-    for (int j = 0; j < 8; j++)
-        most = fmax(most, lane[j]);
-    for (Py_ssize_t i = whole; i < n; i++)
-        most = fmax(most, fabs(x[i]));
-    for (Py_ssize_t i = 0; i < n; i++)
+            here = fmax(here, lane[j]);
+        if (here > most)
+            most = here, at = start;
+    }
+    for (Py_ssize_t i = at; i < n; i++)
         if (fabs(x[i]) == most)
             return i;
     return 0;
