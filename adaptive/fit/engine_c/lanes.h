@@ -139,28 +139,13 @@ static void run_step(const Problem *p, const Modes *m, const Interval *steps, do
     }
 }
 
-/* The lanes of the response to the input at the samples; with the derivative by s if asked. */
+/* The lanes of the response to the input at the samples of an uneven clock; with the derivative by s if asked. */
 static void run_input(const Work *w, double *restrict a, double *restrict b, double *restrict a1, double *restrict b1,
                       int slopes) {
-    Py_ssize_t n = w->p.n, stride = w->p.dt > 0 ? 0 : 1;
     const double *u = w->p.u;
     double x = 0, y = 0, x1 = 0, y1 = 0;
-    if (stride == 0 && !w->modes.pair) { /* no lane waits for the other */
-        Interval s = w->steps[0];
-        for (Py_ssize_t i = 0; i < n; i++) {
-            a[i] = x, b[i] = y;
-            if (slopes) {
-                a1[i] = x1, b1[i] = y1;
-                x1 = s.e[0] * x1 + (s.e1[0] * x + s.v1[0] * u[i]);
-                y1 = s.e[3] * y1 + (s.e1[3] * y + s.v1[1] * u[i]);
-            }
-            x = s.e[0] * x + s.v[0] * u[i];
-            y = s.e[3] * y + s.v[1] * u[i];
-        }
-        return;
-    }
-    for (Py_ssize_t i = 0; i < n; i++) {
-        const Interval *s = w->steps + (i + 1 < n ? i * stride : 0);
+    for (Py_ssize_t i = 0; i < w->p.n; i++) {
+        const Interval *s = w->steps + (i + 1 < w->p.n ? i : 0);
         a[i] = x, b[i] = y;
         if (slopes) {
             a1[i] = x1, b1[i] = y1;
@@ -170,6 +155,31 @@ static void run_input(const Work *w, double *restrict a, double *restrict b, dou
         }
         double next = s->e[0] * x + s->e[1] * y + s->v[0] * u[i];
         y = s->e[2] * x + s->e[3] * y + s->v[1] * u[i];
+        x = next;
+    }
+}
+
+/* On an even clock they are read after the dead time as they come: in sample `first` later, an interval after it. */
+static inline void run_even(Work *w, Py_ssize_t first, int slopes, int pair) {
+    const double *u = w->p.u;
+    double x = 0, y = 0, x1 = 0, y1 = 0;
+    Interval s = w->steps[0], r = w->reads[0];
+    for (Py_ssize_t i = 0, at = first; at < w->p.n; i++, at++) {
+        if (slopes) {
+            w->a1[at] = r.e[0] * x1 + r.e[1] * y1 + r.e1[0] * x + r.e1[1] * y + r.v1[0] * u[i];
+            w->b1[at] = r.e[2] * x1 + r.e[3] * y1 + r.e1[2] * x + r.e1[3] * y + r.v1[1] * u[i];
+            double next1 = s.e[0] * x1 + (s.e1[0] * x + s.v1[0] * u[i]);
+            if (pair)
+                next1 = s.e[0] * x1 + s.e[1] * y1 + (s.e1[0] * x + s.e1[1] * y + s.v1[0] * u[i]);
+            y1 = pair ? s.e[2] * x1 + s.e[3] * y1 + (s.e1[2] * x + s.e1[3] * y + s.v1[1] * u[i])
+                      : s.e[3] * y1 + (s.e1[3] * y + s.v1[1] * u[i]); /* no lane waits for the other */
+            x1 = next1;
+        }
+        w->a[at] = r.e[0] * x + r.e[1] * y + r.v[0] * u[i];
+        w->b[at] = r.e[2] * x + r.e[3] * y + r.v[1] * u[i];
+        w->u_read[at] = u[i];
+        double next = pair ? s.e[0] * x + s.e[1] * y + s.v[0] * u[i] : s.e[0] * x + s.v[0] * u[i];
+        y = pair ? s.e[2] * x + s.e[3] * y + s.v[1] * u[i] : s.e[3] * y + s.v[1] * u[i];
         x = next;
     }
 }
@@ -198,15 +208,13 @@ static Py_ssize_t reading(Work *w) {
     return first;
 }
 
-/* The lanes of the input's response after the dead time, in w->a, b [, a1, b1], and the input read there. */
-static void run_late(Work *w, int slopes) {
-    const Problem *p = &w->p;
-    Py_ssize_t first = reading(w), even = p->dt > 0;
+/* The same on an uneven clock. */
+static void run_uneven(Work *w, Py_ssize_t first, int slopes) {
     run_input(w, w->a, w->b, w->a1, w->b1, slopes);
-    for (Py_ssize_t i = p->n - 1; i >= first; i--) { /* backwards: reads lie before what is written */
-        const Interval *s = even ? w->reads : w->reads + i;
-        Py_ssize_t at = even ? i - first : w->read_at[i];
-        double x = w->a[at], y = w->b[at], u = p->u[at];
+    for (Py_ssize_t i = w->p.n - 1; i >= first; i--) { /* backwards: reads lie before what is written */
+        const Interval *s = w->reads + i;
+        Py_ssize_t at = w->read_at[i];
+        double x = w->a[at], y = w->b[at], u = w->p.u[at];
         if (slopes) {
             double x1 = w->a1[at], y1 = w->b1[at];
             w->a1[i] = s->e[0] * x1 + s->e[1] * y1 + s->e1[0] * x + s->e1[1] * y + s->v1[0] * u;
@@ -216,6 +224,21 @@ static void run_late(Work *w, int slopes) {
         w->b[i] = s->e[2] * x + s->e[3] * y + s->v[1] * u;
         w->u_read[i] = u;
     }
+}
+
+/* The lanes of the input's response after the dead time, in w->a, b [, a1, b1], and the input read there. */
+static void run_late(Work *w, int slopes) {
+    const Problem *p = &w->p;
+    Py_ssize_t first = reading(w);
+    if (p->dt > 0)
+        switch (first < p->n ? 2 * (slopes != 0) + w->modes.pair : -1) {
+        case 0: run_even(w, first, 0, 0); break;
+        case 1: run_even(w, first, 0, 1); break;
+        case 2: run_even(w, first, 1, 0); break;
+        case 3: run_even(w, first, 1, 1);
+        }
+    else
+        run_uneven(w, first, slopes);
     for (Py_ssize_t i = 0; i < first && i < p->n; i++) {
         w->a[i] = w->b[i] = w->u_read[i] = 0;
         if (slopes)
