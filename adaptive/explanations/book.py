@@ -91,11 +91,11 @@ class Book:
         known = robustness(gains, dt_s)
         possible = (known.ultimate * BEYOND >= GAINS) & (known.room(MS_OF_ROOM) <= MOST_ROOM)
         unit, count = gain_unit(gains, dt_s), len(shapes())
-        places = list(np.ndindex(len(shapes(EVERY_LAG)) - count, *GRID[1:]))
-        each = tuple((count + i, j, k) for i, j, k in places)
-        rows, dead, gain = np.array(each).T
+        rows, dead, gain = np.indices((len(shapes(EVERY_LAG)) - count, *GRID[1:])).reshape(3, -1)
+        rows = rows + count
         answers: ComplexArray = responses_of(rows, dead) * (GAINS[gain] / unit)[:, None]
-        away, g = LikelyProcesses(each, np.ones(len(each)), answers, dt_s), gains
+        places = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))
+        away, g = LikelyProcesses(places, np.ones(len(places)), answers, dt_s), gains
         under = [away.stable(PidGains(x * g.kp, x * g.ki, x * g.kd)) for x in SHARES]
         held = np.any(under, axis=0).reshape(-1, *GRID[1:])
         rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
