@@ -187,7 +187,8 @@ def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
     likely = likely_processes(odds, settings.processes)
     known = models(odds, likely)
     before = expected_cost(likely, odds.gains, settings)[0]
-    most, best = -math.inf, None
+    most: float = -math.inf
+    best: tuple[Tuning, FloatArray] | None = None
     for tuning in _candidates(odds.gains, known[: settings.rules], odds.sample_time_s, settings):
         cost, peaks = expected_cost(likely, tuning.gains, settings)
         bad = float(likely.weights @ (peaks > settings.ms_bad))
