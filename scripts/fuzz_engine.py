@@ -176,6 +176,16 @@ def call_valve_costs(random: Random) -> list[Any]:
     return [*given, numbers(random, sizes(given)[1]), valves(random, many), zeros(many)]
 
 
+def call_slip_costs(random: Random) -> list[Any]:
+    """Proper arguments of slip_costs."""
+    given, each, rows = record(random), array("d"), array("d")
+    for _ in range(random.randint(0, 4)):
+        own = sorted(random.sample(range(len(given[0])), random.randint(0, min(len(given[0]), 6))))
+        each.extend((len(own), random.uniform(-0.3, 1), random.uniform(-9, 9)))
+        rows.extend(own)
+    return [*given, numbers(random, sizes(given)[1]), each, rows, zeros(2 * len(each) // 3)]
+
+
 def call_screen(random: Random) -> list[Any]:
     """Proper arguments of screen."""
     n = random.randint(3, 60)

@@ -124,7 +124,7 @@ class LikelyProcesses:
             turns = (rises & large).sum(axis=1) - (falls & large).sum(axis=1)
             turns += over[:, 0] & (size[:, 0] >= 1.0)
             stable = np.where(away, turns == 1, stable)
-        return stable
+        return np.asarray(stable, dtype=np.bool_)
 
     def _law(self, gains: PidGains) -> ComplexArray:
         s, dt = 1j * FREQUENCIES, self.sample_time_s
