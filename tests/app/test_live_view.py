@@ -165,6 +165,10 @@ def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(
     assert told[0].command == f"retuner approve '{tmp_path / 'my run'}' {made.digest()[:8]}"
     assert "4.2, 70 -> 1.26, 247" in told[0].why
     assert told[1].command.endswith("--unlock high")
+    with LedgerReader(tmp_path / "ledger.sqlite") as reader:
+        (watched,) = what_next(tmp_path, reader.rows(), 86400.0, [], None, by_hand=True)
+    assert "set it by hand, at the device and in [[schedule.region]]" in watched.why
+    assert not watched.command
     assert told[2].command == f"retuner export {tmp_path / 'gains.toml'} --into oven.toml"
     with LedgerReader(tmp_path / "ledger.sqlite") as reader:
         assert what_next(tmp_path, reader.rows(), 86400.0, [], None, "dryer 2")[0].command.split()[3:6] == [

@@ -21,6 +21,7 @@ from retuner.ledger import Ledger
 from retuner.ledger.trend import write_trend
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.what_next import Changed, narrow_scores, what_next
+from retuner.products import product
 from retuner.report.console import counted, scores_table
 from retuner.report.loops_index import LoopLine, loop_line, render_index
 from retuner.report.report import ReportData, render
@@ -164,8 +165,10 @@ def _tell_what_next(job: RunJob, ledger: Ledger, left: Sequence[_Left], screen: 
         locked = [region for i, region in enumerate(names) if loop.retuner.trials.phase(i) is TrialPhase.LOCKED]
         table = job.folder / one.report.parent / GAINS
         changed = Changed(table, job.options.config) if loop.commits else None
-        approval_s = job.config.loops[job.config.names.index(name)].adaptation.approval_s
-        for told in what_next(job.folder, about[name], approval_s, locked, changed, name if several else ""):
+        config = job.config.loops[job.config.names.index(name)]
+        by_hand = config.foreign_device is not None and product("foreign device").advice_only(config)
+        own, known_as = config.adaptation.approval_s, name if several else ""
+        for told in what_next(job.folder, about[name], own, locked, changed, known_as, by_hand=by_hand):
             screen.say(told.why)
             if told.command:
                 screen.command(f"  {told.command}")

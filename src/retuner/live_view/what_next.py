@@ -32,11 +32,13 @@ def what_next(
     locked: Iterable[str],
     changed: Changed | None,
     loop: str = "",
+    *,
+    by_hand: bool = False,
 ) -> list[Next]:
     """Proposals that wait, changes that wait for a word, locked regions, the gains to be written back, the report.
 
     rows : of the ledger, about this loop. approval_s : how long a proposal is open. locked : regions that are locked
-    out. changed : where the table is. loop : its name, where there are several.
+    out. changed : where the table is. loop : its name, where there are several. by_hand : nothing may be written.
     """
     found, place, of = shown(rows), shlex.quote(str(folder)), f"{loop}, " if loop else ""
     place += f" --loop {shlex.quote(loop)}" if loop else ""
@@ -45,7 +47,8 @@ def what_next(
         if not found.successor(one):
             step = f"{short_settings(one.before, loop)} -> {short_settings(one.after, loop)}"
             why = f"{of}{one.region}: decision {one.number} proposes {step}"
-            told.append(Next(why, f"retuner approve {place} {one.digest[:SHORT]}"))
+            hand = f"{why}; set it by hand, at the device and in [[schedule.region]]: nothing is written to it"
+            told.append(Next(hand) if by_hand else Next(why, f"retuner approve {place} {one.digest[:SHORT]}"))
     for region, digest in found.waiting.items():
         why = f"{of}{region}: trial passed, as predicted: awaiting operator approval"
         told.append(Next(why, f"retuner approve {place} {digest[:SHORT]}"))
