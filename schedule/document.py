@@ -45,11 +45,7 @@ def read_toml(text: str) -> "TomlSection":
         raise ValueError("not TOML that can be read: brackets are nested too deeply") from None
     except ValueError as error:
         raise ValueError(f"not TOML: {error}") from None
-    return TomlSection(values, "", find_lines(text))
-
-
-def find_lines(text: str) -> Lines:
-    """Where sections and keys stand; the i-th [[name]] is called "name i", from 0."""
+    # Where sections and keys stand; the i-th [[name]] is called "name i", from 0
     lines: Lines = {}
     section = ""
     entries: Counter[str] = Counter()
@@ -62,7 +58,7 @@ def find_lines(text: str) -> Lines:
             lines.setdefault((section, ""), number)
         elif key := KEY.match(line):
             lines.setdefault((section, key[1]), number)
-    return lines
+    return TomlSection(values, "", lines)
 
 
 class TomlSection:

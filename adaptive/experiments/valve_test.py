@@ -86,7 +86,12 @@ def read_valve_test(window: Window) -> ValveReading:
 
     Raises ValueError: the record has too few holds of co, or nothing in it moves.
     """
-    begins = _holds(window.co)
+    # Where co begins to stand
+    moves = np.abs(np.diff(window.co))
+    if not np.any(moves > 0):
+        raise ValueError("co does not move in the whole record: not a valve test")
+    least = SAME * float(np.median(moves[moves > np.max(moves) / 50]))
+    begins = [0, *(np.flatnonzero(moves > least) + 1).tolist()]
     ends = [*begins[1:], len(window.co)]
     kept = [(a, b) for a, b in zip(begins, ends, strict=True) if b - a >= FEWEST_SAMPLES]
     if len(kept) < FEWEST_HOLDS:
@@ -129,15 +134,6 @@ def valve_positions(u: FloatArray, dead_band: float, resolution: float) -> Float
             x = p
         found.append(x)
     return np.array(found)
-
-
-def _holds(co: FloatArray) -> list[int]:
-    """Where co begins to stand."""
-    moves = np.abs(np.diff(co))
-    if not np.any(moves > 0):
-        raise ValueError("co does not move in the whole record: not a valve test")
-    least = SAME * float(np.median(moves[moves > np.max(moves) / 50]))
-    return [0, *(np.flatnonzero(moves > least) + 1).tolist()]
 
 
 def _fit(x: FloatArray, y: FloatArray) -> float:

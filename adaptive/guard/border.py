@@ -173,24 +173,8 @@ def between_models(one: ProcessModel, other: ProcessModel, share: float) -> Proc
         return None
     a, b = _numbers(one), _numbers(other)
     slope, theta, c2, c0 = (_mean(x, y, share) for x, y in zip(a, b, strict=True))
-    return _model(math.copysign(slope, one.k), theta, c2, c0)
-
-
-def _numbers(model: ProcessModel) -> tuple[float, float, float, float]:
-    """|k'|, theta, c2 and 1/T of k' e^(-theta s) / (c2 s^2 + s + 1/T)."""
-    if not model.tau1_s:
-        return abs(model.k), model.theta_s, model.tau2_s, 0.0
-    total = 2 * model.zeta * model.tau1_s if model.zeta < 1 else model.tau1_s + model.tau2_s
-    return abs(model.k) / total, model.theta_s, model.tau1_s * model.tau2_s / total, 1 / total
-
-
-def _mean(a: float, b: float, share: float) -> float:
-    """Between two numbers, in their logarithms where both have one."""
-    return a ** (1 - share) * b**share if a and b else a * (1 - share) + b * share
-
-
-def _model(slope: float, theta: float, c2: float, c0: float) -> ProcessModel:
-    """The model of these numbers: the inverse of _numbers."""
+    # The model of these numbers: the inverse of _numbers
+    slope = math.copysign(slope, one.k)
     if not c0:
         type_ = ProcessType.INTEGRATING_LAG if c2 else ProcessType.INTEGRATING
         return ProcessModel(type_, slope, 0.0, c2, theta)
@@ -204,3 +188,16 @@ def _model(slope: float, theta: float, c2: float, c0: float) -> ProcessModel:
         return replace(plain, type=ProcessType.SOPDT, tau1_s=tau, tau2_s=tau, zeta=min(total / (2 * tau), 1.0))
     tau1 = total * (1 + math.sqrt(root)) / 2
     return replace(plain, type=ProcessType.SOPDT, tau1_s=tau1, tau2_s=min(c2 * total / tau1, tau1))
+
+
+def _numbers(model: ProcessModel) -> tuple[float, float, float, float]:
+    """|k'|, theta, c2 and 1/T of k' e^(-theta s) / (c2 s^2 + s + 1/T)."""
+    if not model.tau1_s:
+        return abs(model.k), model.theta_s, model.tau2_s, 0.0
+    total = 2 * model.zeta * model.tau1_s if model.zeta < 1 else model.tau1_s + model.tau2_s
+    return abs(model.k) / total, model.theta_s, model.tau1_s * model.tau2_s / total, 1 / total
+
+
+def _mean(a: float, b: float, share: float) -> float:
+    """Between two numbers, in their logarithms where both have one."""
+    return a ** (1 - share) * b**share if a and b else a * (1 - share) + b * share

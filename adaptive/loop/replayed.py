@@ -92,7 +92,10 @@ def replayed(
     """
     dt_s = window.sample_time_s
     other = window.pv - HeldInput(process, dt_s).over(window.co - window.co[0])
-    low, high = _limits(window.co, co_limits)
+    # The limits of co; where none is given, so far that a replay never meets one
+    room = 1e6 * max(float(np.ptp(window.co)), 1.0)
+    low = float(np.min(window.co)) - room if co_limits[0] is None else co_limits[0]
+    high = float(np.max(window.co)) + room if co_limits[1] is None else co_limits[1]
     filter_s = tau_f_s if tau_f_s is not None else (gains.kd / gains.kp / 10.0 if gains.kp else 0.0)
     pid = law(gains, tau_f_s=max(filter_s, 0.0), co_min=low, co_max=high)
     sp, rest = window.sp.tolist(), other.tolist()
@@ -108,14 +111,6 @@ def replayed(
         state, co[i] = step(pid, state, wanted, moved + free, dt_s)
         moved = plant.step(float(co[i]) - co0)
     return Replayed(window.t_s, window.sp, pv, co)
-
-
-def _limits(co: FloatArray, given: tuple[float | None, float | None]) -> tuple[float, float]:
-    """The limits of co; where none is given, so far that a replay never meets one."""
-    room = 1e6 * max(float(np.ptp(co)), 1.0)
-    low = float(np.min(co)) - room if given[0] is None else given[0]
-    high = float(np.max(co)) + room if given[1] is None else given[1]
-    return low, high
 
 
 @dataclass(frozen=True, slots=True)

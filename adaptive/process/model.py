@@ -253,7 +253,17 @@ def state_space(process: LinearProcess, unit_s: float) -> StateSpace:
     ValueError
         The process has more zeros than poles, so no real plant can be it.
     """
-    sections = _sections(process, unit_s)
+    # The cascade: fastest poles first, so that rates of the output cancel no digits; slow zeros go to slow poles
+    lags = [x / unit_s for x in process.lags_s if x]
+    lags = sorted([*lags, *(c1 / unit_s for c1, c2 in process.quadratics if c2 == 0 and c1)])
+    pairs = [(1.0, c1 / unit_s, c2 / unit_s**2) for c1, c2 in process.quadratics if c2]
+    sections: list[Section] = [((1.0, lag), []) for lag in lags] + [(pair, []) for pair in pairs]
+    sections += [((0.0, 1.0), []) for _ in range(process.integrators)]
+    zeros = sorted((x / unit_s for x in process.leads_s if x), key=abs, reverse=True)
+    for rates, held in reversed(sections):
+        held += [zeros.pop(0) for _ in range(min(len(rates) - 1, len(zeros)))]
+    if zeros:
+        raise ValueError("the process has more zeros than poles: its response to a step is not a function; add lags")
     n = sum(len(section) - 1 for section, _ in sections)
     a, b, c, d = np.zeros((n, n)), np.zeros(n), np.zeros(n), 1.0
     first = 0
@@ -281,18 +291,3 @@ def state_space(process: LinearProcess, unit_s: float) -> StateSpace:
 
 Section = tuple[tuple[float, ...], list[float]]
 """Denominator coefficients a0 + a1 s (+ a2 s^2), and the zeros' time constants put into the section."""
-
-
-def _sections(process: LinearProcess, unit_s: float) -> list[Section]:
-    """The cascade: fastest poles first, so that rates of the output cancel no digits; slow zeros go to slow poles."""
-    lags = [x / unit_s for x in process.lags_s if x]
-    lags = sorted([*lags, *(c1 / unit_s for c1, c2 in process.quadratics if c2 == 0 and c1)])
-    pairs = [(1.0, c1 / unit_s, c2 / unit_s**2) for c1, c2 in process.quadratics if c2]
-    sections: list[Section] = [((1.0, lag), []) for lag in lags] + [(pair, []) for pair in pairs]
-    sections += [((0.0, 1.0), []) for _ in range(process.integrators)]
-    zeros = sorted((x / unit_s for x in process.leads_s if x), key=abs, reverse=True)
-    for rates, held in reversed(sections):
-        held += [zeros.pop(0) for _ in range(min(len(rates) - 1, len(zeros)))]
-    if zeros:
-        raise ValueError("the process has more zeros than poles: its response to a step is not a function; add lags")
-    return sections

@@ -42,16 +42,10 @@ def from_roots(zeros: Roots, poles: Roots, gain: float, theta_s: float = 0.0) ->
             f"a pole at {_shown(wrong[0])} per second is unstable; the models have stable poles and integrators"
         )
     k = gain * float(np.real(np.prod(-z) / np.prod(-moving)))
-    lags, pairs = _denominator(moving)
+    lags = sorted((-1 / float(p.real) for p in moving if p.imag == 0), reverse=True)
+    pairs = [(max(-2 * float(p.real), 0.0) / abs(p) ** 2, 1 / abs(p) ** 2) for p in moving if p.imag > 0]
     integrators = len(p) - len(moving)
     return LinearProcess(k, tuple(lags), tuple(_leads(z)), theta_s, integrators, tuple(pairs))
-
-
-def _denominator(poles: npt.NDArray[np.complex128]) -> tuple[list[float], list[tuple[float, float]]]:
-    """Lags from the longest, and the coefficients of conjugate pairs."""
-    lags = sorted((-1 / float(p.real) for p in poles if p.imag == 0), reverse=True)
-    pairs = [(max(-2 * float(p.real), 0.0) / abs(p) ** 2, 1 / abs(p) ** 2) for p in poles if p.imag > 0]
-    return lags, pairs
 
 
 def _leads(zeros: npt.NDArray[np.complex128]) -> list[float]:

@@ -121,7 +121,28 @@ def update_across(crossing: Crossing, shown: Shown, region: int, known: RegionMo
     own = known if known is not None and known.records else None
     if not shown.found:
         return Learned(own, shown.alone, Agreement.SILENT, 0.0)
-    estimate = _estimate(crossing, shown, region)
+    # What the record by itself says of a region, at its centre
+    logs = [_at_centre(crossing, one, region) for one in shown.found]
+    best, alone, limit = logs[0], shown.alone, crossing.fit
+    unsure = best.gain_uncertainty(crossing.window.sample_time_s)
+    left, beyond = shown.found[0].left, _beyond(crossing, shown)
+    is_known = unsure <= limit.gain_std_limit and beyond <= limit.remainder_limit
+    reason = "fitted along its way, with the process in motion"
+    if beyond > limit.remainder_limit:
+        reason = f"the model leaves {beyond:.1f} times the noise (limit {limit.remainder_limit:g})"
+    elif not is_known:
+        factor, needed = factors_text(2 * unsure, 2 * limit.gain_std_limit)
+        reason = f"Response crossed a region boundary: Kc uncertain by {factor}x (limit {needed}x). Not used."
+    samples = len(crossing.window.t_s)
+    alternatives = [_alternative(log, one, samples) for log, one in zip(logs, shown.found, strict=True)]
+    estimate = replace(
+        alone,
+        identifiable=is_known,
+        reason=reason,
+        residual_std=left,
+        alternatives=tuple(alternatives),
+        plausible=spread(scattered(best, crossing.tracker)),
+    )
     if _beyond(crossing, shown) > crossing.fit.remainder_limit:
         return Learned(own, estimate, Agreement.SILENT, 0.0)
     curve = shown.found[0].co_curve
@@ -146,31 +167,6 @@ def taught_beside(crossing: Crossing, shown: Shown, taught: int) -> dict[int, Re
             if learned.region_model is not None and learned.agreement in {Agreement.FIRST, Agreement.AGREES}:
                 found[region] = learned.region_model
     return found
-
-
-def _estimate(crossing: Crossing, shown: Shown, region: int) -> ModelEstimate:
-    """What the record by itself says of a region, at its centre."""
-    logs = [_at_centre(crossing, one, region) for one in shown.found]
-    best, alone, limit = logs[0], shown.alone, crossing.fit
-    unsure = best.gain_uncertainty(crossing.window.sample_time_s)
-    left, beyond = shown.found[0].left, _beyond(crossing, shown)
-    is_known = unsure <= limit.gain_std_limit and beyond <= limit.remainder_limit
-    reason = "fitted along its way, with the process in motion"
-    if beyond > limit.remainder_limit:
-        reason = f"the model leaves {beyond:.1f} times the noise (limit {limit.remainder_limit:g})"
-    elif not is_known:
-        factor, needed = factors_text(2 * unsure, 2 * limit.gain_std_limit)
-        reason = f"Response crossed a region boundary: Kc uncertain by {factor}x (limit {needed}x). Not used."
-    samples = len(crossing.window.t_s)
-    alternatives = [_alternative(log, one, samples) for log, one in zip(logs, shown.found, strict=True)]
-    return replace(
-        alone,
-        identifiable=is_known,
-        reason=reason,
-        residual_std=left,
-        alternatives=tuple(alternatives),
-        plausible=spread(scattered(best, crossing.tracker)),
-    )
 
 
 def _beyond(crossing: Crossing, shown: Shown) -> float:

@@ -43,15 +43,8 @@ def as_right_as_others(
         if other == region or not own.kp or not theirs.kp:
             continue
         log = predicted(model, t_s, tracker)
-        slower = math.log(_slower(theirs, own))
+        slower = math.log(1.0 if not theirs.ki or not own.ki else (own.kp / own.ki) / (theirs.kp / theirs.ki))
         x = log.x + slower
         x[SLOPE] = log.x[SLOPE] + math.log(theirs.kp / own.kp) - slower
         found.append(Plausible(model_at(log.type, x, log.sign), 0.0))
     return tuple(found)
-
-
-def _slower(theirs: PidGains, own: PidGains) -> float:
-    """Times of the one set over those of the other; 1 where one has no integral action."""
-    if not theirs.ki or not own.ki:
-        return 1.0
-    return (own.kp / own.ki) / (theirs.kp / theirs.ki)

@@ -64,7 +64,16 @@ def borrowed(
     near = {i: model for i, model in lenders(region_models, sign).items() if i != region}
     if not near:
         return None
-    behind = _behind(near, region, regions, settings)
+    # How far each structure lies behind the leading ones; the nearer a region, the more it counts
+    weights = {other: 1 / regions.distance(region, other) for other in near}
+    total = sum(weights.values())
+    types = set.intersection(*({k.log.type for k in model.known} for model in near.values()))
+    behind = dict.fromkeys(types, 0.0)
+    for other, model in near.items():
+        for k in model.known:
+            if k.log.type in types:
+                lead = min(max(k.evidence - model.known[0].evidence, 0.0), settings.most_lead)
+                behind[k.log.type] += weights[other] / total * lead
     shown = {region: own} if own is not None and own.log.sign == sign else {}
     through = curves({**near, **shown}, regions, t_s, tracker)
     place = centre_of(regions, region)
@@ -90,22 +99,6 @@ def _log(curve: Curves, place: tuple[float, ...], sign: int, type_: ProcessType)
     """The process of one structure at a place."""
     x, p = curve.at(place)
     return LogModel(x, proper_covariance(p), sign, type_)
-
-
-def _behind(
-    near: Mapping[int, RegionModel], region: int, regions: Regions, settings: BorrowingSettings
-) -> dict[ProcessType, float]:
-    """How far each structure lies behind the leading ones; the nearer a region, the more it counts."""
-    weights = {other: 1 / regions.distance(region, other) for other in near}
-    total = sum(weights.values())
-    types = set.intersection(*({k.log.type for k in model.known} for model in near.values()))
-    behind = dict.fromkeys(types, 0.0)
-    for other, model in near.items():
-        for k in model.known:
-            if k.log.type in types:
-                lead = min(max(k.evidence - model.known[0].evidence, 0.0), settings.most_lead)
-                behind[k.log.type] += weights[other] / total * lead
-    return behind
 
 
 def spread(log: LogModel) -> tuple[Plausible, ...]:

@@ -24,7 +24,7 @@ from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, pr
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
 from retuner.adaptive.schedule_design.curves import inflation
-from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, noise_of, refined
+from retuner.adaptive.schedule_design.joint import Form, Joint, Noise, noise_of, refined
 from retuner.adaptive.schedule_design.rest import Rest
 from retuner.adaptive.schedule_design.stretches import SLOPE_STD, Axis, Characteristic, Shape, Stretch, over, signals_of
 from retuner.adaptive.signals.noise import noise_sigma
@@ -158,7 +158,8 @@ def _fitted(joint: Joint, form: Form, start: FloatArray | None = None) -> InMoti
     floor = math.hypot(noise_sigma(pv), MODEL_ERROR * float(np.ptp(pv)))
     noise = Noise((), np.array([floor]))
     now = refined(joint, form, np.zeros(form.size) if start is None else start, noise, ITERATIONS)
-    now = refined(joint, form, now.z, _noise(now, floor), ITERATIONS)
+    found = noise_of(now.left, 1e-6 * floor)
+    now = refined(joint, form, now.z, replace(found, sigma=np.hypot(found.sigma, floor)), ITERATIONS)
     c = max(inflation(now), 1.0)
     assert now.jacobian is not None
     information = np.eye(form.size) + now.jacobian.T @ now.jacobian / c
@@ -167,9 +168,3 @@ def _fitted(joint: Joint, form: Form, start: FloatArray | None = None) -> InMoti
     type_ = ProcessType.SOPDT if len(form.shapes) > 3 else ProcessType.FOPDT
     rest = Rest.on_the_way(joint.stretches[0])
     return InMotion(type_, form, rest, now.z, covariance, evidence, float(np.std(now.left[0])))
-
-
-def _noise(now: At, floor: float) -> Noise:
-    """What is left, and the record believed no more closely than a model can follow it."""
-    found = noise_of(now.left, 1e-6 * floor)
-    return replace(found, sigma=np.hypot(found.sigma, floor))

@@ -292,7 +292,12 @@ def _merges(
     }
     for k, axis in enumerate(regions.axes):
         for n, bound in enumerate(axis.bounds):
-            pairs = _pairs(regions, k, n)
+            pairs = [
+                (i, j)
+                for i in range(len(regions))
+                for j in regions.neighbours(i)
+                if i < j and regions.border(i, j).axis == k and regions.cell(i)[k] == n
+            ]
             if not all(i in known and j in known for i, j in pairs):
                 continue
             told = [_apart(known[i], known[j], settings) for i, j in pairs]
@@ -304,16 +309,6 @@ def _merges(
             below, above = (sum(known[pair[side]].count for pair in pairs) for side in (0, 1))
             numbers = (most, settings.merge_factor)
             yield _advice(AdviceKind.MERGE, names, axis, bound, apart, (below, above), *numbers)
-
-
-def _pairs(regions: Regions, k: int, n: int) -> list[tuple[int, int]]:
-    """The regions on both sides of the n-th bound of the k-th axis."""
-    return [
-        (i, j)
-        for i in range(len(regions))
-        for j in regions.neighbours(i)
-        if i < j and regions.border(i, j).axis == k and regions.cell(i)[k] == n
-    ]
 
 
 def _apart(one: _Side, other: _Side, settings: AdviceSettings) -> tuple[float, FloatArray]:

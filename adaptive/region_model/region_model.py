@@ -84,7 +84,7 @@ class RegionModel:
     alternative : what the contradicting record alone said, if the last one was odd.
     points : the last POINTS records by themselves, oldest first. plausible : models that the posterior still allows,
     by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
-    windows : the records themselves while they are few, for the next one to be fitted with them (together.py).
+    windows : the records themselves while they are few, for the next one to be fitted with them (update.py).
     sequences : setpoint steps to and fro that were made here (sequences.py); the newest last.
     """
 

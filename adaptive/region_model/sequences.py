@@ -45,7 +45,9 @@ def update_by_sequences(
     estimate = process_behind(kept, sign, fit, *law)
     settled = region_model is not None and region_model.identifiable and len(kept) > 1
     alone = process_behind(kept[-1:], sign, fit, *law) if settled else None
-    if alone is not None and (estimate is None or _apart(kept, estimate, alone, law) > ANOTHER_PROCESS):
+    if alone is not None and (
+        estimate is None or (of_the_newest(kept, estimate, *law) - of_the_newest(kept, alone, *law)) > ANOTHER_PROCESS
+    ):
         assert region_model is not None
         if region_model.alternative is None:
             odd = _known(None, kept[-1:], alone, settings, at).known
@@ -67,13 +69,6 @@ def unsure(model: RegionModel, sample_time_s: float) -> str:
         return ""
     known, enough = factors_text(spread, WELL_KNOWN)
     return f"known within a factor of {known} by setpoint steps to and fro, more of them would reach {enough}"
-
-
-def _apart(
-    kept: tuple[SetpointSteps, ...], together: ModelEstimate, alone: ModelEstimate, law: tuple[float, float]
-) -> float:
-    """How much more all together leave of the newest than it does by itself."""
-    return of_the_newest(kept, together, *law) - of_the_newest(kept, alone, *law)
 
 
 def _known(

@@ -113,7 +113,11 @@ def _knotted(grid: Grid, most: int) -> Cells | None:
             continue
         sets = tuple(times(grid.places[grid.near(i * COUNT + j)[0]].own, calmer) for i, j in product(rows, columns))
         found = Cells(Lookup.INTERPOLATED, _round(grid.edges(0), rows), _round(grid.edges(1), columns), sets)
-        if _served(grid, found):
+        if all(
+            grid.keeps(at, found.gains_at(place.x, math.nan if place.x2 is None else place.x2))
+            for at, place in enumerate(grid.places)
+            if place.known
+        ):
             return found
     return None
 
@@ -123,14 +127,6 @@ def _round(values: Sequence[float], knots: tuple[int, ...]) -> tuple[float, ...]
         return values[0], values[-1]
     half = (values[knots[1]] - values[knots[0]]) / 2
     return (*(values[k] - half for k in knots), values[knots[-1]] + half)
-
-
-def _served(grid: Grid, found: Cells) -> bool:
-    return all(
-        grid.keeps(at, found.gains_at(place.x, math.nan if place.x2 is None else place.x2))
-        for at, place in enumerate(grid.places)
-        if place.known
-    )
 
 
 def _stepped(grid: Grid, most: int) -> Cells | None:

@@ -71,7 +71,12 @@ def _ranked(form: Form, told: Agreement, most: tuple[Shape, ...], free: int) -> 
     top = -math.inf
     while waiting:
         for shapes in waiting:
-            ranked[shapes] = _evidence(_kept(form, shapes), told, sum(SHAPES.index(s) for s in shapes))
+            kept = _kept(form, shapes)
+            sub, right = told.normal[np.ix_(kept, kept)], told.right[kept]
+            gained = float(right @ np.linalg.solve(sub, right))
+            ranked[shapes] = (
+                0.5 * gained - 0.5 * float(np.linalg.slogdet(sub)[1]) - SIMPLER * sum(SHAPES.index(s) for s in shapes)
+            )
             top = max(top, ranked[shapes])
         best = max(waiting, key=ranked.__getitem__)
         near = [s for s in waiting if ranked[s] >= top - FOLLOWED or s is best]
@@ -97,13 +102,6 @@ def _kept(form: Form, shapes: Sequence[Shape]) -> list[int]:
     places = [*form.places, form.felt_place, *form.second_places]
     sizes = [*map(int, shapes[:n]), *(int(shape) - 1 for shape in shapes[n:])]
     return [row for p, n in zip(places, sizes, strict=True) for row in range(p.start, p.start + n)]
-
-
-def _evidence(kept: list[int], told: Agreement, steps: int) -> float:
-    """ln E of the coefficients that are kept."""
-    sub, right = told.normal[np.ix_(kept, kept)], told.right[kept]
-    gained = float(right @ np.linalg.solve(sub, right))
-    return 0.5 * gained - 0.5 * float(np.linalg.slogdet(sub)[1]) - SIMPLER * steps
 
 
 def _covariance(

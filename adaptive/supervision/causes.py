@@ -44,7 +44,7 @@ from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import setpoint_steps
-from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, StepSequence, step_sequence
+from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, step_sequence
 from retuner.adaptive.supervision.guard_request import known_with, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
@@ -94,10 +94,6 @@ def joining(found: Findings) -> None:
     closed_s = record.samples[sequence.closed].t_s
     if began_s > closed_s + TAKEN_SAMPLES * found.settings.sample_time_s:
         return
-    _as_one(found, sequence)
-
-
-def _as_one(found: Findings, sequence: StepSequence) -> None:
     record, settings = found.record, found.settings
     known = record.region_models.get(record.region)
     began_s = record.samples[sequence.opened].t_s
@@ -306,7 +302,7 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
         return None
     model = allowed[0].model.seen_by_controller(settings.sample_time_s)
     loop = Loop(model.linear(), record.in_force, settings.setpoint_weight, settings.filter_s)
-    said = foretold(record.response, loop, _learned_ramp_s(found))
+    said = foretold(record.response, loop, found.learned.estimate.ramp_s if found.learned is not None else 0.0)
     reason = not_seen(record.response, said, settings.swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
 
@@ -314,11 +310,6 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
 def _by_the_setpoint_alone(found: Findings) -> bool:
     """Whether the loop by itself explains a setpoint step from rest, to the noise and without a load."""
     return found.clear and found.learned is not None and not found.learned.estimate.load_times_s
-
-
-def _learned_ramp_s(found: Findings) -> float:
-    """For how long the load of the response moved, by the fit of its record."""
-    return found.learned.estimate.ramp_s if found.learned is not None else 0.0
 
 
 def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
@@ -393,11 +384,14 @@ def doubt_of(found: Findings, wanted_for: Diagnosis | None = None) -> Diagnosis 
     wanted_for : why the gains would be changed, None where no model says so.
     """
     record, settings = found.record, found.settings
+    # What was seen, whatever the model in use rests on: that begins anew with each record that contradicts it.
+    # A setpoint step is one also where its fit does not tell.
+    now = found.excitation_now
     return unconfirmed(
         _of_this_process(found),
         record.response,
         record.in_force,
-        _seen_so_far(found),
+        replace(now, setpoints=max(now.setpoints, 1)) if found.record.response.sp_changed else now,
         settings.swing,
         settings.diagnosis,
         wanted_for,
@@ -421,15 +415,6 @@ def _of_this_process(found: Findings) -> Sequence[LoopSample]:
     if learned is None or learned.agreement is not Agreement.CHANGED or before is None or len(before.points) < SECOND:
         return record.samples
     return [sample for sample in record.samples if sample.t_s > before.points[-SECOND].t_s]
-
-
-def _seen_so_far(found: Findings) -> Excitation:
-    """What was seen, whatever the model in use rests on: that begins anew with each record that contradicts it.
-
-    A setpoint step is one also where its fit does not tell.
-    """
-    now = found.excitation_now
-    return replace(now, setpoints=max(now.setpoints, 1)) if found.record.response.sp_changed else now
 
 
 def in_danger(found: Findings, doubt: Diagnosis) -> bool:

@@ -317,7 +317,16 @@ def posterior_of(
     if learned is None or trial.old is None or not learned.estimate.plausible:
         return None
     if case.crossed:
-        return _of_crossing(case, learned, trial.old, settings)
+        # The same of a response that crossed a border: by all that is known of the region, where it agrees with that
+        known = learned.region_model
+        if known is None or learned.agreement != Agreement.AGREES:
+            return None
+        before = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
+        allowed = believed(known.plausible, settings.guard.believed)
+        found = check_posterior(
+            allowed, before, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+        )
+        return replace(found, settled=known.identifiable)
     estimate = learned.estimate
     if (
         learned.agreement == Agreement.SILENT
@@ -361,21 +370,6 @@ def _outvoted(learned: Learned) -> bool:
     records = known.records if known is not None else 0
     alone = learned.agreement == Agreement.CONTRADICTS and not learned.estimate.identifiable
     return alone and records >= AGREED
-
-
-def _of_crossing(
-    case: ResponseRecord, learned: Learned, old: PidGains, settings: RetunerSettings
-) -> PosteriorCheck | None:
-    """The same of a response that crossed a border: by all that is known of the region, where it agrees with that."""
-    known = learned.region_model
-    if known is None or learned.agreement != Agreement.AGREES:
-        return None
-    before = case.table.with_gains(case.region, old).at(case.region, *case.at)
-    allowed = believed(known.plausible, settings.guard.believed)
-    found = check_posterior(
-        allowed, before, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
-    )
-    return replace(found, settled=known.identifiable)
 
 
 def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:

@@ -19,8 +19,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import LoopMode, Window
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import Known, known_of, unproved_request
-from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.pipeline_types import Findings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.rollback import LOST_WORDS, less_stable
 from retuner.adaptive.trial.trial import Trial
@@ -42,7 +41,15 @@ def runaway(found: Findings) -> None:
     record, verdict, settings = found.record, found.verdict, found.settings
     if verdict is None or verdict.gains is None or found.steps is not None or record.pattern is None:
         return
-    window = _last_step(record)
+    # From the last setpoint step under these gains to the end of its response, or to the load that came next;
+    # None where none is kept, or co did not follow its law.
+    response, revision = record.response, record.samples[-1].revision
+    end_s = response.t_end_s if response.sp_changed else response.t_start_s
+    kept = [s for s in record.samples if s.t_s <= end_s and s.revision == revision and s.t_s >= record.entered_s]
+    at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
+    own = kept[max(at - BEFORE, 0) :]
+    followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
+    window = Window.of(own) if at and followed and len(own) >= FEWEST else None
     if window is None:
         return
     law = SampledLaw(record.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
@@ -53,19 +60,6 @@ def runaway(found: Findings) -> None:
     worse = worse_on(shown, law, after, len(window.pv), settings.cause.ms_high)
     if worse is not None:
         found.doubted(_told(shown, *worse))
-
-
-def _last_step(record: ResponseRecord) -> Window | None:
-    """From the last setpoint step under these gains to the end of its response, or to the load that came next; None
-    where none is kept, or co did not follow its law.
-    """
-    response, revision = record.response, record.samples[-1].revision
-    end_s = response.t_end_s if response.sp_changed else response.t_start_s
-    kept = [s for s in record.samples if s.t_s <= end_s and s.revision == revision and s.t_s >= record.entered_s]
-    at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
-    own = kept[max(at - BEFORE, 0) :]
-    followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
-    return Window.of(own) if at and followed and len(own) >= FEWEST else None
 
 
 def _told(shown: Runaway, before: float, after: float) -> Diagnosis:
@@ -99,7 +93,12 @@ def cut_refuted(found: Findings) -> None:
     period_s = through_a_change(here, record.in_force, settings.diagnosis)
     if period_s is None or found.growth is not None or not alike_on_both_sides(here, period_s, record.response.band):
         return
-    kept_out = _kept_out(record, trial, before, settings)
+    now_s = float(record.window.t_s[-1])
+    known = known_of(Known(record.table, record.region_models, now_s, settings), record.region)
+    if known.processes:
+        kept_out = less_stable(before, record.in_force, known, settings.trial.harmless_ms)
+    else:
+        kept_out = LOST_WORDS if trial.sets.lost else ""
     if kept_out:
         found.stop("tone_goes_on", NOT_BACK.format(period=period_s, why=kept_out))
         return
@@ -112,15 +111,6 @@ def cut_refuted(found: Findings) -> None:
         found.proposal, found.verdict, found.basis = tuning, verdict, Basis.RAN
         found.numbers = NO_NUMBERS
     found.stop(verdict.code, REFUTED.format(period=period_s, ruling=verdict.sentence))
-
-
-def _kept_out(record: ResponseRecord, trial: Trial, before: PidGains, settings: RetunerSettings) -> str:
-    """Why the set before a cut does not come back, by all that is known; empty where it may."""
-    now_s = float(record.window.t_s[-1])
-    known = known_of(Known(record.table, record.region_models, now_s, settings), record.region)
-    if known.processes:
-        return less_stable(before, record.in_force, known, settings.trial.harmless_ms)
-    return LOST_WORDS if trial.sets.lost else ""
 
 
 NOT_BACK = (

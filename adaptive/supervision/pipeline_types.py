@@ -500,11 +500,6 @@ def passed_over(led: Led, record: ResponseRecord, settings: RetunerSettings) -> 
     lately = newest.t_s - led.said_s < rules.led_again_s and not newest.limited
     if lately and setpoint_led(record.window, record.response, rules):
         return admitted(record, settings).ground is Ground.SETPOINT_LED
-    return _half_way(record)
-
-
-def _half_way(record: ResponseRecord) -> bool:
-    """Whether it is one of many setpoint steps to and fro that go on: the first of them has said so."""
     found = step_sequence(record.samples)
     return found is not None and found.closed is None and len(found.whole) > TOLD_STEPS
 

@@ -242,8 +242,9 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             for region, counts in memory["excitation"].items()
         }
         retuner.books = {int(region): Book.from_dict(body) for region, body in memory.get("books", {}).items()}
+        values = memory["region"]
         finder = FinderState(
-            region=_region_in(memory["region"]),
+            region=None if values is None else _state_in(RegionState, values),
             recogniser=_recogniser_in(memory["recogniser"]),
             noise=_state_in(NoiseState, memory["noise"]),
             samples=_samples_in(memory["samples"]),
@@ -269,11 +270,6 @@ def _numbers_out(values: Sequence[Any] | None) -> list[Any] | None:
 def _numbers_in(values: Sequence[Any]) -> list[Any]:
     """And back."""
     return [float(v) if isinstance(v, str) else v for v in values]
-
-
-def _region_in(values: Sequence[Any] | None) -> RegionState | None:
-    """A region state, if there was one."""
-    return None if values is None else _state_in(RegionState, values)
 
 
 def _recogniser_in(values: Sequence[Any] | None) -> RecogniserState | None:

@@ -71,18 +71,18 @@ HOST_MUTANTS = tuple(
         ),
         (
             "the lease never runs out at the host",
-            HOST + "lease_client",
+            HOST + "requests",
             "if self.held and now_s - self._since_s >= self._length_s:",
             "if False:",
         ),
-        ("another's lease is taken for ours", HOST + "lease_client", "if ack.seq != self.owner or ", "if "),
+        ("another's lease is taken for ours", HOST + "requests", "if ack.seq != self.owner or ", "if "),
         (
             "a refused lease counts as given",
-            HOST + "lease_client",
+            HOST + "requests",
             "before, self.held = self.other, ack.reason == Reason.OK",
             "before, self.held = self.other, True",
         ),
-        ("the counter of the lease stands", HOST + "lease_client", "(self._counter + 1)", "(self._counter + 0)"),
+        ("the counter of the lease stands", HOST + "requests", "(self._counter + 1)", "(self._counter + 0)"),
         (
             "that the lease is gone is not heard",
             HOST + "requests",

@@ -340,7 +340,12 @@ class CanLink:
                 message = bus.recv(timeout=0.0)
             except BUS_ERRORS as error:
                 garbage += 1
-                bus = self._after(error, garbage)
+                # The bus to go on with after a receive failed: the same one after so little garbage, else none for now
+                if is_garbage(error):
+                    bus = self._after_garbage(garbage)
+                else:
+                    self._fail(fault_of_error(error, LinkFault.RECEIVE))
+                    bus = self._bus
                 continue
             if message is None:
                 break
@@ -437,13 +442,6 @@ class CanLink:
             return self._bus.fileno() if self._bus is not None else -1
         except BUS_ERRORS:
             return -1
-
-    def _after(self, error: BaseException, garbage: int) -> can.BusABC | None:
-        """The bus to go on with after a receive failed: the same one after so little garbage, else none for now."""
-        if is_garbage(error):
-            return self._after_garbage(garbage)
-        self._fail(fault_of_error(error, LinkFault.RECEIVE))
-        return self._bus
 
     def _after_garbage(self, garbage: int) -> can.BusABC | None:
         """The same when what came is no frame."""

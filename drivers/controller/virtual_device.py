@@ -15,10 +15,9 @@ import can
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.controller.gain_memory import GainPages, GainSet
-from retuner.drivers.controller.lease_server import NOBODY, LeaseDesk
 from retuner.drivers.plants.plant import Plant
 from retuner.drivers.protocol.authentication import CodeDesk, fresh_nonce
-from retuner.drivers.protocol.checksum import CO_STEP, co_steps, sample_crc
+from retuner.drivers.protocol.checksum import CO_STEP, STAMP_SAMPLES, co_steps, lease_stamp, sample_crc
 from retuner.drivers.protocol.codec import Codec, Refusal, Refused, schema
 from retuner.drivers.protocol.frames import (
     CHALLENGE_TAG,
@@ -57,6 +56,66 @@ from retuner.drivers.protocol.frames import (
 from retuner.drivers.telemetry.signal_source import plant_message
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PV, StateTuple, change, start, step, track
+
+# The device's side of the lease: which one host may command, and until when, counted in controller samples.
+#
+# A lease is asked for, prolonged and given back with LEASE frames. Their counter must be newer each time (AUTOSAR E2E:
+# a repeated frame is never a good one), and their stamp must be of the device's present time: this boot epoch, and the
+# present or the last STAMP_SAMPLES samples. So no frame of before a restart takes the lease, and nobody keeps the lease
+# of a dead host alive by sending frames again, in whatever order.
+
+NOBODY = 0
+
+
+class LeaseDesk:
+    """The lease of one device.
+
+    longest_samples : longest lease that is granted; more is asked for in vain.
+    """
+
+    def __init__(self, longest_samples: int) -> None:
+        self._longest = longest_samples
+        self.owner = NOBODY
+        self._left = 0
+        self._last: Lease | None = None
+
+    def boot(self) -> None:
+        """Nobody holds it after a restart."""
+        self.owner, self._left, self._last = NOBODY, 0, None
+
+    def request(self, frame: Lease, epoch: int, sample: int) -> Ack:
+        """Take, prolong or give back, in this epoch and sample; latest of the answer is the owner in force."""
+        reason = self._judge(frame, epoch, sample)
+        if reason is Reason.OK and frame != self._last:
+            self._last = frame
+            self._left = min(frame.samples, self._longest)
+            self.owner = frame.owner if self._left else NOBODY
+        return Ack(Kind.LEASE, frame.owner, reason, self.owner)
+
+    def _judge(self, frame: Lease, epoch: int, sample: int) -> Reason:
+        if frame.stamp not in {lease_stamp(epoch, sample), lease_stamp(epoch, max(sample - STAMP_SAMPLES, 0))}:
+            return Reason.STALE
+        if self.owner not in {NOBODY, frame.owner}:
+            return Reason.NOT_OWNER
+        last = self._last
+        if last is None or last.owner != frame.owner or frame == last:
+            return Reason.OK
+        return Reason.OK if newer(frame.counter, last.counter, COUNTER_BITS) else Reason.STALE
+
+    def tick(self) -> bool:
+        """One controller sample has passed; whether the lease has just run out."""
+        if self.owner == NOBODY:
+            return False
+        self._left -= 1
+        if self._left > 0:
+            return False
+        self.owner = NOBODY
+        return True
+
+    def allows(self, owner: int, modulo: int = 1 << 16) -> bool:
+        """Whether this owner (or its remainder that a short frame carries) holds the lease."""
+        return self.owner != NOBODY and owner == self.owner % modulo
+
 
 __all__ = ["VirtualDevice", "VirtualDeviceSettings"]
 
@@ -158,19 +217,7 @@ class VirtualDevice:
             new = self.settings.law_of(self.running.gains)
             self._state = change(self._law, new, self._state, self.sp, self.pv, dt)
             self._law = new
-        self._regulate(dt)
-        self.sample = (self.sample + 1) % SAMPLE_WRAP
-        if self.lease.tick():
-            self.pages.drop_staged()
-        frames += self._telemetry()
-        if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
-            frames += self._life_sign()
-        # What the plant measures beside pv, before the telemetry of its sample
-        aux: float | None = getattr(self.plant, "aux", None)  # of MeasuresMore; to ask isinstance a sample costs more
-        return [*([] if aux is None else [plant_message(self.settings.node, aux)]), *map(self._encode, frames)]
-
-    def _regulate(self, dt: float) -> None:
-        """The output of this sample: a fault before manual before automatic, which waits for a number."""
+        # The output of this sample: a fault before manual before automatic, which waits for a number
         pv = self._state[PV] if self.blind else self.pv
         if self.fault:
             at_once = replace(self._law, co_rate_per_s=None)
@@ -179,6 +226,21 @@ class VirtualDevice:
             self._state, self.co = track(self._law, self._state, self.sp, pv, self._manual_co, dt)
         elif not self.blind:
             self._state, self.co = step(self._law, self._state, self.sp, pv, dt)
+        self.sample = (self.sample + 1) % SAMPLE_WRAP
+        if self.lease.tick():
+            self.pages.drop_staged()
+        counter = self.sample % (1 << COUNTER_BITS)
+        mode = LoopMode.AUTO if self.auto else LoopMode.MANUAL
+        low, high = PV_WIRE
+        told = TelemetryPv(counter, min(max(self.pv, low), high), co_steps(self.co) * CO_STEP)
+        limited, running = int(self._state[LIMITED]), self.running.seq % RUNNING_TAG
+        crc = sample_crc(self.settings.node, told, TelemetrySp(counter, self.sp, mode, limited, running, 0))
+        frames += [told, TelemetrySp(counter, self.sp, mode, limited, running, crc)]
+        if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
+            frames += self._life_sign()
+        # What the plant measures beside pv, before the telemetry of its sample
+        aux: float | None = getattr(self.plant, "aux", None)  # of MeasuresMore; to ask isinstance a sample costs more
+        return [*([] if aux is None else [plant_message(self.settings.node, aux)]), *map(self._encode, frames)]
 
     def tell_fault(self, *, fault: bool) -> None:
         """The fault input changes."""
@@ -296,15 +358,6 @@ class VirtualDevice:
 
     def _take_load(self, frame: Load) -> None:
         self.load = frame.load
-
-    def _telemetry(self) -> list[DeviceFrame]:
-        counter = self.sample % (1 << COUNTER_BITS)
-        mode = LoopMode.AUTO if self.auto else LoopMode.MANUAL
-        low, high = PV_WIRE
-        pv = TelemetryPv(counter, min(max(self.pv, low), high), co_steps(self.co) * CO_STEP)
-        limited, running = int(self._state[LIMITED]), self.running.seq % RUNNING_TAG
-        crc = sample_crc(self.settings.node, pv, TelemetrySp(counter, self.sp, mode, limited, running, 0))
-        return [pv, TelemetrySp(counter, self.sp, mode, limited, running, crc)]
 
     def _life_sign(self) -> list[DeviceFrame]:
         pages = self.pages

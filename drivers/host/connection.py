@@ -180,7 +180,12 @@ class CanDevice:
             case frames.Identity():
                 self._on_identity(frame, now_s)
             case frames.PageItem() | frames.PageEnd():
-                self._on_page(self._reader.take(frame), now_s)
+                # A whole read-back, or none yet
+                page = self._reader.take(frame)
+                if page is not None and page.page == frames.Page.STAGED:
+                    self._requests.write.on_staged(page)
+                elif page is not None and page.page == frames.Page.RUNNING:
+                    self._on_running(page, now_s)
             case frames.Challenge():
                 self._requests.on_challenge(frame)
             case frames.Ack():
@@ -237,13 +242,6 @@ class CanDevice:
         self._belief.identify()
         if self.machine.take(ConnectInput.IDENTIFIED):
             self._ask_s = now_s
-
-    def _on_page(self, page: ReadBack | None, now_s: float) -> None:
-        """A whole read-back, or none yet."""
-        if page is not None and page.page == frames.Page.STAGED:
-            self._requests.write.on_staged(page)
-        elif page is not None and page.page == frames.Page.RUNNING:
-            self._on_running(page, now_s)
 
     def _on_running(self, page: ReadBack, now_s: float) -> None:
         verdict, running = self._belief.on_page(page), self._belief.running

@@ -499,7 +499,14 @@ class ForeignDevice:
         if sp == self.settings.sp_start and not self._access.takes_setpoint:
             self._events.append(CommandDone("setpoint"))
             return
-        self._put({"setpoint": sp}, now_s)
+        numbers = {"setpoint": sp}
+        if not all(map(math.isfinite, numbers.values())):
+            raise WriteRefusedError(f"{self.settings.where}: {numbers} are not finite numbers")
+        try:
+            self._access.put(numbers)
+        except ValueError as error:
+            raise WriteRefusedError(f"{self.settings.where}: {error}") from None
+        self._send_due(now_s)
         self._setpoint, self._feed_s = sp, now_s + self.settings.feed_s
         if self._access.acknowledges:
             self._asked_setpoint = True
@@ -519,15 +526,6 @@ class ForeignDevice:
             raise WriteRefusedError(f"{self.settings.where}: load = {load:g}: only a virtual device takes one")
         self.link.send(load_frame(node, load))
         self._events.append(CommandDone("load"))
-
-    def _put(self, numbers: Numbers, now_s: float) -> None:
-        if not all(map(math.isfinite, numbers.values())):
-            raise WriteRefusedError(f"{self.settings.where}: {numbers} are not finite numbers")
-        try:
-            self._access.put(numbers)
-        except ValueError as error:
-            raise WriteRefusedError(f"{self.settings.where}: {error}") from None
-        self._send_due(now_s)
 
     def store(self, now_s: float) -> None:
         """Refused: when and where a foreign controller stores is its own business."""

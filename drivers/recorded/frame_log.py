@@ -7,7 +7,6 @@ read. Frames before the damage are given out, so a caller that stops counting th
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +71,7 @@ def read_frames(path: Path) -> Iterator[can.Message]:
     count = 0
     errors = READING_ERRORS + (mf4_errors() if path.suffix.lower() == ".mf4" else ())
     try:
-        with _opened(path) as stream:
+        with path.open(encoding="utf-8") if path.suffix.lower() in TEXT else path.open("rb") as stream:
             for message in READERS[path.suffix.lower()](stream):
                 count += 1
                 yield message
@@ -87,13 +86,6 @@ def read_parts(path: Path) -> Iterator[can.Message]:
     """The frames of all parts that are there of a log (bus_opening.py), oldest first; errors as read_frames."""
     for part in log_parts(path).paths:
         yield from read_frames(part)
-
-
-def _opened(path: Path) -> AbstractContextManager[Any]:
-    """What the reader of this format reads from; a reader that fails in its constructor would leave its file open."""
-    if path.suffix.lower() in TEXT:
-        return path.open(encoding="utf-8")
-    return path.open("rb")
 
 
 def _check(path: Path) -> None:

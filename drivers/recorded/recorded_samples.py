@@ -94,7 +94,21 @@ def _samples(
 ) -> Iterator[Recorded]:
     """Samples of t, sp, pv, co and of what else a table holds."""
     t, sp, pv, co = signals
-    _check(path, t, (sp, pv, co), facts)
+    # Refuse what is no record of this loop
+    if len(t) < 3:
+        raise RecordingError(f"{path}: {len(t)} samples; a response has at least dozens of them")
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if back.size:
+        raise RecordingError(
+            f"{path}: sample {back[0] + 2}: t = {t[back[0] + 1]:g} follows {t[back[0]]:g}; it must increase"
+        )
+    if max(float(np.max(np.abs(signal))) for signal in (t, *(sp, pv, co))) > LARGEST:
+        raise RecordingError(f"{path}: a value is beyond {LARGEST:g}; give the record in its engineering units")
+    interval = float(np.median(np.diff(t)))
+    if abs(interval - facts.sample_time_s) > TIME_TOLERANCE * facts.sample_time_s:
+        raise RecordingError(
+            f"{path}: is sampled every {interval:g} s, loop.sample_time_s is {facts.sample_time_s:g} s; make them equal"
+        )
     inputs = ScheduleInputs.of(facts.variable)
     own = {"sp": sp, "pv": pv, "co": co, "": np.zeros(len(t))}
     x, x2 = (
@@ -128,24 +142,6 @@ def _gains(path: str, i: int, kp: float, ki: float, kd: float) -> PidGains:
         return PidGains(kp, ki, kd)
     except ValueError as error:
         raise RecordingError(f"{path}: sample {i + 1}: {error}") from error
-
-
-def _check(path: str, t: np.ndarray, signals: tuple[np.ndarray, ...], facts: LoopFacts) -> None:
-    """Refuse what is no record of this loop."""
-    if len(t) < 3:
-        raise RecordingError(f"{path}: {len(t)} samples; a response has at least dozens of them")
-    back = np.flatnonzero(np.diff(t) <= 0)
-    if back.size:
-        raise RecordingError(
-            f"{path}: sample {back[0] + 2}: t = {t[back[0] + 1]:g} follows {t[back[0]]:g}; it must increase"
-        )
-    if max(float(np.max(np.abs(signal))) for signal in (t, *signals)) > LARGEST:
-        raise RecordingError(f"{path}: a value is beyond {LARGEST:g}; give the record in its engineering units")
-    interval = float(np.median(np.diff(t)))
-    if abs(interval - facts.sample_time_s) > TIME_TOLERANCE * facts.sample_time_s:
-        raise RecordingError(
-            f"{path}: is sampled every {interval:g} s, loop.sample_time_s is {facts.sample_time_s:g} s; make them equal"
-        )
 
 
 def frame_samples(path: Path, facts: LoopFacts) -> Iterator[Recorded]:

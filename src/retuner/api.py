@@ -312,7 +312,8 @@ def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, o
         estimate = _unless_one_tone(window, _unless_pv_stands(window, gains, estimate))
     if not estimate.identifiable:
         return Identification(estimate, None, None)
-    settings = settings_for(estimate, window.sample_time_s)
+    found = robust_simc(estimate, window.sample_time_s, RobustSettings())
+    settings = TuneResult(found.tuning, found.tuning.form, margins(estimate.log.model().linear(), found.tuning.gains))
     if gains is None:
         return Identification(estimate, settings, None)
     return _no_farther(Identification(estimate, settings, margins(estimate.log.model().linear(), gains)), window, gains)
@@ -364,12 +365,6 @@ def within(window: Window, co_min: float | None, co_max: float | None) -> Window
     if not low < high:
         raise ValueError(f"co_min {low:g} and co_max {high:g} leave no room between them")
     return replace(window, co=np.clip(window.co, low, high))
-
-
-def settings_for(estimate: ModelEstimate, sample_time_s: float) -> TuneResult:
-    """SIMC's PI settings for an estimate, robust on all models that its record allows; margins on the best model."""
-    found = robust_simc(estimate, sample_time_s, RobustSettings())
-    return TuneResult(found.tuning, found.tuning.form, margins(estimate.log.model().linear(), found.tuning.gains))
 
 
 def followed_settings(estimate: ModelEstimate | None, found: RobustTuning | None) -> TuneResult | None:

@@ -134,7 +134,13 @@ class PidController:
         self._begin_s = 0.0
         self._history = History(history)
         if memory is not None:
-            self._go_on(memory)
+            # Go on after a restart: time with a gap that nothing is learned over, and the output where it stood
+            watched = self._retuner.settings
+            self._begin_s = _finite("memory: t_s", memory["t_s"]) + (watched.gap_samples + 2) * watched.sample_time_s
+            self._held_co = None if memory["co"] is None else _finite("memory: co", memory["co"])
+            last = self._retuner.abort(TrialEvent.RESTARTED)
+            if last is not None:
+                self._obey(last)
 
     @classmethod
     def from_kc(
@@ -322,15 +328,6 @@ class PidController:
             "t_s": self._begin_s if place is None else place.t_s,
             "co": self._held_co if place is None else place.pid[3],
         }
-
-    def _go_on(self, memory: Mapping[str, Any]) -> None:
-        """Go on after a restart: time with a gap that nothing is learned over, and the output where it stood."""
-        watched = self._retuner.settings
-        self._begin_s = _finite("memory: t_s", memory["t_s"]) + (watched.gap_samples + 2) * watched.sample_time_s
-        self._held_co = None if memory["co"] is None else _finite("memory: co", memory["co"])
-        last = self._retuner.abort(TrialEvent.RESTARTED)
-        if last is not None:
-            self._obey(last)
 
     def __enter__(self) -> "PidController":
         return self

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.identification.identify import FitSettings, identify_window
-from retuner.adaptive.region_model import together
+from retuner.adaptive.region_model import update
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings, update_region_model
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out
@@ -29,13 +29,13 @@ def in_unit(window: Window, unit: float) -> Window:
 
 
 def test_two_records_of_one_process_are_one_record_of_it(loop: Callable) -> None:
-    model = identify_window(together.joined(two(loop)), 1, None, FIT).log.model().to_dict()
+    model = identify_window(update.joined(two(loop)), 1, None, FIT).log.model().to_dict()
     assert {name: model[name] for name in TRUTH} == pytest.approx(TRUTH, rel=0.05)
 
 
 def test_the_unit_of_a_record_does_not_matter(loop: Callable) -> None:
     first, second = two(loop)
-    plain, other = (together.joined([first, record]) for record in (second, in_unit(second, 1000.0)))
+    plain, other = (update.joined([first, record]) for record in (second, in_unit(second, 1000.0)))
     np.testing.assert_allclose(other.pv, plain.pv, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(other.co, plain.co, rtol=1e-9, atol=1e-9)
 
@@ -43,27 +43,27 @@ def test_the_unit_of_a_record_does_not_matter(loop: Callable) -> None:
 def test_what_a_later_record_repeats_is_left_out(loop: Callable) -> None:
     whole = two(loop)[0]
     half = len(whole.t_s) // 2
-    one = together.joined([whole.part(slice(0, half + 20)), whole.part(slice(half - 20, None))])
+    one = update.joined([whole.part(slice(0, half + 20)), whole.part(slice(half - 20, None))])
     assert len(one.t_s) == len(whole.t_s)
-    assert np.max(np.diff(one.t_s)) == pytest.approx(together.GAP_SAMPLES * whole.sample_time_s)
+    assert np.max(np.diff(one.t_s)) == pytest.approx(update.GAP_SAMPLES * whole.sample_time_s)
 
 
 def test_a_long_record_is_kept_in_few_samples(loop: Callable) -> None:
     record = two(loop)[0]
     t_s = record.t_s[0] + record.sample_time_s * np.arange(3000)
     long = Window(t_s, *(np.resize(values, 3000) for values in (record.sp, record.pv, record.co)))
-    short = together.kept(long)
-    assert len(short.t_s) <= together.MOST_SAMPLES
+    short = update.kept(long)
+    assert len(short.t_s) <= update.MOST_SAMPLES
     assert short.sample_time_s == pytest.approx(4 * record.sample_time_s)
 
 
 @pytest.mark.parametrize(("samples", "later", "enough"), [(700, 64, True), (3100, 64, False), (6100, 24, False)])
 def test_of_a_short_record_beside_a_long_one_enough_must_be_left(samples: int, later: int, enough: bool) -> None:
     long, short = (
-        together.kept(Window(t_s, 0.0 * t_s, np.sin(t_s / 9.0), 0.0 * t_s))
+        update.kept(Window(t_s, 0.0 * t_s, np.sin(t_s / 9.0), 0.0 * t_s))
         for t_s in (np.arange(samples, dtype=float), 1e5 + np.arange(later, dtype=float))
     )
-    assert together.may_be_joined((long, short)) is enough
+    assert update.may_be_joined((long, short)) is enough
 
 
 def test_a_short_record_after_a_very_long_one_is_taken_in_by_itself(loop: Callable) -> None:
@@ -80,7 +80,7 @@ def test_a_short_record_after_a_very_long_one_is_taken_in_by_itself(loop: Callab
 def test_a_pv_that_never_moved_has_a_unit() -> None:
     t_s = np.arange(40.0)
     still = Window(t_s, 0.0 * t_s, 5.0 + 0.0 * t_s, 0.0 * t_s)
-    assert np.all(np.isfinite(together.joined([still, still]).pv))
+    assert np.all(np.isfinite(update.joined([still, still]).pv))
 
 
 def test_a_record_that_settles_nothing_alone_is_fitted_with_the_first(loop: Callable) -> None:

@@ -16,9 +16,17 @@ from retuner.cli import main
 from retuner.config.loading import load_config
 from retuner.drivers.device import RunningSet
 from retuner.ledger import Ledger, LedgerReader
-from retuner.live_view.live_screen import LiveScreen
+from retuner.live_view.live_screen import (
+    PANEL_LINES,
+    PLAIN,
+    LiveScreen,
+    decision_lines,
+    folded,
+    loop_line,
+    loop_lines,
+    trace,
+)
 from retuner.live_view.loop_seen import FOLLOWING, TRIAL_WAITS, LoopObserver, LoopSeen, peaks_so_far
-from retuner.live_view.terminal import PANEL_LINES, PLAIN, decision_lines, folded, loop_line, loop_lines, trace
 from retuner.live_view.what_next import Changed, narrow_scores, what_next
 from retuner.report.console import scores_table
 from retuner.report.scores import RegionScore

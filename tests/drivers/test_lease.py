@@ -16,7 +16,7 @@ from retuner.drivers.device import (
 )
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.host.connection import CanDevice
-from retuner.drivers.host.lease_client import UNATTENDED
+from retuner.drivers.host.requests import UNATTENDED
 from retuner.drivers.protocol.checksum import lease_stamp
 from retuner.drivers.protocol.frames import (
     Confirm,

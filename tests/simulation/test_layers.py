@@ -13,8 +13,7 @@ from bus_simulation.mutants import MUTANTS, MUTANTS_OF_THE_STORE, Mutant
 from bus_simulation.truth import ViolationError
 from effort import sized
 
-from retuner.drivers.controller.lease_server import LeaseDesk
-from retuner.drivers.controller.virtual_device import VirtualDevice
+from retuner.drivers.controller.virtual_device import LeaseDesk, VirtualDevice
 from retuner.drivers.protocol.authentication import CodeDesk
 
 SEEDS, STEPS = 20, 700  # what CI simulates

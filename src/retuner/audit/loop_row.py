@@ -122,6 +122,8 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
         if verdict.cause in TUNING_CAUSES:
             verdict = with_foreseen(verdict, then, proposed=cure is not None and cure.settings is not None)
         harmonics = (part.found.diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
+        own = [part for part in seen.parts if part.found is cure]
+        able = own or sorted(seen.parts, key=lambda part: -part.verdict.confidence)
         return {
             **_told(tag, seen, screen, verdict),
             "asks": asks(screen),
@@ -130,7 +132,9 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
             / max(len(seen.parts), 1),
             "settings": _settings(cure),
             "process": _process(cure, then),
-            "what_if": _what_if(cure, seen.parts),
+            "what_if": next(
+                (told for part in able if (told := of_diagnosis(part.window, part.found)) is not None), None
+            ),
             "tracks": seen.tracks if common_clock else {},
             "stretches": [part.shown for part in seen.parts],
             "trend": _one_trend(seen.trends),
@@ -193,7 +197,14 @@ class _Seen:
         if settings.stretches and known:
             self.spread += [_own_copy(part) for part in spread_over(max(worked, key=lambda day: len(day.t_s)))]
         if screen.span_s >= max((one.span_s for one in self.screens), default=0.0):
-            self.tracks = _tracks(window, record.begin_s or 0.0, screen, _own_period_s(self.parts))
+            # What is kept of a record to compare it with those of other loops. own_s : of a loop that is too strong
+            own_s = _own_period_s(self.parts)
+            t_s, error = window.t_s + (record.begin_s or 0.0), window.sp - window.pv
+            swings = screen.period_s is not None and screen.swinging >= SWINGS
+            track = swing_track(t_s, error, screen.period_s).to_dict() if swings and screen.period_s else None
+            damped = damped_track(t_s, error, own_s).to_dict() if own_s and not swings else None
+            trend = trend_track(t_s, window.sp, window.co).to_dict()
+            self.tracks = {"swing": track, "damped": damped, "damped_s": own_s, "trend": trend}
         self.end_s = max(self.end_s, later_s + float(window.t_s[-1]))
         self.screens.append(screen)
         self.trends.append((later_s, drawn(window, DRAWN)))
@@ -213,16 +224,6 @@ def _own_period_s(parts: Sequence[Part]) -> float | None:
             model = found.estimate.log.model()
             return 4 * (model.theta_s + model.tau2_s / 2)
     return None
-
-
-def _tracks(window: Window, begin_s: float, screen: LoopScreen, own_s: float | None) -> Row:
-    """What is kept of a record to compare it with those of other loops. own_s : of a loop that is too strong."""
-    t_s, error = window.t_s + begin_s, window.sp - window.pv
-    swings = screen.period_s is not None and screen.swinging >= SWINGS
-    track = swing_track(t_s, error, screen.period_s).to_dict() if swings and screen.period_s else None
-    damped = damped_track(t_s, error, own_s).to_dict() if own_s and not swings else None
-    trend = trend_track(t_s, window.sp, window.co).to_dict()
-    return {"swing": track, "damped": damped, "damped_s": own_s, "trend": trend}
 
 
 def _course(seen: _Seen) -> Row | None:
@@ -317,13 +318,6 @@ def _settings(cure: RecordDiagnosis | None) -> Row | None:
     return {name: told[name] for name in ("gains", "form", "parallel", "margins")} | {
         "first_step": cure.aim is not None
     }
-
-
-def _what_if(cure: RecordDiagnosis | None, parts: Sequence[Part]) -> Row | None:
-    """What the loop's page tries settings on: the stretch of the cure, else the surest that told the process."""
-    own = [part for part in parts if part.found is cure]
-    able = own or sorted(parts, key=lambda part: -part.verdict.confidence)
-    return next((told for part in able if (told := of_diagnosis(part.window, part.found)) is not None), None)
 
 
 def _process(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:

@@ -380,7 +380,11 @@ def _for_the_page(row: Row, folder: Path) -> Row:
     told = {name: row[name] for name in ("master", "slaves", "swings_with", "root", "upsets") if row.get(name)}
     if is_fault(row) and _number(row, "place") <= MOST_FIRST:
         told |= {"why": row.get("reason", ""), "look": _to_look_at(folder / "loops" / str(row["file"]))}
-    told["cause"] = _named(row)
+    # The cause, or the condition of a record in which no loop is at work
+    screen = row.get("screen")
+    condition = screen.get("condition") if isinstance(screen, Mapping) else None
+    known = row["cause"] != str(Cause.UNKNOWN) or row.get("confidence") is None
+    told["cause"] = str(row["cause"] if known or condition not in {str(c) for c in FOR_CONDITION} else condition)
     told |= {"error": error} if (error := mean_error(row)) is not None else {}
     # share of co's travel that would go with the settings proposed
     process = row.get("process")
@@ -402,14 +406,6 @@ def _to_look_at(path: Path) -> Mapping[str, list[float]] | None:
     own = [part for part in row.get("stretches") or [] if part["cause"] == row["cause"]]
     best = max(own, key=lambda part: float(part["confidence"]), default=row)
     return smaller(best["trend"], SMALL) if best.get("trend") else None
-
-
-def _named(row: Row) -> str:
-    """The cause, or the condition of a record in which no loop is at work."""
-    screen = row.get("screen")
-    condition = screen.get("condition") if isinstance(screen, Mapping) else None
-    known = row["cause"] != str(Cause.UNKNOWN) or row.get("confidence") is None
-    return str(row["cause"] if known or condition not in {str(c) for c in FOR_CONDITION} else condition)
 
 
 def _write_parquet(path: Path, rows: Sequence[Row]) -> None:

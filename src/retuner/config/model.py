@@ -214,28 +214,6 @@ class Config(Section):
 
     def problems(self) -> Iterator[Problem]:
         """What must hold between sections."""
-        yield from self._border_problems()
-        # Gains have no sign of their own where the action is given
-        for i, region in enumerate(self.schedule.region):
-            if self.loop.action is not None and region.dialled < 0:
-                yield Problem(
-                    ("schedule", "region", i, region.dials[0].key),
-                    f"= {region.dialled:g}: loop.action = {self.loop.action!r} says the direction; give it positive",
-                )
-        yield from self._time_problems()
-        yield from self._scenario_problems()
-        if self.adaptation.noise_band is not None and self.adaptation.noise_band > self._span / 2:
-            yield Problem(
-                ("adaptation", "noise_band"),
-                f"= {self.adaptation.noise_band:g} is more than half of the pv "
-                f"range of {self._span:g}; give a few standard deviations of the noise",
-            )
-
-    @property
-    def _span(self) -> float:
-        return self.loop.pv_max - self.loop.pv_min
-
-    def _border_problems(self) -> Iterator[Problem]:
         for k, axis in enumerate(self.schedule.axes):
             unit, low, high = self.limits_of(axis)
             path = ("schedule", *self.schedule.axis_path(k))
@@ -252,6 +230,31 @@ class Config(Section):
                     (*path, "hysteresis"),
                     f"= {axis.hysteresis:g} must be at most half of the narrowest region, {narrowest / 2:g} {unit}",
                 )
+        # Gains have no sign of their own where the action is given
+        for i, region in enumerate(self.schedule.region):
+            if self.loop.action is not None and region.dialled < 0:
+                yield Problem(
+                    ("schedule", "region", i, region.dials[0].key),
+                    f"= {region.dialled:g}: loop.action = {self.loop.action!r} says the direction; give it positive",
+                )
+        yield from self._time_problems()
+        for i, step in enumerate(self.scenario.steps if self.scenario else ()):
+            if step.sp is not None and not self.loop.pv_min <= step.sp <= self.loop.pv_max:
+                yield Problem(
+                    ("scenario", "steps", i, "sp"),
+                    f"= {step.sp:g} must lie in the pv range, "
+                    f"{self.loop.pv_min:g} to {self.loop.pv_max:g} {self.loop.pv_unit}",
+                )
+        if self.adaptation.noise_band is not None and self.adaptation.noise_band > self._span / 2:
+            yield Problem(
+                ("adaptation", "noise_band"),
+                f"= {self.adaptation.noise_band:g} is more than half of the pv "
+                f"range of {self._span:g}; give a few standard deviations of the noise",
+            )
+
+    @property
+    def _span(self) -> float:
+        return self.loop.pv_max - self.loop.pv_min
 
     def _time_problems(self) -> Iterator[Problem]:
         sample = self.loop.sample_time_s
@@ -270,18 +273,6 @@ class Config(Section):
                 ("scenario", "duration_s"),
                 f"= {self.scenario.duration_s:g} s is shorter than one sample of {sample:g} s",
             )
-        yield from self._trial_problems()
-
-    @property
-    def confirm_within_s(self) -> float:
-        """Trial time of the virtual device's firmware, s; 0: none."""
-        if self.own_device is None:
-            return 0.0
-        given = self.own_device.confirm_within_s
-        least = max(CONFIRM_SAMPLES, 2 * (self.bus.probation_samples + CONFIRM_ROOM))
-        return given if given is not None else min(least, SAMPLES_MAX) * self.loop.sample_time_s
-
-    def _trial_problems(self) -> Iterator[Problem]:
         sample, confirm = self.loop.sample_time_s, self.confirm_within_s
         least, most = (self.bus.probation_samples + CONFIRM_ROOM) * sample, SAMPLES_MAX * sample
         if confirm and not least <= confirm <= most:
@@ -291,11 +282,11 @@ class Config(Section):
                 f"{self.bus.probation_samples} samples of probation and {CONFIRM_ROOM} more",
             )
 
-    def _scenario_problems(self) -> Iterator[Problem]:
-        for i, step in enumerate(self.scenario.steps if self.scenario else ()):
-            if step.sp is not None and not self.loop.pv_min <= step.sp <= self.loop.pv_max:
-                yield Problem(
-                    ("scenario", "steps", i, "sp"),
-                    f"= {step.sp:g} must lie in the pv range, "
-                    f"{self.loop.pv_min:g} to {self.loop.pv_max:g} {self.loop.pv_unit}",
-                )
+    @property
+    def confirm_within_s(self) -> float:
+        """Trial time of the virtual device's firmware, s; 0: none."""
+        if self.own_device is None:
+            return 0.0
+        given = self.own_device.confirm_within_s
+        least = max(CONFIRM_SAMPLES, 2 * (self.bus.probation_samples + CONFIRM_ROOM))
+        return given if given is not None else min(least, SAMPLES_MAX) * self.loop.sample_time_s

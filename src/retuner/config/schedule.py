@@ -298,10 +298,6 @@ class ScheduleConfig(Section):
         for i, (low, high) in enumerate(pairwise(self.bounds), 1):
             if low >= high:
                 yield Problem(("bounds", i), f"= {high:g} must be greater than the bound before it, {low:g}")
-        yield from self._region_problems()
-        yield from self._cell_problems()
-
-    def _region_problems(self) -> Iterator[Problem]:
         seen: set[str] = set()
         for i, region in enumerate(self.region):
             if region.name in seen:
@@ -313,6 +309,7 @@ class ScheduleConfig(Section):
                     f"= {region.dialled:g} acts against the first region's {self.region[0].dialled:g}; "
                     "all regions act one way",
                 )
+        yield from self._cell_problems()
 
     def _cell_problems(self) -> Iterator[Problem]:
         """Each cell once, or no cells at all."""

@@ -1,11 +1,10 @@
 """The picture of an experiment: pv with its limits and what the fitted model makes of the same co, and co below."""
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from retuner.adaptive.identification.fitted_curve import fitted_pv
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import Window
 from retuner.decision_page.svg import MARK, settings
 from retuner.experiment.findings import Findings
 from retuner.report.plots import FIXED, PV, SP, time_axis
@@ -28,7 +27,13 @@ def experiment_figure(
     if found.model is not None and found.fit is not None:
         curve = ExplainedCurve.of("fitted model under the same co", window, fitted_pv(window, found.fit.estimate))
         top.plot(np.interp(curve.t_s, window.t_s, x), curve.pv, color=FIXED, lw=1.6, alpha=0.9, label=curve.name)
-    _readings(top, x, window, found)
+    # What was read off: the amplitude of a relay's limit cycle and where it was taken
+    if found.cycle is not None:
+        cycle = found.cycle
+        inside = (window.t_s >= cycle.from_s) & (window.t_s <= cycle.to_s)
+        for i, level in enumerate((cycle.pv_high, cycle.pv_low)):
+            label = f"Ku {cycle.ku:.3g} +- {cycle.ku_std:.1g}, Pu {cycle.pu_s:.4g} +- {cycle.pu_std_s:.1g} s"
+            top.plot(x[inside][[0, -1]], [level, level], color=MARK, lw=1.0, label=None if i else label)
     # limits that lie within twice the record's range
     reach = float(np.ptp(window.pv))
     for limit in band or ():
@@ -44,14 +49,3 @@ def experiment_figure(
         axes.margins(x=0)
         axes.grid(alpha=0.3)
     return figure
-
-
-def _readings(axes: Axes, x: FloatArray, window: Window, found: Findings) -> None:
-    """What was read off: the amplitude of a relay's limit cycle and where it was taken."""
-    if found.cycle is None:
-        return
-    cycle = found.cycle
-    inside = (window.t_s >= cycle.from_s) & (window.t_s <= cycle.to_s)
-    for i, level in enumerate((cycle.pv_high, cycle.pv_low)):
-        label = f"Ku {cycle.ku:.3g} +- {cycle.ku_std:.1g}, Pu {cycle.pu_s:.4g} +- {cycle.pu_std_s:.1g} s"
-        axes.plot(x[inside][[0, -1]], [level, level], color=MARK, lw=1.0, label=None if i else label)

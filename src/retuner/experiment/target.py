@@ -124,24 +124,20 @@ class Helm:
         if sample is None:
             return ""
         try:
-            self._steer_mode(wanted, sample, now_s, insist=insist)
+            if wanted.mode is not None:
+                want = (int(wanted.mode), wanted.co)
+                new = want != self._mode and not (self._mode is None and self._shows_mode(wanted, sample))
+                overdue = insist and now_s - self._mode_s > self._again_s and not self._shows_mode(wanted, sample)
+                if new or overdue:
+                    co = sample.co if wanted.co is None else wanted.co
+                    self._device.send_mode(auto=wanted.mode == LoopMode.AUTO, co=co, now_s=now_s)
+                    self._mode, self._mode_s = want, now_s
             self._steer_sp(wanted, sample, now_s, insist=insist)
             if insist:
                 self._steer_gains(wanted, now_s)
         except WriteRefusedError as refused:
             return str(refused)
         return ""
-
-    def _steer_mode(self, wanted: Target, sample: LoopSample, now_s: float, *, insist: bool) -> None:
-        if wanted.mode is None:
-            return
-        want = (int(wanted.mode), wanted.co)
-        new = want != self._mode and not (self._mode is None and self._shows_mode(wanted, sample))
-        overdue = insist and now_s - self._mode_s > self._again_s and not self._shows_mode(wanted, sample)
-        if new or overdue:
-            co = sample.co if wanted.co is None else wanted.co
-            self._device.send_mode(auto=wanted.mode == LoopMode.AUTO, co=co, now_s=now_s)
-            self._mode, self._mode_s = want, now_s
 
     def _steer_sp(self, wanted: Target, sample: LoopSample, now_s: float, *, insist: bool) -> None:
         if wanted.sp is None:

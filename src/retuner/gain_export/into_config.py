@@ -66,7 +66,16 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
     except (TOMLKitError, KeyError, TypeError) as error:
         raise UserError(f"{path}: its regions cannot be found to be written: {error}") from None
     written = tomlkit.dumps(document)
-    _require_same(path, written, table, place, same)
+    try:
+        config = parse_session(written).loops[place]
+    except UnusableError as unusable:
+        flaw = unusable.findings[0]
+        raise UserError(f"{path}: with the tuned gains it would be refused: {flaw.key} {flaw.message}") from None
+    for region, gains in zip(config.schedule.regions, config.gains(), strict=True):
+        if not same(gains, table.gains_of(region.name)):
+            raise UserError(
+                f"{path}: region {region.name} would not be read back as the tuned gains; nothing was changed"
+            )
     return written, told
 
 
@@ -154,17 +163,3 @@ def _set(region: MutableMapping[str, Any], key: str, value: object) -> None:
 
 def _text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, int | float) else str(value)
-
-
-def _require_same(path: Path, text: str, table: GainTable, loop: int, same: Same) -> None:
-    """What was written must be read back as the table's gains."""
-    try:
-        config = parse_session(text).loops[loop]
-    except UnusableError as unusable:
-        flaw = unusable.findings[0]
-        raise UserError(f"{path}: with the tuned gains it would be refused: {flaw.key} {flaw.message}") from None
-    for region, gains in zip(config.schedule.regions, config.gains(), strict=True):
-        if not same(gains, table.gains_of(region.name)):
-            raise UserError(
-                f"{path}: region {region.name} would not be read back as the tuned gains; nothing was changed"
-            )

@@ -115,7 +115,12 @@ def _replaced(text: str, loop: int | None, table: GainTable, note: str) -> Writt
     holder: Any = document if loop is None else document["loop"][loop]
     own = "schedule" in holder
     old = holder["schedule"].as_string() if own else ""
-    kept = _below(old if own else holder.as_string())
+    # Comments and blank lines at the end of a section
+    section = old if own else holder.as_string()
+    lines = section.splitlines(keepends=True)
+    while lines and (not lines[-1].strip() or lines[-1].lstrip().startswith("#")):
+        lines.pop()
+    kept = section[len("".join(lines)) :]
     comments = sum("#" in STRINGS.sub("", line) for line in old.removesuffix(kept).splitlines())
     comments += own and bool(holder["schedule"].trivia.comment)
     found: Any = tomlkit.parse(schedule_section(table))["schedule"]
@@ -137,14 +142,6 @@ def _replaced(text: str, loop: int | None, table: GainTable, note: str) -> Writt
         written = f"{above}\n\n{written[start:]}"
     written = re.sub(rf"# {END}\n(\n?)", lambda end: kept or end[1], written, count=1)
     return Written(written.replace("\n", "\r\n") if crlf else written, comments)
-
-
-def _below(section: str) -> str:
-    """Comments and blank lines at the end of a section."""
-    lines = section.splitlines(keepends=True)
-    while lines and (not lines[-1].strip() or lines[-1].lstrip().startswith("#")):
-        lines.pop()
-    return section[len("".join(lines)) :]
 
 
 def _rest(text: str, loop: int | None) -> dict[str, Any]:

@@ -232,7 +232,16 @@ def _known(body: Document) -> str:
     model = model_text(body)
     if not model:
         return ""
-    stood = _stood(body)
+    # How the record stood to what was known; of the first one here that is the prediction from the other regions
+    surprise, estimate = words(body, "surprise"), part(body, "estimate")
+    if surprise == "agrees" and words(body, "code").startswith("undo_"):
+        stood = ""
+    elif surprise == "agrees" and number(body, "records") == 1:
+        stood = "as predicted from the other regions"
+    elif surprise == "odd" and estimate.get("identifiable") is False:
+        stood = "this record contradicts it, but does not settle a model by itself"
+    else:
+        stood = STOOD.get(surprise, "")
     estimate = part(body, "estimate")
     loads, rival = len(numbers(estimate, "loads")), part(estimate, "rival")
     steps = f"{loads} load step{'s' * (loads != 1)}"
@@ -240,18 +249,6 @@ def _known(body: Document) -> str:
     beside = (f"explained by {steps}" if by_loads else f"with {steps} beside the setpoint's") if loads else ""
     other = "another model explains the record as well" if rival else ""
     return ", ".join(text for text in (model, beside, stood, other) if text)
-
-
-def _stood(body: Document) -> str:
-    """How the record stood to what was known; of the first one here that is the prediction from the other regions."""
-    surprise, estimate = words(body, "surprise"), part(body, "estimate")
-    if surprise == "agrees" and words(body, "code").startswith("undo_"):
-        return ""  # the loop has refuted what it agrees with
-    if surprise == "agrees" and number(body, "records") == 1:
-        return "as predicted from the other regions"
-    if surprise == "odd" and estimate.get("identifiable") is False:
-        return "this record contradicts it, but does not settle a model by itself"
-    return STOOD.get(surprise, "")
 
 
 def _proved(verdict: Document, reason: str) -> str:

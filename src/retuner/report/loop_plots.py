@@ -51,14 +51,8 @@ def trend_figure(trend: LoopTrend) -> Figure:
 def change_into(figure: Figure, grid: "GridSpec", change: Change) -> None:
     """Draw a change into a grid of two rows and three columns: the record, a setpoint step and a load step."""
     top = figure.add_subplot(grid[0, 0])
-    replay_panels(top, figure.add_subplot(grid[1, 0], sharex=top), change)
-    for column, load in ((1, False), (2, True)):
-        pv = figure.add_subplot(grid[0, column])
-        step_panels(pv, figure.add_subplot(grid[1, column], sharex=pv), change, load=load)
-
-
-def replay_panels(top: "Axes", low: "Axes", change: Change) -> None:
-    """The record, and the same with the new settings, with the band over the models."""
+    # The record, and the same with the new settings, with the band over the models
+    low = figure.add_subplot(grid[1, 0], sharex=top)
     found = change.found
     x, unit = time_axis(found.record.t_s)
     for axes, name, before in ((top, "pv", found.record.pv), (low, "co", found.record.co)):
@@ -72,6 +66,9 @@ def replay_panels(top: "Axes", low: "Axes", change: Change) -> None:
     top.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.975), ncols=4, frameon=False, fontsize=8)
     floors(top, low, found.record.pv)
     _finished(top, low, unit)
+    for column, load in ((1, False), (2, True)):
+        pv = figure.add_subplot(grid[0, column])
+        step_panels(pv, figure.add_subplot(grid[1, column], sharex=pv), change, load=load)
 
 
 def step_panels(top: "Axes", low: "Axes", change: Change, *, load: bool) -> None:

@@ -60,7 +60,12 @@ def trend_figure(run: Columns, fixed: Columns | None, marks: Sequence[Mark], reg
     """Process value, setpoint and output over the whole run; red marks for changes of gains (dotted: undone), each with
     the number of its decision.
     """
-    top, bottom, *further = _panels("x2" in run and len(regions.axes) > 1)
+    # The panels of a trend from the top: pv and sp, co, and the second scheduling variable where there is one
+    with_second = "x2" in run and len(regions.axes) > 1
+    heights = (2.0, 1.1, 0.7) if with_second else (2.0, 1.1)
+    figure = Figure(figsize=(13, 7.4 if with_second else 6.2))
+    figure.subplots_adjust(left=0.055, right=0.99, top=0.89, bottom=0.085, hspace=0.08)
+    top, bottom, *further = tuple(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
     x, x_unit = time_axis(run["t"])
     for axes, axis in zip(further, regions.axes[1:], strict=False):
         axes.plot(*thinned(x, run["x2"], DENSE), color=PV, lw=0.5)
@@ -120,53 +125,38 @@ def _marks(panels: Sequence[Axes], marks: Sequence[Mark], start_s: float, scale:
             panels[0].text(at, 0.015, f" {mark.number}", transform=place, color=MARK, fontsize=8, va="bottom")
 
 
-def _panels(with_second: bool) -> tuple[Axes, ...]:
-    """The panels of a trend from the top: pv and sp, co, and the second scheduling variable where there is one."""
-    heights = (2.0, 1.1, 0.7) if with_second else (2.0, 1.1)
-    figure = Figure(figsize=(13, 7.4 if with_second else 6.2))
-    figure.subplots_adjust(left=0.055, right=0.99, top=0.89, bottom=0.085, hspace=0.08)
-    return tuple(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
-
-
 def twin_svg(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: str, *, commissioned: bool) -> str:
     """The same setpoint step with the commissioned gains and with the final ones, as SVG for a page."""
     with settings(f"twin {name}"):
-        figure = twin_figure(run, fixed, twin, name, unit, commissioned=commissioned)
-        return svg(figure, f"{name}: with the baseline gains and with the final ones")
-
-
-def twin_figure(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: str, *, commissioned: bool) -> Figure:
-    """The same setpoint step with the commissioned gains and with the final ones, on one time axis.
-
-    fixed : the same run with the commissioned gains, where there is one: then the same step of it is drawn; else the
-    first such step of this run, and commissioned says whether it still ran on those gains.
-    """
-    figure = Figure(figsize=(6.3, 4.6))
-    figure.subplots_adjust(left=0.11, right=0.985, top=0.93, bottom=0.11, hspace=0.1)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
-    length = min(twin.first[1] - twin.first[0], twin.last[1] - twin.last[0])
-    first = "first time, with the baseline gains" if commissioned else "first time, already retuned"
-    before = (run, twin.first[0], first)
-    if fixed is not None and len(fixed["t"]) >= twin.last[1]:
-        before = (fixed, twin.last[0], "with the baseline gains")
-    after = (run, twin.last[0], "with the final gains")
-    for (columns, start, label), colour in ((before, FIXED), (after, PV)):
+        # The same setpoint step with the commissioned gains and with the final ones, on one time axis.
+        # fixed : the same run with the commissioned gains, where there is one: then the same step of it is drawn;
+        # else the first such step of this run, and commissioned says whether it still ran on those gains.
+        figure = Figure(figsize=(6.3, 4.6))
+        figure.subplots_adjust(left=0.11, right=0.985, top=0.93, bottom=0.11, hspace=0.1)
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
+        length = min(twin.first[1] - twin.first[0], twin.last[1] - twin.last[0])
+        first = "first time, with the baseline gains" if commissioned else "first time, already retuned"
+        before = (run, twin.first[0], first)
+        if fixed is not None and len(fixed["t"]) >= twin.last[1]:
+            before = (fixed, twin.last[0], "with the baseline gains")
+        after = (run, twin.last[0], "with the final gains")
+        for (columns, start, label), colour in ((before, FIXED), (after, PV)):
+            lead = min(start, length // 20)
+            part = slice(start - lead, start + length)
+            t = columns["t"][part] - columns["t"][start]
+            top.plot(t, columns["pv"][part], color=colour, lw=1.4, label=label)
+            bottom.plot(t, columns["co"][part], color=colour, lw=0.9)
+        start, _ = twin.last
         lead = min(start, length // 20)
         part = slice(start - lead, start + length)
-        t = columns["t"][part] - columns["t"][start]
-        top.plot(t, columns["pv"][part], color=colour, lw=1.4, label=label)
-        bottom.plot(t, columns["co"][part], color=colour, lw=0.9)
-    start, _ = twin.last
-    lead = min(start, length // 20)
-    part = slice(start - lead, start + length)
-    top.plot(run["t"][part] - run["t"][start], run["sp"][part], color=SP, lw=0.9, ls="--", label="sp")
-    top.set_title(f"{name}: {twin.text} {unit}", fontsize=10)
-    top.set_ylabel(f"pv [{unit}]")
-    bottom.set_ylabel("co [%]")
-    bottom.set_xlabel("seconds after the step")
-    top.legend(fontsize=9)
-    for axes in (top, bottom):
-        axes.margins(x=0)
-        axes.grid(alpha=0.3)
-    floors(top, bottom, run["pv"][part])
-    return figure
+        top.plot(run["t"][part] - run["t"][start], run["sp"][part], color=SP, lw=0.9, ls="--", label="sp")
+        top.set_title(f"{name}: {twin.text} {unit}", fontsize=10)
+        top.set_ylabel(f"pv [{unit}]")
+        bottom.set_ylabel("co [%]")
+        bottom.set_xlabel("seconds after the step")
+        top.legend(fontsize=9)
+        for axes in (top, bottom):
+            axes.margins(x=0)
+            axes.grid(alpha=0.3)
+        floors(top, bottom, run["pv"][part])
+        return svg(figure, f"{name}: with the baseline gains and with the final ones")

@@ -85,7 +85,15 @@ def record_figure(picture: RecordPicture) -> Figure:
     top = figure.add_subplot(grid[0, 0])
     middle, bottom = (figure.add_subplot(grid[i, 0], sharex=top) for i in (1, 2))
     _over_time(picture, (top, middle, bottom))
-    _curve(figure.add_subplot(grid[0, 1]), picture.window)
+    # pv over co: an ellipse, a parallelogram, a cloud
+    axes = figure.add_subplot(grid[0, 1])
+    every = -(-len(picture.window.co) // MOST_POINTS)
+    co, pv = picture.window.co[::every], picture.window.pv[::every]
+    axes.plot(co, pv, color=FAINT, lw=0.6)
+    axes.scatter(co, pv, c=np.arange(len(co)), s=3, cmap="viridis", linewidths=0)
+    axes.set_title("pv over co", fontsize=10)
+    axes.yaxis.tick_right()
+    axes.grid(alpha=0.3)
     axes = figure.add_subplot(grid[1:, 1])
     axes.set_axis_off()
     lines = [part for line in picture.lines for part in wrap(line, LINE_WIDTH, subsequent_indent="      ") or [""]]
@@ -159,14 +167,3 @@ def _events(picture: RecordPicture, x: FloatArray, panels: Sequence["Axes"]) -> 
             axes.axvline(place, color=MARK, lw=0.9, ls="--", label="load step" if not j else None)
     if picture.loads_s:
         _legend(panels[0])
-
-
-def _curve(axes: "Axes", window: Window) -> None:
-    """pv over co: an ellipse, a parallelogram, a cloud."""
-    every = -(-len(window.co) // MOST_POINTS)
-    co, pv = window.co[::every], window.pv[::every]
-    axes.plot(co, pv, color=FAINT, lw=0.6)
-    axes.scatter(co, pv, c=np.arange(len(co)), s=3, cmap="viridis", linewidths=0)
-    axes.set_title("pv over co", fontsize=10)
-    axes.yaxis.tick_right()
-    axes.grid(alpha=0.3)

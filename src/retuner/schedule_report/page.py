@@ -32,21 +32,6 @@ if TYPE_CHECKING:
 PARAMETERS = ("slope gain k/tau", "dead time", "lag", "second lag")
 
 
-def why_sentence(found: ScheduleDesign) -> str:
-    """What changes along the variable, and how many sets follow."""
-    places = found.places
-    known = sum(place.known for place in places)
-    told = [(found.variable, changing_with(found)), (found.second, changing_with(found, second=True))]
-    what = " ".join(f"The process changes with {name}: {', '.join(changes)}." for name, changes in told if changes)
-    what = what or "The process does not change with it."
-    where = (
-        ""
-        if known == len(places)
-        else f" At {len(places) - known} of {len(places)} places the records show too little."
-    )
-    return f"{found.reason[0].upper()}{found.reason[1:]}. {what}{where}"
-
-
 def changing_with(found: ScheduleDesign, *, second: bool = False) -> list[str]:
     """What changes along a variable, from its low to its high end, the other one in its middle.
 
@@ -368,9 +353,20 @@ def _judged(axes: "Axes", found: ScheduleDesign, what: str) -> None:
 def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
     """The page as text."""
     along = " and ".join(filter(None, (found.variable, found.second)))
+    # What changes along the variable, and how many sets follow
+    places = found.places
+    known = sum(place.known for place in places)
+    told = [(found.variable, changing_with(found)), (found.second, changing_with(found, second=True))]
+    what = " ".join(f"The process changes with {name}: {', '.join(changes)}." for name, changes in told if changes)
+    what = what or "The process does not change with it."
+    where = (
+        ""
+        if known == len(places)
+        else f" At {len(places) - known} of {len(places)} places the records show too little."
+    )
     body = [
         f"<h1>{escaped(name)}: gain schedule over {escaped(along)}</h1>",
-        paragraph(why_sentence(found), "lead"),
+        paragraph(f"{found.reason[0].upper()}{found.reason[1:]}. {what}{where}", "lead"),
         figure(svg(schedule_figure(found, windows), SHOWS)),
         paragraph(
             "Bands are two standard deviations; ticks at the foot show where the records were; grey is not accurate "

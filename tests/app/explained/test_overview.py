@@ -3,7 +3,7 @@
 import pytest
 from decision_documents import BORROWED, COMMIT, REFUSED, RESTORED, plain
 
-from retuner.report.region_overview import overview, regions_now
+from retuner.report.report import overview, regions_now
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Axis, Regions
 from retuner.schedule.table import GainTable
