@@ -333,13 +333,14 @@ def likeliest_load(record: Prepared, lag: float) -> tuple[LoadModel, float]:
 def lead_of_steps(left: float, steps: int, samples: int, record: Prepared, likelihood: FloatArray) -> float:
     """By how much, ln, a fit whose loads are steps is likelier than every process under a load that wanders.
 
-    left : mean square of what the fit leaves of a row of the record. steps : of load, or harmonics of a tone. samples :
-    that were fitted; each number costs half of their logarithm (Schwarz 1978). likelihood : of the record, see below.
+    left : mean square of what the fit leaves of a row of the record; less than its resolution is not believed. steps :
+    of load, or harmonics of a tone. samples : that were fitted; each number costs half of their logarithm (Schwarz
+    1978). likelihood : of the record, see below.
     """
     rows, numbers = len(record.pv), OWN_NUMBERS + NUMBERS_OF_STEP * steps
     best = TEMPER * float(np.max(likelihood)) / rows - 0.5 * math.log(float(np.var(record.pv)))
     price = numbers * math.log(samples) / (2 * samples)
-    return samples * (-0.5 * math.log((left + record.resolution**2) * rows) - price - best)
+    return samples * (-0.5 * math.log(max(left, record.resolution**2) * rows) - price - best)
 
 
 OWN_NUMBERS, NUMBERS_OF_STEP = 5.0, 2.0

@@ -187,7 +187,6 @@ def _doubt(found: Findings, book: Book, *, less: bool) -> Diagnosis | None:
     if learned is not None and (found.clear or (not less and is_known(found, learned))):
         estimate, n, window = learned.estimate, len(record.window.pv), Prepared.at(record.window, book.dt_s)
         left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
-        left = max(left - window.resolution**2, 0.0)  # which lead_of_steps adds
         likelihood = log_likelihood(window, book.direction, book.unit)
         if len(window.pv) < FEWEST_ROWS or lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood) > 0.0:
             return None

@@ -280,9 +280,10 @@ def test_a_record_whose_process_does_nothing_is_answered_by_both_engines() -> No
 def test_what_steps_leave_is_priced_against_the_best_walk() -> None:
     record = drawn_record(3)
     n, likelihood = len(record.pv), log_likelihood(record, 1, 1.0)
-    left = float(np.var(record.pv)) - record.resolution**2
+    left = float(np.var(record.pv))
     nothing = lead_of_steps(left, 0, n, record, likelihood)
     assert nothing < 0  # a fit that explains nothing, against one that does
     assert nothing - lead_of_steps(left, 1, n, record, likelihood) == pytest.approx(math.log(n))
-    half = left / 2 - record.resolution**2 / 2
-    assert lead_of_steps(half, 0, n, record, likelihood) - nothing == pytest.approx(n / 2 * math.log(2))
+    assert lead_of_steps(left / 2, 0, n, record, likelihood) - nothing == pytest.approx(n / 2 * math.log(2))
+    exact, fine = (lead_of_steps(share * record.resolution**2, 0, n, record, likelihood) for share in (0.0, 1.0))
+    assert exact == fine  # nothing finer than pv's resolution is believed, and that is not added to what is left
