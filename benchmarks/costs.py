@@ -71,7 +71,8 @@ def on_records(base: float) -> Iterator[tuple[str, float]]:
 def of_engine(_: float) -> Iterator[tuple[str, float]]:
     """Parts that the compiled engine computes, over numpy."""
     r = records()[0].record
-    record = Prepared.of(Window(r.t, r.sp, r.pv, r.co))
+    window = Window(r.t, r.sp, r.pv, r.co)
+    record = Prepared.at(window, window.sample_time_s)
     parts: dict[str, Callable[[], object]] = {
         "likelihood of the grid": lambda: log_likelihood(record, 1, 1.0),
         "odds of a valve": lambda: log_odds_of_valve(record, 1),

@@ -10,12 +10,12 @@ enum { MOST_BASIS = 1 + MOST_DEGREE + MOST_FALLS + MOST_TONES };
 enum { DEGREE, ROOTS, BOTTOM = ROOTS + MOST_DEGREE, LOAD = BOTTOM + MOST_DEGREE };
 static const double SILENT = 1e-200;          /* what is left in a filter is nothing below this */
 static const double DEPENDENT_SHARE = 1e-10;  /* less of a column than this is round-off: the others have it already */
-static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHARE = -45;
+static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHARE = -30;
 
 /* A = (1 - root q)(1 - root q)..., C = 1 + bottom q + ...: loads are rows of degree, roots, bottom. The inputs, held from
  * sample to sample, go through a first lag (pole, rise) and each second one (seconds: poles, 0 for none). A pole over 1 runs
  * away: its inputs are laid free of it, as A makes them, for what grows leaves no digits to subtract. falls : poles
- * of what unknown starts of second lags add. tones : sinusoids that the load may hold besides, (tone_count, n); a filter
+ * of what unknown starts of lags add. tones : sinusoids that the load may hold besides, (tone_count, n); a filter
  * makes of one the same one turned, and starts. ends : so many of them are taken, none first. noise : what pv cannot show,
  * squared, a sample. Answers: shape (load_count, end_count, second_count, input_count, dead_count). */
 typedef struct {
@@ -318,20 +318,30 @@ typedef struct {
 
 static void mix(const Mixture *m) {
     Py_ssize_t cells = m->row_count * m->dead_count;
-    double value[MOST_MIXED];
-    for (Py_ssize_t cell = 0; cell < cells; cell++)
+    double value[MOST_MIXED], most[MOST_MIXED];
+    Py_ssize_t order[MOST_MIXED];
+    for (Py_ssize_t cell = 0; cell < cells; cell++) {
+        for (Py_ssize_t l = 0; l < m->load_count; l++) { /* the likeliest first, each at its own gain */
+            double one = -m->half[l] * log(m->left[l * cells + cell] / m->size);
+            Py_ssize_t at = l;
+            for (; at > 0 && most[at - 1] < one; at--)
+                most[at] = most[at - 1], order[at] = order[at - 1];
+            most[at] = one, order[at] = l;
+        }
         for (Py_ssize_t g = 0; g < m->gain_count; g++) {
             double gain = m->gains[cell / m->dead_count * m->gain_count + g], top = -INFINITY, sum = 0;
-            for (Py_ssize_t l = 0; l < m->load_count; l++) {
-                Py_ssize_t at = l * cells + cell;
+            Py_ssize_t count = 0;
+            for (; count < m->load_count && most[count] - top > SILENT_SHARE; count++) {
+                Py_ssize_t at = order[count] * cells + cell;
                 double off = gain - m->gain[at];
-                value[l] = -m->half[l] * log((m->left[at] + m->information[at] * (off * off)) / m->size);
-                top = value[l] > top ? value[l] : top;
+                value[count] = -m->half[order[count]] * log((m->left[at] + m->information[at] * (off * off)) / m->size);
+                top = value[count] > top ? value[count] : top;
             }
-            for (Py_ssize_t l = 0; l < m->load_count; l++)
+            for (Py_ssize_t l = 0; l < count; l++)
                 sum += value[l] - top > SILENT_SHARE ? exp(value[l] - top) : 0;
             m->out[cell * m->gain_count + g] = top + log(sum / (double)m->load_count);
         }
+    }
 }
 
 #endif

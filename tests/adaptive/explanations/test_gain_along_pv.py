@@ -37,7 +37,7 @@ def tank(ratio: float, steps: tuple[float, ...] = STEPS, hold: int = 60, kp: flo
 
 
 def weighed(*windows: Window) -> GainAlongPv:
-    return gain_along_pv([Prepared.of(window) for window in windows], 1, [1.0] * len(windows))
+    return gain_along_pv([Prepared.at(window, window.sample_time_s) for window in windows], 1, [1.0] * len(windows))
 
 
 @pytest.mark.parametrize("ratio", [3.0, 1.0 / 3.0])

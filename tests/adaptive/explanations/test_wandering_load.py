@@ -20,8 +20,12 @@ from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, class_of, tuning_odds
 from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (
+    AT_PV,
+    BEHIND_LAGS,
     LOADS,
     LOADS_OF_BOOK,
+    SLOPE,
+    VALUE,
     LoadModel,
     Prepared,
     UnderLoads,
@@ -41,7 +45,7 @@ from retuner.schedule.gains import PidGains
 
 @pytest.mark.parametrize("lag", [3.0, 33.0, math.inf, -16.0])
 @pytest.mark.parametrize("bandwidth", [0.05, 0.4])
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [AT_PV, VALUE, SLOPE])
 def test_the_filter_factors_the_spectrum_of_load_and_noise(lag: float, bandwidth: float, order: int) -> None:
     """r + A(q) A(1/q) is s C(q) C(1/q), and C has no root on or inside the unit circle."""
     model = load_model(lag, bandwidth, order)
@@ -76,17 +80,18 @@ def test_a_response_through_lags_is_the_recursion() -> None:
     assert slope == pytest.approx(np.arange(50.0), abs=1e-6)
 
 
-def test_least_squares_under_a_load_are_those_of_the_whole_covariance() -> None:
+@pytest.mark.parametrize("order", [AT_PV, VALUE])
+def test_least_squares_under_a_load_are_those_of_the_whole_covariance(order: int) -> None:
     """The gain by the filter is that of generalised least squares with the covariance of walk and noise in full."""
     n, lag, rng = 120, 10.0, np.random.default_rng(3)
     u = np.repeat(rng.standard_normal(12), 10)
     load, noise = np.cumsum(rng.standard_normal(n)) * 0.05, 0.3 * rng.standard_normal(n)
     x = responses(u, lag)[0]
-    pv = 2.0 * x + responses(load, lag)[0] + noise
-    model = load_model(lag, 0.1, 1)
+    pv = 2.0 * x + (responses(load, lag)[0] if order else 0.1 * load) + noise
+    model = load_model(lag, 0.1, order)
     record = Prepared(pv - pv[0], u - u[0], 0.0, 1.0)
-    fit = under_loads(record, record.co[None], lag, [(0.1, 1)], (0.0,))
-    # in full: A z = w makes z's covariance from w's; its unknown start is a column for each root of A
+    fit = under_loads(record, record.co[None], lag, [(0.1, order)], (0.0,), through=None if order else 0)
+    # in full: A z = w makes z's covariance from w's; its unknown start and the lag's are a column each
     r = abs(np.polyval(model.a[::-1], np.exp(-0.1j))) ** 2
     drive = np.array([np.concatenate([np.zeros(i), impulse_response((1.0,), model.a, n - i)]) for i in range(n)]).T
     inverse = np.linalg.inv(drive @ drive.T + np.eye(n) / r * 1.0)
@@ -230,7 +235,7 @@ def test_the_compiled_least_squares_of_a_load_through_both_lags_are_those_of_num
     for lag in (1.0, 22.0, 80.0, 250.0, -16.0):
         for name in ("c", "numpy"):
             with engine.using(name):
-                given = (record, record.co[None], lag, LOADS_OF_BOOK, DEAD_TIMES)
+                given = (record, record.co[None], lag, LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS, DEAD_TIMES)
                 found.append(under_loads(*given, through=1).left)
         largest = np.max(found[-1], axis=(1, 2), keepdims=True)
         assert np.max(np.abs(found[-2] - found[-1]) / largest) < 1e-7, lag
@@ -244,7 +249,7 @@ def test_the_compiled_least_squares_beside_tones_are_those_of_numpy(lag: float) 
     tones = np.vstack([np.cos(turned), np.sin(turned)])
     for name in ("c", "numpy"):
         with engine.using(name):
-            given = (record, record.co[None], lag, LOADS_OF_BOOK[3:5], DEAD_TIMES)
+            given = (record, record.co[None], lag, (*LOADS_OF_BOOK[3:5], *LOADS_OF_BOOK[-3:]), DEAD_TIMES)
             found.append(under_loads(*given, through=1, tones=tones, ends=(0, 1, 6)))
     for name in ("gain", "information", "left"):
         one, other = (getattr(fits, name) for fits in found)
