@@ -337,7 +337,8 @@ def lead_of_steps(left: float, steps: int, samples: int, record: Prepared, likel
     harmonics of a tone. samples : that were fitted; each number costs half of their logarithm (Schwarz 1978).
     """
     rows, numbers = len(record.pv), OWN_NUMBERS + NUMBERS_OF_STEP * steps
-    best = TEMPER * float(np.max(likelihood)) / rows - 0.5 * math.log(float(np.var(record.pv)))
+    best = TEMPER * float(np.max(likelihood)) + (TEMPER - 1.0) * math.log(len(LOADS_OF_BOOK))  # their price, once
+    best = best / rows - 0.5 * math.log(float(np.var(record.pv)))
     price = numbers * math.log(samples) / (2 * samples)
     return samples * (-0.5 * math.log(max(left, record.resolution**2) * rows) - price - best)
 
