@@ -56,7 +56,7 @@ FARTHEST = 50.0
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ModelEvidence:
     """What bears on whether the models are a fiction.
 
     records : that agree, in the model. clear : how many of them are setpoint steps from rest that the loop explains.
@@ -73,7 +73,7 @@ class Seen:
     decay: float | None = None
 
 
-def doubt(seen: Seen, settings: ChoiceSettings) -> float:
+def doubt(seen: ModelEvidence, settings: ChoiceSettings) -> float:
     """Probability that something else than any of the models is behind the records."""
     s = settings
     agrees = s.doubt_agrees if seen.clear else s.doubt_alike
@@ -293,7 +293,7 @@ class Choice:
 def choose(
     found: Sequence[Outlook],
     way: Outlook | None,
-    seen: Seen,
+    seen: ModelEvidence,
     settings: ChoiceSettings,
 ) -> Choice:
     """Which set shall run.
@@ -323,7 +323,7 @@ def choose(
     return Choice(best if goes else 0, best, waits, numbers, _words(numbers, goes=goes, waits=waits, pays=pays))
 
 
-def in_danger(found: Sequence[Outlook], seen: Seen) -> bool:
+def in_danger(found: Sequence[Outlook], seen: ModelEvidence) -> bool:
     """Whether the set in force is unstable and what was proved in its place is to run, whatever it costs."""
     now = found[0]
     return not now.stable and (now.lost or seen.records > 1)
@@ -340,7 +340,7 @@ def _gain(now: Outlook, then: Outlook, p: float) -> float:
     return (1.0 - p) * (now.cost - then.cost) - p * then.unknown
 
 
-def _once_more(seen: Seen) -> Seen:
+def _once_more(seen: ModelEvidence) -> ModelEvidence:
     """With another record like it."""
     return replace(seen, records=seen.records + 1)
 

@@ -22,7 +22,7 @@ from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
-from retuner.adaptive.supervision.guard_request import Known, change_request, known_of, promise_of, tuning_of
+from retuner.adaptive.supervision.guard_request import KnownProcesses, change_request, known_of, promise_of, tuning_of
 from retuner.adaptive.supervision.pipeline import NOT_KNOWN
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
@@ -111,7 +111,7 @@ def _proof(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Verdic
     if region not in retuner.region_models:
         return None
     wanted = Tuning("approved", "parallel", gains)
-    known = Known(retuner.table, retuner.region_models, t_s, retuner.settings)
+    known = KnownProcesses(retuner.table, retuner.region_models, t_s, retuner.settings)
     return prove(change_request(wanted, region, retuner.commissioned, known, None), retuner.settings.guard)
 
 
@@ -155,7 +155,7 @@ def _no_rollback(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
         return "they are active already"
     if not guard.kc_min <= abs(gains.kp) <= guard.kc_max:
         return f"kc {gains.kp:g} lies outside kc_min and kc_max"
-    known = known_of(Known(retuner.table, retuner.region_models, t_s, settings), region)
+    known = known_of(KnownProcesses(retuner.table, retuner.region_models, t_s, settings), region)
     why = unstable_again(SetsThatRan(gains, in_force), known)
     return why.replace("the previous gains", "they")
 
@@ -298,7 +298,7 @@ def _outcome(retuner: Retuner, region: int, window: Window) -> StageResult:
         return StageResult(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
     retuner.region_models[region] = learned.region_model
     retuner.excitation[region] = Excitation(setpoints=1, clear=1)  # from rest: the loop's own doing
-    known = Known(retuner.table, retuner.region_models, t_s, settings)
+    known = KnownProcesses(retuner.table, retuner.region_models, t_s, settings)
     wanted = tuning_of(known, region, in_force)
     if not wanted.ready:
         return StageResult(NOT_KNOWN, f"{WORDS}: {learned.region_model.reason}", learned, diagnosis=wanted.diagnosis)

@@ -1,7 +1,7 @@
 """What is known of the process at the knots of an interpolated table.
 
 A region's model is that of the places where its records were. A knot's gains run alone at the knot only, and they have
-to suit the process there. So a model is carried along the curves through all regions (along.py):
+to suit the process there. So a model is carried along the curves through all regions (region_curves.py):
 
     ln p(knot)  =  ln p(records)  +  s,      s ~ N(the step of the curves, its covariance)
 
@@ -17,8 +17,16 @@ from retuner.adaptive.fit.structure import model_at, parameters_of
 from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.along import Curves, Place, centre_of, curves, lenders, open_curves, place_of_records
 from retuner.adaptive.region_model.from_neighbours import MOST_LOG_STEP
+from retuner.adaptive.region_model.region_curves import (
+    Curves,
+    Place,
+    centre_of,
+    curves,
+    lenders,
+    open_curves,
+    place_of_records,
+)
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.signals.sample import FloatArray

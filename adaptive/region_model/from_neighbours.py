@@ -1,8 +1,8 @@
 """A region without evidence borrows the process of the others along the curves through them, never their gains.
 
-What is borrowed is a prior (along.py): of the fit of the region's first record, behind the same gate that guards any
-region model, and of a proposal, which the guard proves on the whole spread. It counts no records of its own, and is
-never passed on.
+What is borrowed is a prior (region_curves.py): of the fit of the region's first record, behind the same gate that
+guards any region model, and of a proposal, which the guard proves on the whole spread. It counts no records of its own,
+and is never passed on.
 """
 
 import math
@@ -15,7 +15,7 @@ from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.along import Curves, centre_of, curves, lenders
+from retuner.adaptive.region_model.region_curves import Curves, centre_of, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings
 from retuner.schedule.regions import Regions

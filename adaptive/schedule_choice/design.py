@@ -19,7 +19,7 @@ from retuner.adaptive.schedule_choice.candidates import (
     curves_along,
     curves_over_both,
 )
-from retuner.adaptive.schedule_choice.cells import COUNT, Cells, cells
+from retuner.adaptive.schedule_choice.region_borders import COUNT, Cells, cells
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, knots, place_at, steps
 from retuner.adaptive.schedule_design.stretches import Axis, Shape, tells

@@ -343,7 +343,7 @@ def _telemetry(seen: _Seen) -> _Counted:
 
 
 def _in_region(seen: _Seen) -> _Counted:
-    """It stayed inside, where it is not taken as one that crossed a border (region_model/across.py)."""
+    """It stayed inside, where it is not taken as one that crossed a border (region_model/boundary_crossing.py)."""
     inside, limit = seen.inside, seen.settings.outside_share
     outside = sum(inside is not None and not inside(sample) for sample in seen.own) / len(seen.own)
     if outside <= limit:

@@ -31,10 +31,10 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.causes import doubt_of, is_known, is_sure
+from retuner.adaptive.supervision.causes import doubt_of, exempt_from_confirmation, is_known
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import Known, may_follow
-from retuner.adaptive.supervision.held_process import runaway
+from retuner.adaptive.supervision.guard_request import KnownProcesses, may_follow
+from retuner.adaptive.supervision.open_loop_unstable import runaway
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, Look, admitted
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
@@ -182,7 +182,11 @@ def _doubt(found: Findings, book: Book, *, less: bool) -> Diagnosis | None:
     assert verdict is not None
     if record.crossed or found.joined:  # not of this region, or not of one response
         return None
-    if learned is not None and found.in_use is not None and is_sure(found, verdict, learned, found.in_use):
+    if (
+        learned is not None
+        and found.in_use is not None
+        and exempt_from_confirmation(found, verdict, learned, found.in_use)
+    ):
         return None
     if learned is not None and (found.clear or (not less and is_known(found, learned))):
         estimate, n, window = learned.estimate, len(record.window.pv), Prepared.at(record.window, book.dt_s)
@@ -255,7 +259,7 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     if valve > (MOST_VALVE if less else 0.0):
         return
     also = record.region_models[region].plausible if shown and not less else ()
-    known = Known(record.table, record.region_models, float(record.window.t_s[-1]), settings)
+    known = KnownProcesses(record.table, record.region_models, float(record.window.t_s[-1]), settings)
     request = ChangeRequest(
         record.table.gains_of(region), record.commissioned.gains_of(region), told.tuning,
         (*told.models, *(Plausible(one.model, 0.0) for one in also)), settings.sample_time_s,

@@ -53,17 +53,38 @@ from retuner.adaptive.trial.batch_responses import Loop
 from retuner.schedule.table import Lookup
 
 __all__ = [
-    "FOREIGN", "NOT_CONFIRMED", "SWINGING", "TOWARDS_SAFETY", "beside_sequences", "borne_out", "by_sequences",
-    "clear_case", "doubt_of", "foreign_swing", "hidden", "in_danger", "is_known", "is_sure", "joining",
-    "known_of_swing", "known_to_swing", "not_as_modelled", "one_more_foreign", "rested_on", "stands", "stands_out",
-    "swings_between_limits", "wanted_of", "wrong_way",
+    "NOT_CONFIRMED",
+    "NOT_THE_LOOP",
+    "SWINGING",
+    "TOWARDS_SAFETY",
+    "above_noise",
+    "beside_sequences",
+    "by_sequences",
+    "doubt_of",
+    "exempt_from_confirmation",
+    "hidden",
+    "in_danger",
+    "is_known",
+    "joined_step_sequence",
+    "known_of_swing",
+    "known_to_swing",
+    "not_as_modelled",
+    "one_more_other_cause",
+    "records_agree",
+    "rested_on",
+    "stands",
+    "swing_by_other_cause",
+    "swings_between_limits",
+    "unambiguous",
+    "wanted_of",
+    "wrong_way",
 ]  # fmt: skip
 
-FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
+NOT_THE_LOOP = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
 """Causes that leave nothing in a record from which the process could be learned."""
 
 
-RIVALS = FOREIGN - {Cause.NOISE}
+OTHER_CAUSES = NOT_THE_LOOP - {Cause.NOISE}
 """Those of them that may be behind a swing: what rises out of the noise is none."""
 TAKEN_SAMPLES = 5
 """Samples after which the recogniser has taken a setpoint step at the latest."""
@@ -77,7 +98,7 @@ PART = "to_and_fro"
 """Code: the response is a part of what is judged as a whole."""
 
 
-def joining(found: Findings) -> None:
+def joined_step_sequence(found: Findings) -> None:
     """Is the response one of several to setpoint steps to and fro, which say together what none says alone?"""
     record, sequence = found.record, step_sequence(found.record.samples)
     if sequence is None or record.entered_s > record.samples[sequence.whole[0]].t_s:  # in another region
@@ -146,16 +167,16 @@ def wrong_way(found: Findings) -> Diagnosis | None:
     response, swing = record.response, settings.swing
     since_s = response.t_start_s - swing.lookback * (response.t_end_s - response.t_start_s)
     seen = stretch(record.samples, since_s, swing.same_gains)
-    if len(seen) < FEWEST:
+    if len(seen) < FEWEST_SAMPLES:
         return None
     return acts_wrong_way(Window.of(seen), record.in_force.direction, settings.diagnosis.fit)
 
 
-FEWEST = 20
+FEWEST_SAMPLES = 20
 """Samples of which a sign may be told."""
 
 
-def foreign_swing(found: Findings) -> Diagnosis | None:
+def swing_by_other_cause(found: Findings) -> Diagnosis | None:
     """What else than the tuning is behind a swing without a setpoint step, or goes on behind any response.
 
     A swing that was known to come, by what clear setpoint steps have shown, is the loop's own whatever a tone explains.
@@ -180,17 +201,17 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis, period_s
     cause = whole_cause(*asked)
     own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
-    found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in RIVALS)
+    found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in OTHER_CAUSES)
     found.foreign = min(max(found.foreign, 0), settings.swing.most_counted)
     if found.foreign and own:
         return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=found.foreign))
     return _with_a_way(record, cause) if found.foreign or (swinging and not own) else None
 
 
-def one_more_foreign(found: Findings, cause: Diagnosis) -> None:
+def one_more_other_cause(found: Findings, cause: Diagnosis) -> None:
     """Counts a response for what else was found behind it, by whichever stage."""
     counted = found.record.foreign if found.foreign is None else found.foreign
-    found.foreign = min(counted + (cause.cause in RIVALS), found.settings.swing.most_counted)
+    found.foreign = min(counted + (cause.cause in OTHER_CAUSES), found.settings.swing.most_counted)
 
 
 def _with_a_way(record: ResponseRecord, cause: Diagnosis) -> Diagnosis:
@@ -270,7 +291,7 @@ def swings_between_limits(record: ResponseRecord, settings: RetunerSettings) -> 
     return touches_limits(record.samples, record.response, settings.limit_swing)
 
 
-def clear_case(found: Findings, learned: Learned) -> bool:
+def unambiguous(found: Findings, learned: Learned) -> bool:
     """Whether the response is the loop's own doing beyond doubt.
 
     One that crossed a border is where it is a setpoint step that the process in motion explains by itself. One that is
@@ -331,10 +352,10 @@ def is_known(found: Findings, learned: Learned) -> bool:
     if learned.agreement != Agreement.AGREES or before is None or now is None:
         return False
     same = before.log.type is now.log.type or wanted_of(record, before, found.settings).diagnosis.retune
-    return same and (found.rested_on.clear > 0 or borne_out(now, found.excitation_now, found.settings))
+    return same and (found.rested_on.clear > 0 or records_agree(now, found.excitation_now, found.settings))
 
 
-def borne_out(model: RegionModel, excitation: Excitation, settings: RetunerSettings) -> bool:
+def records_agree(model: RegionModel, excitation: Excitation, settings: RetunerSettings) -> bool:
     """Whether the newest records settle the process each by itself, and alike.
 
     Loads that overlap can be explained in any way, but not twice in the same one. Setpoint responses must be among
@@ -359,7 +380,7 @@ SETPOINTS = 2
 """Setpoint responses among the records that bear each other out."""
 
 
-def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionModel) -> bool:
+def exempt_from_confirmation(found: Findings, verdict: Verdict, learned: Learned, model: RegionModel) -> bool:
     """Whether a change by a response that is not clear needs no confirmation (see diagnosis/second_opinion.py).
 
     To agree with loads that were never confirmed proves nothing, so it counts what the model rested on before.
@@ -402,7 +423,7 @@ def stands(found: Findings) -> bool:
     """Whether pv stands while the output travels, as behind a valve that sticks: a fit makes loads of its slips."""
     record, settings = found.record, found.settings
     seen = stretch(_of_this_process(found), -np.inf, settings.swing.same_gains)
-    if len(seen) < FEWEST:
+    if len(seen) < FEWEST_SAMPLES:
         return False
     still = stand_still(Window.of(seen), record.in_force, settings.diagnosis.standing)
     return still is not None and still.stands
@@ -426,7 +447,7 @@ def in_danger(found: Findings, doubt: Diagnosis) -> bool:
     if found.excitation_now.lost < SECOND:
         return False
     held_up = doubt.cause in ENDS and swings_between_limits(found.record, found.settings)
-    return held_up or doubt.cause not in FOREIGN
+    return held_up or doubt.cause not in NOT_THE_LOOP
 
 
 ENDS = frozenset({Cause.SATURATION, Cause.EXTERNAL})
@@ -437,7 +458,7 @@ SECOND = 2
 """The record at which such a loop is made safer at the latest."""
 
 
-def stands_out(found: Findings) -> bool:
+def above_noise(found: Findings) -> bool:
     """Whether the response rises out of the noise: a danger of which nothing is seen asks for no relief at once.
 
     The first peak of a setpoint's response is the step itself, and the noise on top of it is no part of that.

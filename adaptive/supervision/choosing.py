@@ -10,8 +10,8 @@ from retuner.adaptive.choice.expected_cost import (
     Choice,
     Choosable,
     LoopSettings,
+    ModelEvidence,
     Outlook,
-    Seen,
     choose,
     outlooks,
 )
@@ -21,7 +21,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.supervision.guard_request import Known, change_request, choosable, known_with
+from retuner.adaptive.supervision.guard_request import KnownProcesses, change_request, choosable, known_with
 from retuner.adaptive.supervision.pipeline_types import Findings
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -34,7 +34,7 @@ def proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: G
     return _proved(found, known_with(found.record, model, found.settings), wanted.tuning, guard or found.settings.guard)
 
 
-def _proved(found: Findings, known: Known, tuning: Tuning, guard: GuardSettings) -> Verdict:
+def _proved(found: Findings, known: KnownProcesses, tuning: Tuning, guard: GuardSettings) -> Verdict:
     """The guard's word on a tuning for the response's region."""
     record = found.record
     damping = record.pattern.damping if record.pattern is not None else None
@@ -63,7 +63,9 @@ def chosen(found: Findings, model: RegionModel, wanted: RobustProposal, verdict:
     return choice, ways[choice.best - 1]
 
 
-def _looked(found: Findings, allowed: Sequence[Plausible], sets: Sequence[Choosable], seen: Seen) -> list[Outlook]:
+def _looked(
+    found: Findings, allowed: Sequence[Plausible], sets: Sequence[Choosable], seen: ModelEvidence
+) -> list[Outlook]:
     """What each set is expected to do on models; these are less sure where no setpoint step is among the records."""
     settings = found.settings
     loop = LoopSettings(settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
@@ -71,7 +73,7 @@ def _looked(found: Findings, allowed: Sequence[Plausible], sets: Sequence[Choosa
     return outlooks(allowed, sets, seen.decay, loop, settings.choice if by_setpoint else settings.choice.by_loads())
 
 
-def _steps(found: Findings, known: Known, wanted: RobustProposal, verdict: Verdict) -> list[Verdict]:
+def _steps(found: Findings, known: KnownProcesses, wanted: RobustProposal, verdict: Verdict) -> list[Verdict]:
     """Parts of a proved change that are proved as well."""
     now, accepted = found.record.table.gains_of(found.record.region), []
     assert verdict.gains is not None
@@ -91,11 +93,11 @@ PARTS = (0.75, 0.5, 0.25)
 """Shares of a proved change that are weighed beside it."""
 
 
-def _seen(found: Findings, model: RegionModel) -> Seen:
+def _seen(found: Findings, model: RegionModel) -> ModelEvidence:
     """What bears on whether the models are a fiction."""
     record, learned = found.record, found.learned
     assert learned is not None  # after the stage of identification
-    return Seen(
+    return ModelEvidence(
         model.records + int(found.joined > 0),
         found.rested_on.clear + int(found.clear and not record.response.taken_over),
         len(learned.estimate.load_times_s),

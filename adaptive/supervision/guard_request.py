@@ -37,18 +37,18 @@ from retuner.adaptive.supervision.proposal_from_model import RobustProposal, pro
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
+from retuner.adaptive.trial.load_variability import wander_of
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.random_walk import beside_a_walk
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.trial.wander import wander_of
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownProcesses:
     """What is known of the processes where the regions' own sets run, worked out once a question.
 
     table : in force. region_models : by region, from records. t_s : now, s.
@@ -100,7 +100,7 @@ def change_request(
     proposal: Tuning,
     region: int,
     commissioned: GainTable,
-    known: Known,
+    known: KnownProcesses,
     learned: Learned | None,
     damping: float | None = None,
 ) -> ChangeRequest:
@@ -136,10 +136,10 @@ def change_request(
     )
 
 
-def known_with(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> Known:
+def known_with(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> KnownProcesses:
     """What is known at a response, its region's model as it is with it."""
     models = {**record.region_models, record.region: model}
-    return Known(record.table, models, float(record.window.t_s[-1]), settings)
+    return KnownProcesses(record.table, models, float(record.window.t_s[-1]), settings)
 
 
 BEYOND = 1.05
@@ -150,7 +150,7 @@ BETWEEN = "ms_between"
 """Evidence that a set is over its limit on the way to a neighbour: the Ms there."""
 
 
-def choosable(record: ResponseRecord, known: Known, gains: PidGains) -> Choosable:
+def choosable(record: ResponseRecord, known: KnownProcesses, gains: PidGains) -> Choosable:
     """A set of the record's region as it would run there, with its Ms on the ways to the neighbours."""
     region, settings = record.region, known.settings
     runs = known.table.with_gains(region, gains).at(region, *record.at)
@@ -161,7 +161,7 @@ def choosable(record: ResponseRecord, known: Known, gains: PidGains) -> Choosabl
     return Choosable(runs, worst.ms / settings.guard.ms_border if worst is not None else 0.0)
 
 
-def tuning_of(known: Known, region: int, in_force: PidGains) -> RobustProposal:
+def tuning_of(known: KnownProcesses, region: int, in_force: PidGains) -> RobustProposal:
     """What the rule gives for a region, eased to what its part of the ways to the neighbours bears (guard/between.py);
     and whether its tuning is a cause.
 
@@ -211,7 +211,7 @@ def unproved_request(
     )
 
 
-def known_of(known: Known, region: int) -> StillAllowed:
+def known_of(known: KnownProcesses, region: int) -> StillAllowed:
     """What is known of a region's process now, as it is asked which of its sets is to run.
 
     In an interpolated table that is asked at the region's knot, and half way to its neighbours. Of a region without

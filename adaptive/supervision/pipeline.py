@@ -15,7 +15,13 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import from_rest_to_rest
 from retuner.adaptive.guard import prove
 from retuner.adaptive.identification.structure_choice import too_few
-from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
+from retuner.adaptive.region_model.boundary_crossing import (
+    Crossing,
+    fitted_crossing,
+    taught_beside,
+    update_across,
+    ways_of,
+)
 from retuner.adaptive.region_model.from_neighbours import as_wide_as_known, borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, on_the_way, update_region_model
@@ -24,33 +30,33 @@ from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.by_book import by_all_samples, robust_by_book
 from retuner.adaptive.supervision.causes import (
-    FOREIGN,
     NOT_CONFIRMED,
+    NOT_THE_LOOP,
     SWINGING,
+    above_noise,
     beside_sequences,
     by_sequences,
-    clear_case,
     doubt_of,
-    foreign_swing,
+    exempt_from_confirmation,
     hidden,
     in_danger,
     is_known,
-    is_sure,
-    joining,
+    joined_step_sequence,
     known_of_swing,
     not_as_modelled,
-    one_more_foreign,
+    one_more_other_cause,
     rested_on,
     stands,
-    stands_out,
+    swing_by_other_cause,
+    unambiguous,
     wanted_of,
     wrong_way,
 )
 from retuner.adaptive.supervision.choosing import chosen, lost_on_all, proved
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import may_follow, posterior_of, promised, unproved_request, walked
-from retuner.adaptive.supervision.held_process import cut_refuted, runaway
+from retuner.adaptive.supervision.open_loop_unstable import cut_refuted, runaway
+from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.pipeline_types import (
     OTHER_LOOP,
     Findings,
@@ -135,7 +141,7 @@ def swing(found: Findings) -> None:
     if record.crossed:
         return
     found.growth = grows(record.samples, record.response.band, settings.growth)
-    foreign = foreign_swing(found)
+    foreign = swing_by_other_cause(found)
     if foreign is not None:
         found.explained_otherwise(foreign)
 
@@ -193,7 +199,7 @@ def _across(found: Findings, known: RegionModel | None) -> Learned:
         settings.tracker,
         settings.fit,
     )
-    shown = shown_by(crossing)
+    shown = fitted_crossing(crossing)
     found.beside = taught_beside(crossing, shown, record.region)
     return update_across(crossing, shown, record.region, known)
 
@@ -221,7 +227,7 @@ def region_model(found: Findings) -> None:
     swinging = None if record.crossed or found.steps is not None else known_of_swing(record, settings)
     found.in_use = found.region_model = swinging or learned.region_model
     found.rested_on = record.excitation if swinging else rested_on(record, learned.agreement)
-    found.clear = clear_case(found, learned)
+    found.clear = unambiguous(found, learned)
     now = found.rested_on
     if not swinging and learned.agreement != Agreement.SILENT:  # what cannot tell is nothing that a model rests on
         rested = from_rest_to_rest(record.samples, record.response, settings.swing)
@@ -241,7 +247,7 @@ def _of_two_sets(why: str, *, crossed: bool) -> str:
 
 def without_a_model(found: Findings) -> None:
     """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
-    if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or stands_out(found)):
+    if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or above_noise(found)):
         return
     record, learned = found.record, _learned(found)
     if found.steps is not None:
@@ -284,11 +290,11 @@ def _own_fault(found: Findings) -> Diagnosis | None:
 def _small_step(found: Findings, proposed: Proposed, learned: Learned, reason: str) -> None:
     """Whether the step without a model is made."""
     record, excitation = found.record, found.excitation_now
-    if found.growth is None and not clear_case(found, learned):
+    if found.growth is None and not unambiguous(found, learned):
         doubt = doubt_of(found)
         if doubt is not None:
             found.excitation, found.numbers = excitation, NO_NUMBERS
-            one_more_foreign(found, doubt)
+            one_more_other_cause(found, doubt)
             found.doubted(replace(doubt, reason=f"{reason}; {doubt.reason}"))
             return
     found.excitation, found.basis = excitation, proposed.basis
@@ -368,7 +374,7 @@ def confirmation(found: Findings) -> None:
         found.verdict = found.basis = None
         found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
         return
-    sure = found.clear or is_known(found, learned) or is_sure(found, verdict, learned, _in_use(found))
+    sure = found.clear or is_known(found, learned) or exempt_from_confirmation(found, verdict, learned, _in_use(found))
     if not sure or stands(found):
         doubt = doubt_of(found, wanted.diagnosis)
         if doubt is not None and not in_danger(found, doubt):
@@ -390,9 +396,9 @@ def _confirmed(found: Findings) -> None:
 
 def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
     """The change is not made; a record of something else is not kept either, and counts as one of that."""
-    if doubt.cause in FOREIGN:
+    if doubt.cause in NOT_THE_LOOP:
         found.region_model = None
-        one_more_foreign(found, doubt)
+        one_more_other_cause(found, doubt)
         if _learned(found).agreement in ANEW:  # what was known before stays, and what that rested on
             before = found.record.excitation.with_response(found.record.response)
             found.excitation = replace(before, lost=found.excitation_now.lost)
@@ -460,7 +466,7 @@ class Stage(NamedTuple):
 
 
 STAGES = (
-    Stage("joining", joining),
+    Stage("joining", joined_step_sequence),
     Stage("action", action),
     Stage("admission", admission),
     Stage("swing", swing),

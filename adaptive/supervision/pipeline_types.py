@@ -17,7 +17,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.settings_by_book import BookNumbers
 from retuner.adaptive.guard import Verdict
-from retuner.adaptive.region_model.across import ways_of
+from retuner.adaptive.region_model.boundary_crossing import ways_of
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Learned, TrackerSettings, predicted
 from retuner.adaptive.rules.rule import Tuning
@@ -39,7 +39,7 @@ from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
-FAR = 0.1
+PROCESS_CHANGES_OVER = 0.1
 """Share of an axis along which a process may be expected to change by twice what records of one place differ by:
 before any record a factor of 4 over the whole is one standard deviation (schedule_design/stretches.py)."""
 
@@ -97,7 +97,7 @@ class ResponseRecord:
         """Whether the process was at places so far apart, within a table of several regions, that one linear model of
         the response would be a fiction.
         """
-        return self.share > FAR
+        return self.share > PROCESS_CHANGES_OVER
 
     @cached_property
     def share(self) -> float:
@@ -201,7 +201,7 @@ Ended = Mapping[int, TrialEvent]
 NOBODY: Ended = {}
 
 
-class Led(NamedTuple):
+class SetpointLed(NamedTuple):
     """That the setpoint is led: when it was said last, and how many responses were passed over since."""
 
     said_s: float = -math.inf
@@ -217,7 +217,7 @@ class RetunerState(NamedTuple):
     finder: FinderState
     decisions: int
     samples: int
-    led: Led = Led()
+    led: SetpointLed = SetpointLed()
     looked_s: float = -math.inf
 
 
@@ -491,7 +491,7 @@ def admitted(record: ResponseRecord, settings: RetunerSettings) -> Admission:
     return admit(record.window, record.samples, record.response, rules, inside, settings.pv_range, ki)
 
 
-def passed_over(led: Led, record: ResponseRecord, settings: RetunerSettings) -> bool:
+def passed_over(led: SetpointLed, record: ResponseRecord, settings: RetunerSettings) -> bool:
     """Whether a response says nothing but what was said lately: that the setpoint is led, or goes to and fro.
 
     One that ends with the output at a limit is asked: that is how a controller ends that acts the wrong way.
@@ -504,6 +504,6 @@ def passed_over(led: Led, record: ResponseRecord, settings: RetunerSettings) -> 
     return found is not None and found.closed is None and len(found.whole) > TOLD_STEPS
 
 
-def said(led: Led, record: ResponseRecord, code: str) -> Led:
+def said(led: SetpointLed, record: ResponseRecord, code: str) -> SetpointLed:
     """What is kept after a decision of that code on a response."""
-    return Led(record.samples[-1].t_s) if code == Ground.SETPOINT_LED.name.lower() else led
+    return SetpointLed(record.samples[-1].t_s) if code == Ground.SETPOINT_LED.name.lower() else led

@@ -38,7 +38,7 @@ from retuner.adaptive.supervision.decision import (
     restoring,
     staying,
 )
-from retuner.adaptive.supervision.guard_request import Known, known_of, promise_of, seen_of
+from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of, promise_of, seen_of
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
     NOBODY,
@@ -46,12 +46,12 @@ from retuner.adaptive.supervision.pipeline_types import (
     NOTHING,
     PASSED_OVER,
     Ended,
-    Led,
     Look,
     OpenQuestion,
     Question,
     ResponseRecord,
     RetunerState,
+    SetpointLed,
     StageResult,
     Step,
     held,
@@ -98,7 +98,7 @@ class Retuner:
         self.trials = TrialSupervisor(
             settings.trial, settings.sample_time_s, self._put_back, self._still_allowed, self._person_decides
         )
-        self._decisions, self._led = 0, Led()
+        self._decisions, self._led = 0, SetpointLed()
         self._looked_s = self._alone_s = -math.inf  # when all samples were looked at, and are to be without a response
         self._open: OpenQuestion | None = None
         self._due: Mapping[int, StageResult] = {}
@@ -351,7 +351,7 @@ class Retuner:
         book, trial, asked = self.books.get(region), self.trials.of(region), self.settings.book
         if book and trial.old and trial.new and lets_go(book.drawn(asked.drawn), trial.old, trial.new, asked):
             return NOTHING_KNOWN
-        return known_of(Known(self.table, self.region_models, self.now_s, self.settings), region)
+        return known_of(KnownProcesses(self.table, self.region_models, self.now_s, self.settings), region)
 
     def _person_decides(self, region: int) -> bool:
         """Whether a person has the next word on what is tried in a region."""

@@ -25,7 +25,7 @@ from retuner.adaptive.signals.recogniser import RecogniserPhase, RecogniserState
 from retuner.adaptive.signals.sample import LoopSample, Window, finite
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.adaptive.signals.step_sequence import SetpointMove
-from retuner.adaptive.supervision.pipeline_types import Led, RetunerState
+from retuner.adaptive.supervision.pipeline_types import RetunerState, SetpointLed
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -161,7 +161,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
 
 VERSION = 9
 """Of this layout; any other is refused."""
-STATES = (RegionState, RecogniserState, NoiseState, Led, LoopSample)
+STATES = (RegionState, RecogniserState, NoiseState, SetpointLed, LoopSample)
 LAYOUT = {kind.__name__: list(kind._fields) for kind in STATES}
 """What is kept by place: numbers that moved would be read as others. Another layout is refused; memories of before
 have none."""
@@ -253,7 +253,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             broken=int(memory.get("broken", 0)),
         )
         retuner.trials.resume(memory["trials"])
-        led = _state_in(Led, memory.get("led", Led()))
+        led = _state_in(SetpointLed, memory.get("led", SetpointLed()))
         (looked_s,) = _numbers_in(memory.get("looked_s", ("-inf",)))
         counted = int(memory["decisions"]), int(memory["samples_observed"])
         retuner.resume(RetunerState(finder, *counted, led, float(looked_s)))

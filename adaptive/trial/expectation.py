@@ -94,8 +94,8 @@ class Promise:
     models : how many models it is spread over. ms : of the new set; None for a promise without a model.
     decay_seen : of the response under the old gains that led to the change, None when it does not tell; what was seen
     counts more than what a model says of the old gains.
-    wander : standard deviation of the error under the old gains while nothing happened (wander.py), pv units; 0 where
-    it is not known, or where they were seen to swing.
+    wander : standard deviation of the error under the old gains while nothing happened (load_variability.py), pv units;
+    0 where it is not known, or where they were seen to swing.
     """
 
     setpoint: Expected

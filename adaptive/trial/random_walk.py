@@ -6,7 +6,7 @@
 A fit that knows load steps and white noise only takes a wandering load for the process, and is too sure of it. Here
 the best process on which the tried set is robust is held against the best of all. Where it explains the samples as
 well, to within level standard deviations, they say nothing against the set. That load is the null hypothesis only
-where it was seen before the change (wander.py).
+where it was seen before the change (load_variability.py).
 
 The samples come in stretches of equal length, each with a start of its own, so that one eigenvalue decomposition of
 the walk's covariance serves all. The size of the walk over the noise is taken where the likelihood is largest, a
@@ -33,7 +33,7 @@ STRETCHES = 8
 """At the most, the newest ones."""
 PER_DEAD_TIME = 4.0
 """Samples to an effective dead time that are kept of faster ones."""
-FEWEST = 40
+FEWEST_SAMPLES = 40
 """Samples of a stretch without which nothing is said."""
 GAP = 5.0
 """Sampling intervals without a sample, after which the samples begin anew."""
@@ -60,7 +60,7 @@ class Stretches:
 
 def stretches_of(samples: Sequence[LoopSample], theta_s: float) -> Stretches | None:
     """The samples as equal stretches; None where they are too few. theta_s : effective dead time of the process."""
-    if len(samples) < FEWEST:
+    if len(samples) < FEWEST_SAMPLES:
         return None
     t, pv, co = (np.array([sample[i] for sample in samples]) for i in (0, 2, 3))
     every = float(np.median(np.diff(t)))
@@ -71,7 +71,7 @@ def stretches_of(samples: Sequence[LoopSample], theta_s: float) -> Stretches | N
     n = int((t[-1] - t[0]) / dt_s)
     count = min(max(round(n / SAMPLES), 1), STRETCHES)
     length = min(n // count, SAMPLES)
-    if length < FEWEST:
+    if length < FEWEST_SAMPLES:
         return None
     edges = t[-1] + every - dt_s * np.arange(count * length, -1, -1)
     moved = np.concatenate([[0.0], np.cumsum(co * np.diff(t, append=t[-1] + every))])
@@ -161,7 +161,7 @@ def beside_a_walk(
     harmless_ms : Ms up to which a set counts as robust. level : standard deviations.
     """
     by_rule = made_for(tried)
-    asked = list(models[:MOST]) or by_rule
+    asked = list(models[:MOST_MODELS]) or by_rule
     seen = stretches_of(samples, asked[len(asked) // 2].theta_s) if asked else None
     if seen is None:
         return None
@@ -197,9 +197,9 @@ def made_for(gains: PidGains) -> list[ProcessModel]:
 
 SHARES = (0.06, 0.125, 0.25, 0.5, 1.0)
 """Dead times over tau_I for which SIMC's tau_I is the lag, and some longer ones."""
-FAR = 3.0
+LOST_LOG_GAIN = 3.0
 """Logarithm of the gain from which a search has lost its way."""
-MOST = 5
+MOST_MODELS = 5
 """Models that are asked which of them explains the samples best."""
 
 
@@ -210,7 +210,7 @@ def _searched(
     best, least = start, deviance(start.linear(), seen)
     for step in STEPS:
         better = True
-        while better and least > enough and abs(math.log(best.k / start.k)) < FAR:
+        while better and least > enough and abs(math.log(best.k / start.k)) < LOST_LOG_GAIN:
             better = False
             for near in _near(best, step):
                 if not allowed(near):

@@ -133,7 +133,7 @@ class Rollback(NamedTuple):
     numbers: RollbackNumbers | None = None
 
 
-class Seen(NamedTuple):
+class SetRecord(NamedTuple):
     """Of one set: how often it was bad and calm, and the chance that what was seen is not its doing."""
 
     bad: int = 0
@@ -230,18 +230,18 @@ def loss_of(ms: float, harmless_ms: float) -> float:
     return 1.0 - harmless_ms / max(ms, harmless_ms)
 
 
-def _seen(cause: TrialEvent, ran: SetsThatRan, settings: TrialSettings) -> dict[PidGains, Seen]:
+def _seen(cause: TrialEvent, ran: SetsThatRan, settings: TrialSettings) -> dict[PidGains, SetRecord]:
     """What was seen of the set before and of the tried one."""
     swung = ran.swung is not None and ran.swung >= SWINGS_ON
-    worked = Seen(0, ran.swings <= settings.harmless_decay, CHANGED)
-    now = Seen(cause in UNDOS, cause is TrialEvent.TIMED_OUT, BY_LOADS_AFTER.get(cause, BY_LOADS))
-    return {ran.before: Seen(1) if swung else worked} | ({} if ran.tried is None else {ran.tried: now})
+    worked = SetRecord(0, ran.swings <= settings.harmless_decay, CHANGED)
+    now = SetRecord(cause in UNDOS, cause is TrialEvent.TIMED_OUT, BY_LOADS_AFTER.get(cause, BY_LOADS))
+    return {ran.before: SetRecord(1) if swung else worked} | ({} if ran.tried is None else {ran.tried: now})
 
 
 def expected_losses(
     ms: Mapping[PidGains, Sequence[float]],
     likely: Sequence[float],
-    seen: Mapping[PidGains, Seen],
+    seen: Mapping[PidGains, SetRecord],
     harmless_ms: float,
 ) -> tuple[dict[PidGains, float], float]:
     """Of each set, and the probability of something else; see the head of this file.
@@ -258,7 +258,7 @@ def expected_losses(
     expected = {}
     for gains, row in losses.items():
         less = [one for other, one in seen.items() if one.bad and less_of_everything(gains, other)]
-        chance = max(one.chance for one in (seen.get(gains, Seen()), *less))
+        chance = max(one.chance for one in (seen.get(gains, SetRecord()), *less))
         expected[gains] = (sum(w * x for w, x in zip(weights, row, strict=True)) + else_ * chance) / whole
     return expected, else_ / whole
 

@@ -1,9 +1,9 @@
 """The trials of one loop: which region's change is being written, on trial, taken back, cooling down.
 
-A thin shell round phase.py (what follows what), judge.py and runaway.py (what a response and a sample say), rollback.py
-(which set is to run after a cause that is no response). It keeps one Trial a region and has one effect: ENTERING the
-phase puts what is to run into the table, at once and whatever led there, so that nothing writes anything else. That the
-controller runs it is told by `restored`.
+A thin shell round phase.py (what follows what), judge.py and diverging_trial.py (what a response and a sample say),
+rollback.py (which set is to run after a cause that is no response). It keeps one Trial a region and has one effect:
+ENTERING the phase puts what is to run into the table, at once and whatever led there, so that nothing writes anything
+else. That the controller runs it is told by `restored`.
 
     cool-down = base x 2^(undos - 1), base from the settings or the restored set's integral time
     hold of a person's gains = edit_hold_s x 2^(edits - 1)
@@ -15,6 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.trial.diverging_trial import law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, judge
 from retuner.adaptive.trial.phase import (
@@ -29,7 +30,6 @@ from retuner.adaptive.trial.phase import (
     after,
 )
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, Rollback, StillAllowed, rollback, unstable_again
-from retuner.adaptive.trial.runaway import law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from retuner.adaptive.trial.diverging_trial import RunawayState
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.adaptive.trial.rollback import Rollback, RollbackNumbers, SetsThatRan
-from retuner.adaptive.trial.runaway import RunawayState
 from retuner.schedule.gains import PidGains
 
 MOST_EARLIER = 4

@@ -43,8 +43,8 @@ from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.trial.expectation import promise
+from retuner.adaptive.trial.load_variability import wander_of
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.wander import wander_of
 from retuner.schedule.gains import PidGains
 
 Row = dict[str, Any]

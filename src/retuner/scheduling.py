@@ -14,8 +14,8 @@ from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.indexes.days import at_gaps
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.schedule_choice.candidates import OWN, Candidate, follows_loop, silent
-from retuner.adaptive.schedule_choice.cells import COUNT, Cells
 from retuner.adaptive.schedule_choice.design import Design, NextExperiment, design, first_sets, next_experiment
+from retuner.adaptive.schedule_choice.region_borders import COUNT, Cells
 from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, model_of
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import Record, window_of, within

@@ -7,10 +7,16 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.identification.identify import Fits, FitSettings
-from retuner.adaptive.region_model.across import Crossing, Shown, shown_by, taught_beside, update_across
-from retuner.adaptive.region_model.in_motion import in_motion
+from retuner.adaptive.region_model.boundary_crossing import (
+    Crossing,
+    FittedCrossing,
+    fitted_crossing,
+    taught_beside,
+    update_across,
+)
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
+from retuner.adaptive.region_model.varying_process_fit import in_motion
 from retuner.adaptive.schedule_design.stretches import Axis
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
@@ -61,8 +67,8 @@ def record() -> Window:
 
 
 @pytest.fixture(scope="module")
-def shown(record: Window) -> Shown:
-    return shown_by(crossing(record))
+def shown(record: Window) -> FittedCrossing:
+    return fitted_crossing(crossing(record))
 
 
 def test_a_linear_model_of_a_long_step_is_a_fiction_and_one_in_motion_is_not(record: Window) -> None:
@@ -77,7 +83,7 @@ def test_a_linear_model_of_a_long_step_is_a_fiction_and_one_in_motion_is_not(rec
         assert model.theta_s + model.tau2_s / 2 == pytest.approx(THETA_S, rel=0.2)
 
 
-def test_what_lies_beyond_the_way_is_known_less(shown: Shown) -> None:
+def test_what_lies_beyond_the_way_is_known_less(shown: FittedCrossing) -> None:
     unsure = [shown.found[0].at(place).gain_uncertainty() for place in (60.0, 90.0, 100.0)]
     assert unsure[0] < unsure[1] < unsure[2]
     assert unsure[0] < 0.35  # half way, a valve's curve may stand for what pv does (0.22 if there were none)
@@ -112,7 +118,7 @@ def test_a_curve_of_the_valve_is_not_taken_for_lags_and_bends(low: float, high: 
         assert here.theta_s + here.tau2_s / 2 == pytest.approx(10.5, rel=0.25)
 
 
-def test_it_teaches_the_region_where_it_ends_and_those_on_its_way(record: Window, shown: Shown) -> None:
+def test_it_teaches_the_region_where_it_ends_and_those_on_its_way(record: Window, shown: FittedCrossing) -> None:
     whole = crossing(record)
     assert whole.passed() == [0, 1, 2]
     learned, beside = update_across(whole, shown, 2, None), taught_beside(whole, shown, 2)
@@ -124,19 +130,19 @@ def test_it_teaches_the_region_where_it_ends_and_those_on_its_way(record: Window
     assert (learned.region_model.records, learned.region_model.points[0].x) == (1, 80.0)
 
 
-def test_a_second_one_agrees_and_makes_it_surer(record: Window, shown: Shown) -> None:
+def test_a_second_one_agrees_and_makes_it_surer(record: Window, shown: FittedCrossing) -> None:
     first = update_across(crossing(record), shown, 1, None).region_model
     assert first is not None
     back = replace(step(85.0, 35.0), t_s=record.t_s + 600.0)
     again = replace(crossing(back, {1: first}), start_s=650.0)
-    learned = update_across(again, shown_by(again), 1, first)
+    learned = update_across(again, fitted_crossing(again), 1, first)
     assert learned.agreement is Agreement.AGREES
     assert learned.region_model is not None
     assert learned.region_model.records == 2
     assert learned.region_model.log.gain_uncertainty() < first.log.gain_uncertainty()
 
 
-def test_it_never_overrules_what_the_region_has_shown_itself(record: Window, shown: Shown) -> None:
+def test_it_never_overrules_what_the_region_has_shown_itself(record: Window, shown: FittedCrossing) -> None:
     own = update_across(crossing(record), shown, 1, None).region_model
     assert own is not None
     other = tuple(
@@ -151,12 +157,12 @@ def test_it_never_overrules_what_the_region_has_shown_itself(record: Window, sho
 
 def test_without_anything_to_see_it_teaches_nothing() -> None:
     quiet = step(50.0, 50.0)
-    learned = update_across(crossing(quiet), shown_by(crossing(quiet)), 1, None)
+    learned = update_across(crossing(quiet), fitted_crossing(crossing(quiet)), 1, None)
     assert learned.agreement is Agreement.SILENT
     assert learned.region_model is None
 
 
-def test_on_a_map_the_other_axis_makes_it_less_sure(record: Window, shown: Shown) -> None:
+def test_on_a_map_the_other_axis_makes_it_less_sure(record: Window, shown: FittedCrossing) -> None:
     flow = TableAxis("can", "%", 0.0, (50.0,), 100.0, signal="flow")
     first = TableAxis("pv", "-", 0.0, (40.0, 60.0), 100.0)
     whole = crossing(record, regions=Regions.along(tuple("abcdef"), first, flow))

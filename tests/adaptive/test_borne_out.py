@@ -16,7 +16,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.update import TrackerSettings, update_region_model
 from retuner.adaptive.signals.response import Ending
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.causes import borne_out
+from retuner.adaptive.supervision.causes import records_agree
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
@@ -43,7 +43,7 @@ def test_independent_records_that_agree_bear_a_change_out(
 ) -> None:
     model: Any = SimpleNamespace(log=record().log, points=tuple(points))
     rests_on = Excitation(setpoints=setpoints, loads=max(rested, 1), rested=rested)
-    assert borne_out(model, rests_on, RetunerSettings(1.0, 100.0)) is borne
+    assert records_agree(model, rests_on, RetunerSettings(1.0, 100.0)) is borne
 
 
 def quiet_before(error: Callable[[float], float], *, quiet: bool = True) -> tuple[list[LoopSample], Any]:

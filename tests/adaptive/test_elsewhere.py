@@ -12,16 +12,16 @@ from loop_bench import made, scaled
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.region_model.by_table import as_right_as_others
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, spread
+from retuner.adaptive.region_model.prior_from_table import as_right_as_others
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import Action, Mode
-from retuner.adaptive.supervision.elsewhere import elsewhere
-from retuner.adaptive.supervision.guard_request import Known, known_of
+from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of
+from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import End, Findings, Question, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -172,9 +172,9 @@ def test_a_table_says_nothing_where_nobody_knows_a_process_or_a_set_has_no_gain(
 
 def test_what_is_known_of_a_region_without_records_is_what_the_others_lend() -> None:
     table = GainTable("loop", REGIONS, (right(1.0), right(1.0), right(1.0)))
-    lent = known_of(Known(table, {0: known(1.0), 1: known(1.0)}, 0.0, OPENED), 2)
+    lent = known_of(KnownProcesses(table, {0: known(1.0), 1: known(1.0)}, 0.0, OPENED), 2)
     assert len(lent.processes) > 1
-    assert known_of(Known(table, {}, 0.0, OPENED), 2) == NOTHING_KNOWN
+    assert known_of(KnownProcesses(table, {}, 0.0, OPENED), 2) == NOTHING_KNOWN
 
 
 @pytest.mark.slow

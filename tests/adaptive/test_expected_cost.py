@@ -11,8 +11,8 @@ from loop_bench import GOOD, Bench, scaled, table
 from retuner.adaptive.choice.expected_cost import (
     Choosable,
     LoopSettings,
+    ModelEvidence,
     Outlook,
-    Seen,
     choose,
     cost,
     doubt,
@@ -66,7 +66,7 @@ def test_an_unstable_loop_costs_the_most_and_a_robust_one_its_iae() -> None:
 def test_records_that_agree_make_something_else_less_likely_and_oddities_more(
     records: int, clear: int, loads: int, limited: bool, left: bool
 ) -> None:
-    seen = Seen(records, min(clear, records), loads, limited, left)
+    seen = ModelEvidence(records, min(clear, records), loads, limited, left)
     p = doubt(seen, SETTINGS)
     assert 0.0 < p < 1.0
     assert doubt(replace(seen, records=records + 1), SETTINGS) <= p
@@ -89,7 +89,7 @@ def test_an_unstable_set_is_no_way_out_of_a_very_slow_loop() -> None:
 
 
 def test_loads_that_come_back_alike_prove_less_than_a_setpoint_step() -> None:
-    assert doubt(Seen(4), SETTINGS) > 2 * doubt(Seen(2, 1), SETTINGS)
+    assert doubt(ModelEvidence(4), SETTINGS) > 2 * doubt(ModelEvidence(2, 1), SETTINGS)
 
 
 @given(st.floats(0.2, 5.0), st.floats(0.0, 1.0))
@@ -137,7 +137,7 @@ def look(gain: float, unknown: float = 0.0, ms: float = 1.6) -> Outlook:
 
 @pytest.mark.parametrize(("gain", "goes"), [(0.05, False), (0.09, False), (0.13, True)])
 def test_a_change_is_made_where_it_brings_its_price(gain: float, goes: bool) -> None:
-    choice = choose([look(0.0), look(gain)], None, Seen(3, 1), SETTINGS)
+    choice = choose([look(0.0), look(gain)], None, ModelEvidence(3, 1), SETTINGS)
     assert (choice.index > 0) is goes
     assert ("no change" in choice.reason) is not goes
 
@@ -146,15 +146,17 @@ def test_a_change_is_made_where_it_brings_its_price(gain: float, goes: bool) -> 
 def test_a_gain_of_which_the_models_say_too_different_things_waits_for_another_record(
     gain: float, spread: float, goes: bool
 ) -> None:
-    found = choose([look(0.0), replace(look(gain), spread=spread)], None, Seen(1, 1), SETTINGS)
+    found = choose([look(0.0), replace(look(gain), spread=spread)], None, ModelEvidence(1, 1), SETTINGS)
     assert (found.index > 0, found.waits) == (goes, not goes)
     assert (" +- " in found.reason) is not goes
-    assert choose([look(0.0), look(0.04)], replace(look(gain), spread=spread), Seen(1, 1), SETTINGS).index == int(goes)
+    assert choose(
+        [look(0.0), look(0.04)], replace(look(gain), spread=spread), ModelEvidence(1, 1), SETTINGS
+    ).index == int(goes)
 
 
 def test_a_step_that_pays_by_itself_needs_no_sure_way() -> None:
     step, way = replace(look(0.20), spread=0.03), replace(look(0.21), spread=0.30)
-    assert choose([look(0.0), step], way, Seen(20, 9), SETTINGS).index == 1
+    assert choose([look(0.0), step], way, ModelEvidence(20, 9), SETTINGS).index == 1
 
 
 def test_the_spread_is_that_of_what_a_set_costs_over_the_one_in_force() -> None:
@@ -167,41 +169,41 @@ def test_the_spread_is_that_of_what_a_set_costs_over_the_one_in_force() -> None:
 
 
 def test_of_several_the_best_is_made_and_what_costs_more_never_is() -> None:
-    assert choose([look(0.0), look(0.2), look(0.5), look(0.3)], None, Seen(3, 1), SETTINGS).index == 2
-    assert choose([look(0.0), look(-0.2)], look(0.9), Seen(3, 1), SETTINGS).index == 0
+    assert choose([look(0.0), look(0.2), look(0.5), look(0.3)], None, ModelEvidence(3, 1), SETTINGS).index == 2
+    assert choose([look(0.0), look(-0.2)], look(0.9), ModelEvidence(3, 1), SETTINGS).index == 0
 
 
 def test_a_step_is_weighed_by_the_way_that_it_is_of() -> None:
-    assert choose([look(0.0), look(0.04)], None, Seen(3, 1), SETTINGS).index == 0
-    assert choose([look(0.0), look(0.04)], look(0.6), Seen(3, 1), SETTINGS).index == 1
+    assert choose([look(0.0), look(0.04)], None, ModelEvidence(3, 1), SETTINGS).index == 0
+    assert choose([look(0.0), look(0.04)], look(0.6), ModelEvidence(3, 1), SETTINGS).index == 1
 
 
 def test_what_is_too_little_reads_as_too_little() -> None:
-    nearly = choose([look(0.0), look(0.0999)], None, Seen(1000, 1000), replace(SETTINGS, price=0.1))
+    nearly = choose([look(0.0), look(0.0999)], None, ModelEvidence(1000, 1000), replace(SETTINGS, price=0.1))
     assert nearly.index == 0
     assert nearly.reason.endswith("; expected benefit 9.9 %; changes start at 10.0 %")
-    far = choose([look(0.0), look(0.04)], None, Seen(1000, 1000), replace(SETTINGS, price=0.1))
+    far = choose([look(0.0), look(0.04)], None, ModelEvidence(1000, 1000), replace(SETTINGS, price=0.1))
     assert far.reason.endswith("; expected benefit 4 %; changes start at 10 %")
 
 
 def test_nothing_is_said_to_be_sure() -> None:
-    surely = choose([look(0.0), look(0.5)], None, Seen(9, clear=9), SETTINGS)
+    surely = choose([look(0.0), look(0.5)], None, ModelEvidence(9, clear=9), SETTINGS)
     assert 0 < surely.numbers.doubt < 0.005
     assert "; less than 1 % chance that something other than the tuning explains this" in surely.reason
 
 
 def test_a_first_step_that_does_not_pay_is_told_as_that() -> None:
-    choice = choose([look(0.0), look(-0.02)], look(0.8), Seen(3, 3), SETTINGS)
+    choice = choose([look(0.0), look(-0.02)], look(0.8), ModelEvidence(3, 3), SETTINGS)
     assert choice.index == 0
     assert "the part that the limits allow does not pay" in choice.reason
     assert "needed" not in choice.reason
 
 
 def test_what_a_second_record_would_make_due_waits_for_it() -> None:
-    first = choose([look(0.0), look(0.3, 0.6)], None, Seen(1, 1, limited=True), SETTINGS)
+    first = choose([look(0.0), look(0.3, 0.6)], None, ModelEvidence(1, 1, limited=True), SETTINGS)
     assert (first.index, first.waits) == (0, True)
     assert "second record" in first.reason
-    assert choose([look(0.0), look(0.3, 0.6)], None, Seen(2, 1), SETTINGS).index == 1
+    assert choose([look(0.0), look(0.3, 0.6)], None, ModelEvidence(2, 1), SETTINGS).index == 1
 
 
 # No set that is unstable costs less than one that is proved.
@@ -219,7 +221,7 @@ def processes(draw: st.DrawFn) -> tuple[Plausible, ...]:
 
 
 SEEN = st.builds(
-    Seen,
+    ModelEvidence,
     st.integers(2, 9),
     st.integers(0, 2),
     st.integers(0, 4),
@@ -231,7 +233,7 @@ SEEN = st.builds(
 @settings(max_examples=60, deadline=None)
 @given(processes(), st.floats(1.0, 6.0), st.floats(0.0, 4.0), SEEN, st.one_of(st.none(), st.floats(0.0, 1.5)))
 def test_what_is_unstable_never_costs_less_than_what_is_proved_however_slow(
-    models: tuple[Plausible, ...], wild: float, slow: float, seen: Seen, decay: float | None
+    models: tuple[Plausible, ...], wild: float, slow: float, seen: ModelEvidence, decay: float | None
 ) -> None:
     rule = simc(models[0].model, models[0].model.theta_s).gains
     out = PidGains(rule.kp * 8.0 * wild, rule.ki * 8.0 * wild)
@@ -259,20 +261,20 @@ def test_an_unstable_loop_gets_the_slow_cure_that_a_lock_leaves() -> None:
     assert verdict.ms_worst < 2.1
     found = outlooks(models, [Choosable(now), Choosable(verdict.gains)], None, LOOP, SETTINGS)
     assert found[0].lost
-    choice = choose(found, None, Seen(1), SETTINGS)
+    choice = choose(found, None, ModelEvidence(1), SETTINGS)
     assert choice.index == 1
     assert "instead of unstable" in choice.reason
 
 
 def test_where_only_the_likeliest_model_is_unstable_a_second_record_decides() -> None:
     found = [Outlook(2.3, 0.0, math.inf, math.inf, math.inf), replace(look(-2.0), spread=2.5)]
-    assert choose(found, None, Seen(1), SETTINGS).index == 0
-    assert choose(found, None, Seen(2), SETTINGS).index == 1
+    assert choose(found, None, ModelEvidence(1), SETTINGS).index == 0
+    assert choose(found, None, ModelEvidence(2), SETTINGS).index == 1
 
 
 def test_of_a_change_that_cannot_reach_stability_all_of_it_is_made() -> None:
     lost = Outlook(2.3, 0.0, math.inf, math.inf, math.inf, lost=True)
-    assert choose([lost, lost, replace(lost, unknown=-0.1)], None, Seen(1), SETTINGS).index == 1
+    assert choose([lost, lost, replace(lost, unknown=-0.1)], None, ModelEvidence(1), SETTINGS).index == 1
 
 
 @given(GAINS, GAINS, st.one_of(st.none(), st.floats(0.0, 1.0)))
@@ -304,7 +306,7 @@ def test_a_term_that_is_new_counts_as_much_as_one_that_doubles(now: PidGains, ne
 def test_no_loop_waits_for_ever_for_what_the_models_disagree_about() -> None:
     """48 % better, give or take 46 %: said twelve times of one loop."""
     found = [look(0.0), replace(look(0.48), spread=0.46)]
-    went = [choose(found, None, Seen(n, 1), SETTINGS).index for n in range(1, 13)]
+    went = [choose(found, None, ModelEvidence(n, 1), SETTINGS).index for n in range(1, 13)]
     assert went[0] == 0
     assert went[4:] == [1] * 8
 

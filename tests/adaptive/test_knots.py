@@ -22,7 +22,7 @@ from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel,
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.supervision.guard_request import Known, change_request, known_of, tuning_of
+from retuner.adaptive.supervision.guard_request import KnownProcesses, change_request, known_of, tuning_of
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -106,9 +106,11 @@ def test_no_accepted_change_makes_a_place_between_knots_too_much(
     sets = [best(model) for model in models]
     now = table(*(PidGains(f * one.kp, f * one.ki) for f, one in zip(start, sets, strict=True)))
     told = {i: known(models[i], x[i]) for i in range(3) if known_there[i] or i == region}
-    there = Known(now, told, 0.0, ASKED).where_gains_run
-    wanted = tuning_of(Known(now, told, 0.0, ASKED), region, now.gains_of(region))
-    verdict = prove(change_request(wanted.tuning, region, now, Known(now, told, 0.0, ASKED), None), ASKED.guard)
+    there = KnownProcesses(now, told, 0.0, ASKED).where_gains_run
+    wanted = tuning_of(KnownProcesses(now, told, 0.0, ASKED), region, now.gains_of(region))
+    verdict = prove(
+        change_request(wanted.tuning, region, now, KnownProcesses(now, told, 0.0, ASKED), None), ASKED.guard
+    )
     if verdict.gains is None:
         return
     then = now.with_gains(region, verdict.gains)
@@ -125,10 +127,12 @@ def tuned(now: GainTable, told: dict[int, RegionModel], rounds: int) -> tuple[Ga
     for _ in range(rounds):
         made.append(0)
         for region in range(3):
-            wanted = tuning_of(Known(now, told, 0.0, ASKED), region, now.gains_of(region))
+            wanted = tuning_of(KnownProcesses(now, told, 0.0, ASKED), region, now.gains_of(region))
             if not wanted.diagnosis.retune:
                 continue
-            verdict = prove(change_request(wanted.tuning, region, now, Known(now, told, 0.0, ASKED), None), ASKED.guard)
+            verdict = prove(
+                change_request(wanted.tuning, region, now, KnownProcesses(now, told, 0.0, ASKED), None), ASKED.guard
+            )
             if verdict.gains is not None:
                 now, made[-1] = now.with_gains(region, verdict.gains), made[-1] + 1
     return now, made
@@ -150,44 +154,46 @@ def test_a_place_that_is_too_much_is_told_as_what_it_is() -> None:
     models = [process(k) for k in (1.0, 6.0, 1.0)]
     told = {i: known(model, x) for i, (model, x) in enumerate(zip(models, KNOTS, strict=True))}
     now = table(*map(best, models))
-    found = tuning_of(Known(now, told, 0.0, ASKED), 0, now.gains[0])
+    found = tuning_of(KnownProcesses(now, told, 0.0, ASKED), 0, now.gains[0])
     assert found.diagnosis.cause == Cause.AGGRESSIVE
     assert "on the way to region middle" in found.diagnosis.reason
     alike = [process(1.0)] * 3
     same = {i: known(model, x) for i, (model, x) in enumerate(zip(alike, KNOTS, strict=True))}
     level = table(*map(best, alike))
-    assert tuning_of(Known(level, same, 0.0, ASKED), 0, level.gains[0]).diagnosis.cause == Cause.OK
+    assert tuning_of(KnownProcesses(level, same, 0.0, ASKED), 0, level.gains[0]).diagnosis.cause == Cause.OK
 
 
 def test_which_set_is_to_run_is_asked_at_the_knot_and_half_way() -> None:
     models = [process(k) for k in (1.0, 6.0, 1.0)]
     told = {i: known(model, x) for i, (model, x) in enumerate(zip(models, KNOTS, strict=True))}
     now = table(*map(best, models))
-    asked = known_of(Known(now, told, 0.0, ASKED), 0)
+    asked = known_of(KnownProcesses(now, told, 0.0, ASKED), 0)
     half = at(told, now, 0, 0.5)
     assert asked.ms(now.gains[0])[-1] == pytest.approx(half, rel=0.02)
     hard = replace(now, lookup=Lookup.HARD)
-    assert len(known_of(Known(hard, told, 0.0, ASKED), 0).ms(now.gains[0])) == len(asked.ms(now.gains[0])) - 1
+    assert len(known_of(KnownProcesses(hard, told, 0.0, ASKED), 0).ms(now.gains[0])) == len(asked.ms(now.gains[0])) - 1
 
 
 def test_a_step_is_eased_where_its_border_bears_less() -> None:
     models = [process(k) for k in (1.0, 9.0, 9.0)]
     told = {i: known(model, x) for i, (model, x) in enumerate(zip(models, KNOTS, strict=True))}
     now = replace(table(*map(best, models)), lookup=Lookup.HARD)
-    found = tuning_of(Known(now, told, 0.0, ASKED), 0, now.gains[0])
+    found = tuning_of(KnownProcesses(now, told, 0.0, ASKED), 0, now.gains[0])
     assert found.diagnosis.cause == Cause.AGGRESSIVE
     assert "on the way to region middle" in found.diagnosis.reason
-    verdict = prove(change_request(found.tuning, 0, now, Known(now, told, 0.0, ASKED), None), ASKED.guard)
+    verdict = prove(change_request(found.tuning, 0, now, KnownProcesses(now, told, 0.0, ASKED), None), ASKED.guard)
     assert verdict.gains is not None
     assert verdict.gains.kp < 0.8 * now.gains[0].kp
-    middle = tuning_of(Known(now, told, 0.0, ASKED), 1, now.gains[1])  # towards less gain its set is calmer
+    middle = tuning_of(KnownProcesses(now, told, 0.0, ASKED), 1, now.gains[1])  # towards less gain its set is calmer
     assert middle.diagnosis.cause == Cause.OK
 
 
 def test_beyond_the_border_of_a_step_stands_in_what_the_others_lend() -> None:
     told = {i: known(process(k), KNOTS[i], 0.01) for i, k in ((0, 1.0), (1, 4.0))}
     now = replace(table(*[best(process(4.0))] * 3), lookup=Lookup.HARD)
-    (low, high) = change_request(Tuning("x", "", now.gains[1]), 1, now, Known(now, told, 0.0, ASKED), None).borders
+    (low, high) = change_request(
+        Tuning("x", "", now.gains[1]), 1, now, KnownProcesses(now, told, 0.0, ASKED), None
+    ).borders
     assert len(low.models) > 1
     (lent,) = high.models
     assert lent.model.k > 4.4  # the gain that rises goes on, as far as the prior of slopes believes it

@@ -9,7 +9,15 @@ import pytest
 
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.region_model.refinement import MS_END, Refinement, Spot, best_of, in_force, refinement, spot_of
+from retuner.adaptive.region_model.region_borders import (
+    MS_END,
+    Refinement,
+    Spot,
+    best_of,
+    in_force,
+    refinement,
+    spot_of,
+)
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.simc import simc

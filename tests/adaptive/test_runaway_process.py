@@ -12,7 +12,7 @@ from retuner.adaptive.diagnosis.runaway_process import Runaway, runaway_process,
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample, Window
-from retuner.adaptive.supervision.held_process import runaway
+from retuner.adaptive.supervision.open_loop_unstable import runaway
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 

@@ -12,7 +12,7 @@ from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import predicted
-from retuner.adaptive.supervision.guard_request import Known, change_request, unproved_request
+from retuner.adaptive.supervision.guard_request import KnownProcesses, change_request, unproved_request
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -33,11 +33,13 @@ def region_model(k: float, t_s: float = 0.0) -> RegionModel:
 
 def test_what_is_known_is_asked() -> None:
     region_models = {1: region_model(2.0), 2: region_model(4.0)}
-    asked = change_request(BEST, 1, START, Known(NOW, region_models, DAY, SETTINGS), None)
+    asked = change_request(BEST, 1, START, KnownProcesses(NOW, region_models, DAY, SETTINGS), None)
     assert (asked.in_force, asked.commissioned, asked.proposal) == (times(0.8, 0.8), times(0.5, 0.5), BEST)
     assert asked.sample_time_s == 1.0
     assert (
-        change_request(BEST, 1, START, Known(NOW, region_models, DAY, replace(SETTINGS, filter_s=3.0)), None).filter_s
+        change_request(
+            BEST, 1, START, KnownProcesses(NOW, region_models, DAY, replace(SETTINGS, filter_s=3.0)), None
+        ).filter_s
         == 3.0
     )
     variance = SETTINGS.tracker.walk_per_day**2
@@ -55,29 +57,33 @@ def test_what_is_known_is_asked() -> None:
 
 def test_a_borrowed_model_is_no_record() -> None:
     lent = replace(region_model(2.0), records=0)
-    asked = change_request(BEST, 1, START, Known(NOW, {1: lent}, 0.0, SETTINGS), None)
+    asked = change_request(BEST, 1, START, KnownProcesses(NOW, {1: lent}, 0.0, SETTINGS), None)
     assert asked.evidence.borrowed
     verdict = prove(asked, SETTINGS.guard)
     assert verdict.ruling == Ruling.TOO_FEW_RECORDS
     assert "neighbouring region" in verdict.checks[0].words
-    own = change_request(BEST, 1, START, Known(NOW, {1: region_model(2.0)}, 0.0, SETTINGS), None)
+    own = change_request(BEST, 1, START, KnownProcesses(NOW, {1: region_model(2.0)}, 0.0, SETTINGS), None)
     assert not own.evidence.borrowed
 
 
 def test_locks_of_the_region_come_before_those_of_the_loop() -> None:
     region_models = {i: region_model(2.0) for i in range(3)}
-    found = [change_request(BEST, i, START, Known(NOW, region_models, 0.0, SETTINGS), None).locks for i in range(3)]
+    found = [
+        change_request(BEST, i, START, KnownProcesses(NOW, region_models, 0.0, SETTINGS), None).locks for i in range(3)
+    ]
     assert found == [NO_DERIVATIVE, KC_ONLY, NO_DERIVATIVE]
     assert RetunerSettings(1.0, 100.0).locks_of(5) == NO_LOCKS
 
 
 @pytest.mark.parametrize(("damping", "urgent"), [(None, False), (0.89, False), (0.9, True), (1.2, True)])
 def test_a_swing_that_does_not_die_is_urgent(damping: float | None, urgent: bool) -> None:
-    asked = change_request(BEST, 1, START, Known(NOW, {1: region_model(2.0)}, 0.0, SETTINGS), None, damping)
+    asked = change_request(BEST, 1, START, KnownProcesses(NOW, {1: region_model(2.0)}, 0.0, SETTINGS), None, damping)
     assert asked.urgent == urgent
     assert unproved_request(BEST, 1, (NOW, START), SETTINGS, damping).urgent == urgent
     late = replace(SETTINGS, guard=GuardSettings(urgent_damping=2.0))
-    assert not change_request(BEST, 1, START, Known(NOW, {1: region_model(2.0)}, 0.0, late), None, damping).urgent
+    assert not change_request(
+        BEST, 1, START, KnownProcesses(NOW, {1: region_model(2.0)}, 0.0, late), None, damping
+    ).urgent
 
 
 def test_without_a_model_the_guard_is_told_so() -> None:

@@ -21,7 +21,7 @@ from retuner.adaptive.region_model.region_model import RegionModel, StructureMod
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.guard_request import Known, known_of
+from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
@@ -112,7 +112,7 @@ HAPPENS: dict[str, Callable[[World], object]] = {
 
 
 def robustness(world: World, region: int, gains: PidGains) -> tuple[int, float]:
-    known = known_of(Known(world.retuner.table, world.retuner.region_models, world.t_s, SETTINGS), region)
+    known = known_of(KnownProcesses(world.retuner.table, world.retuner.region_models, world.t_s, SETTINGS), region)
     assert known.processes
     found = Robustness.of(known.ms(gains))
     return found.unstable, max(found.ms, HARMLESS)
@@ -154,5 +154,7 @@ def test_gains_for_a_region_without_records_stay_where_those_before_are_unstable
         for name in ("c x 1", "c written", event.name, "restored", "go to c"):
             do(world, name)
         assert world.retuner.table.gains_of(2) == times(1.0), event
-        ms = known_of(Known(world.retuner.table, world.retuner.region_models, world.t_s, SETTINGS), 2).ms(times(8.0))
+        ms = known_of(KnownProcesses(world.retuner.table, world.retuner.region_models, world.t_s, SETTINGS), 2).ms(
+            times(8.0)
+        )
         assert all(map(math.isinf, ms))

@@ -21,7 +21,7 @@ from retuner.adaptive.trial.rollback import (
     NOTHING_KNOWN,
     PRICE,
     Robustness,
-    Seen,
+    SetRecord,
     SetsThatRan,
     StillAllowed,
     expected_losses,
@@ -188,12 +188,12 @@ def test_evidence_weighs_the_models_and_strikes_none_out() -> None:
     assert losses[tried][1] < 0.1
     table = {gains: [ms(gains, p) for p in (explains, explains_not)] for gains in (old, tried)}
     quiet, unseen = expected_losses(table, (0.5, 0.5), {}, HARMLESS)
-    bad, seen = expected_losses(table, (0.5, 0.5), {tried: Seen(1, 0)}, HARMLESS)
+    bad, seen = expected_losses(table, (0.5, 0.5), {tried: SetRecord(1, 0)}, HARMLESS)
     assert quiet[tried] < 0.6
     assert bad[tried] > 0.85
     assert seen == pytest.approx(unseen, abs=0.01)  # one of the models explains it: nothing else is looked for
     robust_only = {gains: row[1:] for gains, row in table.items()}
-    assert expected_losses(robust_only, (1.0,), {tried: Seen(1, 0)}, HARMLESS)[1] > 0.4
+    assert expected_losses(robust_only, (1.0,), {tried: SetRecord(1, 0)}, HARMLESS)[1] > 0.4
 
 
 def test_an_unlikely_model_counts_for_as_much_as_it_is_likely() -> None:

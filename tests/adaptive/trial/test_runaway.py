@@ -6,9 +6,9 @@ from rig import BAD, GOOD, MODEL, PROMISE, Rig
 
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.trial.diverging_trial import RunawayLaw, law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.phase import TrialEvent
-from retuner.adaptive.trial.runaway import RunawayLaw, law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.settings import TrialSettings
 
 S = TrialSettings()

@@ -10,12 +10,12 @@ from rig import PROMISE
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.batch_responses import Loop
+from retuner.adaptive.trial.diverging_trial import law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import sigma_of
+from retuner.adaptive.trial.load_variability import BLOCK, FEWEST_BLOCKS, wander_of, wander_there
 from retuner.adaptive.trial.phase import TrialEvent
-from retuner.adaptive.trial.runaway import law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.settings import TrialSettings
-from retuner.adaptive.trial.wander import BLOCK, FEWEST, wander_of, wander_there
 from retuner.schedule.gains import PidGains
 
 
@@ -43,7 +43,7 @@ def test_a_load_that_never_rests_is_measured_and_upsets_that_end_are_not() -> No
 
 
 def test_only_what_ran_under_the_gains_in_force_counts_and_little_says_nothing() -> None:
-    calm = samples([0.01 * (-1) ** i for i in range(FEWEST * BLOCK)], revision=1)
+    calm = samples([0.01 * (-1) ** i for i in range(FEWEST_BLOCKS * BLOCK)], revision=1)
     assert wander_of(samples([(-1.0) ** i for i in range(3000)]) + calm) == pytest.approx(0.01, rel=1e-3)
     assert wander_of(calm[1:]) == 0.0
     assert wander_of([]) == 0.0

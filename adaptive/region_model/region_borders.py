@@ -1,11 +1,11 @@
 """Another schedule, where a region is too wide for one set: a boundary inside it, or sets that are interpolated.
 
-The curves through what is known of the regions (along.py) say what the process is at places from end to end of every
-region, and how well that is known. The chances that a set is in spec at them add up to how many of them it is expected
-to serve. Asked is never whether the sets in force are the best ones, for that is seen to from response to response. A
-region with the set that serves it best is weighed against the same region with a boundary in it and the best set on
-either side, and against means of the sets at the centres. What is not known well lowers all of them alike, so doubt
-proposes nothing. Nothing is changed by it: a person takes it up, or leaves it.
+The curves through what is known of the regions (region_curves.py) say what the process is at places from end to end of
+every region, and how well that is known. The chances that a set is in spec at them add up to how many of them it is
+expected to serve. Asked is never whether the sets in force are the best ones, for that is seen to from response to
+response. A region with the set that serves it best is weighed against the same region with a boundary in it and the
+best set on either side, and against means of the sets at the centres. What is not known well lowers all of them alike,
+so doubt proposes nothing. Nothing is changed by it: a person takes it up, or leaves it.
 
 Pure: a table and region models in, a proposal out.
 """
@@ -19,8 +19,8 @@ import numpy as np
 from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.region_model.along import Curves, curves, lenders
 from retuner.adaptive.region_model.region_advice import features
+from retuner.adaptive.region_model.region_curves import Curves, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.simc import simc, without_second_lag

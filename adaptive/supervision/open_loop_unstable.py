@@ -18,7 +18,7 @@ from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import LoopMode, Window
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import Known, known_of, unproved_request
+from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of, unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.rollback import LOST_WORDS, less_stable
@@ -28,7 +28,7 @@ from retuner.schedule.table import Lookup
 
 BEFORE = 5
 """Samples before a setpoint step that are looked at with it."""
-FEWEST = 3
+FEWEST_SAMPLES = 3
 """Samples of a window."""
 
 
@@ -49,7 +49,7 @@ def runaway(found: Findings) -> None:
     at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
     own = kept[max(at - BEFORE, 0) :]
     followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
-    window = Window.of(own) if at and followed and len(own) >= FEWEST else None
+    window = Window.of(own) if at and followed and len(own) >= FEWEST_SAMPLES else None
     if window is None:
         return
     law = SampledLaw(record.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
@@ -94,7 +94,7 @@ def cut_refuted(found: Findings) -> None:
     if period_s is None or found.growth is not None or not alike_on_both_sides(here, period_s, record.response.band):
         return
     now_s = float(record.window.t_s[-1])
-    known = known_of(Known(record.table, record.region_models, now_s, settings), record.region)
+    known = known_of(KnownProcesses(record.table, record.region_models, now_s, settings), record.region)
     if known.processes:
         kept_out = less_stable(before, record.in_force, known, settings.trial.harmless_ms)
     else:

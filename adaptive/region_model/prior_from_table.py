@@ -3,10 +3,10 @@
     process of region r = process of region i,  its gain times Kc_i / Kc_r,  its times times tau_I_r / tau_I_i
 
 On it the set of r does exactly what that of i does in i, in its own time: a hypothesis a region i that knows its
-process. Curves through the regions (along.py) do not know of a jump between them. Whoever drew up the table may have,
-or may have been mistaken in one region only: where some of its sets turned out right, this one may be. So gains for a
-region that nobody has watched must be right on these processes too. Where all known sets were wrong in the same way,
-they agree with the curves.
+process. Curves through the regions (region_curves.py) do not know of a jump between them. Whoever drew up the table may
+have, or may have been mistaken in one region only: where some of its sets turned out right, this one may be. So gains
+for a region that nobody has watched must be right on these processes too. Where all known sets were wrong in the same
+way, they agree with the curves.
 
 The sets are those of the table as it was at first: what has been tuned since says nothing of the others.
 """
@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 
 from retuner.adaptive.fit.structure import SLOPE, model_at
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.region_model.along import lenders
+from retuner.adaptive.region_model.region_curves import lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings, predicted
 from retuner.schedule.gains import PidGains

@@ -25,7 +25,7 @@ from retuner.adaptive.trial.batch_responses import Loop, Upset, traces
 
 BLOCK = 100
 """Samples of a block: some dead times of a loop that is sampled as it should be."""
-FEWEST = 4
+FEWEST_BLOCKS = 4
 """Blocks without which nothing is said."""
 QUIET = 0.25
 """Share of the blocks in which less happens than in the others."""
@@ -41,7 +41,7 @@ def wander_of(samples: Sequence[LoopSample]) -> float:
     revision = samples[-1].revision
     own = list(takewhile(lambda sample: sample.revision == revision, reversed(samples)))
     blocks = len(own) // BLOCK
-    if blocks < FEWEST:
+    if blocks < FEWEST_BLOCKS:
         return 0.0
     error = np.array([sample.sp - sample.pv for sample in islice(own, blocks * BLOCK)]).reshape(blocks, BLOCK)
     line = np.stack([np.full(BLOCK, BLOCK**-0.5), np.linspace(-1.0, 1.0, BLOCK)])

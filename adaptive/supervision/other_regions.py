@@ -9,8 +9,8 @@ its own has shown: a neighbour's tell of that, also while they are on trial them
 at a time; what is nearly right waits for responses of its own.
 
 Nobody has watched that region. So the gains must be right on what the curves foretell and also on what the table does
-(region_model/by_table.py). How much a load that never rests moves pv there is worked out from how it does here
-(trial/wander.py).
+(region_model/prior_from_table.py). How much a load that never rests moves pv there is worked out from how it does here
+(trial/load_variability.py).
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,19 +19,19 @@ from dataclasses import replace
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.region_model.along import centre_of, lenders
-from retuner.adaptive.region_model.by_table import as_right_as_others
 from retuner.adaptive.region_model.from_neighbours import borrowed
+from retuner.adaptive.region_model.prior_from_table import as_right_as_others
+from retuner.adaptive.region_model.region_curves import centre_of, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, predicted
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import BETWEEN, Known, change_request, promise_of, tuning_of
+from retuner.adaptive.supervision.guard_request import BETWEEN, KnownProcesses, change_request, promise_of, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit
 from retuner.adaptive.trial.batch_responses import Loop
 from retuner.adaptive.trial.expectation import Promise, decay_seen
+from retuner.adaptive.trial.load_variability import wander_of, wander_there
 from retuner.adaptive.trial.posterior_check import costs
-from retuner.adaptive.trial.wander import wander_of, wander_there
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -74,7 +74,7 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Stag
     if model is None or not model.identifiable:
         return None
     model = _as_the_table(found, region, known, model)
-    asked = Known(table, {**known, region: model}, now_s, settings)
+    asked = KnownProcesses(table, {**known, region: model}, now_s, settings)
     wanted = tuning_of(asked, region, table.gains_of(region))
     if not wanted.ready or not wanted.diagnosis.retune:
         return None

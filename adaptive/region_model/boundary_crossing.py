@@ -1,10 +1,10 @@
 """A response that crossed a border teaches both sides, and whatever lay on its way.
 
-It is fitted in motion (in_motion.py): every parameter a curve over the scheduling variable. At the centre of each
-region on its way the curves say what the process is there, and how well the record knows that: much where it spent its
-time and its travel, less beyond. As one measurement of that region it is put to what is known of it, by the same filter
-and gate as any record. So a response that went from one region far into the next tells much of the next, and something
-of the first.
+It is fitted in motion (varying_process_fit.py): every parameter a curve over the scheduling variable. At the centre of
+each region on its way the curves say what the process is there, and how well the record knows that: much where it spent
+its time and its travel, less beyond. As one measurement of that region it is put to what is known of it, by the same
+filter and gate as any record. So a response that went from one region far into the next tells much of the next, and
+something of the first.
 
 Such a record agrees or is left aside: it never overrules what records of the region itself have shown. What was learned
 that way is proved on the whole spread of the covariance, as what is borrowed is.
@@ -19,7 +19,6 @@ from retuner.adaptive.identification.estimate import Alternative, LogModel, Mode
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.region_model.from_neighbours import spread
-from retuner.adaptive.region_model.in_motion import InMotion, in_motion
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
 from retuner.adaptive.region_model.update import (
@@ -29,6 +28,7 @@ from retuner.adaptive.region_model.update import (
     grown,
     scattered,
 )
+from retuner.adaptive.region_model.varying_process_fit import InMotion, in_motion
 from retuner.adaptive.schedule_design.stretches import Axis, Shape
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.schedule.gains import PidGains
@@ -93,27 +93,27 @@ class Crossing:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class FittedCrossing:
     """What the record shows: the linear models alone, and the curves, the more likely structure first."""
 
     alone: ModelEstimate
     found: tuple[InMotion, ...]
 
 
-def shown_by(crossing: Crossing) -> Shown:
+def fitted_crossing(crossing: Crossing) -> FittedCrossing:
     """The record fitted."""
     alone = Fits(crossing.window, (crossing.in_force.direction,), crossing.fit).estimate()
     if alone.explained < crossing.fit.explained_limit:
-        return Shown(alone, ())
+        return FittedCrossing(alone, ())
     axis = crossing.regions.axes[crossing.along]
     x = np.clip(crossing.ways[crossing.along], axis.low, axis.high)
     points = [point for model in crossing.region_models.values() for point in model.points]
     found = {point.t_s: point.co_curve for point in points if point.co_curve is not None}  # one teaches several regions
     curves = [found[t_s] for t_s in sorted(found)]
-    return Shown(alone, in_motion(crossing.window, x, Axis(axis.low, axis.high), alone, curves))
+    return FittedCrossing(alone, in_motion(crossing.window, x, Axis(axis.low, axis.high), alone, curves))
 
 
-def update_across(crossing: Crossing, shown: Shown, region: int, known: RegionModel | None) -> Learned:
+def update_across(crossing: Crossing, shown: FittedCrossing, region: int, known: RegionModel | None) -> Learned:
     """Take the record into what is known of one region.
 
     known : of the region, None for nothing; what is borrowed has no records.
@@ -158,7 +158,7 @@ def update_across(crossing: Crossing, shown: Shown, region: int, known: RegionMo
     return Learned(first, estimate, Agreement.FIRST, 0.0)
 
 
-def taught_beside(crossing: Crossing, shown: Shown, taught: int) -> dict[int, RegionModel]:
+def taught_beside(crossing: Crossing, shown: FittedCrossing, taught: int) -> dict[int, RegionModel]:
     """What the other regions on the way learn. taught : the region in which the response ended."""
     found = {}
     for region in crossing.passed():
@@ -169,7 +169,7 @@ def taught_beside(crossing: Crossing, shown: Shown, taught: int) -> dict[int, Re
     return found
 
 
-def _beyond(crossing: Crossing, shown: Shown) -> float:
+def _beyond(crossing: Crossing, shown: FittedCrossing) -> float:
     """What the curves leave, in standard deviations of the noise."""
     left = replace(shown.alone, residual_std=shown.found[0].left)
     return left.unexplained(float(np.ptp(crossing.window.pv)))
