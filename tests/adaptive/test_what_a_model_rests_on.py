@@ -39,14 +39,14 @@ def weighed(
     )
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
-        "clear_case": lambda *_: clear,
+        "unambiguous": lambda *_: clear,
         "promised": lambda *_: None,
         "wanted_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
         "proved": lambda *_: verdict,
         "chosen": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),
         "not_as_modelled": lambda *_: None,
         "stands": lambda *_: False,
-        "is_sure": lambda *_: False,
+        "exempt_from_confirmation": lambda *_: False,
         "is_known": lambda *_: False,
         "without_model": lambda *_: SimpleNamespace(sentence="", numbers=NO_NUMBERS, tuning=None),
         "doubt_of": lambda *_: Diagnosis(doubt, 0.9, {}, "") if doubt else None,
