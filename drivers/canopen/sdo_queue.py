@@ -132,14 +132,14 @@ class SdoQueue:
         command = data[0] & COMMAND
         if transfer.data is not None:
             if command == DOWNLOADED and self._segments is not None:
-                self._next = self._segments.down()
+                self._go_on(self._segments.down())
                 return None
             return self._ended(Answer(transfer, None, ""), data) if command == DOWNLOADED else None
         if command != UPLOADED:
             return None
         if not data[0] & EXPEDITED:
             self._segments = _Segments(b"")
-            self._next = self._segments.up()
+            self._go_on(self._segments.up())
             return None
         size = 4 - (data[0] >> 2 & 3) if data[0] & SIZED else len(transfer.variable) // 8
         return self._ended(Answer(transfer, data[4 : 4 + size], ""), data)
@@ -161,15 +161,19 @@ class SdoQueue:
         if writes:
             if segments.at >= len(segments.data):
                 return self._ended(Answer(transfer, None, ""), data)
-            self._next = segments.down()
+            self._go_on(segments.down())
             return None
         segments.data += data[1 : 8 - (data[0] >> 1 & 7)]
         if len(segments.data) > len(transfer.variable) // 8:
             return self._ended(Answer(transfer, None, abort_text(TOO_LONG)), data)
         if data[0] & LAST:
             return self._ended(Answer(transfer, segments.data, ""), data)
-        self._next = segments.up()
+        self._go_on(segments.up())
         return None
+
+    def _go_on(self, segment: bytes) -> None:
+        """Send this next; the node has its time for each answer anew."""
+        self._next, self._deadline_s = segment, None
 
     def _ended(self, answer: Answer, data: bytes) -> Answer:
         self._last = answer.transfer, data

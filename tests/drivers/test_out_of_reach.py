@@ -13,7 +13,8 @@ from retuner.config.bench_plants import known_plant
 from retuner.config.described import advice_only, closed, foreign_settings, make_access
 from retuner.config.loading import UnusableError, parse_config, parse_session, with_signals
 from retuner.drivers.bus.link_settings import LinkSettings, LinkState
-from retuner.drivers.canopen.sdo_queue import pace_s
+from retuner.drivers.canopen.eds_file import EdsFile, read_eds
+from retuner.drivers.canopen.sdo_queue import SdoQueue, pace_s
 from retuner.drivers.device import CommandDone, Event, SamplesLost, WriteDone, WriteRefusedError
 from retuner.drivers.profiles.foreign_device import ForeignDevice, SampleGrid
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
@@ -236,6 +237,17 @@ def test_numbers_of_8_bytes_go_and_come_in_segments(tmp_path: Path) -> None:
     segments = [m for m in bench.sent if m.arbitration_id == 0x605 and m.data[0] & 0xE0 == 0x00]
     assert len(segments) == 4  # 8 bytes are a segment of 7 and one of 1, for each of two gains
     assert segments[0].data[1:8] == struct.pack("<d", new.kp and 0.7)[:7]
+
+
+def test_an_answer_that_is_taken_late_is_gone_on_with(tmp_path: Path) -> None:
+    """In simulated time it is taken a sample later: a setpoint of 8 bytes began, and never went on."""
+    variable = EdsFile(read_eds(real64(tmp_path), 5), "wide.eds", 5).variable("6402:1", (), read=False)
+    queue = SdoQueue(5, reply_s=0.02)
+    queue.ask("setpoint", variable, struct.pack("<d", 150.0))
+    (begin,) = queue.due(1.0)
+    queue.take(can.Message(arbitration_id=0x585, data=b"\x60" + begin.data[1:4] + bytes(4)))
+    (segment,) = queue.due(2.0)
+    assert segment.data[1:8] == struct.pack("<d", 150.0)[:7]
 
 
 @pytest.mark.parametrize("gone", ["tv = false", 'without = ["tv"]'])
