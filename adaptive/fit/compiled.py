@@ -182,7 +182,7 @@ def slip_costs(
     each = array("d", chain.from_iterable((len(rows), share, first) for rows, share, first in slips))
     at, out = array("d", chain.from_iterable(rows for rows, _, _ in slips)), np.empty((len(slips), 2))
     _engine.slip_costs(t, pv, misfit.record.co, numbers, np.ascontiguousarray(p), each, at, out)
-    return list(map(tuple, out.tolist()))
+    return [(gain, left) for gain, left in out.tolist()]
 
 
 def screened(record: Window, by: tuple[float, float, float, int], numbers: int) -> FloatArray:
