@@ -134,8 +134,8 @@ def from_text(
         )
     found = _of_usual_forms([text.removesuffix(others.get(text, "")).strip() for text in texts], form, source, begins)
     if others:  # no format of strptime has these letters either
-        told = f"{found.assumed[0].what}, {', '.join(sorted(set(others.values())))} as {form.zone}"
-        return Stamps(found.t_s, (Assumption(told),))
+        what = f"{found.assumed[0].what}, {', '.join(sorted(set(others.values())))} as {form.zone}"
+        return Stamps(found.t_s, (Assumption(what),))
     return found
 
 
