@@ -173,21 +173,7 @@ def between_models(one: ProcessModel, other: ProcessModel, share: float) -> Proc
         return None
     a, b = _numbers(one), _numbers(other)
     slope, theta, c2, c0 = (_mean(x, y, share) for x, y in zip(a, b, strict=True))
-    # The model of these numbers: the inverse of _numbers
-    slope = math.copysign(slope, one.k)
-    if not c0:
-        type_ = ProcessType.INTEGRATING_LAG if c2 else ProcessType.INTEGRATING
-        return ProcessModel(type_, slope, 0.0, c2, theta)
-    total = 1 / c0
-    plain = ProcessModel(ProcessType.FOPDT, slope * total, total, 0.0, theta)
-    if not c2:
-        return plain
-    root = 1 - 4 * c2 / total
-    if root < 0:
-        tau = math.sqrt(c2 * total)
-        return replace(plain, type=ProcessType.SOPDT, tau1_s=tau, tau2_s=tau, zeta=min(total / (2 * tau), 1.0))
-    tau1 = total * (1 + math.sqrt(root)) / 2
-    return replace(plain, type=ProcessType.SOPDT, tau1_s=tau1, tau2_s=min(c2 * total / tau1, tau1))
+    return _model(math.copysign(slope, one.k), theta, c2, c0)
 
 
 def _numbers(model: ProcessModel) -> tuple[float, float, float, float]:
@@ -201,3 +187,20 @@ def _numbers(model: ProcessModel) -> tuple[float, float, float, float]:
 def _mean(a: float, b: float, share: float) -> float:
     """Between two numbers, in their logarithms where both have one."""
     return a ** (1 - share) * b**share if a and b else a * (1 - share) + b * share
+
+
+def _model(slope: float, theta: float, c2: float, c0: float) -> ProcessModel:
+    """The model of these numbers: the inverse of _numbers."""
+    if not c0:
+        type_ = ProcessType.INTEGRATING_LAG if c2 else ProcessType.INTEGRATING
+        return ProcessModel(type_, slope, 0.0, c2, theta)
+    total = 1 / c0
+    plain = ProcessModel(ProcessType.FOPDT, slope * total, total, 0.0, theta)
+    if not c2:
+        return plain
+    root = 1 - 4 * c2 / total
+    if root < 0:
+        tau = math.sqrt(c2 * total)
+        return replace(plain, type=ProcessType.SOPDT, tau1_s=tau, tau2_s=tau, zeta=min(total / (2 * tau), 1.0))
+    tau1 = total * (1 + math.sqrt(root)) / 2
+    return replace(plain, type=ProcessType.SOPDT, tau1_s=tau1, tau2_s=min(c2 * total / tau1, tau1))

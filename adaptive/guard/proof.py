@@ -217,26 +217,7 @@ def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
     if refusal is not None:
         return refusal
     if not request.models:
-        # A small step where no model can prove one, the pattern's; the whole one where an oscillation asks for less
-        goal = open_goals[0]
-        request, s = case.request, case.settings
-        way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
-        ran = request.evidence.support is Support.RAN
-        limit = math.inf if way_out or ran else s.pattern_step_max
-        wanted = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
-        gains = request.held(wanted)
-        if gains is None:
-            return _refused(case, *_outside(case), goal.notes)
-        numbers = FactorNumbers(change_factor(request.in_force, gains), limit if math.isfinite(limit) else None)
-        checks = tuple(limit_checks(request, gains, s, factor=limit))
-        case.outside = next((check for check in checks if not check.passed), None)
-        if case.outside is not None:
-            return _refused(case, *_outside(case), goal.notes)
-        step = _share(request.in_force, gains, goal)
-        ruling = Ruling.UNPROVED_BACK if ran else UNPROVED[way_out]
-        return Verdict(
-            ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks, goal.notes, (), way_out
-        )
+        return _unproved(case, open_goals[0])
     tried = list(_candidates(case, open_goals))
     if doubt is not None:
         tried = [c for c in tried if less_of_everything(request.in_force, c.gains)]
@@ -429,6 +410,28 @@ def _share(old: PidGains, new: PidGains, goal: Goal) -> float:
     """How much of the way that was wanted has been gone, in the parameter that goes farthest."""
     whole = extent(old, goal.wanted)
     return min(extent(old, new) / whole, 1.0) if whole and new != goal.wanted else 1.0
+
+
+def _unproved(case: _Case, goal: Goal) -> Verdict:
+    """A small step where no model can prove one, the pattern's; the whole one where an oscillation asks for less."""
+    request, s = case.request, case.settings
+    way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
+    ran = request.evidence.support is Support.RAN
+    limit = math.inf if way_out or ran else s.pattern_step_max
+    wanted = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
+    gains = request.held(wanted)
+    if gains is None:
+        return _refused(case, *_outside(case), goal.notes)
+    numbers = FactorNumbers(change_factor(request.in_force, gains), limit if math.isfinite(limit) else None)
+    checks = tuple(limit_checks(request, gains, s, factor=limit))
+    case.outside = next((check for check in checks if not check.passed), None)
+    if case.outside is not None:
+        return _refused(case, *_outside(case), goal.notes)
+    step = _share(request.in_force, gains, goal)
+    ruling = Ruling.UNPROVED_BACK if ran else UNPROVED[way_out]
+    return Verdict(
+        ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks, goal.notes, (), way_out
+    )
 
 
 def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Verdict:

@@ -187,29 +187,7 @@ def at(joint: Joint, form: Form, z: FloatArray, noise: Noise, *, derivatives: bo
     for batch in joint.batches:
         end = done + len(batch.stretches)
         part = Noise(noise.ar, noise.sigma[done:end])
-        loads = joint.loads[done:end]
-        now = local_at(form, batch, z[:, None])
-        arriving = form.arriving(batch, now, z[:, None])
-        y = (response(now, arriving, batch.h_s) + form.drift(batch, now, z[:, None]))[..., 0]
-        columns = _columns(batch, loads, now, form.outside(batch))
-        rs, lefts, bases, starts, sizes = [], [], [], [], []
-        for j, stretch in enumerate(batch.stretches):
-            n = len(stretch)
-            a = white(columns[j][:n], part.ar) / part.sigma[j]
-            b = white(batch.pv[:n, j] - y[:n, j], part.ar) / part.sigma[j]
-            q, triangle = np.linalg.qr(a)
-            coefficients = np.linalg.lstsq(triangle, q.T @ b, rcond=1e-10)[0]
-            rs.append(b - q @ (q.T @ b))
-            lefts.append(batch.pv[:n, j] - y[:n, j] - columns[j][:n] @ coefficients)
-            bases.append(q)
-            starts.append(coefficients[1])
-            sizes.append(coefficients[2:])
-        found = At(z, np.concatenate(rs), tuple(lefts), None, np.array(starts), tuple(sizes))
-        if not derivatives:
-            at_batch = found
-        else:
-            at_batch = replace(found, jacobian=_jacobian(batch, loads, form, found, part, bases))
-        parts.append(at_batch)
+        parts.append(_at_batch(batch, joint.loads[done:end], form, z, part, derivatives=derivatives))
         done = end
     jacobian = np.concatenate([p.jacobian for p in parts if p.jacobian is not None]) if derivatives else None
     return At(
@@ -226,6 +204,37 @@ def local_at(form: Form, batch: Batch, z: FloatArray) -> Local:
     """The process at every row for each variant of z, shape (size, variants)."""
     curves = form.curves(batch.x, z, batch.x2)
     return Local(curves[0], curves[1], curves[2], curves[3] if len(curves) > 3 else None)
+
+
+def _at_batch(
+    batch: Batch,
+    loads: Sequence[tuple[int, ...]],
+    form: Form,
+    z: FloatArray,
+    noise: Noise,
+    *,
+    derivatives: bool,
+) -> At:
+    now = local_at(form, batch, z[:, None])
+    arriving = form.arriving(batch, now, z[:, None])
+    y = (response(now, arriving, batch.h_s) + form.drift(batch, now, z[:, None]))[..., 0]
+    columns = _columns(batch, loads, now, form.outside(batch))
+    rs, lefts, bases, starts, sizes = [], [], [], [], []
+    for j, stretch in enumerate(batch.stretches):
+        n = len(stretch)
+        a = white(columns[j][:n], noise.ar) / noise.sigma[j]
+        b = white(batch.pv[:n, j] - y[:n, j], noise.ar) / noise.sigma[j]
+        q, triangle = np.linalg.qr(a)
+        coefficients = np.linalg.lstsq(triangle, q.T @ b, rcond=1e-10)[0]
+        rs.append(b - q @ (q.T @ b))
+        lefts.append(batch.pv[:n, j] - y[:n, j] - columns[j][:n] @ coefficients)
+        bases.append(q)
+        starts.append(coefficients[1])
+        sizes.append(coefficients[2:])
+    found = At(z, np.concatenate(rs), tuple(lefts), None, np.array(starts), tuple(sizes))
+    if not derivatives:
+        return found
+    return replace(found, jacobian=_jacobian(batch, loads, form, found, noise, bases))
 
 
 def _jacobian(

@@ -217,15 +217,7 @@ class ResponseFinder:
             return self._interrupted(sample, region.region)
         total = sp + pv + co + x + x2
         if total - total != 0.0 and not self._is_placed(sample):
-            # A scheduling variable is not known: the region stays, and nothing is learned
-            state, region = self._state, self._region
-            assert state is not None
-            assert region is not None
-            self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
-            self._hear(sample.pv)
-            self._setpoint = noise_at_least(self._setpoint, sample.sp, self._clean)
-            self._forget(sample)
-            return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT)
+            return self._unknown(sample)
         now = choose(self._regions, region, x, t_s, x2)
         if now is not region:
             self._region = now
@@ -301,6 +293,17 @@ class ResponseFinder:
                     raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")
                 return False
         return True
+
+    def _unknown(self, sample: LoopSample) -> Left:
+        """A scheduling variable is not known: the region stays, and nothing is learned."""
+        state, region = self._state, self._region
+        assert state is not None
+        assert region is not None
+        self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
+        self._hear(sample.pv)
+        self._setpoint = noise_at_least(self._setpoint, sample.sp, self._clean)
+        self._forget(sample)
+        return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT)
 
     def _hear(self, pv: float) -> float:
         """Follow the noise: the next median."""

@@ -84,28 +84,7 @@ def stretches_of(samples: Sequence[LoopSample], theta_s: float) -> Stretches | N
 def deviance(process: LinearProcess, seen: Stretches) -> float:
     """Of the samples on one process with a load that walks; infinite where arithmetic fails."""
     n = seen.pv.shape[1]
-    # Of pv to a step with the dead time and without, shape (n,), and from each state by itself, (n, states)
-    space = state_space(process, seen.dt_s)
-    m = len(space.b)
-    whole = np.zeros((m + 1, m + 1))
-    whole[:m, :m], whole[:m, m] = space.a, space.b
-    dead = process.theta_s / seen.dt_s
-    part = math.ceil(dead) - dead
-    # exp(A) of states with a held input, over a whole step and over a part of it
-    from scipy.linalg import expm
-
-    moved, begun = np.asarray(expm(whole)), np.asarray(expm(whole * part))
-    late, prompt, free = np.zeros(n), np.zeros(n), np.zeros((n, m))
-    x, y, row = begun[:m, m], np.zeros(m), space.c.copy()
-    first = math.ceil(dead)
-    for i in range(n):
-        prompt[i] = space.c @ y
-        free[i] = row
-        if i >= first:
-            late[i] = space.c @ x
-            x = moved[:m, :m] @ x + moved[:m, m]
-        y = moved[:m, :m] @ y + moved[:m, m]
-        row = row @ moved[:m, :m]
+    late, prompt, free = _responses(process, n, seen.dt_s)
     first = seen.skipped
     if process.theta_s > first * seen.dt_s:
         return math.inf
@@ -141,6 +120,32 @@ def _at(ratio: float, values: FloatArray, left: FloatArray, start: FloatArray) -
         return math.inf
     spread = float(np.sum(np.log(variance))) + 2 * float(np.sum(np.log(size)))
     return free * math.log(square) + count * spread
+
+
+def _responses(process: LinearProcess, n: int, dt_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of pv to a step with the dead time and without, shape (n,), and from each state by itself, (n, states)."""
+    space = state_space(process, dt_s)
+    m = len(space.b)
+    whole = np.zeros((m + 1, m + 1))
+    whole[:m, :m], whole[:m, m] = space.a, space.b
+    dead = process.theta_s / dt_s
+    part = math.ceil(dead) - dead
+    # exp(A) of states with a held input, over a whole step and over a part of it
+    from scipy.linalg import expm
+
+    moved, begun = np.asarray(expm(whole)), np.asarray(expm(whole * part))
+    late, prompt, free = np.zeros(n), np.zeros(n), np.zeros((n, m))
+    x, y, row = begun[:m, m], np.zeros(m), space.c.copy()
+    first = math.ceil(dead)
+    for i in range(n):
+        prompt[i] = space.c @ y
+        free[i] = row
+        if i >= first:
+            late[i] = space.c @ x
+            x = moved[:m, :m] @ x + moved[:m, m]
+        y = moved[:m, :m] @ y + moved[:m, m]
+        row = row @ moved[:m, :m]
+    return late, prompt, free
 
 
 def beside_a_walk(

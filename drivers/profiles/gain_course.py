@@ -161,18 +161,22 @@ class GainCourse:
     def _time_out(self) -> None:
         phase = self.machine.phase
         if phase is CoursePhase.WRITING and not self._acknowledges and not self._reads_back:
-            # Without read-back: sent once more; the last time it is believed
-            if not (self._tries < SENDINGS):
-                if self._at + 1 < len(self._steps):
-                    self._at, self._tries = self._at + 1, 0
-                else:
-                    self._move(CourseInput.TAKEN)
-                    self._move(CourseInput.LAST)
-                    self.outcome = Outcome(True, self._new, "")
+            self._sent()
             return
         self.reason = self.reason or "no answer"
         left = self._tries < TRIES.get(phase, self._tries + 1)
         self._move(CourseInput.AGAIN if left else CourseInput.EXHAUSTED)
+
+    def _sent(self) -> None:
+        """Without read-back: sent once more; the last time it is believed."""
+        if self._tries < SENDINGS:
+            return
+        if self._at + 1 < len(self._steps):
+            self._at, self._tries = self._at + 1, 0
+        else:
+            self._move(CourseInput.TAKEN)
+            self._move(CourseInput.LAST)
+            self.outcome = Outcome(True, self._new, "")
 
     def on_acknowledged(self, name: str) -> None:
         """A number was taken."""

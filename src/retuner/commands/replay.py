@@ -36,25 +36,7 @@ def replay(options: ReplayOptions) -> int:
     """Replay a session or a log; the exit status."""
     target = options.target
     if options.config is not None:
-        # Say what would have been done on a log; the exit status, 0.
-        if target.is_dir():
-            raise UserError(f"{target}: is a folder; a session is replayed without --config, a log is a file")
-        config = load_config(options.config, options.loop)
-        retuner = make_retuner(config, Mode.ADVISE)
-        with busy(f"deciding on {target}"):
-            found = answer(retuner, recorded_loop(target, options, config))
-        if options.as_json:
-            sys.stdout.write(
-                json.dumps(_answered(target, options.config, retuner, found), indent=2, allow_nan=False) + "\n"
-            )
-            return 0
-        for decision in found.decisions:
-            sys.stdout.write(f"{decision.t_s:10,.0f} s  {decision.region}: {one_line(decision)}\n")
-        times = "once" if len(found.changes) == 1 else f"{len(found.changes)} times"
-        changed = f", the record's gains changed {times}" if found.changes else ""
-        counted = f"{len(found.decisions)} decision{'s' * (len(found.decisions) != 1)}"
-        sys.stdout.write(f"{target}: {counted} on {found.samples:,} samples{changed}; nothing was written\n")
-        return 0
+        return what_if(target, options.config, options)
     if target.is_file() and target.suffix != ".sqlite":
         raise UserError(f"{target}: is not the folder of a session; to replay a log of another origin give --config")
     _refuse_form(options, "a session has its own")
@@ -182,6 +164,29 @@ def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> Answer:
         if in_force.adopt(gains):
             found.changes.append(sample.t_s)
     return found
+
+
+def what_if(log: Path, config_file: Path, options: ReplayOptions) -> int:
+    """Say what would have been done on a log; the exit status, 0.
+
+    Raises UserError, RecordingError: log or configuration cannot be used.
+    """
+    if log.is_dir():
+        raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")
+    config = load_config(config_file, options.loop)
+    retuner = make_retuner(config, Mode.ADVISE)
+    with busy(f"deciding on {log}"):
+        found = answer(retuner, recorded_loop(log, options, config))
+    if options.as_json:
+        sys.stdout.write(json.dumps(_answered(log, config_file, retuner, found), indent=2, allow_nan=False) + "\n")
+        return 0
+    for decision in found.decisions:
+        sys.stdout.write(f"{decision.t_s:10,.0f} s  {decision.region}: {one_line(decision)}\n")
+    times = "once" if len(found.changes) == 1 else f"{len(found.changes)} times"
+    changed = f", the record's gains changed {times}" if found.changes else ""
+    counted = f"{len(found.decisions)} decision{'s' * (len(found.decisions) != 1)}"
+    sys.stdout.write(f"{log}: {counted} on {found.samples:,} samples{changed}; nothing was written\n")
+    return 0
 
 
 def recorded_loop(log: Path, options: FormOptions, config: Config) -> Iterator[Recorded]:

@@ -56,8 +56,51 @@ def _short(session: WatchedSession, loop: WatchedLoop) -> Document:
     newest = loop.reader.since(loop.reader.counts()[0] - 1).table
     state, head = loop.reader.state(), loop.reader.head
     decided = next((one for one in reversed(session.ledger.decisions) if _is_of(one, loop)), None)
+    return {
+        "key": loop.key,
+        "session": session.name,
+        "head": head,
+        "state": state,
+        "newest": newest[-1, :6].tolist() if len(newest) else None,
+        "cause": cause_text(decided.document) if decided else "",
+        "waiting": needs_a_person(session, loop),
+        "ended": session.ledger.ended,
+        "silent_s": _silent(loop),
+    }
+
+
+def outcome(session: WatchedSession) -> Document | None:
+    """What a session that ended came to, and where its report is; None before its report is written.
+
+    text : such as "ended: 8 changes, error -76 %", against the same run with fixed gains where there was one.
+    """
+    try:
+        told = json.loads((session.folder / SUMMARY).read_text(encoding="utf-8"))
+        loops = told.get("loops", [told])
+        changes = sum(one["action"] == "commit" for loop in loops for one in loop["decisions"])
+        scores = [score for loop in loops for score in loop["scores"] if score["iae_fixed"]]
+        before, after = (sum(float(score[name]) for score in scores) for name in ("iae_fixed", "iae"))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # damaged, or of another release
+        return None
+    if not session.ledger.ended or not (session.folder / REPORT).is_file():
+        return None
+    words_ = f"ended: {changes} {'change' if changes == 1 else 'changes'}"
+    less = f", error {100.0 * (after / before - 1.0):+.0f} % against the same run with fixed gains" if before else ""
+    return {"text": words_ + less, "report": f"/report/{session.name}"}
+
+
+def _silent(loop: WatchedLoop) -> float | None:
+    """How long no sample has come, by the machine's clock; None while they come."""
     age = loop.age_s()
-    # Proposals that wait, changes that wait for a word, locked regions
+    return age if age > max(SILENT_S, SILENT_SAMPLES * float(loop.reader.head.get("sample_time_s", 0.0))) else None
+
+
+def _is_of(decided: Decided, loop: WatchedLoop) -> bool:
+    return words(decided.document, "loop") == loop.name
+
+
+def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]:
+    """Proposals that wait, changes that wait for a word, locked regions."""
     shown = session.ledger.shown_of(loop.name)
     approval_s = float(loop.reader.head.get("approval_s", 0.0))
     regions = set(loop.reader.head.get("regions", ()))
@@ -86,43 +129,7 @@ def _short(session: WatchedSession, loop: WatchedLoop) -> Document:
         if region.get("trial") == "locked":
             text = f"locked after {region.get('undos')} rollbacks"
             found.append({"what": "locked", "region": region["name"], "digest": "", "text": text})
-    return {
-        "key": loop.key,
-        "session": session.name,
-        "head": head,
-        "state": state,
-        "newest": newest[-1, :6].tolist() if len(newest) else None,
-        "cause": cause_text(decided.document) if decided else "",
-        "waiting": found,
-        "ended": session.ledger.ended,
-        "silent_s": (
-            age if age > max(SILENT_S, SILENT_SAMPLES * float(loop.reader.head.get("sample_time_s", 0.0))) else None
-        ),
-    }
-
-
-def outcome(session: WatchedSession) -> Document | None:
-    """What a session that ended came to, and where its report is; None before its report is written.
-
-    text : such as "ended: 8 changes, error -76 %", against the same run with fixed gains where there was one.
-    """
-    try:
-        told = json.loads((session.folder / SUMMARY).read_text(encoding="utf-8"))
-        loops = told.get("loops", [told])
-        changes = sum(one["action"] == "commit" for loop in loops for one in loop["decisions"])
-        scores = [score for loop in loops for score in loop["scores"] if score["iae_fixed"]]
-        before, after = (sum(float(score[name]) for score in scores) for name in ("iae_fixed", "iae"))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # damaged, or of another release
-        return None
-    if not session.ledger.ended or not (session.folder / REPORT).is_file():
-        return None
-    words_ = f"ended: {changes} {'change' if changes == 1 else 'changes'}"
-    less = f", error {100.0 * (after / before - 1.0):+.0f} % against the same run with fixed gains" if before else ""
-    return {"text": words_ + less, "report": f"/report/{session.name}"}
-
-
-def _is_of(decided: Decided, loop: WatchedLoop) -> bool:
-    return words(decided.document, "loop") == loop.name
+    return found
 
 
 def loop_document(session: WatchedSession, loop: WatchedLoop) -> Document:

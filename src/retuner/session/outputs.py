@@ -271,20 +271,24 @@ def versions() -> dict[str, str]:
     than the number of a release; engine: which one computes the fits, they are equal to rounding and not to the bit.
     """
     made_with = {name: version(name) for name in PACKAGES}
-    # The first 12 digits of a SHA-256 over the source of the rooms
+    return {
+        **made_with,
+        "engine": engine_name(),
+        "code": code(),
+        "python": platform.python_version(),
+        "system": platform.system(),
+        "machine": platform.machine(),
+    }
+
+
+def code() -> str:
+    """The first 12 digits of a SHA-256 over the source of the rooms."""
     digest = hashlib.sha256()
     for room in ROOMS:
         folder = Path(next(iter(room.__path__)))
         for path in sorted(folder.rglob("*.py")):
             digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
-    return {
-        **made_with,
-        "engine": engine_name(),
-        "code": digest.hexdigest()[:12],
-        "python": platform.python_version(),
-        "system": platform.system(),
-        "machine": platform.machine(),
-    }
+    return digest.hexdigest()[:12]
 
 
 def differences(recorded: Mapping[str, str]) -> list[str]:

@@ -12,7 +12,7 @@ from retuner.commands.options import controller_units
 from retuner.commands.recorded.plot_option import check_plot
 from retuner.commands.signatures.tune import TuneOptions
 from retuner.errors import UserError, user_input
-from retuner.report.rule_comparison import RuleRow, compare_rules
+from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import proportional_band_pct, repeats_per_min
 from retuner.tuning import TuneResult, tuning_lines
@@ -98,17 +98,7 @@ def _by_every_rule(model: ProcessModel | None, options: TuneOptions) -> int:
         shown = {"model": model.to_dict(), **found.to_dict(), "plot": str(options.plot) if options.plot else None}
         sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
     else:
-        # The comparison in lines
-        rows = [HEADINGS, *(_cells(row) for row in found.rows)]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
-        lines = []
-        for row in rows:
-            left = [cell.ljust(width) for cell, width in zip(row[:3], widths[:3], strict=True)]
-            right = [cell.rjust(width) for cell, width in zip(row[3:], widths[3:], strict=True)]
-            lines.append("  ".join([*left, *right]).rstrip())
-        sys.stdout.write(
-            "\n".join([*lines, *(f"not applicable: {rule}: {reason}" for rule, reason in found.left_out)]) + "\n"
-        )
+        sys.stdout.write("\n".join(table(found)) + "\n")
     return 0 if any(row.result.margins and row.result.margins.stable for row in found.rows) else 1
 
 
@@ -173,6 +163,18 @@ def explained(why: Explanation) -> list[str]:
     lines += [f"  with      {numbers}"] if numbers else []
     lines += [f"            {line}" for line in why.with_numbers if line not in why.formula]
     return [*lines, f"  source    {why.source}", f"  range     {why.valid}"]
+
+
+def table(found: Comparison) -> list[str]:
+    """The comparison in lines."""
+    rows = [HEADINGS, *(_cells(row) for row in found.rows)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
+    lines = []
+    for row in rows:
+        left = [cell.ljust(width) for cell, width in zip(row[:3], widths[:3], strict=True)]
+        right = [cell.rjust(width) for cell, width in zip(row[3:], widths[3:], strict=True)]
+        lines.append("  ".join([*left, *right]).rstrip())
+    return [*lines, *(f"not applicable: {rule}: {reason}" for rule, reason in found.left_out)]
 
 
 def _cells(row: RuleRow) -> tuple[str, ...]:
