@@ -343,8 +343,8 @@ def lead_of_steps(left: float, steps: int, samples: int, record: Prepared, likel
     return samples * (-0.5 * math.log(max(left, record.resolution**2) * rows) - price - best)
 
 
-OWN_NUMBERS, NUMBERS_OF_STEP = 5.0, 2.0
-"""Of a fit: process, start and level; size and time of each load step."""
+OWN_NUMBERS, NUMBERS_OF_STEP = 2.0, 2.0
+"""Of a fit: start and level, as the process is chosen under a walk as well; size and time of each load step."""
 
 
 def setpoint_share(record: Prepared, setpoint: FloatArray, lag: float) -> float:
