@@ -136,18 +136,7 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     waves = _waves(window, _full_waves(window.t_s, upper), hysteresis)
     co_high, co_low = float(np.median(window.co[upper])), float(np.median(window.co[~upper]))
     d = (co_high - co_low) / 2
-    # G(jw) from the fundamentals of pv and co, the mean over the waves; co is held between samples
-    ratios = []
-    for a, b in waves.spans:
-        t, end = window.t_s[a:b], float(window.t_s[b])
-        w = 2 * math.pi / (end - float(t[0]))
-        edges = np.append(t, end)
-        turns = np.exp(-1j * w * edges)
-        u1 = np.sum(window.co[a:b] * np.diff(turns)) / (-1j * w)
-        pv = window.pv[a : b + 1] - float(np.mean(window.pv[a:b]))
-        y1 = trapezoid(pv * turns, edges)
-        ratios.append(y1 / u1)
-    point = complex(np.mean(ratios))
+    point = _fundamental(window, waves.spans)
     # mean durations of the upper and of the lower half-wave
     found: dict[bool, list[float]] = {True: [], False: []}
     for a, b in waves.spans:
@@ -265,6 +254,21 @@ def _levels(co: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
             "a relay puts out"
         )
     return np.asarray(co > (low + high) / 2)
+
+
+def _fundamental(window: Window, waves: list[tuple[int, int]]) -> complex:
+    """G(jw) from the fundamentals of pv and co, the mean over the waves; co is held between samples."""
+    ratios = []
+    for a, b in waves:
+        t, end = window.t_s[a:b], float(window.t_s[b])
+        w = 2 * math.pi / (end - float(t[0]))
+        edges = np.append(t, end)
+        turns = np.exp(-1j * w * edges)
+        u1 = np.sum(window.co[a:b] * np.diff(turns)) / (-1j * w)
+        pv = window.pv[a : b + 1] - float(np.mean(window.pv[a:b]))
+        y1 = trapezoid(pv * turns, edges)
+        ratios.append(y1 / u1)
+    return complex(np.mean(ratios))
 
 
 # First order + dead time from an asymmetric relay: exact, not by the describing function (Wang, Hang & Zou 1997).
