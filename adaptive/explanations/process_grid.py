@@ -115,6 +115,12 @@ def responses_of(rows: npt.NDArray[np.intp], dead: npt.NDArray[np.intp]) -> Comp
     return _responses()[rows, dead]
 
 
+def control_law(gains: PidGains, sample_time_s: float) -> ComplexArray:
+    """C(jw) of a controller whose gain is positive, shape (frequencies,); within 90 degrees."""
+    s, dt = 1j * FREQUENCIES, sample_time_s
+    return np.asarray(abs(gains.kp) + abs(gains.ki) * dt / s + abs(gains.kd) / dt * s, dtype=np.complex128)
+
+
 def gain_unit(gains: PidGains, sample_time_s: float) -> float:
     """What loop gains are counted by: kp; of a controller without one, what its other actions do in ten samples."""
     kp, ki, kd = abs(gains.kp), abs(gains.ki) * 10 * sample_time_s, abs(gains.kd) / (10 * sample_time_s)
@@ -152,8 +158,7 @@ def robustness(gains: PidGains, sample_time_s: float, unit: float | None = None)
     unit : what loop gains are counted by (gain_unit of the gains with which the record was compared); None: their own.
     """
     own = gain_unit(gains, sample_time_s)
-    s = 1j * FREQUENCIES
-    law = (abs(gains.kp) + abs(gains.ki) * sample_time_s / s + abs(gains.kd) / sample_time_s * s) / own
+    law = control_law(gains, sample_time_s) / own
     loop = _responses()[: len(shapes())] * law
     size, phase = np.abs(loop), _phases()[: len(shapes())] + np.angle(law)
     ultimate = _ultimate(size, phase)[:, :, None]

@@ -23,11 +23,11 @@ import numpy.typing as npt
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
-    FREQUENCIES,
     GAINS,
     HALF_TURN,
     ComplexArray,
     Shape,
+    control_law,
     gain_unit,
     loop_phases,
     responses_of,
@@ -110,12 +110,12 @@ class LikelyProcesses:
 
     def peaks(self, gains: PidGains) -> FloatArray:
         """Ms on each process, infinite where the loop is unstable; shape (processes,)."""
-        ms = 1.0 / np.min(np.abs(1.0 + self.responses * self._law(gains)), axis=1)
+        ms = 1.0 / np.min(np.abs(1.0 + self.responses * control_law(gains, self.sample_time_s)), axis=1)
         return np.where(self.stable(gains), ms, np.inf)
 
     def stable(self, gains: PidGains) -> BoolArray:
         """Which of the loops are stable, shape (processes,)."""
-        law, away, (rows, dead, _) = self._law(gains), self.runs_away, np.array(self.index).T
+        law, away, (rows, dead, _) = control_law(gains, self.sample_time_s), self.runs_away, np.array(self.index).T
         size, over = np.abs(self.responses) * np.abs(law), loop_phases(rows, dead, law) > HALF_TURN
         falls, rises = over[:, :-1] & ~over[:, 1:], ~over[:, :-1] & over[:, 1:]
         large = size[:, :-1] * size[:, 1:] >= 1.0
@@ -125,10 +125,6 @@ class LikelyProcesses:
             turns += over[:, 0] & (size[:, 0] >= 1.0)
             stable = np.where(away, turns == 1, stable)
         return np.asarray(stable, dtype=np.bool_)
-
-    def _law(self, gains: PidGains) -> ComplexArray:
-        s, dt = 1j * FREQUENCIES, self.sample_time_s
-        return np.asarray(abs(gains.kp) + abs(gains.ki) * dt / s + abs(gains.kd) / dt * s, dtype=np.complex128)
 
     @property
     def runs_away(self) -> BoolArray:
