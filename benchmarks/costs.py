@@ -27,7 +27,7 @@ from cases import diagnosis
 from startup import cpu_s, write_record
 
 from retuner import PidController, PidGains, identify
-from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
+from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
 from retuner.adaptive.fit import engine
 from retuner.adaptive.signals.sample import Window

@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import PidLaw, law, start, step
 from retuner.schedule.regions import Axis, Regions, choose, enter

@@ -27,7 +27,7 @@ import numpy as np
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import SimulatedClock

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from retuner.adaptive.experiments import phases as experiment
-from retuner.adaptive.setpoint_bumps import planner as nudge
+from retuner.adaptive.setpoint_bumps import bump_planner as nudge
 from retuner.adaptive.signals import recogniser
 from retuner.adaptive.trial import phase as trial
 from retuner.drivers.host import connection, write_protocol
@@ -79,8 +79,8 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
     lambda: Machine(
         "A setpoint bump",
         "Announced, sent, held until the loop is at rest, and removed; off until someone allows it.",
-        "adaptive/setpoint_bumps/planner.py",
-        nudge.NudgePhase.WATCHING,
+        "adaptive/setpoint_bumps/bump_planner.py",
+        nudge.BumpPhase.WATCHING,
         ways(nudge.COURSE),
     ),
     lambda: Machine(

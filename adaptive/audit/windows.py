@@ -18,7 +18,7 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 
 CYCLES = 15.0
 """Ten to twenty show a cause, and drift little."""
-FEWEST, USUAL, MOST = 200, 800, 4_000
+FEWEST_WINDOW_SAMPLES, USUAL_WINDOW_SAMPLES, MOST_WINDOW_SAMPLES = 200, 800, 4_000
 """Samples of a stretch: at least, without an oscillation, and from which a slow one is condensed."""
 BEFORE = 0.2
 """Share of a stretch that lies before the event that it is taken for."""
@@ -44,9 +44,9 @@ def stretches_of_interest(record: Window, period_s: float | None, most: int) -> 
     if most == 0:
         return []
     n, usual_s = len(record.t_s), record.sample_time_s
-    length = USUAL if period_s is None else max(int(CYCLES * period_s / usual_s), FEWEST)
-    if n <= max(1.5 * length, USUAL):  # a fit takes all of so many, and `diagnose` says the same of them
-        return [record.condensed(MOST)]
+    length = USUAL_WINDOW_SAMPLES if period_s is None else max(int(CYCLES * period_s / usual_s), FEWEST_WINDOW_SAMPLES)
+    if n <= max(1.5 * length, USUAL_WINDOW_SAMPLES):  # a fit takes all of so many, and `diagnose` says the same of them
+        return [record.condensed(MOST_WINDOW_SAMPLES)]
     gap = np.concatenate([[0], np.cumsum(np.diff(record.t_s) > GAP * usual_s)])
     taken: list[Stretch] = []
     for wanted, many in _wanted(record, length, gap, events=period_s is None):
@@ -54,8 +54,8 @@ def stretches_of_interest(record: Window, period_s: float | None, most: int) -> 
         apart = all(begin >= b + m or b >= begin + many for b, m in taken)
         if len(taken) < most and apart and gap[begin] == gap[begin + many - 1]:
             taken.append((begin, many))
-    return [_part(record, begin, begin + many).condensed(MOST) for begin, many in sorted(taken)] or [
-        record.condensed(MOST)
+    return [_part(record, begin, begin + many).condensed(MOST_WINDOW_SAMPLES) for begin, many in sorted(taken)] or [
+        record.condensed(MOST_WINDOW_SAMPLES)
     ]
 
 
@@ -72,7 +72,7 @@ def spread_over(record: Window) -> list[Window]:
         inside = gaps[(gaps > begin) & (gaps < begin + length)].tolist()
         edges = [begin, *inside, begin + length]
         longest = max(range(len(edges) - 1), key=lambda i: edges[i + 1] - edges[i])
-        if edges[longest + 1] - edges[longest] >= FEWEST or len(begins) == 1:
+        if edges[longest + 1] - edges[longest] >= FEWEST_WINDOW_SAMPLES or len(begins) == 1:
             parts.append(_part(record, edges[longest], edges[longest + 1]))
     return parts
 
@@ -103,7 +103,7 @@ def _events(error: FloatArray, longest: int) -> list[Stretch]:
     for width in WIDTHS:
         means = np.abs(running_mean(level, width))
         usual = 1.4826 * float(np.median(means))
-        many = min(max(OF_A_WIDTH * width, FEWEST), USUAL, longest)
+        many = min(max(OF_A_WIDTH * width, FEWEST_WINDOW_SAMPLES), USUAL_WINDOW_SAMPLES, longest)
         if usual <= 0 or many <= 0:
             continue
         blocks = np.maximum.reduceat(means, np.arange(0, len(means), many))

@@ -18,16 +18,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retuner.adaptive.cause_odds.settings import OddsSettings
+from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.tuning_verdict import Found
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
 from retuner.adaptive.explanations.process_grid import gain_unit, shapes
 from retuner.adaptive.explanations.proposed_test import DecidingTest
-from retuner.adaptive.explanations.setpoint_overshoot import SeenOvershoot, with_overshoot
+from retuner.adaptive.explanations.setpoint_overshoot import Overshoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import (
     Worthwhile,
     halved,
@@ -35,7 +35,7 @@ from retuner.adaptive.explanations.settings_by_odds import (
     worthwhile,
 )
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
-from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
+from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (
     MOST_SAMPLES,
     TEMPER,
@@ -52,7 +52,7 @@ from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 
-FEWEST = 60
+FEWEST_RECORD_SAMPLES = 60
 """Samples of a record that a load that wanders is looked for in."""
 FINAL = 0.9
 """Confidence from which an unknown without any fit needs none."""
@@ -85,7 +85,7 @@ class OddsFound:
     record : which of the records that is.
     """
 
-    found: Found
+    found: DiagnosedRecord
     tuning: TuningOdds | None = None
     settings: Worthwhile | None = None
     record: int = 0
@@ -141,11 +141,11 @@ def diagnose_records(
     return replace(_verdict(told, causes, weight, odds, walk, open_ones, settings, sure=gains is not None), record=at)
 
 
-def _final(window: Window, found: Found) -> bool:
+def _final(window: Window, found: DiagnosedRecord) -> bool:
     """Whether a record needs no likelihood: too short, mostly filled gaps, or no loop at work in it that is not led."""
     told = found.diagnosis
     holds = held_together(window.pv, window.co)
-    if len(window.t_s) < FEWEST or (holds is not None and holds.share >= DiagnosisSettings().held_share):
+    if len(window.t_s) < FEWEST_RECORD_SAMPLES or (holds is not None and holds.share >= DiagnosisSettings().held_share):
         return True
     if found.fits or told.cause != Cause.UNKNOWN or told.confidence < FINAL:
         return told.cause in {Cause.SATURATION, Cause.NOISE}
@@ -154,12 +154,12 @@ def _final(window: Window, found: Found) -> bool:
 
 def _in_steps(window: Window) -> bool:
     """Whether a record is a test in manual: co goes in steps, and pv and co are alive. It says what the process is."""
-    if len(window.t_s) < FEWEST or record_condition(window).condition != Condition.MANUAL:
+    if len(window.t_s) < FEWEST_RECORD_SAMPLES or record_condition(window).condition != Condition.MANUAL:
         return False
     return bool(np.ptp(window.co) > 0.0 and np.ptp(window.pv) > 0.0)
 
 
-def _alone(found: Found, settings: OddsSettings) -> Found:
+def _alone(found: DiagnosedRecord, settings: OddsSettings) -> DiagnosedRecord:
     """A verdict that stands by itself; the odds that it leaves open are unknown's."""
     told = found.diagnosis
     p = min(told.confidence, settings.most)
@@ -181,7 +181,7 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     dt = max(_interval_s(w, settings) for w in windows)
     parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
     both = [(Prepared.at(part, dt), Prepared.at(replace(part, pv=part.sp), dt).pv) for part in parts]
-    both = [(r, sp) for r, sp in both if len(r.pv) >= FEWEST and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
+    both = [(r, sp) for r, sp in both if len(r.pv) >= FEWEST_RECORD_SAMPLES and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
     if not both:
         return None
     records = [record for record, _ in both]
@@ -211,18 +211,18 @@ def _interval_s(window: Window, settings: OddsSettings) -> float:
     fits = -(-len(window.t_s) // (settings.most_windows * MOST_SAMPLES))
     moves = float(np.mean(np.diff(window.pv) != 0.0))
     shown = min(round(1.0 / max(moves, 1e-9)), settings.most_held)
-    return window.sample_time_s * max(fits, min(shown, max(len(window.t_s) // FEWEST, 1)))
+    return window.sample_time_s * max(fits, min(shown, max(len(window.t_s) // FEWEST_RECORD_SAMPLES, 1)))
 
 
-def _overshoot(window: Window, found: Found) -> SeenOvershoot | None:
+def _overshoot(window: Window, found: DiagnosedRecord) -> Overshoot | None:
     """What was read off the setpoint responses, where there are any."""
     evidence = found.diagnosis.evidence
     if not evidence.get("setpoint_steps"):
         return None
-    return SeenOvershoot.of(window.sp - window.pv, evidence["overshoot"], evidence["setpoint_size"])
+    return Overshoot.of(window.sp - window.pv, evidence["overshoot"], evidence["setpoint_size"])
 
 
-def _shapes(found: Found, settings: OddsSettings) -> float:
+def _shapes(found: DiagnosedRecord, settings: OddsSettings) -> float:
     """What shapes and plateaus say for a valve, as a logarithm of how many times likelier it makes the record."""
     told = found.diagnosis
     named = told.cause == Cause.STICTION
@@ -255,7 +255,10 @@ UNLIKE = 3.0
 
 
 def _under_steps(
-    open_ones: Sequence[tuple[Window, Found]], under_walk: Mapping[Cause, float], walk: Walk, settings: OddsSettings
+    open_ones: Sequence[tuple[Window, DiagnosedRecord]],
+    under_walk: Mapping[Cause, float],
+    walk: Walk,
+    settings: OddsSettings,
 ) -> tuple[dict[Cause, float], float]:
     """Odds where loads are steps or a tone, over the records in which that is likely; and how likely it is there."""
     total: dict[Cause, float] = {}
@@ -280,7 +283,7 @@ def _under_steps(
     return {cause: value / sum(odds.values()) for cause, value in odds.items()}, most
 
 
-def _one_tone(window: Window, found: Found, settings: OddsSettings) -> float:
+def _one_tone(window: Window, found: DiagnosedRecord, settings: OddsSettings) -> float:
     """How far a record is one lasting tone and nothing else, 0 to 1: one tone identifies no process, whatever fits it.
 
     A setpoint step is something else. A loop near instability under a real load wanders in amplitude and phase.
@@ -291,7 +294,7 @@ def _one_tone(window: Window, found: Found, settings: OddsSettings) -> float:
     return min(max((share - settings.tone_from) / (settings.tone_to - settings.tone_from), 0.0), 1.0)
 
 
-def _lasts(found: Found) -> bool:
+def _lasts(found: DiagnosedRecord) -> bool:
     """Whether an oscillation lasts."""
     return found.diagnosis.evidence.get("regularity", 0.0) > REGULAR
 
@@ -303,7 +306,7 @@ BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The fit that a verdict rests on; the loop by itself for all others."""
 
 
-def _tone_is_white(found: Found, settings: OddsSettings) -> bool:
+def _tone_is_white(found: DiagnosedRecord, settings: OddsSettings) -> bool:
     """Whether a verdict of steps left open what one lasting tone explains to the noise, and likelier than the loop."""
     fit = found.fits.get("external")
     likelier = found.diagnosis.evidence.get("external_lead", 0.0) > 0.0
@@ -316,7 +319,7 @@ def _white(fit: Candidate, settings: OddsSettings) -> bool:
     return fit.colour.std <= settings.noise_left * noise and fit.fit.misfit.loads <= settings.few_loads
 
 
-def _weight_of_steps(cause: Cause, found: Found, walk: Walk, settings: OddsSettings) -> float:
+def _weight_of_steps(cause: Cause, found: DiagnosedRecord, walk: Walk, settings: OddsSettings) -> float:
     """Probability that loads are the steps, or the tone, that a cause rests on, against a load that wanders."""
     fit = found.fits.get(BEHIND.get(cause, "linear"))
     if fit is None:
@@ -347,12 +350,12 @@ def _mixed(steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: fl
 
 
 def _verdict(
-    told: Found,
+    told: DiagnosedRecord,
     causes: Mapping[Cause, float],
     weight: float,
     odds: TuningOdds | None,
     walk: Walk,
-    open_ones: Sequence[tuple[Window, Found]],
+    open_ones: Sequence[tuple[Window, DiagnosedRecord]],
     settings: OddsSettings,
     *,
     sure: bool,
@@ -418,12 +421,12 @@ IN_QUESTION = 0.05
 """Odds of a valve from which it is asked for."""
 
 
-def _overshoot_seen(open_ones: Sequence[tuple[Window, Found]]) -> bool:
+def _overshoot_seen(open_ones: Sequence[tuple[Window, DiagnosedRecord]]) -> bool:
     """Whether setpoint responses overshoot so far that more action is no answer, whatever a load does beside them."""
     return any(found.diagnosis.evidence.get("overshoot", 0.0) > OVERSHOOTS for _, found in open_ones)
 
 
-def _swings_alone(open_ones: Sequence[tuple[Window, Found]]) -> bool:
+def _swings_alone(open_ones: Sequence[tuple[Window, DiagnosedRecord]]) -> bool:
     """Whether an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it."""
     return not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
 
@@ -516,7 +519,7 @@ def _bends(along: GainAlongPv) -> str:
     )
 
 
-def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float], told: Found) -> str:
+def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float], told: DiagnosedRecord) -> str:
     """The sentence."""
     if cause not in WORDS:
         return told.diagnosis.reason

@@ -37,7 +37,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from retuner.adaptive.choice.settings import ChoiceSettings
+from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import asks_for_integral, by_integral, less_damped

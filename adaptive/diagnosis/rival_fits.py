@@ -2,7 +2,7 @@
 
     linear     pv = G co + load steps + random walk                          the loop's own doing, and ordinary upsets
     external   the same + a sinusoid with harmonics at a free frequency      an oscillation from outside
-    stuck      the same with co replaced by the output of a stuck valve      see valve/fit.py
+    stuck      the same with co replaced by the output of a stuck valve      see valve/valve_fit.py
 
 Harmonics belong to the second, because what comes from outside is often another loop's limit cycle, a triangle or a
 saw, which one sinusoid leaves to the valve. What is left counts as it is, not whitened: even one real pole takes an
@@ -16,13 +16,13 @@ from itertools import product
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.structure import SLOPE
-from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.candidate import Candidate, CandidateList, judged
 from retuner.adaptive.identification.loads import improved
-from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
+from retuner.adaptive.identification.structure_choice import StructureSettings, candidates
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
@@ -34,11 +34,15 @@ MORE_HARMONICS = 11
 """The same where a loop shows its slope instead, as squares with sharp corners."""
 SHARP = 4
 """Samples in the shortest wave of those, at least."""
+PADDED = 4
+"""Zero padding of the spectrum: peaks to a quarter of a line."""
+FEWEST_CYCLES = 2
+"""Cycles in the record of a tone that is looked for."""
 WEAKENED = 3.0
 """The process is also tried with a gain e^-3 of the linear one: next to a tone it may have no part at all."""
 
 
-def linear(window: Window, signs: tuple[int, ...], settings: ChoiceSettings, most_samples: int) -> list[Candidate]:
+def linear(window: Window, signs: tuple[int, ...], settings: StructureSettings, most_samples: int) -> list[Candidate]:
     """The linear explanation in every structure, best first."""
     return candidates(window, signs, settings, most_samples)
 
@@ -61,7 +65,7 @@ def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candi
         starts = (x, weak) if base.loads else (weak,)  # without loads the first is the one above
         found += [judged(refine(plain, np.append(start, np.log(w)))) for start in starts]
         found.append(judged(refine(*_afresh(plain, w))))
-    best = improved(min(found, key=lambda c: c.criterion), most_loads, Seen(found))
+    best = improved(min(found, key=lambda c: c.criterion), most_loads, CandidateList(found))
     plainer = judged(refine(replace(best.fit.misfit, harmonics=SINUSOID), best.fit.p))
     return min(best, plainer, key=lambda c: c.criterion)
 
@@ -120,5 +124,22 @@ def moves_pv(tone: Candidate | None, evidence: Mapping[str, float], settings: Di
 
 
 def amplitude(tone: Candidate) -> float:
-    """Of a tone's first harmonic in pv, pv units."""
+    """Amplitude of a tone's first harmonic in pv, pv units."""
     return float(np.hypot(*tone.fit.at.c[tone.fit.at.priors + tone.fit.misfit.loads :][:2]))
+
+
+def tone_period_s(tone: Candidate) -> float:
+    """Period of a tone from outside, s."""
+    return 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+
+
+def residual(candidate: Candidate) -> float:
+    """What a fit leaves, in standard deviations of the noise."""
+    return candidate.colour.std / candidate.fit.misfit.record.noise_std
+
+
+def peak_frequency(x: FloatArray, sample_time_s: float) -> float:
+    """Frequency at which a signal moves most, rad/s, of those with two cycles in the record."""
+    power = np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(len(x)), PADDED * len(x))) ** 2
+    first = FEWEST_CYCLES * PADDED
+    return 2 * math.pi * (first + int(np.argmax(power[first:]))) / (PADDED * len(x) * sample_time_s)

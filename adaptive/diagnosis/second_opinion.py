@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, asks_for_less
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings, stretch
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample, Window

@@ -21,8 +21,8 @@ from retuner.adaptive.diagnosis.cause import (
     tuning_cause,
     with_second_lag,
 )
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.rival_fits import moves_pv
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.fit.record import apart, setpoint_changes
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.bound import bounded
@@ -40,12 +40,12 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.valve.fit import with_play
+from retuner.adaptive.valve.valve_fit import with_play
 from retuner.schedule.gains import PidGains
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class DiagnosedRecord:
     """A diagnosis with what it rests on.
 
     estimate : the process, where it could be told. tuning : settings that would cure it, for causes of tuning.
@@ -87,25 +87,25 @@ def linear_verdict(
     fits: Mapping[str, Candidate],
     oscillates: bool,
     settings: DiagnosisSettings,
-) -> Found:
+) -> DiagnosedRecord:
     """The loop by itself explains the record best: is it the tuning?"""
     estimate = estimate_of(found, float(window.t_s[0]), {}, settings.fit)
     if setpoint_changes(window):  # a load whose time is not known bounds no dead time
         estimate = bounded(window, estimate, settings.fit)
     events = evidence.get("setpoint_steps", 0.0) + evidence["loads"]
     if not events:
-        return Found(_undisturbed(window, estimate, evidence, oscillates), estimate, fits=fits)
+        return DiagnosedRecord(_undisturbed(window, estimate, evidence, oscillates), estimate, fits=fits)
     if gains is None:
         reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
-        return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
+        return DiagnosedRecord(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
     loop = Loop(window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings, fits.get("external"))
     reason = estimate.reason + _not_brought_back(window)
-    told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate), oscillates)
+    told = _by_margins(loop, DiagnosedRecord(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate), oscillates)
     told = replace(told, fits=fits)
     return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
 
 
-def _by_margins(loop: Loop, found: Found, oscillates: bool) -> Found:
+def _by_margins(loop: Loop, found: DiagnosedRecord, oscillates: bool) -> DiagnosedRecord:
     """The verdict by the margins of the models that the record allows. found : nothing said as yet."""
     window, settings, estimate = loop.window, loop.settings, found.estimate
     assert estimate is not None
@@ -118,21 +118,21 @@ def _by_margins(loop: Loop, found: Found, oscillates: bool) -> Found:
     verdict = replace(verdict, evidence=verdict.evidence | found.diagnosis.evidence)
     if far:
         slow = verdict.cause is Cause.SLOW_INTEGRATING and _doubt(verdict, loop, oscillates) is None
-        return (_slow_oscillation(loop, Found(verdict, estimate)) if slow else None) or found
+        return (_slow_oscillation(loop, DiagnosedRecord(verdict, estimate)) if slow else None) or found
     if verdict.cause in TUNING_CAUSES and estimate.explained < settings.fit.explained_limit:
         cause, sure, why = Cause.UNKNOWN, 0.5, estimate.reason
         if verdict.evidence.get("noise_share", 0.0) > NOISY:
             cause, sure, why = Cause.NOISE, 0.8, "only noise moves this loop"
-        return Found(replace(verdict, cause=cause, confidence=sure, reason=why), estimate)
+        return DiagnosedRecord(replace(verdict, cause=cause, confidence=sure, reason=why), estimate)
     if verdict.cause not in TUNING_CAUSES:
-        return _if_agreed(loop, Found(verdict, estimate))
+        return _if_agreed(loop, DiagnosedRecord(verdict, estimate))
     doubt = _doubt(verdict, loop, oscillates)
     if doubt is not None and (not doubt.may_be_asked or not second_opinion(loop, verdict)):
-        return Found(replace(verdict, cause=doubt.cause, confidence=0.5, reason=doubt.reason), estimate)
-    return _if_agreed(loop, Found(verdict, estimate, tuning), asked=doubt is not None)
+        return DiagnosedRecord(replace(verdict, cause=doubt.cause, confidence=0.5, reason=doubt.reason), estimate)
+    return _if_agreed(loop, DiagnosedRecord(verdict, estimate, tuning), asked=doubt is not None)
 
 
-def _in_order(loop: Loop, found: Found) -> Found:
+def _in_order(loop: Loop, found: DiagnosedRecord) -> DiagnosedRecord:
     """In order, where the cause stays open but the setpoint responses speak for themselves; else what there was.
 
     The loop has followed its setpoint without much overshoot, and without load steps at the setpoint changes the record
@@ -168,7 +168,7 @@ RATIOS = frozenset({"ki_ratio", "kp_ratio"})
 """Evidence of how much faster a loop could be."""
 
 
-def _if_agreed(loop: Loop, found: Found, *, asked: bool = False) -> Found:
+def _if_agreed(loop: Loop, found: DiagnosedRecord, *, asked: bool = False) -> DiagnosedRecord:
     """The verdict, unless another model of the record, as good as its own, gives other settings.
 
     asked : identification has confirmed the cause already, with a model of its own.
@@ -190,7 +190,7 @@ def _if_agreed(loop: Loop, found: Found, *, asked: bool = False) -> Found:
     return _with_settings(loop, replace(found, estimate=estimate), asked)
 
 
-def _in_order_with_play(loop: Loop, found: Found) -> str:
+def _in_order_with_play(loop: Loop, found: DiagnosedRecord) -> str:
     """Why the valve and not the tuning may be the cause, empty when it is not so.
 
     Play in a valve slows the loop and turns its phase, and a linear fit takes it for a longer lag. A valve with play
@@ -215,7 +215,7 @@ def _in_order_with_play(loop: Loop, found: Found) -> str:
     )
 
 
-def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
+def _with_settings(loop: Loop, found: DiagnosedRecord, asked: bool) -> DiagnosedRecord:
     """The settings that would cure it, where identification knows the process as well and means the same."""
     estimate = found.estimate
     assert estimate is not None
@@ -242,7 +242,7 @@ def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
     return _open(found, unsure)
 
 
-def _slow_oscillation(loop: Loop, found: Found) -> Found | None:
+def _slow_oscillation(loop: Loop, found: DiagnosedRecord) -> DiagnosedRecord | None:
     """The cure of a slow swing of an integrating loop, which hangs on k' alone; None where it is none, or k' not known.
 
     The factor on k' Kc tau_I that makes it DAMPED (rules/slow_oscillation.py) is shared by gain and integral time, the
@@ -279,7 +279,7 @@ DAMPED, SLOPE_KNOWN, GAINS_TRIED = 4.0, 0.1, 6
 gains that are tried between the largest and the old."""
 
 
-def _torn(loop: Loop, found: Found, other: ProcessModel, why: str) -> Found:
+def _torn(loop: Loop, found: DiagnosedRecord, other: ProcessModel, why: str) -> DiagnosedRecord:
     """Two models of a record far apart: no settings, and no cause but that the loop is too strong on either."""
     verdict = found.diagnosis
     strong = sensitivity_peak(other.linear(), loop.gains) > loop.settings.cause.ms_high
@@ -288,7 +288,7 @@ def _torn(loop: Loop, found: Found, other: ProcessModel, why: str) -> Found:
     return replace(found, diagnosis=replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=why), tuning=None)
 
 
-def _open(found: Found, why: str) -> Found:
+def _open(found: DiagnosedRecord, why: str) -> DiagnosedRecord:
     """The cause without settings, and without a number that rests on what is not known."""
     slow = found.diagnosis.cause is Cause.SLUGGISH
     told = "loads are rejected more slowly than necessary" if slow else found.diagnosis.reason
@@ -296,7 +296,7 @@ def _open(found: Found, why: str) -> Found:
     return replace(found, diagnosis=replace(found.diagnosis, reason=reason, settled=False), tuning=None)
 
 
-def _first_step(loop: Loop, found: Found) -> Found:
+def _first_step(loop: Loop, found: DiagnosedRecord) -> DiagnosedRecord:
     """No farther at once than the record carries."""
     estimate, verdict = found.estimate, found.diagnosis
     assert estimate is not None

@@ -47,7 +47,7 @@ from retuner.schedule.gains import PidGains
 
 STEP, DEEPEST = 0.05, 255
 """Levels of the logarithms that are kept, and the one of what is left out: no loop at work comes from there."""
-ODD, FEWEST = 0.02, 30
+ODD, FEWEST_SAMPLES = 0.02, 30
 """Probability that a window says nothing of the process; samples of one that may say something."""
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
@@ -151,7 +151,7 @@ def update(book: Book, window: Window, *, grows: bool = False) -> Book:
     """With a window of all samples since the last one. grows : it will come again, with more samples."""
     record = Prepared.at(window, book.dt_s)
     logs = -STEP * _array(book.whole)
-    if len(record.pv) >= FEWEST and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
+    if len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
         columns, taken, prices = likeliest_tone(Prepared.at(replace(window, pv=window.sp - window.pv), book.dt_s).pv)
         each = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG)
         alone, line, drifting = (one - price / TEMPER for one, price in zip(each, prices, strict=True))

@@ -33,11 +33,11 @@ from retuner.adaptive.signals.sample import FloatArray
 
 SIZES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 """Sizes tried, in standard deviations of pv's deviation from its setpoint."""
-ENOUGH = 0.8
+ENOUGH_TO_DECIDE = 0.8
 """The smallest step with this probability to decide is proposed; the largest where none has it."""
 DECIDED = math.log(9.0)
 """Odds that decide."""
-RIVALS = 8
+PROCESSES_PER_CLASS = 8
 """Processes of each class that are told apart from those of the others."""
 SHORTEST, LONGEST = 30, 250
 """Samples that the step is held."""
@@ -57,7 +57,7 @@ def deciding_test(odds: TuningOdds, record: Prepared, error_std: float) -> Decid
     weight = np.maximum(weight / float(weight.sum()), 1e-3)
     energy = np.array([_energies(odds, one, groups, hold, load) for one in true]) * (error_std / std) ** 2
     decides = [_decides(energy * size**2, weight) for size in SIZES]
-    at = next((i for i, share in enumerate(decides) if share >= ENOUGH), len(SIZES) - 1)
+    at = next((i for i, share in enumerate(decides) if share >= ENOUGH_TO_DECIDE), len(SIZES) - 1)
     return DecidingTest(TestKind.SETPOINT, _rounded(SIZES[at] * error_std), hold * odds.sample_time_s, decides[at])
 
 
@@ -76,7 +76,7 @@ def valve_test(odds: TuningOdds, record: Prepared, co_std: float) -> DecidingTes
     shown = [filtered(spectrum(_answer(process, co)), len(co), white) for process in group]
     energy = np.array([float(d @ d) for d in shown]) * (co_std / std) ** 2
     decides = [float(weight @ [_reaches(float(e) * size**2, 0.0) for e in energy] / weight.sum()) for size in SIZES]
-    at = next((i for i, share in enumerate(decides) if share >= ENOUGH), len(SIZES) - 1)
+    at = next((i for i, share in enumerate(decides) if share >= ENOUGH_TO_DECIDE), len(SIZES) - 1)
     return DecidingTest(TestKind.VALVE, _rounded(SIZES[at] * co_std), hold * odds.sample_time_s, decides[at])
 
 
@@ -99,7 +99,7 @@ def _groups(odds: TuningOdds) -> list[list[_Process]]:
     for kind in range(len(CLASSES)):
         stable = np.isfinite(odds.robustness.ms)
         flat = np.where((classes == kind) & stable, odds.weights, 0.0).ravel()
-        chosen = np.argsort(-flat, kind="stable")[:RIVALS]
+        chosen = np.argsort(-flat, kind="stable")[:PROCESSES_PER_CLASS]
         found = []
         for at in chosen[flat[chosen] > 0]:
             i, j, k = np.unravel_index(int(at), odds.weights.shape)

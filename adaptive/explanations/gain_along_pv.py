@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.explanations.process_grid import GAINS, INTEGRATING
-from retuner.adaptive.explanations.valve_under_load import DEAD_TIMES, LAGS, LOADS, log_mean
+from retuner.adaptive.explanations.valve_odds import DEAD_TIMES, LAGS, LOADS, log_mean
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, under_loads
 from retuner.adaptive.signals.sample import FloatArray
 

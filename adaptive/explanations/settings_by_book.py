@@ -37,7 +37,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 
 _MS = 1.1, 3.5
-"""Every limit of Ms lies between these: they follow a person's own (supervision/settings.py)."""
+"""Every limit of Ms lies between these: they follow a person's own (supervision/retuner_settings.py)."""
 
 
 @dataclass(frozen=True, slots=True)

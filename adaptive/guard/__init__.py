@@ -1,6 +1,7 @@
 """The guard: proof before change. See proof.py."""
 
-from retuner.adaptive.guard.border import borders_of
+from retuner.adaptive.guard.both_sides_of_border import borders_of
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.proof import prove
 from retuner.adaptive.guard.request import (
@@ -14,7 +15,6 @@ from retuner.adaptive.guard.request import (
     Support,
 )
 from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
-from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor, within_limits
 
 __all__ = [

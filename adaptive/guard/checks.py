@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from retuner.adaptive.decision_numbers import Numbers
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.guard.ruling import (
     BorderNumbers,
@@ -19,7 +20,6 @@ from retuner.adaptive.guard.ruling import (
     Ruling,
     text,
 )
-from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import MORE_WHEN_LARGER, Parameter, logs, step_limit
 from retuner.schedule.gains import PidGains
 

@@ -12,9 +12,9 @@ import math
 from dataclasses import dataclass, replace
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.guard.ruling import LimitNumbers, Ruling
-from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import change_factor
 from retuner.adaptive.identification.robust_simc import asks_for_integral
 from retuner.schedule.gains import PidGains

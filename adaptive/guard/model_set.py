@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from retuner.adaptive.fit.structure import model_at, parameters_of
-from retuner.adaptive.guard.settings import GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessModel

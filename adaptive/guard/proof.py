@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
-from retuner.adaptive.guard.border import at_border, no_worse
+from retuner.adaptive.guard.both_sides_of_border import at_border, no_worse
 from retuner.adaptive.guard.checks import (
     evidence_checks,
     evidence_doubt,
@@ -27,6 +27,7 @@ from retuner.adaptive.guard.checks import (
     limit_checks,
     robustness_checks,
 )
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.limits import Goal, calmer, goals, nothing_left, without_short_derivative
 from retuner.adaptive.guard.request import ChangeRequest, NeighbourBorder, Support
 from retuner.adaptive.guard.ruling import (
@@ -41,7 +42,6 @@ from retuner.adaptive.guard.ruling import (
     Verdict,
     WantedNumbers,
 )
-from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import change_factor, extent, less_of_everything, within_factor, within_limits
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from enum import StrEnum
 
-from retuner.adaptive.guard.settings import GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.schedule.gains import PidGains
 
 

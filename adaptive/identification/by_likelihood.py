@@ -66,7 +66,7 @@ STRENGTHS = (0.01, 0.1, 1.0)
 """First guesses of the load: what it moves pv by in a second over what is seen of pv, by the process' slope gain."""
 STARTS = 3
 """Of all first guesses so many are refined."""
-FAR = 40.0
+LARGEST_LN_PARAMETER = 40.0
 """Largest logarithm of a parameter."""
 AXES = (1.0, 2.0)
 """Standard deviations out along the axes of the covariance where models are asked."""
@@ -86,7 +86,7 @@ class _Known(NamedTuple):
     spectrum: FloatArray
 
 
-class Told(NamedTuple):
+class RecordsAtParameters(NamedTuple):
     """What the records say at a parameter vector. deviance : with what is unusual. left : whitened, all records.
     spectra : ln of them, one a set of gains.
     """
@@ -121,7 +121,7 @@ class Likely:
         return self.deviance + PRICE * N + (len(self.p) - N) * math.log(self.samples)
 
 
-NOWHERE = Told(math.inf, np.zeros(0), ())
+NOWHERE = RecordsAtParameters(math.inf, np.zeros(0), ())
 
 
 class Likelihood:
@@ -148,10 +148,10 @@ class Likelihood:
         """Variance of what no structure explains of the records under these gains, pv units squared."""
         return (MISFIT * max(one.largest for one in self._groups[law])) ** 2
 
-    def told(self, p: FloatArray) -> Told:
+    def told(self, p: FloatArray) -> RecordsAtParameters:
         """Of a parameter vector; its deviance is infinite where the loop would run away."""
         dt_s = self.records[-1].dt_s
-        if not np.all(np.abs(p) < FAR) or math.exp(p[THETA]) > len(self.records[-1].pv) * dt_s:
+        if not np.all(np.abs(p) < LARGEST_LN_PARAMETER) or math.exp(p[THETA]) > len(self.records[-1].pv) * dt_s:
             return NOWHERE
         with np.errstate(all="ignore"):
             known = {law: self._known(p, law, of) for law, of in self._groups.items()}
@@ -165,7 +165,7 @@ class Likelihood:
                 left.append(e)
                 deviance += float(e @ e) + len(e) * (here.misfit + here.ln_variance)
         spectra = tuple(one.spectrum for one in known.values() if one is not None)
-        return Told(deviance, np.concatenate(left), spectra) if math.isfinite(deviance) else NOWHERE
+        return RecordsAtParameters(deviance, np.concatenate(left), spectra) if math.isfinite(deviance) else NOWHERE
 
     def _known(self, p: FloatArray, law: SampledLaw, of: Sequence[SetpointSteps]) -> _Known | None:
         """What is the same for all records under one set of gains; None where the loop would run away."""

@@ -66,10 +66,10 @@ BELIEVED = 4.0
 UNSETTLED = 0.7
 """Standard deviation of ln |C|, and of the integral gain, up to which settings may follow: a factor of two. Whoever
 changes gains asks all models that are left, so what is not known makes the change smaller; and the bumps go on."""
-FAR = 40.0
+LARGEST_LN_PARAMETER = 40.0
 """Largest logarithm of a parameter."""
 HALF_TIMES = 5.0
-"""The first setpoint of steps to and fro is held for so many half times (nudge/planner.py): where the guesses begin."""
+"""The first setpoint of steps to and fro is held for so many half times (setpoint_bumps): where the guesses begin."""
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)
 """Of the noise's filter; the information criterion of Schwarz (1978) chooses."""
 SAMPLES_A_TERM = 10
@@ -87,7 +87,7 @@ class NoiseFilter(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SetpointFit:
     """One structure fitted. slopes : derivatives of the whitened residuals by x. deviance : their squares, and what is
     unusual of x.
     """
@@ -122,7 +122,7 @@ class Fitting:
             found[gains] = noise_filter([v for _, v in same], MISFIT * max(size for size, _ in same))
         return [found[one.gains] for one in self.records]
 
-    def weigh_by(self, best: Found) -> None:
+    def weigh_by(self, best: SetpointFit) -> None:
         """Weigh anew by what the best model leaves of all samples, not only of those before the steps."""
         self.filters = self._filters(self._left(best.type, best.x))
 
@@ -170,14 +170,14 @@ class Fitting:
                 x.append(x[THETA] + math.log(DEAD[0]))
             yield np.array(x)
 
-    def found_twice(self) -> list[Found]:
+    def found_twice(self) -> list[SetpointFit]:
         """All structures, under weights by the loads before the steps, and then by all that the best one leaves."""
         found = self.found()
         if found:
             self.weigh_by(min(found, key=lambda one: one.deviance + PRICE * len(one.x)))
         return [one for one in map(self.again, found) if one.is_finite]
 
-    def criterion(self, best: Found, likelihood: Likelihood) -> float:
+    def criterion(self, best: SetpointFit, likelihood: Likelihood) -> float:
         """Of a structure with the noise that it leaves (Schwarz 1978), to be held beside that of a likelihood."""
         left, total = self._left(best.type, best.x), PRICE * len(best.x)
         for law in set(self._laws):
@@ -190,11 +190,11 @@ class Fitting:
             total += (squares + misfit) / noise.std**2 + 2 * n * math.log(noise.std) + len(noise.ar) * math.log(n)
         return total
 
-    def again(self, one: Found) -> Found:
+    def again(self, one: SetpointFit) -> SetpointFit:
         """A structure refined under the weights of now."""
         return self._refined(one.type, one.x, self.deviance(one.type, one.x))
 
-    def found(self) -> list[Found]:
+    def found(self) -> list[SetpointFit]:
         """All structures fitted; an inverse response begins as one half of what two lags take for dead time."""
         fitted = {type_: self.best(type_) for type_ in TYPES}
         plain, inverse = fitted[ProcessType.SOPDT], ProcessType.SOPDT_INVERSE
@@ -205,20 +205,20 @@ class Fitting:
             fitted[inverse] = self._refined(inverse, x, cost) if math.isfinite(cost) else None
         return [one for one in fitted.values() if one is not None and one.is_finite]
 
-    def best(self, type_: ProcessType) -> Found | None:
+    def best(self, type_: ProcessType) -> SetpointFit | None:
         """The best of the refined guesses; None where no loop with this structure is stable."""
         costs = [(self.deviance(type_, x), tuple(x)) for x in self.starts(type_)]
         near = sorted(cost for cost in costs if math.isfinite(cost[0]))[:STARTS]
         refined = [self._refined(type_, np.array(x), cost) for cost, x in near]
         return min(refined, key=lambda found: found.deviance, default=None)
 
-    def _refined(self, type_: ProcessType, x: FloatArray, cost: float) -> Found:
+    def _refined(self, type_: ProcessType, x: FloatArray, cost: float) -> SetpointFit:
         found = descended(
             (x, cost), partial(self._slopes, type_), partial(_stepped, type_), partial(self.deviance, type_), LIMITS
         )
         assert found is not None  # residuals have slopes everywhere
         x, cost, (here, slopes) = found
-        return Found(type_, x, here, slopes, cost)
+        return SetpointFit(type_, x, here, slopes, cost)
 
     def _slopes(self, type_: ProcessType, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The residuals at x, shape (n,), and their slopes, shape (n, d)."""
@@ -236,7 +236,7 @@ def _stepped(type_: ProcessType, x: FloatArray, seen: tuple[FloatArray, FloatArr
     diagonal = np.diag(normal) + 1e-12 * max(float(np.max(np.diag(normal))), 1e-300)
     step = np.linalg.solve(normal + damping * np.diag(diagonal), -gradient)
     step /= max(float(np.max(np.abs(step))), 1.0)
-    return np.asarray(np.clip(x + step, -FAR, FAR), dtype=np.float64)
+    return np.asarray(np.clip(x + step, -LARGEST_LN_PARAMETER, LARGEST_LN_PARAMETER), dtype=np.float64)
 
 
 def process_behind(
@@ -286,7 +286,7 @@ def _told(
     return ModelEstimate(not open_, reason, (), *left, alternatives, 0, around, explained)
 
 
-def _ends(found: Sequence[Found]) -> Iterator[FloatArray]:
+def _ends(found: Sequence[SetpointFit]) -> Iterator[FloatArray]:
     """What each structure found, as a point of the likelihood's one structure, in which all others are ends."""
     for one in found:
         if one.type in INVERSE:
@@ -320,7 +320,7 @@ def of_the_newest(records: Sequence[SetpointSteps], estimate: ModelEstimate, b: 
     return Fitting(records[-1:], log.sign, b, filter_s).deviance(log.type, log.x)
 
 
-def _plausible(fitting: Fitting, ranked: Sequence[Found], log: LogModel, inflation: float) -> Iterator[Plausible]:
+def _plausible(fitting: Fitting, ranked: Sequence[SetpointFit], log: LogModel, inflation: float) -> Iterator[Plausible]:
     """The best, models along the axes of its covariance, and the other structures that come close."""
     best = ranked[0]
     yield Plausible(log.model(), 0.0)
@@ -358,7 +358,7 @@ def _integral_open(around: Sequence[Plausible], dt_s: float, settings: FitSettin
     return f"the integral action is uncertain by a factor of {known} (limit {needed})"
 
 
-def _alternative(one: Found, sign: int, inflation: float, n: int) -> Alternative:
+def _alternative(one: SetpointFit, sign: int, inflation: float, n: int) -> Alternative:
     """Covariance, and compression for the Kalman filter."""
     q, information = np.linalg.qr(one.slopes / math.sqrt(inflation))
     score = information @ one.x - q.T @ (one.residuals / math.sqrt(inflation))

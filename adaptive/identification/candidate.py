@@ -68,7 +68,7 @@ def loads_at(fit: Fit, changes_s: tuple[float, ...]) -> int:
     return int(np.sum(found))
 
 
-class Seen:
+class CandidateList:
     """All candidates that were tried."""
 
     def __init__(self, rivals: list[Candidate]) -> None:

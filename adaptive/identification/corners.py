@@ -16,7 +16,7 @@ from retuner.adaptive.fit.misfit import LOAD_COST
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.search import instants
 from retuner.adaptive.fit.structure import SIZE, dynamics_at
-from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.candidate import Candidate, CandidateList, judged
 from retuner.adaptive.identification.loads import MOVE_EVALUATIONS, PROMISING, SCAN, improved, linear_gains
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -32,7 +32,7 @@ def asked_for(winner: Candidate) -> bool:
     return misfit.loads > 1 or misfit.rounded or misfit.ramp or bool(winner.colour.ar)
 
 
-def with_corners(starts: Sequence[Candidate], most: int, seen: Seen) -> None:
+def with_corners(starts: Sequence[Candidate], most: int, seen: CandidateList) -> None:
     """Notes the best explanations by ramps that are reached from these starts.
 
     starts : fits whose process is kept at first, while their loads are not. most : loads in all.
@@ -43,7 +43,7 @@ def with_corners(starts: Sequence[Candidate], most: int, seen: Seen) -> None:
         improved(best, most, seen)
 
 
-def _cornered(start: Candidate, most: int, seen: Seen) -> Candidate | None:
+def _cornered(start: Candidate, most: int, seen: CandidateList) -> Candidate | None:
     """The best with one corner after another, None where there is room for none."""
     at, best = _bare(start), None
     for _ in range(most):

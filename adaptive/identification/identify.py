@@ -34,7 +34,7 @@ from retuner.adaptive.identification.estimate import (
     proper_covariance,
 )
 from retuner.adaptive.identification.plausible import Plausible, plausible, within_reach
-from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
+from retuner.adaptive.identification.structure_choice import StructureSettings, candidates
 from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.rules.simc import without_second_lag
@@ -69,7 +69,7 @@ class FitSettings:
         0.2 to 1, default 0.5.
     """
 
-    choice: ChoiceSettings = field(default_factory=ChoiceSettings)
+    choice: StructureSettings = field(default_factory=StructureSettings)
     most_samples: int = 1500
     gain_std_limit: float = 0.25
     lag_std_limit: float = 0.7
@@ -83,9 +83,9 @@ class FitSettings:
     valve_lead: float = 15.0
 
 
-OPEN_LOOP = FitSettings(ChoiceSettings(seeded_loads=0, most_loads=0, start_spread=0.0))
+OPEN_LOOP = FitSettings(StructureSettings(seeded_loads=0, most_loads=0, start_spread=0.0))
 """For an experiment in manual that begins at rest."""
-FROM_MOTION = FitSettings(ChoiceSettings(seeded_loads=0, most_loads=0))
+FROM_MOTION = FitSettings(StructureSettings(seeded_loads=0, most_loads=0))
 """For one that begins in motion, or with its step in the first row."""
 START_COST = 2.0
 """Unknowns of a start that was not rest: a step and an impulse before the record."""

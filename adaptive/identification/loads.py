@@ -26,7 +26,7 @@ from retuner.adaptive.fit.record import are_coincident
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.search import instants
 from retuner.adaptive.fit.structure import SIZE, dynamics_at
-from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.candidate import Candidate, CandidateList, judged
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -52,7 +52,7 @@ Proposal = tuple[Misfit, FloatArray]
 Move = Callable[[Candidate], Proposal | None]
 
 
-def improved(seed: Candidate, most_loads: int, seen: Seen, most: int = MOST_MOVES) -> Candidate:
+def improved(seed: Candidate, most_loads: int, seen: CandidateList, most: int = MOST_MOVES) -> Candidate:
     """The best that can be reached by single moves; everything tried is noted in `seen`."""
     best, tried, fruitless = seed, 0, 0
     moves: list[Move] = []

@@ -18,7 +18,7 @@ from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import EXACT, Fit, refine
 from retuner.adaptive.fit.search import behind_a_lag, long_lag, starts, with_inverse, with_second_lag, with_third
 from retuner.adaptive.fit.structure import SIZE
-from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.candidate import Candidate, CandidateList, judged
 from retuner.adaptive.identification.corners import asked_for, with_corners
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.identification.usual_dead_time import usual
@@ -37,7 +37,7 @@ ROUGH = 12
 """Evaluations of a refinement that only ranks the starts."""
 RELATIVE_MOVES = 2
 """Moves with which the other structures may still improve in the winner's clothes."""
-FAR = 1.3
+WIDER_SEARCH_RATIO = 1.3
 """A remainder this many times the noise asks for a wider search."""
 SWALLOWED = 5.0
 """What is left over the noise of pv from which a filter hides loads: noise itself is seen at a third of it at least."""
@@ -48,7 +48,7 @@ CLOSE = 12.0
 
 
 @dataclass(frozen=True, slots=True)
-class ChoiceSettings:
+class StructureSettings:
     """Settings of the choice.
 
     seeded_loads : load steps looked for by the coarse search; 0 to 3, default 2.
@@ -87,7 +87,7 @@ def too_few(window: Window) -> str:
 def candidates(
     window: Window,
     signs: tuple[int, ...],
-    settings: ChoiceSettings,
+    settings: StructureSettings,
     most_samples: int,
     barred_s: tuple[float, ...] = (),
 ) -> list[Candidate]:
@@ -106,7 +106,7 @@ def candidates(
     record = replace(Record.of(window, settings.most_samples), barred_s=barred_s)
     fits = [fit for sign in signs for fit in _structures(record, sign, settings)]
     rivals = sorted((judged(fit) for fit in fits), key=lambda c: c.criterion)
-    seen = Seen(rivals)
+    seen = CandidateList(rivals)
     for seed in _seeds(rivals):
         improved(seed, settings.most_loads, seen)
     winner = seen.best()
@@ -120,7 +120,7 @@ def candidates(
     for relative in _relatives(winner, seen, inverse=settings.inverse):
         seen.add(improved(relative, settings.most_loads, seen, RELATIVE_MOVES))
     whole = replace(Record.of(window, most_samples), barred_s=barred_s)
-    return Seen([_on(whole, c) for c in seen.ranked(CLOSE)]).ranked(CLOSE)
+    return CandidateList([_on(whole, c) for c in seen.ranked(CLOSE)]).ranked(CLOSE)
 
 
 def _on(record: Record, found: Candidate) -> Candidate:
@@ -145,7 +145,7 @@ def _seeds(rivals: list[Candidate]) -> list[Candidate]:
     same = [c for c in rivals if c.fit.misfit.sign == best.fit.misfit.sign]
     by_type = list({c.fit.misfit.type: c for c in reversed(same)}.values())
     by_type.sort(key=lambda c: c.criterion)
-    far = best.colour.std > FAR * best.fit.misfit.record.noise_std or bool(best.colour.ar)
+    far = best.colour.std > WIDER_SEARCH_RATIO * best.fit.misfit.record.noise_std or bool(best.colour.ar)
     calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
     drifting = {c.fit.misfit.type: c for c in reversed(same) if c.fit.misfit.ramp}
     return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting.values()]))
@@ -167,7 +167,7 @@ def _loads_first(rivals: list[Candidate], most_loads: int) -> list[Candidate]:
     for sign in {c.fit.misfit.sign for c in rivals}:
         first = next(c.fit for c in rivals if (c.fit.misfit.sign, c.fit.misfit.type) == (sign, FIRST))
         white = judged(refine(replace(first.misfit, most_order=0), first.p))
-        fit = improved(white, most_loads, Seen([]), WHITE_MOVES).fit
+        fit = improved(white, most_loads, CandidateList([]), WHITE_MOVES).fit
         found.append(judged(replace(fit, misfit=replace(fit.misfit, most_order=first.misfit.most_order))))
     return found
 
@@ -177,7 +177,7 @@ def _few_loads(rivals: list[Candidate]) -> list[Candidate]:
     return [c for c in rivals if c.fit.misfit.loads < 2]
 
 
-def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit]:
+def _structures(record: Record, sign: int, settings: StructureSettings) -> list[Fit]:
     """Every structure with 0, 1, ... seeded loads."""
 
     def misfit(type_: ProcessType, loads: int) -> Misfit:
@@ -221,7 +221,7 @@ def _best(misfit: Misfit, points: list[FloatArray]) -> Fit:
     return refine(misfit, best.p)
 
 
-def _relatives(winner: Candidate, seen: Seen, *, inverse: bool) -> list[Candidate]:
+def _relatives(winner: Candidate, seen: CandidateList, *, inverse: bool) -> list[Candidate]:
     """The other structures of the winner's sign, each with the winner's loads, drift and whitening filter."""
     fit = winner.fit
     found = []
@@ -240,7 +240,7 @@ def _relatives(winner: Candidate, seen: Seen, *, inverse: bool) -> list[Candidat
     return [*found, *_larger(winner, seen)] if inverse else found
 
 
-def _larger(winner: Candidate, seen: Seen) -> list[Candidate]:
+def _larger(winner: Candidate, seen: CandidateList) -> list[Candidate]:
     """An inverse response and a third lag, with as many load steps as the winner or fewer: these can pass for one.
 
     So can a load's own lag and a drift: behind a first order, the third lag is looked for without them.

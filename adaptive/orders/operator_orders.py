@@ -22,13 +22,19 @@ from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
-from retuner.adaptive.supervision.guard_request import KnownProcesses, change_request, known_of, promise_of, tuning_of
+from retuner.adaptive.supervision.guard_request import (
+    KnownProcesses,
+    change_request,
+    known_of,
+    prediction_of,
+    tuning_of,
+)
 from retuner.adaptive.supervision.pipeline import NOT_KNOWN
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.persons_edit import right_words, turned_words
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import SetsThatRan, unstable_again
 from retuner.schedule.gains import PidGains
 
@@ -49,11 +55,11 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
     short, reason = proposal.digest[:8], _refusal(retuner, region, proposal, verdict)
     if reason:
         return retuner.ordered(region, StageResult("approval_refused", f"proposal {short} is not written: {reason}"))
-    promised = Promise.from_dict(proposal.promise) if proposal.promise else None
+    prediction = Prediction.from_dict(proposal.prediction) if proposal.prediction else None
     outcome = StageResult(
         "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by an operator", verdict=verdict
     )
-    return retuner.ordered(region, outcome, proposal.after, promised)
+    return retuner.ordered(region, outcome, proposal.after, prediction)
 
 
 def propose(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decision:
@@ -72,11 +78,11 @@ def propose(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decis
     elif change_factor(proved, gains) > WHOLE:
         reason = f"only a smaller change is proved now: kp {proved.kp:.4g}, ki {proved.ki:.4g}, kd {proved.kd:.4g}"
     else:
-        promised = promise_of(verdict, retuner.table, region, retuner.scheduled, None, retuner.settings)
+        prediction = prediction_of(verdict, retuner.table, region, retuner.scheduled, None, retuner.settings)
         told = retuner.ordered(
             region, StageResult("order_proposed", "an operator proposed these gains", verdict=verdict)
         )
-        return replace(told, action=Action.ADVISE, gains_after=proved, promise=promised)
+        return replace(told, action=Action.ADVISE, gains_after=proved, prediction=prediction)
     return retuner.ordered(region, StageResult("order_refused", f"proposal refused: {reason}", verdict=verdict))
 
 
@@ -118,7 +124,7 @@ def _proof(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Verdic
 def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict | None) -> str:
     """Why an approved proposal is not written; empty when it is."""
     in_force = retuner.table.gains_of(region)
-    if proposal.promise is None:
+    if proposal.prediction is None:
         return "it has no prediction to judge a trial by"
     if change_factor(in_force, proposal.before) > SAME_GAINS:
         return str(ProposalStanding.OTHER_GAINS)
@@ -277,11 +283,11 @@ def pretune(retuner: Retuner, region: int, window: Window) -> Decision:
     verdict, mode = outcome.verdict, retuner.settings.mode_of(region)
     if verdict is None or verdict.gains is None or mode == Mode.OFF:
         return retuner.ordered(region, outcome)
-    promised = promise_of(verdict, retuner.table, region, retuner.scheduled, None, retuner.settings)
+    prediction = prediction_of(verdict, retuner.table, region, retuner.scheduled, None, retuner.settings)
     if mode == Mode.ADVISE:
         advised = retuner.ordered(region, outcome)
-        return replace(advised, action=Action.ADVISE, gains_after=verdict.gains, promise=promised)
-    return retuner.ordered(region, outcome, verdict.gains, promised)
+        return replace(advised, action=Action.ADVISE, gains_after=verdict.gains, prediction=prediction)
+    return retuner.ordered(region, outcome, verdict.gains, prediction)
 
 
 def _outcome(retuner: Retuner, region: int, window: Window) -> StageResult:

@@ -28,7 +28,7 @@ class Proposal:
     """One proposal.
 
     digest : SHA-256 of the decision, hexadecimal. number : of the decision. region : name. t_s : time of the decision.
-    before : gains from which it was proved. after : gains that are proposed. promise : as the decision has it.
+    before : gains from which it was proved. after : gains that are proposed. prediction : as the decision has it.
 
     Raises ValueError: the digest is no hash, the time not finite, or the sets act in different directions.
     """
@@ -39,7 +39,7 @@ class Proposal:
     t_s: float
     before: PidGains
     after: PidGains
-    promise: Mapping[str, Any] | None = None
+    prediction: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         if len(self.digest) != 64 or not set(self.digest) <= set("0123456789abcdef"):
@@ -54,7 +54,7 @@ class Proposal:
         """What a decision proposes; None when it proposes nothing."""
         if decision.action != Action.ADVISE or decision.gains_after is None:
             return None
-        promise: Any = decision.to_dict().get("promise")
+        prediction: Any = decision.to_dict().get("promise")
         return cls(
             decision.digest(),
             decision.number,
@@ -62,7 +62,7 @@ class Proposal:
             decision.t_s,
             decision.gains_before,
             decision.gains_after,
-            promise,
+            prediction,
         )
 
     def standing(self, in_force: PidGains, t_s: float, expires_after_s: float) -> ProposalStanding:
@@ -81,7 +81,7 @@ class Proposal:
             "t_s": self.t_s,
             "before": gains_dict(self.before),
             "after": gains_dict(self.after),
-            "promise": dict(self.promise) if self.promise is not None else None,
+            "promise": dict(self.prediction) if self.prediction is not None else None,
         }
 
     @classmethod

@@ -43,7 +43,7 @@ from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel,
 from retuner.adaptive.schedule_design.stretches import SLOPE_STD
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.valve.in_loop import SeenThrough, through_valve
+from retuner.adaptive.valve.record_through_valve import ValveInLoop, through_valve
 from retuner.schedule.gains import PidGains
 
 # The first records of a region fitted as one: one process, each record with its own rest, loads and gains.
@@ -208,7 +208,7 @@ class Learned:
     estimate: ModelEstimate
     agreement: Agreement
     innovation: float
-    valve: SeenThrough | None = None
+    valve: ValveInLoop | None = None
 
 
 SECONDS_PER_DAY = 86400.0

@@ -1,4 +1,4 @@
-"""Settings of the nudge. All of them stand in the configuration file, below [adaptation.nudge]."""
+"""Settings of setpoint bumps. All of them stand in the configuration file, below [adaptation.nudge]."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ HOURS = 24.0
 
 
 @dataclass(frozen=True, slots=True)
-class NudgeSettings:
-    """Settings of the nudge; the others mean nothing where it is not allowed.
+class BumpSettings:
+    """Settings of setpoint bumps; the others mean nothing where it is not allowed.
 
     Raises ValueError: a setting is outside its range.
     """

@@ -218,7 +218,7 @@ def inside_region(regions: Regions, region: int) -> Callable[[LoopSample], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _JudgedWindow:
     """What is judged. samples are the window's, kept is pv as far as it is kept; during marks those of the response
     itself, shape (n,).
     """
@@ -268,7 +268,7 @@ def admit(
         raise ValueError(f"a window of {n} samples cannot have been made of {len(samples)}")
     own = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
     kept = np.array([sample.pv for sample in samples])
-    seen = _Seen(window, list(samples)[-n:], kept, response, own, inside, settings, pv_range, abs(ki))
+    seen = _JudgedWindow(window, list(samples)[-n:], kept, response, own, inside, settings, pv_range, abs(ki))
     numbers = AdmissionNumbers()
     for rule in _RULES:
         counted = rule(seen)
@@ -285,19 +285,19 @@ class _Counted(NamedTuple):
     against: Ground | None = None
 
 
-def _kept_whole(seen: _Seen) -> _Counted:
+def _kept_whole(seen: _JudgedWindow) -> _Counted:
     """Nothing of it was forgotten before it ended."""
     if seen.window.t_s[0] <= seen.response.t_start_s and bool(np.any(seen.during)):
         return _Counted(AdmissionNumbers())
     return _Counted(AdmissionNumbers(kept=float(len(seen.samples))), Ground.TOO_LONG)
 
 
-def _in_automatic(seen: _Seen) -> _Counted:
+def _in_automatic(seen: _JudgedWindow) -> _Counted:
     manual = float(sum(sample.mode != LoopMode.AUTO for sample in seen.samples))
     return _Counted(AdmissionNumbers(manual=manual), Ground.MANUAL if manual else None)
 
 
-def _measured(seen: _Seen) -> _Counted:
+def _measured(seen: _JudgedWindow) -> _Counted:
     """Never far outside of what the transmitter can say: that was a fault of the signal, or somebody else's frame."""
     low, high = seen.pv_range
     room = RANGE_ROOM * (high - low)
@@ -307,7 +307,7 @@ def _measured(seen: _Seen) -> _Counted:
     return _Counted(AdmissionNumbers(pv_worst=worst, pv_low=low, pv_high=high), Ground.OUT_OF_RANGE)
 
 
-def _sensor_lives(seen: _Seen) -> _Counted:
+def _sensor_lives(seen: _JudgedWindow) -> _Counted:
     """It did not stand still while the controller acted on it."""
     found = stood_still(seen.kept, len(seen.window.t_s))
     if found is None:
@@ -318,7 +318,7 @@ def _sensor_lives(seen: _Seen) -> _Counted:
     return _Counted(numbers, Ground.PV_CLIPPED if clipped else Ground.PV_STUCK)
 
 
-def _telemetry(seen: _Seen) -> _Counted:
+def _telemetry(seen: _JudgedWindow) -> _Counted:
     """Complete, even in time, and new at every sample."""
     steps = np.diff(seen.window.t_s) / seen.window.sample_time_s
     whole = np.maximum(np.round(steps), 1.0)
@@ -342,7 +342,7 @@ def _telemetry(seen: _Seen) -> _Counted:
     return _Counted(numbers)
 
 
-def _in_region(seen: _Seen) -> _Counted:
+def _in_region(seen: _JudgedWindow) -> _Counted:
     """It stayed inside, where it is not taken as one that crossed a border (region_model/boundary_crossing.py)."""
     inside, limit = seen.inside, seen.settings.outside_share
     outside = sum(inside is not None and not inside(sample) for sample in seen.own) / len(seen.own)
@@ -351,7 +351,7 @@ def _in_region(seen: _Seen) -> _Counted:
     return _Counted(AdmissionNumbers(outside_share=outside, limit=limit), Ground.LEFT_REGION)
 
 
-def _same_gains(seen: _Seen) -> _Counted:
+def _same_gains(seen: _JudgedWindow) -> _Counted:
     """One controller all the time, as the controller itself reports it."""
     changes, limit = float(sum(a.revision != b.revision for a, b in pairwise(seen.own))), seen.settings.changes_most
     if changes <= limit:
@@ -375,7 +375,7 @@ def _moved(window: Window, response: Response, settings: AdmissionSettings) -> t
     return AdmissionNumbers(moves=moves, moving_share=share), led
 
 
-def _own_setpoint(seen: _Seen) -> _Counted:
+def _own_setpoint(seen: _JudgedWindow) -> _Counted:
     """Not the slave of a cascade: its setpoint is the master's output, so it moves all the time."""
     numbers, led = _moved(seen.window, seen.response, seen.settings)
     most, most_share = float(seen.settings.moves_most), seen.settings.moving_share
@@ -384,7 +384,7 @@ def _own_setpoint(seen: _Seen) -> _Counted:
     return _Counted(replace(numbers, limit=most, limit_share=most_share), Ground.SETPOINT_LED)
 
 
-def _free_output(seen: _Seen) -> _Counted:
+def _free_output(seen: _JudgedWindow) -> _Counted:
     """Not at a limit for longer than the user wants to learn from."""
     own, limit = seen.own, seen.settings.limited_share
     share = sum(sample.limited != 0 for sample in own) / len(own)
@@ -393,7 +393,7 @@ def _free_output(seen: _Seen) -> _Counted:
     return _Counted(AdmissionNumbers(limited_share=share, limit=limit), Ground.SATURATED)
 
 
-def _excited(seen: _Seen) -> _Counted:
+def _excited(seen: _JudgedWindow) -> _Counted:
     """co and pv move, and the response stands out of the noise, or is that of a step which is known.
 
     What a setpoint step of any height shows is told by the covariance of its fit.
@@ -409,7 +409,7 @@ def _excited(seen: _Seen) -> _Counted:
     return _Counted(replace(numbers, limit=least), Ground.LOW_EXCITATION)
 
 
-def _frozen_co(seen: _Seen) -> Ground:
+def _frozen_co(seen: _JudgedWindow) -> Ground:
     """What an output is called that never moves: at a limit it is held there."""
     return Ground.SATURATED if all(sample.limited for sample in seen.own) else Ground.CO_FROZEN
 

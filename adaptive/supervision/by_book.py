@@ -22,7 +22,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, doubted, move, update
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, lets_go, shares
-from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
+from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
@@ -82,13 +82,15 @@ def look_of(
     first_s = max(since_s, -math.inf if book is None else book.t_s)
     most = round(WHOLE / LOOK * after_s / dt_s)
     rows = [sample for sample in samples if sample.t_s > first_s][-most:]
-    if len(rows) < FEWEST_ON_TRIAL or (not on_trial and (len(rows) < FEWEST or len(rows) * dt_s < after_s)):
+    if len(rows) < FEWEST_SAMPLES_ON_TRIAL or (
+        not on_trial and (len(rows) < FEWEST_SAMPLES or len(rows) * dt_s < after_s)
+    ):
         return None
     limited = sum(1 for sample in rows if sample.limited) / len(rows)
     return Look(book, Window.of(rows), grows=len(rows) < ROUNDED * most, limited=limited, due=due)
 
 
-FEWEST, FEWEST_ON_TRIAL = 300, 50
+FEWEST_SAMPLES, FEWEST_SAMPLES_ON_TRIAL = 300, 50
 """Samples of a look."""
 ROUNDED = 0.99
 
@@ -164,7 +166,7 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
     else:
         against = by_models + worth < 0.0 or (not shown and shares(drawn, new, settings)[0] >= settings.less_odds)
     if against:
-        found.verdict = found.basis = found.promise = None
+        found.verdict = found.basis = found.prediction = None
         by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
         if away:
             by_that = f"the process runs away by itself with {float(drawn.weights @ drawn.runs_away):.0%} probability"

@@ -27,7 +27,6 @@ from retuner.adaptive.diagnosis.second_opinion import (
     runs_away,
     unconfirmed,
 )
-from retuner.adaptive.diagnosis.standing_valve import stand_still
 from retuner.adaptive.diagnosis.swing_checks import (
     FOREIGN_SWINGS,
     at_own_crossover,
@@ -48,8 +47,9 @@ from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, step_sequence
 from retuner.adaptive.supervision.guard_request import known_with, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.batch_responses import Loop
+from retuner.adaptive.valve.stand_still import stand_still
 from retuner.schedule.table import Lookup
 
 __all__ = [
@@ -58,6 +58,7 @@ __all__ = [
     "SWINGING",
     "TOWARDS_SAFETY",
     "above_noise",
+    "basis_of",
     "beside_sequences",
     "by_sequences",
     "doubt_of",
@@ -71,7 +72,6 @@ __all__ = [
     "not_as_modelled",
     "one_more_other_cause",
     "records_agree",
-    "rested_on",
     "stands",
     "swing_by_other_cause",
     "swings_between_limits",
@@ -352,7 +352,7 @@ def is_known(found: Findings, learned: Learned) -> bool:
     if learned.agreement != Agreement.AGREES or before is None or now is None:
         return False
     same = before.log.type is now.log.type or wanted_of(record, before, found.settings).diagnosis.retune
-    return same and (found.rested_on.clear > 0 or records_agree(now, found.excitation_now, found.settings))
+    return same and (found.excitation_before.clear > 0 or records_agree(now, found.excitation_now, found.settings))
 
 
 def records_agree(model: RegionModel, excitation: Excitation, settings: RetunerSettings) -> bool:
@@ -470,7 +470,7 @@ def above_noise(found: Findings) -> bool:
     return max(sizes, default=0.0) >= found.settings.admission.excitation_bands * response.band
 
 
-def rested_on(record: ResponseRecord, agreement: Agreement) -> Excitation:
+def basis_of(record: ResponseRecord, agreement: Agreement) -> Excitation:
     """What the model rested on before this response."""
     if agreement == Agreement.CHANGED:
         return record.excitation.of_alternative()

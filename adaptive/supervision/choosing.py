@@ -24,8 +24,8 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.guard_request import KnownProcesses, change_request, choosable, known_with
 from retuner.adaptive.supervision.pipeline_types import Findings
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
-from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import decay_seen
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.adaptive.trial.prediction import decay_seen
 from retuner.schedule.gains import PidGains
 
 
@@ -99,7 +99,7 @@ def _seen(found: Findings, model: RegionModel) -> ModelEvidence:
     assert learned is not None  # after the stage of identification
     return ModelEvidence(
         model.records + int(found.joined > 0),
-        found.rested_on.clear + int(found.clear and not record.response.taken_over),
+        found.excitation_before.clear + int(found.clear and not record.response.taken_over),
         len(learned.estimate.load_times_s),
         any(sample.limited for sample in record.own),
         found.unexplained > found.settings.swing.unexplained,

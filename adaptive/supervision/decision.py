@@ -20,10 +20,10 @@ from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.region_model.update import ANEW, Agreement
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement
 from retuner.adaptive.trial.persons_edit import lasting_words
 from retuner.adaptive.trial.phase import UNDOS, TrialPhase
+from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 
@@ -97,7 +97,7 @@ class Decision:
     gains_after : what shall be written (action COMMIT or RESTORE) or is advised.
     records : how many records the region's model rests on.
     basis : what the proposal rests on.
-    promise : what gains_after promise.
+    prediction : what gains_after promise.
     judgement : of the response against the promise of the gains on trial, if any.
     trial : where the region stands after this decision.
     known : the process as it may be met in the region from now on, which is what the cause and the proof go by
@@ -128,7 +128,7 @@ class Decision:
     proposal: Tuning | None = None
     verdict: Verdict | None = None
     numbers: Numbers = NO_NUMBERS
-    promise: Promise | None = None
+    prediction: Prediction | None = None
     judgement: Judgement | None = None
     trial: str = "idle"
     known: LogModel | None = None
@@ -173,7 +173,7 @@ class Decision:
             "basis": str(self.basis) if self.basis else None,
             "proposal": self.proposal.to_dict() if self.proposal else None,
             "verdict": self.verdict.to_dict() if self.verdict else None,
-            "promise": self.promise.to_dict() if self.promise else None,
+            "promise": self.prediction.to_dict() if self.prediction else None,
             "judgement": self.judgement.to_dict() if self.judgement else None,
             "trial": self.trial,
             **({"delay": self.delay._asdict()} if self.delay else {}),
@@ -209,12 +209,12 @@ def gains_dict(gains: PidGains) -> dict[str, float]:
     return {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}
 
 
-def promised_wrongly(trial: Trial, decision: Decision) -> bool:
+def predicted_wrongly(trial: Trial, decision: Decision) -> bool:
     """Whether the models behind a change that is given up are not to be believed any more.
 
     decision : on the response that ended it; it may have put another model in their place.
     """
-    by_models = trial.promise is not None and trial.promise.models > 0
+    by_models = trial.prediction is not None and trial.prediction.models > 0
     return trial.cause in UNDOS and by_models and decision.agreement not in ANEW
 
 
@@ -231,7 +231,7 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
     )
     reason = "; ".join(filter(None, (f"{done}: {judged or cause}", back.reason)))
     reason += f"; also in {', '.join(also)}" if also else ""
-    if promised_wrongly(trial, decision):
+    if predicted_wrongly(trial, decision):
         reason += "; the model's prediction was wrong, so the model is discarded"
     return replace(
         decision,
@@ -243,7 +243,7 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
         undos=trial.undos,
         gains_before=trial.new or decision.gains_before,
         gains_after=back.gains,
-        promise=trial.promise,
+        prediction=trial.prediction,
         trial=str(trial.phase),
     )
 
@@ -271,7 +271,7 @@ def staying(decision: Decision, region: str, trial: Trial, also: Sequence[str]) 
         numbers=back.numbers or decision.numbers,
         gains_before=back.gains,
         gains_after=back.gains if ensure else None,
-        promise=trial.promise,
+        prediction=trial.prediction,
         trial=str(trial.phase),
     )
 

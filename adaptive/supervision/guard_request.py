@@ -15,8 +15,8 @@ from retuner.adaptive.choice.expected_cost import (
 )
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause, with_second_lag
 from retuner.adaptive.guard import Verdict
-from retuner.adaptive.guard.between import eased, worst_between
-from retuner.adaptive.guard.border import borders_of, likeliest_between, mixed
+from retuner.adaptive.guard.between_knots import eased, worst_between
+from retuner.adaptive.guard.both_sides_of_border import borders_of, likeliest_between, mixed
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBorder, Support
 from retuner.adaptive.identification.estimate import LogModel
@@ -34,12 +34,12 @@ from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
-from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
 from retuner.adaptive.trial.load_variability import wander_of
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
+from retuner.adaptive.trial.prediction import Prediction, decay_seen, predict, predict_without_model
 from retuner.adaptive.trial.random_walk import beside_a_walk
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.adaptive.trial.trial import Trial
@@ -162,8 +162,8 @@ def choosable(record: ResponseRecord, known: KnownProcesses, gains: PidGains) ->
 
 
 def tuning_of(known: KnownProcesses, region: int, in_force: PidGains) -> RobustProposal:
-    """What the rule gives for a region, eased to what its part of the ways to the neighbours bears (guard/between.py);
-    and whether its tuning is a cause.
+    """What the rule gives for a region, eased to what its part of the ways to the neighbours bears, and whether its
+    tuning is a cause (guard/between_knots.py).
 
     In an interpolated table what ran, in_force, is a mean of several sets: asked is what the region's own does.
     """
@@ -270,7 +270,7 @@ def may_follow(trial: Trial, settings: RetunerSettings) -> bool:
     return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
 
 
-def promise_of(
+def prediction_of(
     verdict: Verdict | None,
     table: GainTable,
     region: int,
@@ -278,7 +278,7 @@ def promise_of(
     response: Response | None,
     settings: RetunerSettings,
     samples: Sequence[LoopSample] = (),
-) -> Promise | None:
+) -> Prediction | None:
     """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
 
     at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
@@ -288,23 +288,23 @@ def promise_of(
         return None
     in_force, new = table.at(region, *at), table.with_gains(region, verdict.gains).at(region, *at)
     if verdict.allowed:
-        promised = promise(
+        prediction = predict(
             verdict.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
         )
-        promised = replace(promised, decay_seen=decay_seen(response))
+        prediction = replace(prediction, decay_seen=decay_seen(response))
     elif response:
-        promised = promise_without_model(response, in_force, new)
+        prediction = predict_without_model(response, in_force, new)
     else:
         return None
-    swung = promised.decay_seen is not None and promised.decay_seen > settings.trial.harmless_decay
-    return promised if swung else replace(promised, wander=wander_of(samples))
+    swung = prediction.decay_seen is not None and prediction.decay_seen > settings.trial.harmless_decay
+    return prediction if swung else replace(prediction, wander=wander_of(samples))
 
 
-def promised(found: Findings, verdict: Verdict) -> Promise | None:
+def prediction(found: Findings, verdict: Verdict) -> Prediction | None:
     """What the gains of a verdict promise; how pv moved before steps to and fro is what loads do by themselves."""
     record = found.record
     at = record.table, record.region, record.at
-    told = promise_of(verdict, *at, record.pattern, found.settings, record.samples)
+    told = prediction_of(verdict, *at, record.pattern, found.settings, record.samples)
     if told is None or found.steps is None:
         return told
     return replace(told, wander=max(told.wander, found.steps.wander))
@@ -350,8 +350,8 @@ def walked(
     """What the loop did lately leaves of its process beside a load that wanders (trial/random_walk.py). Asked where the
     error was seen to wander before the change, else None.
     """
-    promised, noise = trial.promise, case.response.band / NOISE_RISES
-    if promised is None or promised.wander <= WANDERS * noise:
+    prediction, noise = trial.prediction, case.response.band / NOISE_RISES
+    if prediction is None or prediction.wander <= WANDERS * noise:
         return None
     models = [found.model for found in sorted(against, key=lambda found: found.excess)]
     limits = (settings.trial.harmless_ms, settings.trial.level)

@@ -1,6 +1,6 @@
 """What gains in force hold, and what those before them would: two questions beside the models of a region.
 
-Before a change lets it go: do the gains in force hold a process that runs away by itself (diagnosis/runaway_process)?
+Before a change: do the gains in force hold a process that runs away by itself (diagnosis/unstable_process.py)?
 After one to less action: was it a cure, or does the swing come from outside, so that the set before may come back?
 """
 
@@ -10,7 +10,7 @@ from dataclasses import replace
 from retuner.adaptive.decision_numbers import NO_NUMBERS
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import alike_on_both_sides, through_a_change
-from retuner.adaptive.diagnosis.runaway_process import Runaway, runaway_process, worse_on
+from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.request import Support
 from retuner.adaptive.guard.step_size import less_of_everything
@@ -53,7 +53,7 @@ def runaway(found: Findings) -> None:
     if window is None:
         return
     law = SampledLaw(record.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
-    shown = runaway_process(window, law)
+    shown = unstable_process(window, law)
     if shown is None:
         return
     after = record.table.with_gains(record.region, verdict.gains).at(record.region, *record.at)
@@ -62,7 +62,7 @@ def runaway(found: Findings) -> None:
         found.doubted(_told(shown, *worse))
 
 
-def _told(shown: Runaway, before: float, after: float) -> Diagnosis:
+def _told(shown: UnstableProcess, before: float, after: float) -> Diagnosis:
     """Why nothing changes. before, after : Ms on it."""
     then = f"Ms {before:.2f} -> {after:.2f}" if math.isfinite(after) else f"Ms {before:.2f} now"
     what = "make it less robust" if math.isfinite(after) else "not hold it"
@@ -127,9 +127,9 @@ REFUTED = (
 
 def _cut_from(trial: Trial, in_force: PidGains, harmless_decay: float) -> PidGains | None:
     """The newest set that ran before and acted more, where the last change was less action against a swing."""
-    if trial.promise is None or trial.new != in_force:
+    if trial.prediction is None or trial.new != in_force:
         return None
-    said = trial.promise
+    said = trial.prediction
     swung = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False), said.decay_seen or 0.0)
     if said.models and swung <= harmless_decay:
         return None

@@ -25,13 +25,13 @@ from retuner.adaptive.region_model.region_curves import centre_of, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, predicted
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import BETWEEN, KnownProcesses, change_request, promise_of, tuning_of
+from retuner.adaptive.supervision.guard_request import BETWEEN, KnownProcesses, change_request, prediction_of, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit
 from retuner.adaptive.trial.batch_responses import Loop
-from retuner.adaptive.trial.expectation import Promise, decay_seen
 from retuner.adaptive.trial.load_variability import wander_of, wander_there
 from retuner.adaptive.trial.posterior_check import costs
+from retuner.adaptive.trial.prediction import Prediction, decay_seen
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -81,14 +81,14 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Stag
     request = change_request(wanted.tuning, region, record.commissioned, asked, None)
     verdict = prove(_counted(request, known), settings.guard)
     place = (*centre_of(table.regions, region), 0.0)
-    promised = promise_of(verdict, table, region, (place[0], place[1]), None, settings)
-    if promised is None or verdict.gains is None:
+    prediction = prediction_of(verdict, table, region, (place[0], place[1]), None, settings)
+    if prediction is None or verdict.gains is None:
         return None
     if BETWEEN not in wanted.diagnosis.evidence and (
         region in found.question.away or not _far_off(found, region, verdict.allowed, verdict.gains)
     ):
         return None
-    return _result(model, wanted, verdict, replace(promised, wander=_wander(found, verdict)))
+    return _result(model, wanted, verdict, replace(prediction, wander=_wander(found, verdict)))
 
 
 def _known_of(found: Findings, region: int, known: Mapping[int, RegionModel]) -> RegionModel | None:
@@ -143,7 +143,7 @@ def _wander(found: Findings, verdict: Verdict) -> float:
     return wander_there(seen, record.window.noise_std, loops[0], loops[1])
 
 
-def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, promised: Promise) -> StageResult:
+def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, prediction: Prediction) -> StageResult:
     """As of a response in that region."""
     known = model.reason if not model.records else "known by responses that passed through"
     return StageResult(
@@ -153,5 +153,5 @@ def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, promis
         proposal=wanted.tuning,
         basis=Basis.MODEL,
         verdict=verdict,
-        promise=promised,
+        prediction=prediction,
     )

@@ -34,6 +34,7 @@ from retuner.adaptive.supervision.causes import (
     NOT_THE_LOOP,
     SWINGING,
     above_noise,
+    basis_of,
     beside_sequences,
     by_sequences,
     doubt_of,
@@ -45,7 +46,6 @@ from retuner.adaptive.supervision.causes import (
     known_of_swing,
     not_as_modelled,
     one_more_other_cause,
-    rested_on,
     stands,
     swing_by_other_cause,
     unambiguous,
@@ -54,7 +54,7 @@ from retuner.adaptive.supervision.causes import (
 )
 from retuner.adaptive.supervision.choosing import chosen, lost_on_all, proved
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import may_follow, posterior_of, promised, unproved_request, walked
+from retuner.adaptive.supervision.guard_request import may_follow, posterior_of, prediction, unproved_request, walked
 from retuner.adaptive.supervision.open_loop_unstable import cut_refuted, runaway
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.pipeline_types import (
@@ -68,7 +68,7 @@ from retuner.adaptive.supervision.pipeline_types import (
 )
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 
@@ -226,9 +226,9 @@ def region_model(found: Findings) -> None:
         return
     swinging = None if record.crossed or found.steps is not None else known_of_swing(record, settings)
     found.in_use = found.region_model = swinging or learned.region_model
-    found.rested_on = record.excitation if swinging else rested_on(record, learned.agreement)
+    found.excitation_before = record.excitation if swinging else basis_of(record, learned.agreement)
     found.clear = unambiguous(found, learned)
-    now = found.rested_on
+    now = found.excitation_before
     if not swinging and learned.agreement != Agreement.SILENT:  # what cannot tell is nothing that a model rests on
         rested = from_rest_to_rest(record.samples, record.response, settings.swing)
         now = now.with_response(record.response, clear=found.clear, rested=rested)
@@ -354,7 +354,7 @@ def worth(found: Findings) -> None:
         found.stop(ONE_RECORD if choice.waits else NOT_WORTH, choice.reason)
         return
     found.verdict, found.expected = verdict, choice.reason
-    found.promise = promised(found, verdict)
+    found.prediction = prediction(found, verdict)
 
 
 ONE_RECORD = "one_record"
@@ -410,12 +410,12 @@ def expectation(found: Findings) -> None:
     """What the proved gains promise, where they may be written at all."""
     verdict = found.verdict
     if (
-        found.promise is None
+        found.prediction is None
         and verdict is not None
         and verdict.accepted
         and may_follow(found.question.trial, found.settings)
     ):
-        found.promise = promised(found, verdict)
+        found.prediction = prediction(found, verdict)
 
 
 def check_after_trial(found: Findings) -> None:

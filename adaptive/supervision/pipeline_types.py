@@ -30,10 +30,10 @@ from retuner.adaptive.supervision.admission import Admission, Ground, admit, ins
 from retuner.adaptive.supervision.decision import WRITES, Action, Basis, Decision, Mode
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.response_finder import FinderState, Left
-from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
+from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
@@ -126,7 +126,7 @@ class StageResult:
     code : name of the reason, for machines. region_model : what is known of the region from now on, None for as before.
     forget : what was known of the region is refuted. foreign : as in the record, with this response.
     excitation : what the region model rests on.
-    promise : what the proved gains promise, worked out where they may be written at all. posterior : what the record
+    prediction : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
     elsewhere : what is due in a region where the loop is not, by its index; nothing for none. walked : what the loop
     did lately leaves of its process beside a load that wanders as before the change of a trial; None where none did.
@@ -145,7 +145,7 @@ class StageResult:
     excitation: Excitation | None = None
     numbers: Numbers = NO_NUMBERS
     forget: bool = False
-    promise: Promise | None = None
+    prediction: Prediction | None = None
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, "StageResult"] = field(default_factory=dict)
@@ -335,8 +335,9 @@ class Findings:
     unexplained : share of the record's pv that its model leaves open.
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
     joined : setpoint steps to and fro of which the record was made, 0 for one response as it came. steps : these.
-    rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
-    no second opinion. expected : why the change is worth it. The others are those of StageResult, None for as before.
+    excitation_before : what in_use rested on before this response; excitation_now : with it. clear : whether the
+    response needs no second opinion. expected : why the change is worth it. The others are those of StageResult, None
+    for as before.
     """
 
     question: Question
@@ -348,7 +349,7 @@ class Findings:
     unexplained: float = 0.0
     in_use: RegionModel | None = None
     tuning: RobustProposal | None = None
-    rested_on: Excitation = field(default_factory=Excitation)
+    excitation_before: Excitation = field(default_factory=Excitation)
     excitation_now: Excitation = field(default_factory=Excitation)
     clear: bool = False
     region_model: RegionModel | None = None
@@ -360,7 +361,7 @@ class Findings:
     excitation: Excitation | None = None
     numbers: Numbers = NO_NUMBERS
     forget: bool = False
-    promise: Promise | None = None
+    prediction: Prediction | None = None
     expected: str = ""
     posterior: PosteriorCheck | None = None
     walked: StillAllowed | None = None
@@ -421,7 +422,7 @@ class Findings:
             excitation=self.excitation,
             numbers=self.numbers,
             forget=self.forget,
-            promise=self.promise,
+            prediction=self.prediction,
             posterior=self.posterior,
             walked=self.walked,
             book=self.book,

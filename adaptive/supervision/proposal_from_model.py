@@ -18,7 +18,7 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
 LAG_DOMINANT = 8.0

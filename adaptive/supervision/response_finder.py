@@ -37,7 +37,7 @@ from retuner.adaptive.signals.recogniser import (
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.rest import wander_before
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite, plain
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import CAN, Regions, RegionState, choose, enter, values
 

@@ -33,12 +33,12 @@ from retuner.adaptive.supervision.decision import (
     Decision,
     Delay,
     Mode,
-    promised_wrongly,
+    predicted_wrongly,
     proposing,
     restoring,
     staying,
 )
-from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of, promise_of, seen_of
+from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of, prediction_of, seen_of
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
     NOBODY,
@@ -63,11 +63,11 @@ from retuner.adaptive.supervision.pipeline_types import (
     with_outcome,
 )
 from retuner.adaptive.supervision.response_finder import Completed, Left, ResponseFinder
-from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import Judgement, TrialFinding
 from retuner.adaptive.trial.persons_edit import NOT_TAKEN, edit_words, require_action
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.schedule.gains import PidGains
@@ -311,26 +311,26 @@ class Retuner:
         return self.trials.restored(self.now_s)
 
     def ordered(
-        self, region: int, outcome: StageResult, gains: PidGains | None = None, promised: Promise | None = None
+        self, region: int, outcome: StageResult, gains: PidGains | None = None, prediction: Prediction | None = None
     ) -> Decision:
         """The decision on an order (see operator_orders.py): gains to be written, None when it is not done.
 
-        promised : what the gains are held to on trial; without a promise they are written and not on trial.
+        prediction : what the gains are held to on trial; without a promise they are written and not on trial.
         """
-        unpromised = promised is None
+        unpromised = prediction is None
         free = self.trials.may_change(region, self.now_s, urgent=unpromised, ordered=not unpromised)
         phase = self.trials.phase(region)
         free = free or (unpromised and phase in {TrialPhase.LOCKED, TrialPhase.HELD})
         if gains is not None and (self.turned or not free):
             why = TrialEvent.ACTION_TURNED if self.turned else phase
             gains, outcome = None, StageResult(f"held_{why.name.lower()}", f"no change now: {why}")
-        decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, promise=None)
+        decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, prediction=None)
         if gains is None:
             return decision
-        if promised is not None:
-            self.trials.begin(region, decision.gains_before, gains, promised, self.now_s, ordered=True)
+        if prediction is not None:
+            self.trials.begin(region, decision.gains_before, gains, prediction, self.now_s, ordered=True)
         phase = self.trials.phase(region)
-        return replace(decision, action=Action.COMMIT, gains_after=gains, promise=promised, trial=str(phase))
+        return replace(decision, action=Action.COMMIT, gains_after=gains, prediction=prediction, trial=str(phase))
 
     def taken_back(self, region: int) -> Decision | None:
         """A person wants the change back that is undecided, or waits for approval; None when there is none."""
@@ -403,7 +403,7 @@ class Retuner:
         learned = self._entered(opened.question, result)
         if same:
             return self._give_up(ended, learned)
-        if promised_wrongly(self.trials.of(region), learned):
+        if predicted_wrongly(self.trials.of(region), learned):
             self._forget(region)
         return learned
 
@@ -420,7 +420,7 @@ class Retuner:
     def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
         """The decision to restore."""
         trial = self.trials.of(region)
-        if promised_wrongly(trial, decision):
+        if predicted_wrongly(trial, decision):
             self._forget(region)
         return restoring(decision, self.table.regions.names[region], trial, also)
 
@@ -495,11 +495,11 @@ class Retuner:
 
     def _on_trial(self, region: int, decision: Decision) -> Decision:
         """The decision, with the trial that begins where it asks for a write."""
-        now, promised, verdict = decision.gains_after, decision.promise, decision.verdict
-        if decision.action != Action.COMMIT or now is None or promised is None:
+        now, prediction, verdict = decision.gains_after, decision.prediction, decision.verdict
+        if decision.action != Action.COMMIT or now is None or prediction is None:
             return decision
         urgent = verdict is not None and verdict.urgent
-        self.trials.begin(region, decision.gains_before, now, promised, self.now_s, urgent=urgent)
+        self.trials.begin(region, decision.gains_before, now, prediction, self.now_s, urgent=urgent)
         return replace(decision, trial=str(self.trials.phase(region)))
 
     def _forget(self, region: int) -> None:
@@ -548,11 +548,13 @@ class Retuner:
             outcome = held(outcome, self.trials.of(region), now_s)
         accepted = outcome.verdict is not None and outcome.verdict.accepted and phase_allows
         response = question.record.response if question and not question.alone else None
-        promised = outcome.promise
-        if accepted and promised is None:
+        prediction = outcome.prediction
+        if accepted and prediction is None:
             at, pattern = (question.record.at, question.record.pattern) if question else (self._finder.scheduled, None)
-            promised = promise_of(outcome.verdict, self.table, region, at, pattern, self.settings, self._finder.samples)
-        made = self._recorded(region, outcome, response, judgement, promised if accepted else None, accepted=accepted)
+            prediction = prediction_of(
+                outcome.verdict, self.table, region, at, pattern, self.settings, self._finder.samples
+            )
+        made = self._recorded(region, outcome, response, judgement, prediction if accepted else None, accepted=accepted)
         made = proposing(made, self.trials.of(region), now_s) if proposes else made
         if question is None or question.sample_number == self.sample_number:
             return made
@@ -564,7 +566,7 @@ class Retuner:
         outcome: StageResult,
         response: Response | None,
         judgement: Judgement | None,
-        promised: Promise | None,
+        prediction: Prediction | None,
         *,
         accepted: bool,
     ) -> Decision:
@@ -581,7 +583,7 @@ class Retuner:
             reason=outcome.reason,
             gains_before=self.table.gains_of(region),
             response=response,
-            promise=promised,
+            prediction=prediction,
             judgement=judgement,
             trial=str(self.trials.phase(region)),
             later=region != self.region and self.table.lookup is Lookup.HARD,

@@ -28,7 +28,7 @@ from retuner.adaptive.signals.step_sequence import SetpointMove
 from retuner.adaptive.supervision.pipeline_types import RetunerState, SetpointLed
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import RegionState

@@ -23,9 +23,9 @@ import math
 from typing import NamedTuple
 
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import TrialEvent
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.prediction import Prediction
+from retuner.adaptive.trial.trial_settings import TrialSettings
 
 SEEN_BANDS = 2.0
 """A half wave counts from this many noise bands."""
@@ -37,7 +37,7 @@ TWICE = 2
 """So many growing half waves after the first are a runaway."""
 
 
-class RunawayLaw(NamedTuple):
+class DivergenceLimits(NamedTuple):
     """Thresholds (see the head of this file); limited_s in seconds, least in pv units."""
 
     grows: float
@@ -48,7 +48,7 @@ class RunawayLaw(NamedTuple):
     least: float = 0.0
 
 
-class RunawayState(NamedTuple):
+class DivergenceState(NamedTuple):
     """Where the watch stands: setpoint; extreme of the half wave under way and of the one before (signed, 0: none);
     how many have grown and stayed in a row; last limit touched (-1, 0, 1), swings between limits, and since when the
     output stands at one (infinite when it does not); since when the half wave under way lasts, and since when the error
@@ -70,33 +70,33 @@ class RunawayState(NamedTuple):
     held: bool = False
 
 
-def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> RunawayLaw:
+def law_of(prediction: Prediction, settings: TrialSettings, shortest_s: float) -> DivergenceLimits:
     """The thresholds for one trial. shortest_s : least time at a limit that counts, s."""
-    high = max(promised.setpoint.decay.high, promised.load_step.decay.high) + settings.decay_slack
-    before = min(max(promised.decay_before(setpoint=True), promised.decay_before(setpoint=False)), MOST_GROWTH)
+    high = max(prediction.setpoint.decay.high, prediction.load_step.decay.high) + settings.decay_slack
+    before = min(max(prediction.decay_before(setpoint=True), prediction.decay_before(setpoint=False)), MOST_GROWTH)
     least = max(min(high, MOST_GROWTH), before if before > 1 else 0.0)
-    patience = promised.patience_s if math.isfinite(promised.patience_s) else 0.0
-    return RunawayLaw(
+    patience = prediction.patience_s if math.isfinite(prediction.patience_s) else 0.0
+    return DivergenceLimits(
         max(settings.grows, least),
         max(settings.stays, least),
         settings.stays_for,
         settings.limit_swings,
         max(settings.limited_settles * patience, shortest_s),
-        settings.seen_wanders / 2 * promised.wander,
+        settings.seen_wanders / 2 * prediction.wander,
     )
 
 
-def runaway_begin(sp: float, *, joined: bool = True) -> RunawayState:
+def divergence_begin(sp: float, *, joined: bool = True) -> DivergenceState:
     """Nothing seen yet. joined : a half wave may be under way, as when a trial begins."""
-    return RunawayState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf, joined=joined)
+    return DivergenceState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf, joined=joined)
 
 
-def runaway_step(
-    law: RunawayLaw, state: RunawayState, sample: LoopSample, band: float
-) -> tuple[RunawayState, TrialEvent | None]:
+def divergence_step(
+    law: DivergenceLimits, state: DivergenceState, sample: LoopSample, band: float
+) -> tuple[DivergenceState, TrialEvent | None]:
     """Take one sample; the event that ends the trial, if this is it. band : noise band, pv units."""
     if abs(sample.sp - state.sp) > max(band, MOVED * abs(state.extreme), MOVED * abs(state.last)):
-        state = runaway_begin(sample.sp, joined=False)
+        state = divergence_begin(sample.sp, joined=False)
     # which limit the output touches, and since when
     if not sample.limited:
         state = state if math.isinf(state.since_s) else state._replace(since_s=math.inf)
@@ -119,7 +119,7 @@ def runaway_step(
     return state, TrialEvent.RUNAWAY if runs else None
 
 
-def _rested(state: RunawayState, sample: LoopSample) -> RunawayState:
+def _rested(state: DivergenceState, sample: LoopSample) -> DivergenceState:
     """Out of the band again: after a rest, half waves are counted anew."""
     rest_s, wave_s = sample.t_s - state.inside_s, state.inside_s - state.wave_s
     if rest_s > wave_s:
@@ -127,7 +127,7 @@ def _rested(state: RunawayState, sample: LoopSample) -> RunawayState:
     return state._replace(inside_s=math.inf)
 
 
-def _follow(law: RunawayLaw, state: RunawayState, e: float, t_s: float) -> RunawayState:
+def _follow(law: DivergenceLimits, state: DivergenceState, e: float, t_s: float) -> DivergenceState:
     """The half wave under way goes on, or a new one begins on the other side."""
     if state.extreme == 0:
         return state._replace(extreme=e, wave_s=t_s)

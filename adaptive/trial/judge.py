@@ -34,11 +34,11 @@ from numpy.typing import NDArray
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import FloatArray, Window, trapezoid
-from retuner.adaptive.trial.expectation import Expected, Promise
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, PosteriorNumbers, against, in_favour
+from retuner.adaptive.trial.prediction import Expected, Prediction
 from retuner.adaptive.trial.response_numbers import storable, swing, three
 from retuner.adaptive.trial.rollback import StillAllowed
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 NOT_ITSELF = "the response itself is not judged"
@@ -157,13 +157,13 @@ class _Costs(NamedTuple):
     numbers: UpsetNumbers | None = None
 
 
-def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: TrialSettings) -> Judgement:
+def judge(seen: JudgedResponse, prediction: Prediction, gains: PidGains, settings: TrialSettings) -> Judgement:
     """Judge a response that ran under `gains`."""
     peaks = float(len(seen.response.peaks))
-    nothing = _says_nothing(seen, promised, settings)
+    nothing = _says_nothing(seen, prediction, settings)
     if nothing:
         return Judgement(TrialFinding.INCONCLUSIVE, nothing, TrialNumbers(peaks))
-    objection = against(seen.posterior, promised, settings, seen.wandering) if seen.posterior else None
+    objection = against(seen.posterior, prediction, settings, seen.wandering) if seen.posterior else None
     worse, posterior = objection or ("", None)
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
@@ -174,11 +174,15 @@ def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: Tr
     if unlike:
         return _by_posterior(unlike, seen.posterior, settings, TrialNumbers(peaks, posterior))
     now, then = (
-        (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load_step, promised.load_before)
+        (prediction.setpoint, prediction.setpoint_before)
+        if setpoint
+        else (prediction.load_step, prediction.load_before)
     )
-    sigma = sigma_of(seen.response.band, promised)
-    swings = _swings(seen.response, now, promised.decay_before(setpoint), sigma, settings)
-    ran_away = promised.decay_seen is not None and promised.decay_seen > max(now.decay.high, settings.harmless_decay)
+    sigma = sigma_of(seen.response.band, prediction)
+    swings = _swings(seen.response, now, prediction.decay_before(setpoint), sigma, settings)
+    ran_away = prediction.decay_seen is not None and prediction.decay_seen > max(
+        now.decay.high, settings.harmless_decay
+    )
     before = then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0
     costs = _costs(seen, gains, now, before, sigma, settings)
     numbers = TrialNumbers(peaks, posterior, swings.numbers, costs.numbers)
@@ -230,12 +234,12 @@ def _by_posterior(why: str, seen: PosteriorCheck | None, settings: TrialSettings
     return Judgement(TrialFinding.AS_PROMISED, f"{good}; {why}", numbers)
 
 
-def sigma_of(band: float, promised: Promise) -> float:
+def sigma_of(band: float, prediction: Prediction) -> float:
     """Standard deviation of what moves pv beside the upset: noise, or a load that never rests. band : noise band."""
-    return max(band / NOISE_RISES, promised.wander)
+    return max(band / NOISE_RISES, prediction.wander)
 
 
-def _says_nothing(seen: JudgedResponse, promised: Promise, settings: TrialSettings) -> str:
+def _says_nothing(seen: JudgedResponse, prediction: Prediction, settings: TrialSettings) -> str:
     """Why the response says nothing at all, if so."""
     response = seen.response
     if seen.outside:
@@ -245,7 +249,7 @@ def _says_nothing(seen: JudgedResponse, promised: Promise, settings: TrialSettin
     least, largest = settings.seen_bands * response.band, max((abs(peak.e) for peak in response.peaks), default=0.0)
     if largest < least:
         return f"not judged: the peaks are below {settings.seen_bands:g} noise bands ({least:.3g} in units of pv)"
-    wanders, least = settings.seen_wanders, settings.seen_wanders * promised.wander
+    wanders, least = settings.seen_wanders, settings.seen_wanders * prediction.wander
     if largest < least:
         return (
             f"not judged: the peaks are below {wanders:g} standard deviations of the error before the change "

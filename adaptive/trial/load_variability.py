@@ -5,7 +5,7 @@
 over blocks of BLOCK samples of those that ran under the gains in force. A quarter of the blocks lie below the quantile:
 upsets that come and go leave quiet blocks, a load that wanders leaves none. The line takes away what a slow integral
 has still to bring back, which is no wandering. A loop that swings by its own fault leaves no quiet block either, so
-that what is seen of such a loop is no measure (see expectation.py).
+that what is seen of such a loop is no measure (see prediction.py).
 
 Of a set for a place where the loop is not, nothing ran yet. A load that is a random walk moves the error there as its
 unit step does: the variance is its increments' times the integral of the squared response. So what is seen here beside

@@ -22,9 +22,9 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.trial.batch_responses import Loop, Upset
-from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.response_numbers import shapes, storable
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
@@ -119,29 +119,31 @@ class Objection(NamedTuple):
     numbers: PosteriorNumbers
 
 
-def against(found: PosteriorCheck, promised: Promise, settings: TrialSettings, wandering: bool = False) -> Objection:
+def against(
+    found: PosteriorCheck, prediction: Prediction, settings: TrialSettings, wandering: bool = False
+) -> Objection:
     """What it says against the tried set, if anything.
 
     wandering : a load that wanders explains the samples as well on a process on which the tried set is robust: then the
     models, which know no such load, say nothing of its robustness.
     """
-    robustness = _robustness(found, promised, settings)
+    robustness = _robustness(found, prediction, settings)
     words = "" if wandering else _less_robust(found, robustness.ms_limit)
     if words:
         return Objection(words, PosteriorNumbers(robustness))
     # J of the new set over the old one as promised, on the best model; 0 where it is not known
     said = _mean_ratio(
-        (promised.setpoint.iae.best, promised.load_step.iae.best),
-        (promised.setpoint_before.iae.best, promised.load_before.iae.best),
+        (prediction.setpoint.iae.best, prediction.load_step.iae.best),
+        (prediction.setpoint_before.iae.best, prediction.load_before.iae.best),
     )
     limit = settings.iae_slack * max(said, 1.0)
     cost = CostNumbers(found.slower, limit, said or None) if found.slower else None
-    return Objection(_slower(found, promised, limit, settings), PosteriorNumbers(robustness, cost))
+    return Objection(_slower(found, prediction, limit, settings), PosteriorNumbers(robustness, cost))
 
 
-def _robustness(found: PosteriorCheck, promised: Promise, settings: TrialSettings) -> RobustnessNumbers:
+def _robustness(found: PosteriorCheck, prediction: Prediction, settings: TrialSettings) -> RobustnessNumbers:
     """What the first test at the head of this file weighs."""
-    said = promised.ms
+    said = prediction.ms
     allowed = [ms for ms in (said.best, said.high) if math.isfinite(ms)] if said else []
     limit = max([settings.harmless_ms, *allowed])
     best = storable(said.best) if said else None
@@ -156,9 +158,9 @@ def _less_robust(found: PosteriorCheck, limit: float) -> str:
     return f"worse than predicted: on every plausible model {words}, limit {limit:.2f}"
 
 
-def _slower(found: PosteriorCheck, promised: Promise, limit: float, settings: TrialSettings) -> str:
+def _slower(found: PosteriorCheck, prediction: Prediction, limit: float, settings: TrialSettings) -> str:
     """The second test at the head of this file."""
-    swung = promised.decay_seen is not None and promised.decay_seen > settings.harmless_decay
+    swung = prediction.decay_seen is not None and prediction.decay_seen > settings.harmless_decay
     if swung or found.ms_old > settings.harmless_ms or found.slower <= limit:
         return ""
     return (

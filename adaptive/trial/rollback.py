@@ -33,7 +33,7 @@ from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.trial.phase import UNDOS, TrialEvent
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 SWINGS_ON = 0.9

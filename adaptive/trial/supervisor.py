@@ -15,8 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.trial.diverging_trial import law_of, runaway_begin, runaway_step
-from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.diverging_trial import divergence_begin, divergence_step, law_of
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, judge
 from retuner.adaptive.trial.phase import (
     ABORTS,
@@ -29,9 +28,10 @@ from retuner.adaptive.trial.phase import (
     TrialPhase,
     after,
 )
+from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, Rollback, StillAllowed, rollback, unstable_again
-from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
@@ -143,7 +143,7 @@ class TrialSupervisor:
         region: int,
         old: PidGains,
         new: PidGains,
-        promised: Promise,
+        prediction: Prediction,
         t_s: float,
         *,
         urgent: bool = False,
@@ -160,7 +160,7 @@ class TrialSupervisor:
             old=old,
             new=new,
             ran=False,
-            promise=promised,
+            prediction=prediction,
             since_s=t_s,
             kept=0,
             silent=0,
@@ -196,7 +196,7 @@ class TrialSupervisor:
         """A person has set other gains in a region, and they run. ours : those that were in force before."""
         trial = self.of(region)
         edits = trial.edits + (trial.ran and ours == trial.new and trial.cause != E.OPERATOR_EDIT)
-        kept = replace(trial.with_earlier(ours), old=ours, new=now, ran=True, promise=None, edits=edits, back=None)
+        kept = replace(trial.with_earlier(ours), old=ours, new=now, ran=True, prediction=None, edits=edits, back=None)
         self._trials[region] = replace(kept, until_s=t_s + self._hold_s(edits), cause=E.OPERATOR_EDIT)
         self._move(region, E.OPERATOR_EDIT, t_s)
 
@@ -257,9 +257,9 @@ class TrialSupervisor:
         ask : a person has the next word when the trial passes.
         """
         trial = self.of(region)
-        if trial.phase != P.TRIAL or trial.promise is None:
+        if trial.phase != P.TRIAL or trial.prediction is None:
             return None
-        found = judge(seen, trial.promise, ran, self.settings)
+        found = judge(seen, trial.prediction, ran, self.settings)
         event = FINDINGS[found.finding]
         if event in UNDOS:
             self._end(region, event, t_s)
@@ -354,18 +354,18 @@ class TrialSupervisor:
     def _waits(self, at: int, t_s: float) -> TrialEvent | None:
         """A trial that no response decides is a person's, where he has the next word."""
         trial = self.of(at)
-        if trial.phase != P.TRIAL or not self._asks(at) or trial.promise is None:
+        if trial.phase != P.TRIAL or not self._asks(at) or trial.prediction is None:
             return None
-        patience = trial.promise.patience_s
+        patience = trial.prediction.patience_s
         own_s = max(patience if math.isfinite(patience) else 0.0, self._tau_i_s(trial.new), self._shortest_s)
         return E.TIMED_OUT if t_s - trial.since_s > self.settings.settles * own_s else None
 
     def _watch(self, at: int, sample: LoopSample, band: float) -> TrialEvent | None:
         trial = self.of(at)
-        if trial.phase not in {P.TRIAL, P.AWAY} or trial.promise is None:
+        if trial.phase not in {P.TRIAL, P.AWAY} or trial.prediction is None:
             return None
-        law = law_of(trial.promise, self.settings, self._shortest_s)
-        seen, found = runaway_step(law, trial.seen or runaway_begin(sample.sp), sample, band)
+        law = law_of(trial.prediction, self.settings, self._shortest_s)
+        seen, found = divergence_step(law, trial.seen or divergence_begin(sample.sp), sample, band)
         if seen is not trial.seen:
             self._trials[at] = replace(trial, seen=seen)
         return found

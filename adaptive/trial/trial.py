@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from retuner.adaptive.trial.diverging_trial import RunawayState
-from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.diverging_trial import DivergenceState
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import Rollback, RollbackNumbers, SetsThatRan
 from retuner.schedule.gains import PidGains
 
@@ -31,7 +31,7 @@ class Trial:
     phase: TrialPhase = TrialPhase.IDLE
     old: PidGains | None = None
     new: PidGains | None = None
-    promise: Promise | None = None
+    prediction: Prediction | None = None
     ran: bool = False
     since_s: float = 0.0
     kept: int = 0
@@ -42,7 +42,7 @@ class Trial:
     cause: TrialEvent | None = None
     back: Rollback | None = None
     earlier: tuple[PidGains, ...] = ()
-    seen: RunawayState | None = None
+    seen: DivergenceState | None = None
 
     @property
     def sets(self) -> SetsThatRan:
@@ -52,7 +52,7 @@ class Trial:
         """
         if self.old is None:
             raise ValueError("nothing was ever changed here")
-        said = self.promise
+        said = self.prediction
         swung = said.decay_seen if said else None
         swings = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False)) if said else 0.0
         lost = said is not None and said.unstable_before and bool(self.old.ki)  # without ki none comes to rest
@@ -70,7 +70,7 @@ class Trial:
             "phase": self.phase.name.lower(),
             "old": _gains_out(self.old),
             "new": _gains_out(self.new),
-            "promise": self.promise.to_dict() if self.promise else None,
+            "promise": self.prediction.to_dict() if self.prediction else None,
             "ran": self.ran,
             "since_s": self.since_s,
             "kept": self.kept,
@@ -94,7 +94,7 @@ class Trial:
             phase=TrialPhase[str(body["phase"]).upper()],
             old=_gains_in(body["old"]),
             new=_gains_in(body["new"]),
-            promise=Promise.from_dict(body["promise"]) if body["promise"] else None,
+            prediction=Prediction.from_dict(body["promise"]) if body["promise"] else None,
             ran=bool(body["ran"]),
             since_s=float(body["since_s"]),
             kept=int(body["kept"]),
@@ -131,17 +131,17 @@ def _back_in(body: Mapping[str, Any] | None) -> Rollback | None:
     return Rollback(PidGains(*body["gains"]), bool(body["stays"]), str(body["reason"]), numbers)
 
 
-def _seen_out(seen: RunawayState | None) -> dict[str, float | None] | None:
+def _seen_out(seen: DivergenceState | None) -> dict[str, float | None] | None:
     if seen is None:
         return None
     return {name: None if math.isinf(value) else value for name, value in seen._asdict().items()}
 
 
-def _seen_in(body: Mapping[str, Any] | None) -> RunawayState | None:
+def _seen_in(body: Mapping[str, Any] | None) -> DivergenceState | None:
     if body is None:
         return None
     at = {name: math.inf if value is None else float(value) for name, value in body.items()}
-    return RunawayState(
+    return DivergenceState(
         at["sp"],
         at["extreme"],
         at["last"],

@@ -31,8 +31,8 @@ from online.batch import NOISE, PV_SPAN, SAMPLES_PER_THETA, STARTS, told
 from online.harm import effects
 from online.judge import Judge, Judgement, counted
 from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
-from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
-from retuner.adaptive.setpoint_bumps.watching import Nudger
+from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
+from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 
 Row = dict[str, Any]
@@ -63,16 +63,16 @@ def tasks(seed: int, kind: str, count: int, *, opened: bool, verbose: bool, nudg
     return [Task(kind, seed, index, opened, verbose, nudge) for index in range(count)]
 
 
-def nudger(percent: float, watching: Watching, period_s: float) -> Nudger:
+def nudger(percent: float, watching: Watching, period_s: float) -> LoopBumps:
     """Bumps the setpoint when half a period has shown nothing; percent 0 : never."""
     allowed = {"allowed": True, "percent": percent} if percent else {}
-    wanted = NudgeSettings(
+    wanted = BumpSettings(
         **allowed, after_h=period_s / 2 / 3600, most_per_day=100, most=PERIODS, announce_s=0.0, longest_s=period_s
     )
-    return Nudger(wanted, watching.retuner)
+    return LoopBumps(wanted, watching.retuner)
 
 
-def period(watched: WatchedLoop, bumps: Nudger, watching: Watching, load: list[float], noise: list[float]) -> None:
+def period(watched: WatchedLoop, bumps: LoopBumps, watching: Watching, load: list[float], noise: list[float]) -> None:
     """One period; where bumps are allowed, a sample at a time at the setpoint that was last sent."""
     if not bumps.planner.settings.allowed:
         watched.run(0.0, load, noise)

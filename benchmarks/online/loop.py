@@ -13,7 +13,7 @@ from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PidState, change, law, start, step
 from retuner.schedule.regions import Regions, RegionState, choose, enter

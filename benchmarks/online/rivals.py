@@ -18,7 +18,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from retuner.adaptive.supervision.decision import Decision as Decision
     from retuner.adaptive.supervision.decision import Mode as Mode
     from retuner.adaptive.supervision.retuner import Retuner as Retuner
-    from retuner.adaptive.supervision.settings import RetunerSettings as RetunerSettings
+    from retuner.adaptive.supervision.retuner_settings import RetunerSettings as RetunerSettings
     from retuner.adaptive.supervision.state_file import remember as remember
     from retuner.adaptive.supervision.state_file import restore as restore
     from retuner.adaptive.trial.phase import TrialEvent as TrialEvent
@@ -122,7 +122,7 @@ _HOMES = {
     "adaptive.supervision.decision": ("Action", "Decision", "Mode"),
     "adaptive.orders.operator_orders": ("approve_proposal", "found_running"),
     "adaptive.supervision.retuner": ("Retuner",),
-    "adaptive.supervision.settings": ("RetunerSettings",),
+    "adaptive.supervision.retuner_settings": ("RetunerSettings",),
     "adaptive.supervision.state_file": ("remember", "restore"),
     "adaptive.trial.phase": ("TrialEvent",),
     "api": ("Identification", "identify", "read"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from retuner.adaptive import display_hook
 from retuner.adaptive.diagnosis.one_tone import one_tone
-from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing_verdict
+from retuner.adaptive.diagnosis.sticking_valve import pv_stands_verdict
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.by_region import FEWEST_SAMPLES, RegionRecord, by_region, identify_region
@@ -23,6 +23,7 @@ from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.valve.stand_still import StandStillSettings, stand_still
 from retuner.drivers.historian.frames import is_frame
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
@@ -321,13 +322,13 @@ def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, o
 
 def _unless_pv_stands(window: Window, gains: PidGains | None, estimate: ModelEstimate) -> ModelEstimate:
     """The estimate, unless pv stands still while co travels: that shows no process, and diagnosis says so as well."""
-    settings = StandingSettings()
+    settings = StandStillSettings()
     found = stand_still(window, gains, settings)
     if found is None or not (found.stands or found.dead):
         return estimate
     if found.lead_of(estimate.residual_std**2, len(estimate.load_times_s)) > settings.likelier:
         return estimate
-    return replace(estimate, identifiable=False, reason=standing_verdict(found, {}).reason)
+    return replace(estimate, identifiable=False, reason=pv_stands_verdict(found, {}).reason)
 
 
 def _unless_one_tone(window: Window, estimate: ModelEstimate) -> ModelEstimate:

@@ -21,7 +21,7 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import NOT_EVALUATED
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.background import BackgroundRetuner

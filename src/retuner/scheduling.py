@@ -13,9 +13,15 @@ from retuner.adaptive import display_hook
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.indexes.days import at_gaps
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.schedule_choice.candidates import OWN, Candidate, follows_loop, silent
-from retuner.adaptive.schedule_choice.design import Design, NextExperiment, design, first_sets, next_experiment
-from retuner.adaptive.schedule_choice.region_borders import COUNT, Cells
+from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells
+from retuner.adaptive.schedule_choice.schedule_from_records import (
+    Design,
+    NextExperiment,
+    design,
+    first_sets,
+    next_experiment,
+)
+from retuner.adaptive.schedule_choice.scheduling_variables import OWN, Candidate, follows_loop, silent
 from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, model_of
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import Record, window_of, within
@@ -75,7 +81,7 @@ class ScheduleDesign:
     nothing is known well enough. in_force : the gains while the records were made, where they are known. limits : that
     were demanded. records : that it was found from. co_range : limits of the output, where they are known.
     visited : the variable at each of their samples. aim : the table that this one leads to once the next record
-    confirms it, where the records do not carry it at once (schedule_choice/design.py). print shows it as the
+    confirms it, where the records do not carry it at once (schedule_from_records.py). print shows it as the
     command does, a notebook with its picture.
     """
 

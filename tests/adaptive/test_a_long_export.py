@@ -6,7 +6,7 @@ import pytest
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import _unexplained
 from retuner.adaptive.identification.identify import identify_window
 from retuner.adaptive.indexes.recording_quality import hidden_sigma, recording_quality

@@ -17,7 +17,7 @@ from retuner.adaptive.region_model.update import TrackerSettings, update_region_
 from retuner.adaptive.signals.response import Ending
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.causes import records_agree
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
 

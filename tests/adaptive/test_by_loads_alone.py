@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.choice.expected_cost import Choosable, LoopSettings, outlooks
-from retuner.adaptive.choice.settings import ChoiceSettings
 from retuner.adaptive.fit.structure import THETA
 from retuner.adaptive.identification.identify import identify_window
 from retuner.adaptive.identification.plausible import Plausible

@@ -13,7 +13,7 @@ from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

@@ -5,14 +5,14 @@ import math
 import pytest
 from test_online_cause import GOOD, Rig
 
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.oscillation_online import alike_on_both_sides, through_a_change
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Basis, Mode
-from retuner.adaptive.trial.expectation import promise_without_model
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.prediction import predict_without_model
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import change, law
@@ -25,8 +25,8 @@ SWUNG = Response(0.0, 60.0, (Peak(10.0, 1.0), Peak(35.0, -1.0), Peak(60.0, 1.0))
 def cut(rig: Rig, gains: PidGains) -> None:
     """As after a cut that passed its trial."""
     before = rig.retuner.table.gains_of(0)
-    promise = promise_without_model(SWUNG, before, gains)
-    trial = Trial(TrialPhase.IDLE, before, gains, promise, ran=True, since_s=rig.t, earlier=(before,))
+    prediction = predict_without_model(SWUNG, before, gains)
+    trial = Trial(TrialPhase.IDLE, before, gains, prediction, ran=True, since_s=rig.t, earlier=(before,))
     rig.retuner.trials.resume({"at": 0, "trials": {"0": trial.to_dict()}})
     rig.retuner.committed(0, gains)
     new = law(gains, co_min=rig.limits[0], co_max=rig.limits[1])

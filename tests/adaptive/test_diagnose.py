@@ -13,7 +13,7 @@ from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.model import Family, StuckValve
+from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step

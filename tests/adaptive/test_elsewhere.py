@@ -24,7 +24,7 @@ from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import End, Findings, Question, ResponseRecord
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN
@@ -83,7 +83,7 @@ def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: floa
     process = known(1.0).log.model().seen_by_controller(1.0).linear()
     assert sensitivity_peak(process, verdict.gains) < 1.8
     assert abs(np.log(verdict.gains.ki / right(1.0).ki)) < abs(np.log(factor))
-    assert due[2].promise is not None
+    assert due[2].prediction is not None
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_a_trial_that_waits_for_the_loop_ends_before_a_safer_change_there() -> N
     found = decide(question)
     assert found.verdict is not None
     assert found.verdict.gains is not None
-    calm = replace(found, verdict=None, promise=None, code="ok", elsewhere={1: found})
+    calm = replace(found, verdict=None, prediction=None, code="ok", elsewhere={1: found})
     retuner.enter(question, calm, retuner.sample_number)
     first = retuner.step(next(samples)).decision
     assert first is not None
@@ -185,7 +185,7 @@ def test_what_is_due_and_was_not_made_before_a_restart_is_found_again() -> None:
     bench.run(400)
     samples = bench.samples(1000, 1.0, 0.0, 10.0)
     question = next(step.question for step in map(bench.retuner.step, samples) if step.question is not None)
-    calm = replace(decide(question), verdict=None, promise=None, code="ok")
+    calm = replace(decide(question), verdict=None, prediction=None, code="ok")
     due = replace(calm, elsewhere={1: decide(question)})
     bench.retuner.enter(question, due, bench.retuner.sample_number)
     again = restore(json.loads(json.dumps(remember(bench.retuner))), bench.retuner.settings)
@@ -208,7 +208,7 @@ def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -
     found = decide(question)
     assert found.verdict is not None
     assert found.verdict.accepted
-    calm = replace(found, verdict=None, promise=None, code="ok", elsewhere={1: found})
+    calm = replace(found, verdict=None, prediction=None, code="ok", elsewhere={1: found})
     assert retuner.enter(question, calm, retuner.sample_number).action is Action.NONE
     decision, phase = retuner.step(next(samples)).decision, retuner.phase
     assert decision is not None

@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from loop_bench import GOOD, Bench, scaled, table
 
+from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.choice.expected_cost import (
     Choosable,
     LoopSettings,
@@ -20,17 +21,16 @@ from retuner.adaptive.choice.expected_cost import (
     outlooks,
     over,
 )
-from retuner.adaptive.choice.settings import ChoiceSettings
 from retuner.adaptive.guard import prove
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, Locks
-from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
 SETTINGS = ChoiceSettings()

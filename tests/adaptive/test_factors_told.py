@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import _unexplained
 from retuner.adaptive.identification.estimate import factors_text
 

@@ -10,7 +10,7 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.response_finder import Left, ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Axis, Regions

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import NeighbourBorder, prove
-from retuner.adaptive.guard.between import eased
-from retuner.adaptive.guard.border import between_models
+from retuner.adaptive.guard.between_knots import eased
+from retuner.adaptive.guard.both_sides_of_border import between_models
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -23,7 +23,7 @@ from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.guard_request import KnownProcesses, change_request, known_of, tuning_of
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup

@@ -137,7 +137,7 @@ def refused(bench: Bench, found: Asked) -> str:
     before = remember(bench.retuner)
     decision = entered(bench, found)
     assert decision.action is Action.NONE
-    assert decision.gains_after is decision.estimate is decision.verdict is decision.promise is None
+    assert decision.gains_after is decision.estimate is decision.verdict is decision.prediction is None
     assert decision.response == found.question.record.response
     assert remember(bench.retuner) == before | {"decisions": decision.number}
     return decision.code

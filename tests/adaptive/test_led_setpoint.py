@@ -16,7 +16,7 @@ from retuner.adaptive.supervision.pipeline import admission, decide
 from retuner.adaptive.supervision.pipeline_types import Findings
 from retuner.adaptive.supervision.response_finder import ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

@@ -17,7 +17,7 @@ from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pipeline import STAGES, Stage
 from retuner.adaptive.supervision.pipeline_types import NOT_EVALUATED, Findings
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.pid_controller import PidController
 from retuner.schedule.gains import PidGains

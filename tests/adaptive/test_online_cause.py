@@ -10,6 +10,7 @@ import pytest
 
 from retuner.adaptive.diagnosis import second_opinion
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings, stretch, swings
 from retuner.adaptive.diagnosis.second_opinion import (
     Excitation,
@@ -19,9 +20,8 @@ from retuner.adaptive.diagnosis.second_opinion import (
     unconfirmed,
     was_at_rest,
 )
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.swing_checks import LimitSwingSettings, at_own_crossover, touches_limits
-from retuner.adaptive.diagnosis.tuning_verdict import Found
+from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
@@ -30,7 +30,7 @@ from retuner.adaptive.supervision import causes
 from retuner.adaptive.supervision.causes import is_known
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains, SeriesGains
 from retuner.schedule.pid import change, law, start, step
 from retuner.schedule.regions import Regions
@@ -108,7 +108,7 @@ def known(
     models = {} if before is None else {0: model_led_by(before)}
     record = SimpleNamespace(region=0, region_models=models)
     found: Any = SimpleNamespace(
-        rested_on=excitation, excitation_now=excitation, record=record, settings=RetunerSettings(1.0, 100.0)
+        excitation_before=excitation, excitation_now=excitation, record=record, settings=RetunerSettings(1.0, 100.0)
     )
     learned: Any = SimpleNamespace(agreement=agreement, region_model=model_led_by(now))
     return is_known(found, learned)
@@ -163,7 +163,7 @@ def test_a_stretch_begins_where_the_loop_came_to_rest() -> None:
 
 def test_the_whole_diagnosis_must_not_ask_for_the_opposite(monkeypatch: pytest.MonkeyPatch) -> None:
     says = Diagnosis(Cause.SLOW_INTEGRATING, 1.0, {}, "it swings")
-    monkeypatch.setattr(second_opinion, "diagnose_window", lambda *_, **__: Found(says))
+    monkeypatch.setattr(second_opinion, "diagnose_window", lambda *_, **__: DiagnosedRecord(says))
     stretch_of = samples([0.0] * 101)
     for cause, peak, agrees in (
         (Cause.SLUGGISH, 1.2, False),

@@ -12,7 +12,7 @@ from test_diagnose import DT, GOOD, loop, times
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import Loop, _doubt, _tone_doubt
 from retuner.adaptive.identification.identify import Fits, FitSettings
 

@@ -9,7 +9,7 @@ import pytest
 
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.region_model.region_borders import (
+from retuner.adaptive.region_model.new_borders import (
     MS_END,
     Refinement,
     Spot,

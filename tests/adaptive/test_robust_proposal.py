@@ -18,7 +18,7 @@ from retuner.adaptive.region_model.from_neighbours import spread
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.proposal_from_model import no_more_action, propose
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
 S = RetunerSettings(0.5, 100.0)

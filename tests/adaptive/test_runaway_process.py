@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from retuner.adaptive.diagnosis.runaway_process import Runaway, runaway_process, worse_on
+from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample, Window
 from retuner.adaptive.supervision.open_loop_unstable import runaway
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
 DT, THETA, TAU, N, STEP_AT = 0.5, 2.0, 1.0, 400, 10
@@ -41,7 +41,7 @@ def record(pole: float, law: SampledLaw = LAW, noise: float = 0.002, load: float
 
 
 def test_the_gains_that_held_it_show_its_pole() -> None:
-    found = runaway_process(record(-0.08), LAW)
+    found = unstable_process(record(-0.08), LAW)
     assert found is not None
     assert found.pole_per_s == pytest.approx(-0.08, rel=0.05)
     assert found.k == pytest.approx(1.0, rel=0.05)
@@ -51,25 +51,25 @@ def test_the_gains_that_held_it_show_its_pole() -> None:
 
 @pytest.mark.parametrize("pole", [0.0, 0.03, 0.3])
 def test_an_integrator_and_a_lag_do_not_run_away(pole: float) -> None:
-    assert runaway_process(record(pole), LAW) is None
+    assert unstable_process(record(pole), LAW) is None
 
 
 def test_a_load_that_came_later_is_cut_off() -> None:
-    found = runaway_process(record(-0.08, load=0.1), LAW)
+    found = unstable_process(record(-0.08, load=0.1), LAW)
     assert found is not None
     assert found.pole_per_s == pytest.approx(-0.08, rel=0.1)
 
 
 def test_a_record_without_one_step_says_nothing() -> None:
     window = record(-0.08)
-    assert runaway_process(window.part(slice(STEP_AT, None)), LAW) is None  # no step
-    assert runaway_process(window.part(slice(0, STEP_AT + 20)), LAW) is None  # too short
+    assert unstable_process(window.part(slice(STEP_AT, None)), LAW) is None  # no step
+    assert unstable_process(window.part(slice(0, STEP_AT + 20)), LAW) is None  # too short
     twice = np.where(np.arange(N) >= N // 2, 2.0, window.sp)
-    assert runaway_process(Window(window.t_s, twice, window.pv, window.co), LAW) is None
+    assert unstable_process(Window(window.t_s, twice, window.pv, window.co), LAW) is None
 
 
 def test_less_gain_lets_it_go_and_more_may_hold_it_better() -> None:
-    found = Runaway(1.0, -0.08, TAU, THETA + DT / 2)
+    found = UnstableProcess(1.0, -0.08, TAU, THETA + DT / 2)
     less = worse_on(found, LAW, PidGains(0.05, 0.001), N, LIMIT)
     assert less is not None
     assert math.isinf(less[1])
@@ -126,4 +126,4 @@ def test_what_no_process_explains_is_none_that_runs_away(seed: int) -> None:
     sp = np.where(np.arange(120) >= STEP_AT, 1.0, 0.0)
     wander = np.cumsum(rng.standard_normal(120)) if seed % 2 else 5.0 * rng.standard_normal(120)
     law = SampledLaw(PidGains(0.1 * 10.0 ** rng.uniform(-3, 3), 0.01), DT)
-    assert runaway_process(Window(DT * np.arange(120, dtype=np.float64), sp, wander, wander), law) is None
+    assert unstable_process(Window(DT * np.arange(120, dtype=np.float64), sp, wander, wander), law) is None

@@ -14,7 +14,7 @@ from retuner.adaptive.identification.by_setpoint import Fitting, noise_filter, p
 from retuner.adaptive.identification.estimate import LogModel, gain_spread
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.structure_choice import ChoiceSettings
+from retuner.adaptive.identification.structure_choice import StructureSettings
 from retuner.adaptive.indexes.condition import Condition, record_condition
 from retuner.adaptive.loop.sampled import SampledLaw, setpoint_response
 from retuner.adaptive.process.model import ProcessType
@@ -30,7 +30,7 @@ from retuner.adaptive.signals.setpoint_steps import LEAST_LEAD, SetpointSteps, s
 from retuner.adaptive.signals.step_sequence import step_sequence
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
@@ -217,7 +217,7 @@ def test_what_loads_do_by_themselves_is_told_of_the_stretches_of_one_set_of_gain
 # ---- What pv and co at rest say of the gain: a load that is invented against it loses, one that came does not
 
 K = 2.0
-NO_ZERO = FitSettings(ChoiceSettings(inverse=False))
+NO_ZERO = FitSettings(StructureSettings(inverse=False))
 
 
 def record(seed: int, *, sp: float = 1.0, load: float = 0.0, load_at: int = 90, inverse: float = 0.0) -> Window:

@@ -5,12 +5,12 @@ import pytest
 
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.rival_fits import linear
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.slipping_valve import Co, Slips, slipping
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.model import Family, StuckValve
+from retuner.adaptive.valve.slips import Co, Slips, slipping
+from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step

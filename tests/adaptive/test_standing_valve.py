@@ -12,20 +12,20 @@ from retuner import api, diagnosing
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.controller_settings.summed_law import summed_law
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.standing_valve import (
-    Leg,
-    StandingSettings,
-    _ends,
-    stand_still,
-    standing,
-    standing_verdict,
-)
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import _Responses, as_steps, plateaus, rough_sigma
+from retuner.adaptive.valve.stand_still import (
+    Leg,
+    StandStillSettings,
+    _ends,
+    pv_stands_verdict,
+    stand_still,
+    standing,
+)
 from retuner.schedule.gains import PidGains
 
 GAINS = PidGains(0.2, 0.2 / 5.0)
-SETTINGS = StandingSettings()
+SETTINGS = StandStillSettings()
 
 
 def flow_loop(positions: list[float] | None, sp: np.ndarray, load: np.ndarray, seed: int = 1) -> Window:
@@ -121,9 +121,9 @@ def test_only_steps_that_end_a_stand_are_told_after_it():
     found = stand_still(Window(*recorded("FIC31102_0628_1.csv")), None, SETTINGS)
     assert found is not None
     assert len(found.slips_s) == 3
-    assert "then follows in steps (at 5480, 7350 s)" in standing_verdict(found, {}).reason
+    assert "then follows in steps (at 5480, 7350 s)" in pv_stands_verdict(found, {}).reason
     assert _ends([5.0, 30.0, 40.0], [Leg(10.0, 25.0, 0.5, 9.0), Leg(45.0, 60.0, 0.5, 9.0)]) == [30.0]
-    assert "then" not in standing_verdict(replace(found, ends_s=()), {}).reason
+    assert "then" not in pv_stands_verdict(replace(found, ends_s=()), {}).reason
 
 
 @given(kp=st.floats(0.1, 5.0), tau_i=st.floats(3.0, 60.0), sign=st.sampled_from([-1.0, 1.0]), seed=st.integers(0, 99))

@@ -12,7 +12,7 @@ from test_diagnose import DT, GOOD, loop, times, to_and_fro
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.stretches import SAMPLES_A_CYCLE, over_time, stretches
-from retuner.adaptive.diagnosis.tuning_verdict import Found
+from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord
 from retuner.adaptive.identification.first_step import MOST_AT_ONCE, first_step
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.indexes.doubtful_units import doubtful_units
@@ -20,7 +20,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.model import Family, StuckValve
+from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.schedule.gains import PidGains
 
 INTEGRATING = ProcessModel(ProcessType.INTEGRATING, 0.02, 0.0, 0.0, 3.0)
@@ -107,7 +107,7 @@ def test_a_long_record_is_parted_between_its_setpoint_changes(n: int, count: int
 def test_the_verdict_over_time(causes: str, cause: Cause) -> None:
     n = len(causes.split())
     parts = [Window(*(10.0 * i + np.arange(3.0) for _ in range(4))) for i in range(n)]
-    found = [Found(Diagnosis(Cause(c), 0.6, {}, f"reason {i}")) for i, c in enumerate(causes.split())]
+    found = [DiagnosedRecord(Diagnosis(Cause(c), 0.6, {}, f"reason {i}")) for i, c in enumerate(causes.split())]
     assert over_time(parts, found).diagnosis.cause == cause
 
 

@@ -3,10 +3,10 @@
 import pytest
 from loop_bench import Bench, scaled, table
 
-from retuner.adaptive.choice.settings import ChoiceSettings
+from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
 

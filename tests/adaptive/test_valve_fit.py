@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.rival_fits import linear
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.fit import sticking, with_play
-from retuner.adaptive.valve.model import Family, StuckValve
+from retuner.adaptive.valve.valve_fit import sticking, with_play
+from retuner.adaptive.valve.valve_model import Family, StuckValve
 
 TRIANGLE = np.interp(np.arange(400) % 80, [0, 40, 80], [0.0, 10.0, 0.0])
 

@@ -6,9 +6,9 @@ import pytest
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.fit import Sticking
-from retuner.adaptive.valve.in_loop import Through, _searched, through_valve
-from retuner.adaptive.valve.model import Family, StuckValve
+from retuner.adaptive.valve.record_through_valve import RecordThroughValve, _searched, through_valve
+from retuner.adaptive.valve.valve_fit import Sticking
+from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
@@ -45,7 +45,7 @@ def stepped(valve: StuckValve | None, load: float = 0.0, seed: int = 1) -> Windo
     return Window(*np.array(rows[BEFORE - KEPT :]).T)
 
 
-def through(window: Window, sign: int = 1) -> tuple[Fits, Through | None]:
+def through(window: Window, sign: int = 1) -> tuple[Fits, RecordThroughValve | None]:
     """The linear fits, and the record through a valve."""
     fits = Fits(window, (sign,), FitSettings())
     return fits, through_valve(window, sign, fits, FitSettings())

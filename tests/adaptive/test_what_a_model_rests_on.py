@@ -14,7 +14,7 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending
 from retuner.adaptive.supervision import causes, pipeline
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, StageResult
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.table import Lookup
 
@@ -40,7 +40,7 @@ def weighed(
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "unambiguous": lambda *_: clear,
-        "promised": lambda *_: None,
+        "prediction_of_verdict": lambda *_: None,
         "wanted_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
         "proved": lambda *_: verdict,
         "chosen": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),

@@ -7,7 +7,7 @@ from loop_bench import Bench, scaled, table
 
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 
 
 def decided(sign: int) -> list[Decision]:

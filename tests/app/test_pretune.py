@@ -12,7 +12,7 @@ from retuner.adaptive.experiments.phases import AbortCause, Phase
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Basis, Mode
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.cli import main
 from retuner.config.loading import load_config
 from retuner.drivers.controller.device_process import DeviceOnBus

@@ -11,7 +11,7 @@ from retuner.adaptive.supervision.admission import AdmissionSettings, admit
 from retuner.adaptive.supervision.decision import Action, Basis, Mode
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.without_model.pattern_rule import MOVING, PatternReading, PatternSettings, pattern_rule
 from retuner.adaptive.without_model.slow_oscillation_step import SlowReading, SlowSettings, slow_oscillation_online
 from retuner.schedule.gains import PidGains

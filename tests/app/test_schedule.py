@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import retuner
-from retuner.adaptive.schedule_choice.design import Design, Evidence
-from retuner.adaptive.schedule_choice.region_borders import Cells
+from retuner.adaptive.schedule_choice.borders_of_two_variables import Cells
+from retuner.adaptive.schedule_choice.schedule_from_records import Design, Evidence
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
 from retuner.decision_page.shown_units import show_units

@@ -14,7 +14,7 @@ import pytest
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.cli import main
 from retuner.commands.replay import IN_FORCE_SAMPLES, InForce
 from retuner.drivers.recorded.frame_log import read_frames

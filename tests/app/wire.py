@@ -16,10 +16,10 @@ from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import promise
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.prediction import predict
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.clock import SimulatedClock
@@ -42,7 +42,7 @@ PLANT = LinearProcess(1.0, (50.0,), (), 5.0)
 MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)
 GOOD = simc(MODEL, 6.0).gains
 OTHER = PidGains(0.8 * GOOD.kp, 0.8 * GOOD.ki)
-PROMISE = promise([Plausible(MODEL, 0.0)], GOOD, GOOD, 1.0)
+PROMISE = predict([Plausible(MODEL, 0.0)], GOOD, GOOD, 1.0)
 FOREIGN = PidGains(0.5 * GOOD.kp, 0.3 * GOOD.ki)
 TELEMETRY = (0x12, 0x13)
 

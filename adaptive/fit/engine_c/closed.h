@@ -1,5 +1,5 @@
 /* Closed loops from sample to sample: many on few points (trial/batch_responses.py), and one whose process may run away by
- * itself (diagnosis/runaway_process.py). */
+ * itself (diagnosis/unstable_process.py). */
 
 #ifndef RETUNER_CLOSED_H
 #define RETUNER_CLOSED_H

@@ -5,7 +5,7 @@
 
 #include "lanes.h"
 
-static const double USEFUL = 1e-10, NOTHING_NEW = 1e-12; /* misfit.py, valve/fit.py */
+static const double USEFUL = 1e-10, NOTHING_NEW = 1e-12; /* misfit.py, valve/valve_fit.py */
 
 /* ---------------------------------------------------------------- projection */
 

@@ -1,5 +1,5 @@
 /* A signal as steps through one response, found one by one and moved to where they fit best (valve/plateaus.py,
- * diagnosis/slipping_valve.py). */
+ * valve/slips.py). */
 
 #ifndef RETUNER_STEPS_H
 #define RETUNER_STEPS_H

@@ -1,4 +1,4 @@
-/* Sticking valves: their positions, the coarse scan, and the costs round a fit (valve/model.py, valve/fit.py). */
+/* Sticking valves: their positions, the coarse scan, and the costs round a fit (valve/valve_model.py, valve/valve_fit.py). */
 
 #ifndef RETUNER_VALVES_H
 #define RETUNER_VALVES_H
@@ -218,7 +218,7 @@ static void valve_costs(Work *w, const double *p, const double *valves, Py_ssize
     }
 }
 
-/* Where a slipping valve is (slipping_valve.py): at each of its rows it comes loose, goes to co but for a share of the
+/* Where a slipping valve is (valve/slips.py): at each of its rows it comes loose, goes to co but for a share of the
  * distance, and on with co until that stops, turns, or the next slip. */
 static void slipped(const double *rows, Py_ssize_t many, double share, double first, const double *u, Py_ssize_t n,
                     double *out) {

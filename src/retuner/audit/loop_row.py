@@ -110,7 +110,7 @@ def failed(tag: str, reason: str) -> Row:
 
 def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, common_clock: bool = True) -> Row:
     """The row of a loop; its records are read one after the other. common_clock : their times are other loops' too."""
-    seen = _Seen()
+    seen = _LoopRecords()
     try:
         for record in read:
             seen.add(record, settings)
@@ -154,7 +154,7 @@ class Part(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Seen:
+class _LoopRecords:
     """What is kept of a loop's records, whatever their length."""
 
     screens: list[LoopScreen] = field(default_factory=list)
@@ -226,7 +226,7 @@ def _own_period_s(parts: Sequence[Part]) -> float | None:
     return None
 
 
-def _course(seen: _Seen) -> Row | None:
+def _course(seen: _LoopRecords) -> Row | None:
     """How the loop ran part by part of its time, as lists; None where it has no course."""
     parts = joined_parts(seen.course)
     if seen.period_s is None or len(parts) < FEWEST_PARTS:
@@ -249,7 +249,7 @@ def _one_trend(trends: Sequence[tuple[float, Trend]]) -> Trend:
     return _thinned(times, values, DRAWN)
 
 
-def _told(tag: str, seen: _Seen, screen: LoopScreen, verdict: LoopVerdict) -> Row:
+def _told(tag: str, seen: _LoopRecords, screen: LoopScreen, verdict: LoopVerdict) -> Row:
     """What a table shows of a loop."""
     begin_s, since = seen.begin_s, verdict.since_s
     named = verdict.cause != Cause.UNKNOWN

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from typing import Literal
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
-from retuner.adaptive.guard.settings import GuardSettings
-from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config.section import Many, Problem, Section, holding, setting
@@ -53,7 +53,7 @@ class PatternConfig(Section):
                 yield Problem(("dead_zone",), f"= {given['dead_zone']:g} must be at most {name} = {given[name]:g}")
 
 
-@holding(NudgeSettings)
+@holding(BumpSettings)
 class NudgeConfig(Section):
     """[adaptation.nudge]: small setpoint bumps where nothing else shows the process, in modes trial and auto."""
 

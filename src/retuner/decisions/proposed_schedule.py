@@ -19,7 +19,7 @@ from retuner.schedule.regions import CAN
 from retuner.schedule.table import GainTable
 
 if TYPE_CHECKING:
-    from retuner.adaptive.region_model.region_borders import Refinement
+    from retuner.adaptive.region_model.new_borders import Refinement
 
 ROW = "schedule"
 """Kind of the row."""

@@ -211,11 +211,11 @@ class LoopObserver:
         """What a change on trial promises, beside what it was before: IAE per unit of the upset."""
         r = self._retuner
         trial = r.trials.of(r.region or 0)
-        if trial.promise is None or trial.phase not in {T.TRIAL, T.AWAY, T.PAUSED, T.ENSURING, T.WAITING}:
+        if trial.prediction is None or trial.phase not in {T.TRIAL, T.AWAY, T.PAUSED, T.ENSURING, T.WAITING}:
             return ""
-        promise, told = trial.promise.to_dict(), []
+        prediction, told = trial.prediction.to_dict(), []
         for upset in ("setpoint", "load"):
-            spread = promise.get(upset)
+            spread = prediction.get(upset)
             iae = spread.get("iae") if isinstance(spread, dict) else None
             if iae and iae[0] is not None and iae[2] is not None:
                 told.append(f"IAE per unit {upset} step {iae[0]:.3g} ({iae[1]:.3g} to {iae[2]:.3g})")

@@ -32,7 +32,7 @@ NOT_SURVIVED = "not_survived"
 
 def without_change(outcome: StageResult, reason: str) -> StageResult:
     """What was learned, and no change."""
-    return replace(outcome, code=NOT_SURVIVED, reason=reason, verdict=None, basis=None, promise=None)
+    return replace(outcome, code=NOT_SURVIVED, reason=reason, verdict=None, basis=None, prediction=None)
 
 
 IN_PART = "half of a change that was "

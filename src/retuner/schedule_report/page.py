@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from retuner.adaptive.schedule_choice.candidates import Crossing
+from retuner.adaptive.schedule_choice.scheduling_variables import Crossing
 from retuner.adaptive.schedule_design.places import OUT
 from retuner.adaptive.schedule_design.stretches import Shape
 from retuner.adaptive.signals.sample import FloatArray, Window

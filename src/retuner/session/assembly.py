@@ -11,8 +11,8 @@ from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings, demanded
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings, demanded
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config import Config
 from retuner.config.adaptation import AdaptationConfig

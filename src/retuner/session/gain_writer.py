@@ -241,7 +241,7 @@ class GainWriter:
                 "region": self._name(write.region),
                 "gains": gains_dict(stored),
                 "verified": gains_dict(trial.old),
-                "promise": trial.promise.to_dict() if trial.promise else None,
+                "promise": trial.prediction.to_dict() if trial.prediction else None,
                 "decision": write.decision.digest() if write.decision else None,
             }
             if trial.phase == TrialPhase.ENSURING:  # it was given up, came through after all, and is the better one
@@ -369,7 +369,7 @@ class GainWriter:
         if self._pending is not None:
             held = self.t_s < self._hold_until_s
             # Whether a change that was to be on trial no longer is: nothing is written that nobody would watch
-            promised = self._pending.decision is not None and self._pending.decision.promise is not None
+            promised = self._pending.decision is not None and self._pending.decision.prediction is not None
             if promised and self.retuner.trials.phase(self._pending.region) != TrialPhase.WRITING:
                 self._drop("it was dropped before it could be written")
             elif self._pending.region == region and not held and not self.frozen:

@@ -8,7 +8,7 @@ import numpy as np
 
 from retuner.adaptive.orders.operator_orders import accept, acts, approve, pretune, propose, revert, set_mode, unlock
 from retuner.adaptive.orders.pending_proposal import Proposal
-from retuner.adaptive.setpoint_bumps.planner import NudgePhase
+from retuner.adaptive.setpoint_bumps.bump_planner import BumpPhase
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pipeline import decide
@@ -39,7 +39,7 @@ HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflic
 """Events after which no decision is written for a while."""
 
 
-IN_PLACE = frozenset(phase.name.lower() for phase in (NudgePhase.WATCHING, NudgePhase.ANNOUNCED))
+IN_PLACE = frozenset(phase.name.lower() for phase in (BumpPhase.WATCHING, BumpPhase.ANNOUNCED))
 """Phases of a bump, as rows name them, in which the setpoint has not been moved."""
 
 

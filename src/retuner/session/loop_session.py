@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable
 from enum import Enum
 
 from retuner.adaptive.orders.operator_orders import acts
-from retuner.adaptive.setpoint_bumps.planner import NudgeNews, NudgePhase
-from retuner.adaptive.setpoint_bumps.watching import Nudger
+from retuner.adaptive.setpoint_bumps.bump_planner import BumpNews, BumpPhase
+from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.adaptive.supervision.pipeline import WRONG_WAY
@@ -125,7 +125,7 @@ class LoopSession:
         self._record = record
         self._on_sample = on_sample
         self.frozen = ""
-        self.nudger: Nudger | None = None  # bumps the setpoint, where that is allowed
+        self.bumps: LoopBumps | None = None  # bumps the setpoint, where that is allowed
         self.remember: Callable[[float], None] = no_memory
         self.orders: Callable[[float], Iterable[Decision]] = no_orders  # decisions on what people ordered by now
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
@@ -249,28 +249,28 @@ class LoopSession:
 
     def _nudge(self, sample: LoopSample, now_s: float) -> None:
         """Whether the setpoint is to be bumped, or goes back; what has not arrived is sent once more."""
-        if self.nudger is None:
+        if self.bumps is None:
             return
         if self.retuner.turned:  # as in manual: a bump goes back, none begins
             sample = sample._replace(mode=LoopMode.MANUAL)
         free = self.writer.free and self.machine.phase is SessionPhase.WATCHING
-        news = self.nudger.look(sample, free=free)
-        again = self.nudger.planner.again(sample.t_s)
+        news = self.bumps.look(sample, free=free)
+        again = self.bumps.planner.again(sample.t_s)
         if news is not None:
             self._nudged(news, now_s)
         elif again is not None:
             self.device.send_setpoint(again, now_s)
 
-    def _nudged(self, news: NudgeNews, now_s: float) -> None:
+    def _nudged(self, news: BumpNews, now_s: float) -> None:
         """Record what becomes of a bump, and send its setpoint; what cannot be recorded is not begun."""
         self._record("nudge", self.writer.t_s, news.to_dict())
-        if news.setpoint is not None and not (self.frozen and news.phase is NudgePhase.GOING):
+        if news.setpoint is not None and not (self.frozen and news.phase is BumpPhase.GOING):
             self.device.send_setpoint(news.setpoint, now_s)
 
     @property
     def _bumped(self) -> bool:
         """Whether the setpoint may stand where a bump has put it."""
-        return self.nudger is not None and self.nudger.planner.out
+        return self.bumps is not None and self.bumps.planner.out
 
     def _look(self, sample: LoopSample) -> Decision | None:
         """Have the retuner take a sample; a question that it raises is answered here and now, or goes on its way."""
@@ -300,8 +300,8 @@ class LoopSession:
     def _decided(self, decision: Decision) -> None:
         """Record a decision; what it wants written waits for the wire."""
         self.decisions.append(decision)
-        if self.nudger is not None:
-            self.nudger.decided(decision)
+        if self.bumps is not None:
+            self.bumps.decided(decision)
         self.remember(self.writer.t_s)  # before the row: what the ledger says was decided is never forgotten
         self._record("decision", decision.t_s, decision.to_dict())
         judged = decision.judgement
@@ -379,7 +379,7 @@ class LoopSession:
             return
         self.writer.frozen = True
         self._ends_at_s = min(self._ends_at_s, now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s)
-        home = self.nudger.planner.end(self.writer.t_s) if self.nudger is not None else None
+        home = self.bumps.planner.end(self.writer.t_s) if self.bumps is not None else None
         if home is not None:
             self._nudged(home, now_s)
         self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.config.model import Config
 from retuner.errors import LedgerError, UserError

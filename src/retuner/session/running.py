@@ -11,8 +11,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
-from retuner.adaptive.setpoint_bumps.watching import Nudger, hour_of_samples
+from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
+from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps, hour_of_samples
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import Config
@@ -130,8 +130,8 @@ class _Loop:
         self.session = self.record.loop = session
         prove_order(self.config, device, retuner, self.record, lambda: session.writer.t_s)
         hour_of = local_hour if remember and speed == 1.0 else hour_of_samples
-        nudger = Nudger(NudgeSettings(**self.config.adaptation.nudge.model_dump()), retuner, hour_of)
-        session.nudger = with_what_was_left(nudger, self._rows_before if remember else tuple, self._say)
+        bumps = LoopBumps(BumpSettings(**self.config.adaptation.nudge.model_dump()), retuner, hour_of)
+        session.bumps = with_what_was_left(bumps, self._rows_before if remember else tuple, self._say)
         if remember and self._folder is not None:
             memory = MemoryFile(self._folder, self.config, self.record)
             memory.begin(remembered, why_not)
@@ -195,13 +195,13 @@ class _Loop:
 
 
 def with_what_was_left(
-    nudger: Nudger, rows_before: Callable[[], Sequence[Row]], say: Callable[[str], None]
-) -> Nudger | None:
+    bumps: LoopBumps, rows_before: Callable[[], Sequence[Row]], say: Callable[[str], None]
+) -> LoopBumps | None:
     """Who bumps the setpoint, where that is allowed; a bump that the session before left out goes back first.
 
     Where it is not allowed nothing is sent, and say tells of a bump that was left out.
     """
-    allowed = nudger.planner.settings.allowed
+    allowed = bumps.planner.settings.allowed
     try:
         left = bump_left(rows_before())
     except (LedgerError, KeyError, TypeError, ValueError) as error:
@@ -209,13 +209,13 @@ def with_what_was_left(
             say(f"whether the session before left a setpoint bump is not known: {error}")
         left = None
     if left is not None and allowed:
-        nudger.planner.left_out(*left)
+        bumps.planner.left_out(*left)
     elif left is not None:
         say(
             f"the session before left a setpoint bump out, from {left[0]:g} to {left[1]:g}, and bumps are no longer "
             "allowed: set the setpoint back by hand"
         )
-    return nudger if allowed else None
+    return bumps if allowed else None
 
 
 class Run:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.cause_odds.odds import diagnose_records, windows_of
-from retuner.adaptive.cause_odds.settings import OddsSettings
+from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES

@@ -27,7 +27,7 @@ from retuner.adaptive.supervision import pipeline, retuner
 from retuner.adaptive.supervision.by_book import KEPT_LOOKS, by_all_samples, look_of
 from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.pipeline_types import Findings, Look
-from retuner.adaptive.supervision.settings import RetunerSettings, demanded
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings, demanded
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.pid import law, start, step

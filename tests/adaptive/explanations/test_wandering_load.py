@@ -18,7 +18,7 @@ from retuner.adaptive.explanations.process_grid import (
 )
 from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, class_of, tuning_odds
-from retuner.adaptive.explanations.valve_under_load import log_odds_of_valve
+from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (
     AT_PV,
     BEHIND_LAGS,

@@ -10,8 +10,7 @@ import pytest
 from effort import sized
 from scipy.linalg import expm
 
-from retuner.adaptive.diagnosis.runaway_process import Runaway, _answer
-from retuner.adaptive.diagnosis.slipping_valve import Co, Slips, _greedy, explained_by
+from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, _answer
 from retuner.adaptive.fit import engine
 from retuner.adaptive.fit.dynamics import told_apart
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
@@ -26,9 +25,10 @@ from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.trial.batch_responses import Loop, Upset, _exponentials, traces
-from retuner.adaptive.valve.fit import Nodes, _grid, _moved, _through, _travel, valve_costs
-from retuner.adaptive.valve.model import StuckValve
 from retuner.adaptive.valve.plateaus import as_steps
+from retuner.adaptive.valve.slips import Co, Slips, _greedy, explained_by
+from retuner.adaptive.valve.valve_fit import Nodes, _grid, _moved, _through, _travel, valve_costs
+from retuner.adaptive.valve.valve_model import StuckValve
 from retuner.schedule.gains import PidGains
 
 compiled = pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
@@ -261,7 +261,7 @@ def test_closed_loops_answer_alike() -> None:
         for kp in (0.3, 1.0, 8.0)
     ]
     upsets = [Upset(setpoint=1.0), Upset(load_step=1.0), Upset(pulse=1.0)]
-    held = [Runaway(0.2, pole, 4.0, theta) for pole in (0.05, 0.0, -0.02, -0.3) for theta in (0.0, 3.0, 4.7)]
+    held = [UnstableProcess(0.2, pole, 4.0, theta) for pole in (0.05, 0.0, -0.02, -0.3) for theta in (0.0, 3.0, 4.7)]
     law = SampledLaw(PidGains(0.4, 0.02, 0.1), 1.0, 0.7, 2.0)
     found = []
     for name in ("c", "numpy"):

@@ -11,7 +11,7 @@ from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import bounds, pinned, refine
 from retuner.adaptive.fit.search import long_lag, with_second_lag
 from retuner.adaptive.identification.candidate import judged
-from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
+from retuner.adaptive.identification.structure_choice import StructureSettings, candidates
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import Window
 
@@ -77,7 +77,7 @@ def test_a_pinned_parameter_stays(loop: Callable) -> None:
 
 def test_parameters_stay_inside_their_bounds(loop: Callable) -> None:
     window = loop(sp=1.0, noise=0.5).run(4)
-    for candidate in candidates(window, (1,), ChoiceSettings(seeded_loads=1, most_loads=1), 500):
+    for candidate in candidates(window, (1,), StructureSettings(seeded_loads=1, most_loads=1), 500):
         low, high = bounds(candidate.fit.misfit)
         assert np.all(candidate.fit.p >= low)
         assert np.all(candidate.fit.p <= high)

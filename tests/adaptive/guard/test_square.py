@@ -8,7 +8,7 @@ import pytest
 from guard_cases import MODEL
 
 from retuner.adaptive.guard import borders_of
-from retuner.adaptive.guard.border import at_border, between_models
+from retuner.adaptive.guard.both_sides_of_border import at_border, between_models
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from schedule_cases import record, slow_sine
 
-from retuner.adaptive.schedule_choice.candidates import Candidate, follows_loop
-from retuner.adaptive.schedule_choice.design import _pairs
+from retuner.adaptive.schedule_choice.schedule_from_records import _pairs
+from retuner.adaptive.schedule_choice.scheduling_variables import Candidate, follows_loop
 from retuner.adaptive.signals.sample import FloatArray
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_cover import LIMITS, place
 
-from retuner.adaptive.schedule_choice.region_borders import COUNT, Cells, cells
+from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells, cells
 from retuner.adaptive.schedule_design.places import Place
 from retuner.schedule.regions import Axis, Regions
 from retuner.schedule.table import GainTable, Lookup

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.schedule_choice.design import _within
+from retuner.adaptive.schedule_choice.schedule_from_records import _within
 from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, iae, knots, mean_of, steps
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup

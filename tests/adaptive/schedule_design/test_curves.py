@@ -13,9 +13,9 @@ from schedule_cases import GROWTH, THETA_S, C, record, slow_sine, tau_s
 import retuner
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.schedule_choice import design as designing
-from retuner.adaptive.schedule_choice.candidates import Candidate, direction
-from retuner.adaptive.schedule_choice.design import _able, _Chosen, _visited, design
+from retuner.adaptive.schedule_choice import schedule_from_records as designing
+from retuner.adaptive.schedule_choice.schedule_from_records import _able, _Chosen, _visited, design
+from retuner.adaptive.schedule_choice.scheduling_variables import Candidate, direction
 from retuner.adaptive.schedule_design.agreement import agreement
 from retuner.adaptive.schedule_design.joint import At, Form
 from retuner.adaptive.schedule_design.motion import Batch, Local, response

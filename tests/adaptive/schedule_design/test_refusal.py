@@ -4,8 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from retuner.adaptive.schedule_choice import design
-from retuner.adaptive.schedule_choice.design import _at_rest, _counted, _differs, _hardly_known, _unexplained
+from retuner.adaptive.schedule_choice import schedule_from_records
+from retuner.adaptive.schedule_choice.schedule_from_records import (
+    _at_rest,
+    _counted,
+    _differs,
+    _hardly_known,
+    _unexplained,
+)
 from retuner.adaptive.schedule_design.places import DesignLimits, place_at
 from retuner.adaptive.schedule_design.stretches import cut, signals_of, without_gaps
 from retuner.adaptive.signals.sample import Window
@@ -57,9 +63,9 @@ def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
         )
         for x, b in ((0.0, 0.0), (1.0, 0.25), (2.0, 0.5))
     ]
-    monkeypatch.setattr(design, "MOST_SETS", 1)
+    monkeypatch.setattr(schedule_from_records, "MOST_SETS", 1)
 
-    layout, j = design._affordable(places, DesignLimits(), "hard")
+    layout, j = schedule_from_records._affordable(places, DesignLimits(), "hard")
 
     assert layout is not None
     assert j > DesignLimits().j

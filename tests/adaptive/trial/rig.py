@@ -12,9 +12,9 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
-from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import promise
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import JudgedResponse
+from retuner.adaptive.trial.prediction import predict
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -66,7 +66,7 @@ class Rig:
 
 MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, float(THETA_SAMPLES))
 GOOD = simc(ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, THETA_SAMPLES + 0.5), THETA_SAMPLES + 0.5).gains
-PROMISE = promise([Plausible(MODEL, 0.0)], GOOD, GOOD, 1.0)
+PROMISE = predict([Plausible(MODEL, 0.0)], GOOD, GOOD, 1.0)
 BAD = {
     "kc x4": PidGains(4 * GOOD.kp, 4 * GOOD.ki),
     "kc /4": PidGains(GOOD.kp / 4, GOOD.ki / 4),

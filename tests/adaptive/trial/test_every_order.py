@@ -19,13 +19,13 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.trial.expectation import Promise, promise
 from retuner.adaptive.trial.judge import Judgement, TrialFinding, TrialNumbers
 from retuner.adaptive.trial.phase import ABORTS, SILENT, TO_BE_SEEN, UNDECIDED, UNDOS, TrialEvent, TrialPhase
+from retuner.adaptive.trial.prediction import Prediction, predict
 from retuner.adaptive.trial.rollback import StillAllowed
-from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
@@ -51,8 +51,8 @@ class Known(StillAllowed):
 
 
 @cache
-def said(old: PidGains, tried: PidGains) -> Promise:
-    return promise([Plausible(ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0), 0.0)], old, tried, 1.0)
+def said(old: PidGains, tried: PidGains) -> Prediction:
+    return predict([Plausible(ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0), 0.0)], old, tried, 1.0)
 
 
 class World:

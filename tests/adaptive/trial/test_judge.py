@@ -8,10 +8,10 @@ from rig import BAD, GOOD, MODEL, PROMISE, Rig, responses
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.trial.expectation import decay_seen, promise
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, judge
+from retuner.adaptive.trial.prediction import decay_seen, predict
 from retuner.adaptive.trial.response_numbers import swing
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 S = TrialSettings()
@@ -53,7 +53,7 @@ def test_a_loop_that_swings_is_worse_than_promised_in_its_peaks(upset: dict[str,
 
 def test_what_is_worse_than_promised_but_better_than_before_is_kept() -> None:
     ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
-    from_unstable = promise([Plausible(MODEL, 0.0)], PidGains(4 * GOOD.kp, 4 * GOOD.ki), GOOD, 1.0)
+    from_unstable = predict([Plausible(MODEL, 0.0)], PidGains(4 * GOOD.kp, 4 * GOOD.ki), GOOD, 1.0)
     seen = responses(Rig(ringing), 400, load=10.0)[0]
     kept = judge(seen, from_unstable, ringing, S)
     assert kept.finding is not TrialFinding.WORSE
@@ -210,7 +210,7 @@ def test_what_was_seen_of_the_old_gains_counts_more_than_what_a_model_says_of_th
     """A model with five times the gain calls the good gains unstable and promises much of sluggish ones."""
     wrong = Plausible(replace(MODEL, k=5 * MODEL.k), 0.0)
     sluggish = PidGains(GOOD.kp / 5, GOOD.ki / 5)
-    lie = promise([wrong], GOOD, sluggish, 1.0)
+    lie = predict([wrong], GOOD, sluggish, 1.0)
     seen = responses(Rig(sluggish), 2500, sp=5.0)[0]
     assert judge(seen, lie, sluggish, S).finding is TrialFinding.WORSE
     assert judge(seen, replace(lie, decay_seen=0.05), sluggish, S).finding is TrialFinding.WORSE

@@ -20,10 +20,10 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -258,14 +258,14 @@ from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner import GainTable, RetunerSettings
 from retuner.schedule.regions import Regions
-from retuner.adaptive.trial.expectation import promise
+from retuner.adaptive.trial.prediction import predict
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 good, bad = PidGains(45.0, 1.0), PidGains(400.0, 10.0)
 retuner = Retuner(GainTable("t", Regions("sp", "m", ("tank",), 0.0, (), 10.0), (good,)), RetunerSettings(1.0, 10.0))
 tank = page["Tank"](good)
 retuner.observe(tank.sample(0.0, 4.0))
-said = promise([Plausible(ProcessModel(ProcessType.FOPDT, 0.1, 50.0, 0.0, 5.0), 0.0)], good, good, 1.0)
+said = predict([Plausible(ProcessModel(ProcessType.FOPDT, 0.1, 50.0, 0.0, 5.0), 0.0)], good, good, 1.0)
 page["obey"](retuner.ordered(0, StageResult("injected", "for a test"), bad, said), tank, retuner)
 assert tank._law.gains == bad
 page["obey"](retuner.abort(TrialEvent.STOPPED), tank, retuner)

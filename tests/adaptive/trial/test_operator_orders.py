@@ -21,7 +21,7 @@ from retuner.adaptive.region_model.region_model import RegionModel, StructureMod
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -126,7 +126,7 @@ def test_what_is_known_now_decides_and_not_what_was_known() -> None:
 def test_other_gains_or_no_promise_end_a_proposal() -> None:
     bench = Bench(GOOD)
     assert str(ProposalStanding.OTHER_GAINS) in approve(bench.retuner, OFFERED, 60.0).reason
-    bare = replace(OFFERED, promise=None)
+    bare = replace(OFFERED, prediction=None)
     assert "it has no prediction to judge a trial by" in approve(Bench().retuner, bare, 60.0).reason
     with pytest.raises(ValueError, match="does not exist"):
         approve(bench.retuner, replace(OFFERED, region="elsewhere"), 60.0)

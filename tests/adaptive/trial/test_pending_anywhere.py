@@ -23,10 +23,10 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
-from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.phase import SILENT, UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.prediction import predict
 from retuner.adaptive.trial.rollback import Robustness
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -71,7 +71,7 @@ class World:
         trials, old, new = self.retuner.trials, self.retuner.table.gains_of(region), times(factor)
         if old != new and trials.may_change(region, self.t_s):
             models = KNOWN.plausible
-            trials.begin(region, old, new, promise(models, old, new, 1.0), self.t_s)
+            trials.begin(region, old, new, predict(models, old, new, 1.0), self.t_s)
 
     def written(self, region: int) -> None:
         trial = self.retuner.trials.of(region)

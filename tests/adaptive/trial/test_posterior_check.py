@@ -16,11 +16,11 @@ from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.guard_request import posterior_of
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import Promise, Spread, promise
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import TrialFinding, judge
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, against, check_posterior, in_favour
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.prediction import Prediction, Spread, predict
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -36,9 +36,9 @@ STRONG = PidGains(1.8 * GOOD.kp, 1.8 * GOOD.ki)
 """Ms about 2.8: no runaway, and hardly a swing after a load."""
 
 
-def lie(tried: PidGains, k: float) -> Promise:
+def lie(tried: PidGains, k: float) -> Prediction:
     """What a model with another gain promises of the tried set."""
-    return promise([Plausible(replace(MODEL, k=MODEL.k * k), 0.0)], GOOD, tried, DT_S)
+    return predict([Plausible(replace(MODEL, k=MODEL.k * k), 0.0)], GOOD, tried, DT_S)
 
 
 def test_the_numbers_are_those_of_the_margins_and_of_the_integral_time() -> None:
@@ -120,7 +120,7 @@ def test_a_set_is_not_undone_for_one_that_is_no_more_robust() -> None:
 
 
 def test_a_promise_of_being_faster_is_not_held_against_a_set_that_is_not_slower() -> None:
-    fast = promise(TRUE[:1], SLUGGISH, GOOD, DT_S)
+    fast = predict(TRUE[:1], SLUGGISH, GOOD, DT_S)
     found = against(replace(SEEN, slower=1.4), fast, S)
     assert not found.words
     cost = found.numbers.cost
@@ -131,7 +131,7 @@ def test_a_promise_of_being_faster_is_not_held_against_a_set_that_is_not_slower(
 
 
 def test_no_promise_makes_an_unstable_loop_pass() -> None:
-    believed = promise(TRUE, SLUGGISH, GOOD, DT_S)
+    believed = predict(TRUE, SLUGGISH, GOOD, DT_S)
     assert believed.ms is not None
     unsafe = replace(believed, ms=Spread(2.0, 1.5, math.inf))
     runs_away = PosteriorCheck(ms_tried=math.inf, ms_most=math.inf, ms_old=1.5, robuster=True, slower=0.0)
@@ -145,16 +145,16 @@ def test_no_promise_makes_an_unstable_loop_pass() -> None:
 def test_a_set_that_costs_as_much_as_promised_is_kept() -> None:
     half = PidGains(GOOD.kp / 2, GOOD.ki / 2)
     assert against(check_posterior(TRUE, GOOD, half, DT_S), lie(half, 6.0), S).words
-    assert not against(check_posterior(TRUE, GOOD, half, DT_S), promise(TRUE, GOOD, half, DT_S), S).words
+    assert not against(check_posterior(TRUE, GOOD, half, DT_S), predict(TRUE, GOOD, half, DT_S), S).words
 
 
 def test_a_promised_ms_is_no_ground_to_undo() -> None:
     found = PosteriorCheck(ms_tried=2.2, ms_most=2.3, ms_old=1.5, robuster=True, slower=0.7)
     assert against(found, lie(STRONG, 1 / 1.8), S).words
-    promised = promise([Plausible(MODEL, 0.0)], GOOD, STRONG, DT_S)
-    assert promised.ms is not None
-    assert promised.ms.high > found.ms_tried
-    assert not against(found, promised, S).words
+    prediction = predict([Plausible(MODEL, 0.0)], GOOD, STRONG, DT_S)
+    assert prediction.ms is not None
+    assert prediction.ms.high > found.ms_tried
+    assert not against(found, prediction, S).words
 
 
 def test_without_integral_action_before_nothing_is_said_of_the_cost() -> None:
@@ -165,7 +165,7 @@ def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
     rig = Rig(GOOD, noise=0.025)
     rig.load = 10.0
     moving = next(seen for seen in responses(rig, 2500, rest=30, sp=5.0) if seen.response.sp_changed)
-    believed = promise(TRUE, SLUGGISH, GOOD, DT_S)
+    believed = predict(TRUE, SLUGGISH, GOOD, DT_S)
     assert judge(moving, believed, GOOD, S).finding is TrialFinding.INCONCLUSIVE
     said = check_posterior(TRUE, SLUGGISH, GOOD, DT_S)
     known = replace(moving, posterior=said)
@@ -235,8 +235,8 @@ def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.Monke
 def test_peaks_that_several_records_explain_by_loads_take_no_robust_set_back() -> None:
     """Two loads in one response are a swing that grows, in the calmest loop."""
     ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
-    promised = promise([Plausible(MODEL, 0.0)], SLUGGISH, ringing, 1.0)
-    held = replace(promised, setpoint=PROMISE.setpoint, load_step=PROMISE.load_step)
+    prediction = predict([Plausible(MODEL, 0.0)], SLUGGISH, ringing, 1.0)
+    held = replace(prediction, setpoint=PROMISE.setpoint, load_step=PROMISE.load_step)
     robust = PosteriorCheck(1.5, 1.7, 1.1, robuster=False, slower=0.3, agreed=True)
     seen = replace(responses(Rig(ringing), 400, load=10.0)[0], posterior=robust)
     kept = judge(seen, held, ringing, S)

@@ -15,8 +15,8 @@ from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import check_posterior
 from retuner.adaptive.trial.random_walk import beside_a_walk, deviance, made_for, stretches_of
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
-from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import TrialSupervisor
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 S = TrialSettings()

@@ -15,10 +15,10 @@ from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
-from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.adaptive.trial.prediction import predict
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -67,7 +67,7 @@ def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teac
     assert decision.action is Action.RESTORE
     assert decision.code == "undo_runaway"
     assert (decision.gains_before, decision.gains_after) == (NEW, GOOD)
-    assert decision.promise == PROMISE
+    assert decision.prediction == PROMISE
     assert stand.retuner.table.gains == (GOOD,)
     assert decision.response is not None
     assert decision.response.ending.name == "UNDONE"
@@ -97,8 +97,8 @@ def test_a_tone_that_speaks_against_a_cure_does_not_give_a_rescued_loop_back_to_
     for sample in rig.run(60):
         retuner.observe(sample)
     retuner.region_models = {0: learned_by_a_runaway()}
-    promised = promise([Plausible(MODEL, 0.0)], lost, GOOD, 1.0)
-    retuner.ordered(0, StageResult("injected", "for a test"), GOOD, promised)
+    prediction = predict([Plausible(MODEL, 0.0)], lost, GOOD, 1.0)
+    retuner.ordered(0, StageResult("injected", "for a test"), GOOD, prediction)
     retuner.committed(0, GOOD)
     ended: list[Decision] = []
     for t in range(400):

@@ -15,8 +15,8 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.trial.expectation import Promise, promise
 from retuner.adaptive.trial.phase import ABORTS, SILENT, UNDECIDED, UNDOS, TrialEvent, TrialPhase
+from retuner.adaptive.trial.prediction import Prediction, predict
 from retuner.adaptive.trial.rollback import (
     NOTHING_KNOWN,
     PRICE,
@@ -28,9 +28,9 @@ from retuner.adaptive.trial.rollback import (
     loss_of,
     rollback,
 )
-from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
@@ -60,8 +60,8 @@ def test_the_sets_are_what_they_are_called() -> None:
 
 
 @cache
-def said(old: PidGains, tried: PidGains) -> Promise:
-    return promise([Plausible(ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0), 0.0)], old, tried, 1.0)
+def said(old: PidGains, tried: PidGains) -> Prediction:
+    return predict([Plausible(ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0), 0.0)], old, tried, 1.0)
 
 
 class Bench:
@@ -298,7 +298,7 @@ def test_every_abort_ends_on_a_set_that_is_no_less_stable_than_what_ran(
     old, tried, *earlier = sets
     known = StillAllowed(tuple(p for p, _ in models), weights=tuple(w for _, w in models))
     bench = Bench(phase, old, tried, known)
-    trial = replace(bench.trials.of(0), earlier=tuple(earlier), promise=replace(said(*STEADY), decay_seen=swung))
+    trial = replace(bench.trials.of(0), earlier=tuple(earlier), prediction=replace(said(*STEADY), decay_seen=swung))
     bench.trials.resume({"at": 0, "trials": {"0": trial.to_dict()}})
     ran = bench.table[0]
     bench.trials.event(0, cause, 1.0)

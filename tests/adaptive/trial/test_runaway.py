@@ -6,21 +6,23 @@ from rig import BAD, GOOD, MODEL, PROMISE, Rig
 
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.trial.diverging_trial import RunawayLaw, law_of, runaway_begin, runaway_step
-from retuner.adaptive.trial.expectation import promise
+from retuner.adaptive.trial.diverging_trial import DivergenceLimits, divergence_begin, divergence_step, law_of
 from retuner.adaptive.trial.phase import TrialEvent
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.prediction import predict
+from retuner.adaptive.trial.trial_settings import TrialSettings
 
 S = TrialSettings()
 LAW = law_of(PROMISE, S, 60.0)
 
 
-def run(rig: Rig, samples: int, law: RunawayLaw = LAW, band: float = 0.1) -> tuple[TrialEvent | None, float, float]:
+def run(
+    rig: Rig, samples: int, law: DivergenceLimits = LAW, band: float = 0.1
+) -> tuple[TrialEvent | None, float, float]:
     """What the watch says, when, and the largest error until then."""
-    state, start, peak = runaway_begin(rig.sp), rig.t_s, 0.0
+    state, start, peak = divergence_begin(rig.sp), rig.t_s, 0.0
     for sample in rig.run(samples):
         peak = max(peak, abs(sample.sp - sample.pv))
-        state, found = runaway_step(law, state, sample, band)
+        state, found = divergence_step(law, state, sample, band)
         if found:
             return found, sample.t_s - start, peak
     return None, samples, peak
@@ -46,9 +48,9 @@ def test_good_gains_are_left_alone_for_long(seed: int, upset: dict[str, float]) 
 
 
 def said(errors: list[float], band: float = 0.1) -> TrialEvent | None:
-    state = runaway_begin(0.0)
+    state = divergence_begin(0.0)
     for i, e in enumerate(errors):
-        state, found = runaway_step(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), band)
+        state, found = divergence_step(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), band)
         if found:
             return found
     return None
@@ -75,11 +77,11 @@ def test_a_swing_that_does_not_die_out_is_stopped_and_one_that_decays_is_not() -
 
 def test_loads_that_come_now_and_then_and_grow_are_no_swing() -> None:
     rig = Rig(GOOD)
-    state, found = runaway_begin(0.0), None
+    state, found = divergence_begin(0.0), None
     for load in (5.0, 15.0, 40.0, 100.0):
         rig.load = load
         for sample in rig.run(120):
-            state, found = runaway_step(LAW, state, sample, 0.1)
+            state, found = divergence_step(LAW, state, sample, 0.1)
             assert found is None
 
 
@@ -90,20 +92,20 @@ def test_what_comes_after_a_rest_is_another_upset(rest: int, found: TrialEvent |
 
 
 def test_a_new_setpoint_begins_anew() -> None:
-    rig, state = Rig(GOOD), runaway_begin(0.0)
+    rig, state = Rig(GOOD), divergence_begin(0.0)
     for size in (5.0, -10.0, 20.0, -40.0, 80.0):
         rig.sp = size
         for sample in rig.run(150):
-            state, found = runaway_step(LAW, state, sample, 0.1)
+            state, found = divergence_step(LAW, state, sample, 0.1)
             assert found is None
     assert state.sp == 80.0
 
 
 def test_an_output_between_its_limits_is_stopped_and_one_that_stays_at_a_limit_too() -> None:
     def limits(pattern: list[int]) -> TrialEvent | None:
-        state = runaway_begin(0.0)
+        state = divergence_begin(0.0)
         for i, limit in enumerate(pattern):
-            state, found = runaway_step(LAW, state, LoopSample(float(i), 0.0, 0.0, 0.0, limited=limit), 0.1)
+            state, found = divergence_step(LAW, state, LoopSample(float(i), 0.0, 0.0, 0.0, limited=limit), 0.1)
             if found:
                 return found
         return None
@@ -116,18 +118,18 @@ def test_an_output_between_its_limits_is_stopped_and_one_that_stays_at_a_limit_t
 
 
 def test_a_loop_that_was_unstable_before_may_grow_as_it_did() -> None:
-    worse = promise([Plausible(MODEL, 0.0)], BAD["kc x4"], GOOD, 1.0)
+    worse = predict([Plausible(MODEL, 0.0)], BAD["kc x4"], GOOD, 1.0)
     assert law_of(worse, S, 60.0).grows > LAW.grows == S.grows
 
 
 @pytest.mark.parametrize("moves", [0.15, 0.5])
 def test_a_setpoint_that_moves_at_every_sample_does_not_blind_the_watch(moves: float) -> None:
     rig = Rig(BAD["kc x4"], noise=0.02, load=10.0, limit=50.0)
-    state, found = runaway_begin(rig.sp), None
+    state, found = divergence_begin(rig.sp), None
     for number in range(300):
         rig.sp = moves * (number % 2)
         (sample,) = rig.run(1)
-        state, found = runaway_step(LAW, state, sample, 0.1)
+        state, found = divergence_step(LAW, state, sample, 0.1)
         if found:
             break
     assert found is TrialEvent.RUNAWAY
@@ -137,23 +139,23 @@ def test_a_setpoint_that_moves_at_every_sample_does_not_blind_the_watch(moves: f
 @pytest.mark.parametrize("steps", [0.3, 1.0, 5.0])
 def test_a_setpoint_that_moves_is_no_runaway_of_calm_gains(steps: float) -> None:
     rig = Rig(GOOD, noise=0.02)
-    state = runaway_begin(rig.sp)
+    state = divergence_begin(rig.sp)
     moves = np.random.default_rng(7).choice([-steps, 0.0, 0.0, steps], size=400)
     for number in range(4000):
         if number % 10 == 0:
             rig.sp += float(moves[number // 10])
         (sample,) = rig.run(1)
-        state, found = runaway_step(LAW, state, sample, 0.1)
+        state, found = divergence_step(LAW, state, sample, 0.1)
         assert found is None
 
 
 def watched(waves: list[tuple[float, int]]) -> TrialEvent | None:
     """Half waves of four samples, by extreme and by the limit at which the output stands in them."""
-    state, t_s = runaway_begin(0.0, joined=False), 0.0
+    state, t_s = divergence_begin(0.0, joined=False), 0.0
     for extreme, limited in waves:
         for e in (0.5 * extreme, extreme, 0.8 * extreme, 0.4 * extreme):
             t_s += 1.0
-            state, found = runaway_step(LAW, state, LoopSample(t_s, 0.0, -e, 0.0, limited=limited), 0.1)
+            state, found = divergence_step(LAW, state, LoopSample(t_s, 0.0, -e, 0.0, limited=limited), 0.1)
             if found:
                 return found
     return None

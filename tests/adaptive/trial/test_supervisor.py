@@ -16,8 +16,8 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, TrialNumbers
 from retuner.adaptive.trial.phase import ABORTS, UNDECIDED, UNDOS, TrialEvent, TrialPhase
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
-from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import DECIDED, WITH_GAINS, TrialSupervisor
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent

@@ -10,12 +10,12 @@ from rig import PROMISE
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.batch_responses import Loop
-from retuner.adaptive.trial.diverging_trial import law_of, runaway_begin, runaway_step
-from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.diverging_trial import divergence_begin, divergence_step, law_of
 from retuner.adaptive.trial.judge import sigma_of
 from retuner.adaptive.trial.load_variability import BLOCK, FEWEST_BLOCKS, wander_of, wander_there
 from retuner.adaptive.trial.phase import TrialEvent
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.prediction import Prediction
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 
@@ -49,11 +49,11 @@ def test_only_what_ran_under_the_gains_in_force_counts_and_little_says_nothing()
     assert wander_of([]) == 0.0
 
 
-def ran(promised: Promise, errors: list[float]) -> int | None:
+def ran(prediction: Prediction, errors: list[float]) -> int | None:
     """The sample at which it is a runaway."""
-    law, state = law_of(promised, TrialSettings(), 60.0), runaway_begin(1.0)
+    law, state = law_of(prediction, TrialSettings(), 60.0), divergence_begin(1.0)
     for i, sample in enumerate(samples(errors)):
-        state, found = runaway_step(law, state, sample, 0.01)
+        state, found = divergence_step(law, state, sample, 0.01)
         if found is TrialEvent.RUNAWAY:
             return i
     return None
@@ -72,10 +72,10 @@ def test_noise_is_the_least_of_it_and_it_is_remembered() -> None:
     known = replace(PROMISE, wander=0.2)
     assert sigma_of(0.4, PROMISE) == pytest.approx(0.1)
     assert sigma_of(0.4, known) == pytest.approx(0.2)
-    assert Promise.from_dict(known.to_dict()).wander == 0.2
+    assert Prediction.from_dict(known.to_dict()).wander == 0.2
     before = known.to_dict()
     del before["wander"]
-    assert Promise.from_dict(before).wander == 0.0
+    assert Prediction.from_dict(before).wander == 0.0
 
 
 def integrating(theta_s: float) -> Loop:

@@ -37,7 +37,7 @@ from retuner.schedule.table import GainTable, Lookup
 #     P(in spec) = Phi((high - ln Kc)/s) - Phi((low - ln Kc)/s)
 
 MS_END = 2.1
-"""Largest Ms where a set ends, the guard's own limit at a boundary (guard/settings.py)."""
+"""Largest Ms where a set ends, the guard's own limit at a boundary (guard/guard_settings.py)."""
 OVER_OWN = 1.03
 """Times the Ms of a place's own settings that a set may have there, where these are over the limit themselves."""
 KC_TRIED = 25

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.region_model.sequences import unsure
 from retuner.adaptive.region_model.update import Agreement
-from retuner.adaptive.setpoint_bumps.bump_settings import HOURS, NudgeSettings
-from retuner.adaptive.setpoint_bumps.planner import SECONDS_PER_HOUR, LoopAround, NudgeNews, NudgePlanner
+from retuner.adaptive.setpoint_bumps.bump_planner import SECONDS_PER_HOUR, BumpNews, BumpPlanner, LoopAround
+from retuner.adaptive.setpoint_bumps.bump_settings import HOURS, BumpSettings
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
@@ -27,19 +27,19 @@ def hour_of_samples(t_s: float) -> float:
     return t_s / SECONDS_PER_HOUR % HOURS
 
 
-class Nudger:
+class LoopBumps:
     """Watches over one loop's bumps.
 
-    settings : see NudgeSettings. retuner : of the loop. hour_of : the hour of the day at a sample's time.
+    settings : see BumpSettings. retuner : of the loop. hour_of : the hour of the day at a sample's time.
     """
 
     def __init__(
-        self, settings: NudgeSettings, retuner: Retuner, hour_of: Callable[[float], float] = hour_of_samples
+        self, settings: BumpSettings, retuner: Retuner, hour_of: Callable[[float], float] = hour_of_samples
     ) -> None:
         self._retuner, self._hour_of = retuner, hour_of
-        self.planner = NudgePlanner(settings, retuner.settings.pv_span, retuner.settings.sample_time_s)
+        self.planner = BumpPlanner(settings, retuner.settings.pv_span, retuner.settings.sample_time_s)
 
-    def look(self, sample: LoopSample, *, free: bool = True) -> NudgeNews | None:
+    def look(self, sample: LoopSample, *, free: bool = True) -> BumpNews | None:
         """Take a sample that the retuner has seen. free : nothing is being written to the controller."""
         if not self.planner.settings.allowed:
             return None

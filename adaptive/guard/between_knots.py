@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from retuner.adaptive.guard.border import likeliest_between, mixed
+from retuner.adaptive.guard.both_sides_of_border import likeliest_between, mixed
 from retuner.adaptive.guard.request import NeighbourBorder
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel

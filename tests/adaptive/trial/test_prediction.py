@@ -14,7 +14,7 @@ from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessT
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.trial.batch_responses import Loop, Upset, traces
-from retuner.adaptive.trial.expectation import Promise, Spread, promise, promise_without_model
+from retuner.adaptive.trial.prediction import Prediction, Spread, predict, predict_without_model
 from retuner.adaptive.trial.response_numbers import peaks_of, shape_of, swing
 from retuner.schedule.gains import PidGains
 
@@ -35,7 +35,7 @@ MODELS = (
 def test_iae_and_travel_are_those_of_the_exact_calculation(model: ProcessModel, slower: float) -> None:
     gains = simc(model, slower * model.theta_s).gains
     exact = performance(model.linear(), gains, derivative_on_setpoint=False)
-    found = promise([Plausible(model, 0.0)], gains, gains)
+    found = predict([Plausible(model, 0.0)], gains, gains)
     rough = 0.12 if model.type is ProcessType.DELAY else 0.06
     if not gains.kd:
         assert found.setpoint.iae.best == pytest.approx(exact.iae_setpoint, rel=rough)
@@ -57,7 +57,7 @@ def test_peaks_of_a_second_order_decay_have_the_ratio_of_theory() -> None:
 def test_a_loop_that_runs_away_promises_nothing() -> None:
     unstable = PidGains(40.0, 2.0)
     good = simc(FOPDT, 5.0).gains
-    found = promise([Plausible(FOPDT, 0.0)], good, unstable)
+    found = predict([Plausible(FOPDT, 0.0)], good, unstable)
     assert math.isinf(found.setpoint.iae.best)
     assert found.load_step.decay.best >= 1.0
     assert math.isinf(found.patience_s)
@@ -67,8 +67,8 @@ def test_a_loop_that_runs_away_promises_nothing() -> None:
 def test_the_spread_holds_every_allowed_model_and_the_best_one_is_first() -> None:
     stiff = ProcessModel(ProcessType.FOPDT, 2.0, 40.0, 0.0, 8.0)
     gains = simc(FOPDT, 1.0).gains
-    alone = [promise([Plausible(m, 0.0)], gains, gains).load_step.decay.best for m in (FOPDT, stiff)]
-    both = promise([Plausible(FOPDT, 0.0), Plausible(stiff, 3.0)], gains, gains)
+    alone = [predict([Plausible(m, 0.0)], gains, gains).load_step.decay.best for m in (FOPDT, stiff)]
+    both = predict([Plausible(FOPDT, 0.0), Plausible(stiff, 3.0)], gains, gains)
     assert both.load_step.decay.best == alone[0]
     assert both.load_step.decay.high >= alone[1] > alone[0]
     assert both.models == 2
@@ -77,17 +77,17 @@ def test_the_spread_holds_every_allowed_model_and_the_best_one_is_first() -> Non
 def test_more_models_than_needed_are_cut_to_the_likeliest() -> None:
     models = [Plausible(ProcessModel(ProcessType.FOPDT, 2.0, 50.0 + i, 0.0, 5.0), float(i)) for i in range(40)]
     gains = simc(FOPDT, 5.0).gains
-    assert promise(models, gains, gains).models == 16
+    assert predict(models, gains, gains).models == 16
     with pytest.raises(ValueError, match="at least one model"):
-        promise([], gains, gains)
+        predict([], gains, gains)
 
 
 @settings(max_examples=examples(15), deadline=None)
 @given(st.floats(0.01, 100), st.floats(0.02, 5), st.floats(0.2, 5))
 def test_a_promise_scales_with_time_and_gain(scale_s: float, theta: float, k: float) -> None:
-    def at(s: float, gain: float) -> Promise:
+    def at(s: float, gain: float) -> Prediction:
         model = ProcessModel(ProcessType.FOPDT, gain, s, 0.0, s * theta)
-        return promise([Plausible(model, 0.0)], simc(model, s * theta).gains, simc(model, 2 * s * theta).gains)
+        return predict([Plausible(model, 0.0)], simc(model, s * theta).gains, simc(model, 2 * s * theta).gains)
 
     one, other = at(1.0, 1.0), at(scale_s, k)
     assert other.setpoint.iae.best == pytest.approx(one.setpoint.iae.best * scale_s, rel=0.06)
@@ -98,11 +98,11 @@ def test_a_promise_scales_with_time_and_gain(scale_s: float, theta: float, k: fl
 def test_plain_values_and_back() -> None:
     good = simc(FOPDT, 5.0).gains
     for found in (
-        promise([Plausible(FOPDT, 0.0)], good, PidGains(40.0, 2.0)),
-        promise([Plausible(FOPDT, 0.0)], good, good),
+        predict([Plausible(FOPDT, 0.0)], good, PidGains(40.0, 2.0)),
+        predict([Plausible(FOPDT, 0.0)], good, good),
     ):
-        assert Promise.from_dict(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
-    assert "of the previous after a setpoint step" in promise([Plausible(FOPDT, 0.0)], good, good).sentence()
+        assert Prediction.from_dict(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
+    assert "of the previous after a setpoint step" in predict([Plausible(FOPDT, 0.0)], good, good).sentence()
 
 
 @pytest.mark.parametrize("values", [(1.0, 2.0, 3.0), (1.0, 0.0, 0.5), (math.nan, 0.0, 1.0)])
@@ -114,12 +114,12 @@ def test_a_spread_has_its_best_between_its_ends(values: tuple[float, float, floa
 def test_without_a_model_a_promise_is_no_worse_than_what_was_seen() -> None:
     peaks = (Peak(1.0, 4.0), Peak(2.0, -2.0), Peak(3.0, 1.2))
     seen = Response(0.0, 4.0, peaks, Ending.COMPLETE, sp_changed=False, band=0.1)
-    found = promise_without_model(seen, PidGains(2.0, 0.2), PidGains(1.8, 0.16))
+    found = predict_without_model(seen, PidGains(2.0, 0.2), PidGains(1.8, 0.16))
     assert found.load_step.decay.high == pytest.approx(3.2 / 6.0)
     assert found.load_step.iae.best == pytest.approx(1 / 0.16)
     assert found.load_before.iae.best == pytest.approx(1 / 0.2)
     assert math.isinf(found.setpoint.iae.high)
-    assert Promise.from_dict(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
+    assert Prediction.from_dict(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
-from retuner.adaptive.setpoint_bumps.planner import NudgePhase
-from retuner.adaptive.setpoint_bumps.watching import Nudger
+from retuner.adaptive.setpoint_bumps.bump_planner import BumpPhase
+from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
+from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.supervision.decision import Mode
 from retuner.cli import main
 from retuner.ledger.chain import Row
@@ -58,7 +58,7 @@ duration_s = 1300.0
 steps = [{{ at_s = 0.0, sp = 50.0 }}]
 """
 SHORT_S = 2200.0
-SOON = NudgeSettings(allowed=True, percent=2.0, after_h=0.0, announce_s=0.0)
+SOON = BumpSettings(allowed=True, percent=2.0, after_h=0.0, announce_s=0.0)
 
 
 def ran(folder: Path, allowed: str) -> Path:
@@ -113,10 +113,10 @@ def wire():
 
 def bumped(wire: Wire) -> LoopSession:
     """The setpoint is out."""
-    wire.session.nudger = Nudger(SOON, wire.session.retuner)
+    wire.session.bumps = LoopBumps(SOON, wire.session.retuner)
     for _ in range(200):
         wire.run(1)
-        if wire.session.nudger.planner.phase is NudgePhase.HOLDING:
+        if wire.session.bumps.planner.phase is BumpPhase.HOLDING:
             assert wire.device.sp == 52.0
             return wire.session
     raise AssertionError("no bump was made")
@@ -137,7 +137,7 @@ def test_a_defect_puts_it_back_as_well(wire: Wire) -> None:
 
 
 def test_a_ledger_that_fails_begins_no_bump(wire: Wire) -> None:
-    wire.session.nudger = Nudger(SOON, wire.session.retuner)
+    wire.session.bumps = LoopBumps(SOON, wire.session.retuner)
     keep = wire.session._record
 
     def full(kind: str, t_s: float, body: object) -> None:
@@ -161,14 +161,14 @@ def test_a_session_that_cannot_bring_it_back_says_so(wire: Wire) -> None:
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.ADVISE])
 def test_where_nothing_may_be_written_nothing_is_bumped(mode: Mode) -> None:
     wire = Wire(mode=mode)
-    wire.session.nudger = Nudger(SOON, wire.session.retuner)
+    wire.session.bumps = LoopBumps(SOON, wire.session.retuner)
     wire.run(200)
     assert (wire.device.sp, "nudge" in wire.kinds) == (50.0, False)
     wire.close()
 
 
 def test_no_bump_crosses_a_border_of_its_region(wire: Wire) -> None:
-    wire.session.nudger = Nudger(SOON, wire.session.retuner)
+    wire.session.bumps = LoopBumps(SOON, wire.session.retuner)
     wire.device.sp = 57.0
     wire.run(400)
     made = [body["to"] for kind, body in wire.rows if kind == "nudge"]
@@ -192,9 +192,9 @@ def test_rows_tell_what_a_session_left_out() -> None:
 
 @pytest.mark.parametrize("allowed", [True, False])
 def test_a_bump_left_out_is_told_where_bumps_are_no_longer_allowed(wire: Wire, allowed: bool) -> None:
-    nudger = Nudger(NudgeSettings(allowed=allowed), wire.session.retuner)
+    bumps = LoopBumps(BumpSettings(allowed=allowed), wire.session.retuner)
     said: list[str] = []
     left = [row("nudge", {"phase": "holding", "before": 50.0, "to": 52.0})]
-    assert (with_what_was_left(nudger, lambda: left, said.append) is nudger) == allowed
-    assert nudger.planner.out == allowed
+    assert (with_what_was_left(bumps, lambda: left, said.append) is bumps) == allowed
+    assert bumps.planner.out == allowed
     assert ["from 50 to 52" in line for line in said] == [True] * (not allowed)

@@ -20,7 +20,7 @@ import numpy as np
 
 from retuner.adaptive.explanations.wandering_load import Prepared, under_loads
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.adaptive.valve.model import Family, StuckValve
+from retuner.adaptive.valve.valve_model import Family, StuckValve
 
 MOVING = [(Family.KANO, band, jump) for band in (0.08, 0.12, 0.17, 0.24, 0.33, 0.45, 0.6, 0.8) for jump in (0.0, 0.5)]
 """Play, and valves that follow after a slip (Kano et al. 2004): band as a share of co's range, jump of the band."""

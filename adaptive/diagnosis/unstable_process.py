@@ -28,7 +28,7 @@ MODEL_ERROR = 0.003
 """Share of the step that no model explains."""
 EXPLAINED = 1.5
 """What the fit may leave, in times the noise."""
-FEWEST = 30
+FEWEST_STEP_SAMPLES = 30
 """Samples after the step of which it may be asked."""
 MOST_SAMPLES = 1500
 """The first samples after the step, so many of them."""
@@ -49,7 +49,7 @@ GONE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Runaway:
+class UnstableProcess:
     """k : slope gain, pv units per co unit and second. pole_per_s : below 0. tau_s : lag. theta_s : dead time with
     half a sampling interval for the hold.
     """
@@ -85,7 +85,7 @@ WIDE, POINTS = (0.03, 6.0), 600
 """Frequencies at which Ms is looked for, times the longest and over the shortest time; how many."""
 
 
-def runaway_process(window: Window, law: SampledLaw) -> Runaway | None:
+def unstable_process(window: Window, law: SampledLaw) -> UnstableProcess | None:
     """The process, where a setpoint step from rest shows that it runs away by itself; else None.
 
     Parameters
@@ -100,7 +100,7 @@ def runaway_process(window: Window, law: SampledLaw) -> Runaway | None:
     noise = max(noise_sigma(window.pv) / abs(size), MODEL_ERROR)
     for share in SHARES:
         part = pv[: round(share * len(pv))]
-        if len(part) < FEWEST:
+        if len(part) < FEWEST_STEP_SAMPLES:
             return None
         fit, most = _Fit(part, law), len(part) * (EXPLAINED * noise) ** 2
         best = (math.inf, np.empty(0), math.inf)
@@ -121,7 +121,7 @@ SHARES = (1.0, 0.5, 0.25)
 
 
 def worse_on(
-    found: Runaway, now: SampledLaw, gains: PidGains, samples: int, limit: float
+    found: UnstableProcess, now: SampledLaw, gains: PidGains, samples: int, limit: float
 ) -> tuple[float, float] | None:
     """Ms before and after, where other gains are no change for the better on it; None where they are.
 
@@ -141,7 +141,7 @@ def _one_step(window: Window) -> tuple[int, float] | None:
     if len(moves) != 1 or float(np.max(np.abs(spacing - usual))) > UNEVEN * usual:
         return None
     at = int(moves[0]) + 1
-    return (at, float(window.sp[at] - window.sp[at - 1])) if len(window.sp) - at >= FEWEST else None
+    return (at, float(window.sp[at] - window.sp[at - 1])) if len(window.sp) - at >= FEWEST_STEP_SAMPLES else None
 
 
 def _starts(fit: "_Fit") -> list[FloatArray]:
@@ -162,7 +162,7 @@ STARTS = 3
 """Of all first guesses so many are refined."""
 
 
-def _answer(process: Runaway, law: SampledLaw, n: int) -> FloatArray:
+def _answer(process: UnstableProcess, law: SampledLaw, n: int) -> FloatArray:
     """pv at n samples after a unit setpoint step; not finite from where the loop has run away.
 
     process : without the half sampling interval of the hold. Its two poles stand side by side, each moved on exactly by
@@ -211,12 +211,12 @@ class _Fit:
     def __init__(self, pv: FloatArray, law: SampledLaw) -> None:
         self.pv, self.law, self.sign = pv, law, law.gains.direction
 
-    def process(self, x: FloatArray) -> Runaway:
+    def process(self, x: FloatArray) -> UnstableProcess:
         """Of a point; its dead time no longer than the record, its pole no faster than a sample."""
-        k, theta, tau = (math.exp(min(max(value, -FAR), FAR)) for value in x[:3])
+        k, theta, tau = (math.exp(min(max(value, -LARGEST_LN_PARAMETER), LARGEST_LN_PARAMETER)) for value in x[:3])
         fastest = 1.0 / self.law.dt_s
         theta = min(theta, len(self.pv) * self.law.dt_s)
-        return Runaway(self.sign * k, min(max(float(x[3]), -fastest), fastest), tau, theta)
+        return UnstableProcess(self.sign * k, min(max(float(x[3]), -fastest), fastest), tau, theta)
 
     def left(self, x: FloatArray) -> FloatArray:
         """Residuals in steps."""
@@ -241,7 +241,7 @@ class _Fit:
         return cost, x, float(scale[3]) * math.sqrt(max(float(covariance[3, 3]) * variance, 0.0))
 
 
-FAR = 40.0
+LARGEST_LN_PARAMETER = 40.0
 """Largest logarithm of a parameter."""
 MOST_TRIES = 150
 """Evaluations of one refinement, those for its slopes among them."""

@@ -1,4 +1,4 @@
-"""The explanation of a record by a valve that sticks (valve/model.py).
+"""The explanation of a record by a valve that sticks (valve/valve_model.py).
 
 The sum of squares has a valley in S that is narrower than 5 %, and many others; a wrong band makes up for a lag or a
 dead time that the scan does not have. So bands, jumps and both valve models are scanned on a grid with one lag and
@@ -19,11 +19,11 @@ from retuner.adaptive.fit.misfit import USEFUL, WHITE, Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Fit, refine
 from retuner.adaptive.fit.search import with_second_lag
-from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.candidate import Candidate, CandidateList, judged
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.adaptive.valve.model import Family, StuckValve
+from retuner.adaptive.valve.valve_model import Family, StuckValve
 
 STICK_NODES = 45
 STICK_RANGE = (0.1, 1.2)
@@ -93,7 +93,7 @@ def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
     firsts = [with_lag(fine(refined(bare(linear.fit.misfit, type_), valve, x))) for valve, type_, x in ranked]
     closest = sorted(firsts, key=lambda s: s.fit.criterion)[:POLISHED]
     best = min((settled(s) for s in closest), key=lambda s: s.fit.criterion)
-    return replace(best, fit=improved(best.fit, most_loads, Seen([best.fit])))
+    return replace(best, fit=improved(best.fit, most_loads, CandidateList([best.fit])))
 
 
 def bare(misfit: Misfit, type_: ProcessType) -> Misfit:
@@ -115,7 +115,7 @@ def with_play(linear: Candidate, most_loads: int) -> Sticking:
     rivals = [fine(_played(linear.fit, kept, linear.fit.p))]
     if kept.loads:
         plain = fine(_played(linear.fit, bare, linear.fit.x))
-        rivals.append(replace(plain, fit=improved(plain.fit, most_loads, Seen([plain.fit]))))
+        rivals.append(replace(plain, fit=improved(plain.fit, most_loads, CandidateList([plain.fit]))))
     return min(rivals, key=lambda s: s.fit.criterion)
 
 

@@ -2,7 +2,7 @@
 
     pv = G v(co) + the rest of a fit        against        pv = G co + the rest of a fit
 
-with v a valve that sticks or has play (valve/model.py). Such a valve does not take part in the first of co's travel
+with v a valve that sticks or has play (valve_model.py). Such a valve does not take part in the first of co's travel
 and keeps its place when co turns. A linear fit makes of that what it has: a gain too small where the valve keeps back
 what co adds, a lag or loads where it slips late, an integrator where co goes on and pv does not. So the settings come
 out wrong, with a covariance that says otherwise. In the fit, the valve is one more nuisance with a price, as a load is.
@@ -32,7 +32,7 @@ from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.fit import (
+from retuner.adaptive.valve.valve_fit import (
     MOST_ROWS,
     POLISHED,
     Nodes,
@@ -46,7 +46,7 @@ from retuner.adaptive.valve.fit import (
     valve_costs,
     with_lag,
 )
-from retuner.adaptive.valve.model import Family, StuckValve
+from retuner.adaptive.valve.valve_model import Family, StuckValve
 
 BANDS = tuple(np.geomspace(0.02, 0.7, 20).tolist())
 """Stick bands tried, as shares of co's range."""
@@ -72,7 +72,7 @@ LEAST_FALL = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class SeenThrough:
+class ValveInLoop:
     """What stands between co and the process. left : what the linear explanation leaves, over the noise of pv."""
 
     valve: StuckValve
@@ -88,15 +88,15 @@ class SeenThrough:
 
 
 @dataclass(frozen=True, slots=True)
-class Through:
+class RecordThroughValve:
     """A record seen through a valve. window : with the valve's position for co. fits : of it."""
 
-    seen: SeenThrough
+    seen: ValveInLoop
     window: Window
     fits: Fits
 
 
-def through_valve(window: Window, sign: int, fits: Fits, settings: FitSettings) -> Through | None:
+def through_valve(window: Window, sign: int, fits: Fits, settings: FitSettings) -> RecordThroughValve | None:
     """The record as the process sees it, where a valve that sticks or has play explains it clearly better.
 
     Parameters
@@ -120,7 +120,7 @@ def through_valve(window: Window, sign: int, fits: Fits, settings: FitSettings) 
     if behind.fit.misfit.loads > max(linear.fit.misfit.loads, LOADS_BESIDE):
         return None
     left = float(np.std(record.pv - linear.fit.explained)) / record.noise_std
-    return Through(SeenThrough(valve, left), _moved_by(window, valve), found)
+    return RecordThroughValve(ValveInLoop(valve, left), _moved_by(window, valve), found)
 
 
 def _open(linear: Candidate) -> bool:

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, field, replace
 
-from retuner.adaptive.choice.settings import ChoiceSettings
+from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.diagnosis.cause import CauseSettings
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
-from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.swing_checks import LimitSwingSettings
 from retuner.adaptive.explanations.settings_by_book import BookSettings
 from retuner.adaptive.guard import NO_LOCKS, GuardSettings, Locks
@@ -17,7 +17,7 @@ from retuner.adaptive.signals.growth import GrowthSettings
 from retuner.adaptive.supervision.admission import EVERYWHERE, AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
-from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.vendor_units import VendorUnits
 

@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from retuner.adaptive.setpoint_bumps.bump_settings import HOURS, NudgeSettings
+from retuner.adaptive.setpoint_bumps.bump_settings import HOURS, BumpSettings
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.signals.step_sequence import STANDS
 
@@ -51,7 +51,7 @@ MOST_SAMPLES = 2000
 """In all that time: as many before it are to be kept beside it."""
 
 
-class NudgePhase(StrEnum):
+class BumpPhase(StrEnum):
     """Phases; the value is what people read."""
 
     WATCHING = "no bump"
@@ -61,7 +61,7 @@ class NudgePhase(StrEnum):
     RETURNING = "the setpoint goes back"
 
 
-class NudgeInput(StrEnum):
+class BumpEvent(StrEnum):
     """Everything that can happen; the value is the clause that people read."""
 
     TOO_SMALL = "the allowed bump would be lost in the noise"
@@ -83,9 +83,9 @@ class NudgeInput(StrEnum):
     BACK = "the setpoint is back"
 
 
-P, E = NudgePhase, NudgeInput
+P, E = BumpPhase, BumpEvent
 TROUBLE = (E.NOT_TAKEN, E.AT_REST, E.TOO_LONG, E.EXCURSION, E.LIMITED, E.NOT_IN_AUTO, E.NOT_ALLOWED, E.ENDED)
-COURSE: dict[tuple[NudgePhase, NudgeInput], NudgePhase] = {
+COURSE: dict[tuple[BumpPhase, BumpEvent], BumpPhase] = {
     (P.WATCHING, E.DUE): P.ANNOUNCED,
     (P.ANNOUNCED, E.PUT_OFF): P.WATCHING,
     (P.ANNOUNCED, E.OTHERS): P.WATCHING,
@@ -124,14 +124,14 @@ class LoopAround:
 
 
 @dataclass(frozen=True, slots=True)
-class NudgeNews:
+class BumpNews:
     """What is to be recorded, and done. cause : what happened. phase : where that led to.
 
     setpoint : what is to be sent now, None for nothing. before, to : the setpoint and what it is bumped to, pv units.
     """
 
-    cause: NudgeInput
-    phase: NudgePhase
+    cause: BumpEvent
+    phase: BumpPhase
     setpoint: float | None
     before: float
     to: float
@@ -149,17 +149,17 @@ class NudgeNews:
         }
 
 
-class NudgePlanner:
+class BumpPlanner:
     """The bumps of one loop.
 
-    settings : see NudgeSettings. pv_span : range of pv. sample_time_s : of the controller.
+    settings : see BumpSettings. pv_span : range of pv. sample_time_s : of the controller.
 
     Its attribute `size` is that of a bump, pv units.
     """
 
-    def __init__(self, settings: NudgeSettings, pv_span: float, sample_time_s: float) -> None:
+    def __init__(self, settings: BumpSettings, pv_span: float, sample_time_s: float) -> None:
         self.settings = settings
-        self.phase = NudgePhase.WATCHING
+        self.phase = BumpPhase.WATCHING
         self.made: list[float] = []
         """When the setpoint was bumped, sample times."""
         self.size, self._dt_s = settings.percent / 100 * pv_span, sample_time_s
@@ -177,14 +177,14 @@ class NudgePlanner:
     @property
     def out(self) -> bool:
         """Whether the setpoint may stand where the bump has put it."""
-        return self.phase in {NudgePhase.GOING, NudgePhase.HOLDING, NudgePhase.RETURNING}
+        return self.phase in {BumpPhase.GOING, BumpPhase.HOLDING, BumpPhase.RETURNING}
 
     def evidence(self, t_s: float) -> None:
         """Something has shown the process: the waiting begins anew."""
         self._quiet_since_s = t_s
         self._seen, self._outside, self._squares, self._rested = 0, 0, 0.0, False
 
-    def look(self, sample: LoopSample, around: LoopAround) -> NudgeNews | None:
+    def look(self, sample: LoopSample, around: LoopAround) -> BumpNews | None:
         """Take a sample; what it leads to, if anything."""
         if not self.settings.allowed:
             return None
@@ -201,7 +201,7 @@ class NudgePlanner:
             self._seen += 1
             self._outside += abs(sample.sp - sample.pv) > around.band
             self._squares += (sample.sp - sample.pv) ** 2
-        if self.phase is NudgePhase.WATCHING:
+        if self.phase is BumpPhase.WATCHING:
             if moved:
                 self.evidence(sample.t_s)
             # Whether nothing has shown the process for long enough
@@ -215,16 +215,16 @@ class NudgePlanner:
     def left_out(self, before: float, to: float) -> None:
         """A session before this one ended without putting its setpoint back: that is what comes first."""
         self._before, self._to = before, to
-        self.phase, self._since_s, self._sent_s = NudgePhase.RETURNING, math.inf, -math.inf
+        self.phase, self._since_s, self._sent_s = BumpPhase.RETURNING, math.inf, -math.inf
         self._left = True
 
-    def end(self, t_s: float) -> NudgeNews | None:
+    def end(self, t_s: float) -> BumpNews | None:
         """The session ends: the setpoint goes back, if it is out."""
-        return self._taken(NudgeInput.ENDED, t_s)
+        return self._taken(BumpEvent.ENDED, t_s)
 
     def again(self, t_s: float) -> float | None:
         """The setpoint to be sent once more because it has not come back yet; None for nothing."""
-        asked = {NudgePhase.GOING: self._to, NudgePhase.RETURNING: self._before}.get(self.phase)
+        asked = {BumpPhase.GOING: self._to, BumpPhase.RETURNING: self._before}.get(self.phase)
         if asked is None or t_s - self._sent_s < (SENT_AGAIN_SAMPLES - 0.5) * self._dt_s:
             return None
         self._sent_s = t_s
@@ -237,7 +237,7 @@ class NudgePlanner:
         left = len(self.made) < s.most and lately < s.most_per_day
         return left and self._is_free(sample, around) and self._aim(sample.sp, around) is not None
 
-    def _too_small(self, sample: LoopSample, around: LoopAround) -> NudgeNews | None:
+    def _too_small(self, sample: LoopSample, around: LoopAround) -> BumpNews | None:
         """Tell once that a bump of the size that is allowed would teach nothing."""
         bands, least = self.size / around.band, self.settings.least_bands
         if self._told_small or not around.wanted or bands >= least:
@@ -248,7 +248,7 @@ class NudgePlanner:
             f"a setpoint bump of {self.settings.percent:g} % is {bands:.1f} noise bands, and {least:g} are needed: "
             f"no bump is made; try adaptation.nudge.percent = {enough:.1f} would do"
         )
-        return NudgeNews(NudgeInput.TOO_SMALL, self.phase, None, sample.sp, sample.sp, reason)
+        return BumpNews(BumpEvent.TOO_SMALL, self.phase, None, sample.sp, sample.sp, reason)
 
     def _is_free(self, sample: LoopSample, around: LoopAround) -> bool:
         """Whether the loop is fit for a bump."""
@@ -275,7 +275,7 @@ class NudgePlanner:
             return None
         return next((to for to in sides if around.low <= to <= around.high), None)
 
-    def _announced(self, sample: LoopSample, around: LoopAround) -> NudgeNews:
+    def _announced(self, sample: LoopSample, around: LoopAround) -> BumpNews:
         to = self._aim(sample.sp, around)
         assert to is not None
         self._before, self._from, self._to = sample.sp, sample.sp, to
@@ -289,56 +289,56 @@ class NudgePlanner:
             f"{around.wanted}: in {self.settings.announce_s:.0f} s the setpoint goes from {self._before:g} to {to:g} "
             f"{way}; to postpone it, move the setpoint or take the loop to manual"
         )
-        return self._enter(NudgeInput.DUE, NudgePhase.ANNOUNCED, sample.t_s, reason)
+        return self._enter(BumpEvent.DUE, BumpPhase.ANNOUNCED, sample.t_s, reason)
 
-    def _cause(self, sample: LoopSample, around: LoopAround) -> NudgeInput | None:
+    def _cause(self, sample: LoopSample, around: LoopAround) -> BumpEvent | None:
         """What a sample says while a bump is announced or out."""
         here, there = (abs(sample.sp - x) <= SAME * self.size for x in (self._before, self._to))
         other = abs(sample.sp - 2 * self._before + self._to) <= SAME * self.size
         since = sample.t_s - self._since_s
-        if not around.allowed and self.phase in {NudgePhase.GOING, NudgePhase.HOLDING} and (here or there or other):
-            return NudgeInput.NOT_ALLOWED
+        if not around.allowed and self.phase in {BumpPhase.GOING, BumpPhase.HOLDING} and (here or there or other):
+            return BumpEvent.NOT_ALLOWED
         match self.phase:
-            case NudgePhase.ANNOUNCED if not here:
-                return NudgeInput.OTHERS
-            case NudgePhase.ANNOUNCED:
+            case BumpPhase.ANNOUNCED if not here:
+                return BumpEvent.OTHERS
+            case BumpPhase.ANNOUNCED:
                 return self._still_to_come(sample, around, since)
-            case NudgePhase.RETURNING if there and self._left:
+            case BumpPhase.RETURNING if there and self._left:
                 self._left = False  # told, for a session that is killed once more before the setpoint is back
-                return NudgeInput.LEFT_OUT
-            case NudgePhase.RETURNING if here and since > SENT_AGAIN_SAMPLES * self._dt_s:
-                return NudgeInput.BACK
-            case NudgePhase.RETURNING if here or there or other:
+                return BumpEvent.LEFT_OUT
+            case BumpPhase.RETURNING if here and since > SENT_AGAIN_SAMPLES * self._dt_s:
+                return BumpEvent.BACK
+            case BumpPhase.RETURNING if here or there or other:
                 return None
-            case NudgePhase.GOING if abs(sample.sp - self._from) <= SAME * self.size:
-                return NudgeInput.NOT_TAKEN if since > NOT_TAKEN_SAMPLES * self._dt_s else None
-            case NudgePhase.GOING if there:
-                return NudgeInput.TAKEN
-            case NudgePhase.HOLDING if there:
+            case BumpPhase.GOING if abs(sample.sp - self._from) <= SAME * self.size:
+                return BumpEvent.NOT_TAKEN if since > NOT_TAKEN_SAMPLES * self._dt_s else None
+            case BumpPhase.GOING if there:
+                return BumpEvent.TAKEN
+            case BumpPhase.HOLDING if there:
                 return self._enough(sample, around, since)
             case _:
-                return NudgeInput.OTHERS
+                return BumpEvent.OTHERS
 
-    def _still_to_come(self, sample: LoopSample, around: LoopAround, since: float) -> NudgeInput | None:
+    def _still_to_come(self, sample: LoopSample, around: LoopAround, since: float) -> BumpEvent | None:
         if not around.wanted or sample.mode != LoopMode.AUTO or not self.settings.is_time(around.hour):
-            return NudgeInput.PUT_OFF
+            return BumpEvent.PUT_OFF
         if since < self.settings.announce_s:
             return None
         if self._is_free(sample, around):
-            return NudgeInput.BEGUN
-        return NudgeInput.PUT_OFF if since > self.settings.announce_s + self.settings.longest_s else None
+            return BumpEvent.BEGUN
+        return BumpEvent.PUT_OFF if since > self.settings.announce_s + self.settings.longest_s else None
 
-    def _enough(self, sample: LoopSample, around: LoopAround, since: float) -> NudgeInput | None:
+    def _enough(self, sample: LoopSample, around: LoopAround, since: float) -> BumpEvent | None:
         """Why a bump that is out is to end now, if it is."""
         if sample.mode != LoopMode.AUTO:
-            return NudgeInput.NOT_IN_AUTO
+            return BumpEvent.NOT_IN_AUTO
         if sample.limited:
-            return NudgeInput.LIMITED
+            return BumpEvent.LIMITED
         middle = self._before if self._holds else sample.sp  # to and fro, a step has put pv two bumps off by itself
         if abs(middle - sample.pv) > self.settings.excursion * math.hypot(self.size, self._usual):
-            return NudgeInput.EXCURSION
+            return BumpEvent.EXCURSION
         if sample.t_s - self.made[-1] > self.settings.longest_s:
-            return NudgeInput.TOO_LONG
+            return BumpEvent.TOO_LONG
         if self._holds:
             # Whether it is time for the other side, or to go back; the first setpoint tells how long each is held
             if abs(sample.sp - sample.pv) >= self.size / 2:
@@ -353,32 +353,32 @@ class NudgePlanner:
             hold_s = max(self._holds[0] * min(self._half_s, longest), STANDS * self._dt_s)
             if since < hold_s - self._dt_s / 2:
                 return None
-            return NudgeInput.NEXT if len(self._holds) > 1 else NudgeInput.AT_REST
-        return NudgeInput.AT_REST if around.at_rest and since > SHORTEST_SAMPLES * self._dt_s else None
+            return BumpEvent.NEXT if len(self._holds) > 1 else BumpEvent.AT_REST
+        return BumpEvent.AT_REST if around.at_rest and since > SHORTEST_SAMPLES * self._dt_s else None
 
-    def _taken(self, cause: NudgeInput, t_s: float) -> NudgeNews | None:
+    def _taken(self, cause: BumpEvent, t_s: float) -> BumpNews | None:
         new = COURSE.get((self.phase, cause))
         if new is None:
             return None
         told = str(cause)
-        if self._holds and cause is NudgeInput.NEXT:
+        if self._holds and cause is BumpEvent.NEXT:
             told += f", from {self._to:g} to {2 * self._before - self._to:g}"
-        elif self._holds and cause is NudgeInput.AT_REST:
+        elif self._holds and cause is BumpEvent.AT_REST:
             told = "the last of its steps is made"  # loads move the loop, so it never rests
         return self._enter(cause, new, t_s, f"setpoint bump: {told}")
 
-    def _enter(self, cause: NudgeInput, new: NudgePhase, t_s: float, reason: str) -> NudgeNews:
+    def _enter(self, cause: BumpEvent, new: BumpPhase, t_s: float, reason: str) -> BumpNews:
         """What entering a phase brings with it."""
-        if cause is NudgeInput.NEXT:
+        if cause is BumpEvent.NEXT:
             self._from, self._to, self._holds = self._to, 2 * self._before - self._to, self._holds[1:]
         self.phase, self._since_s = new, t_s
-        setpoint = {NudgePhase.GOING: self._to, NudgePhase.RETURNING: self._before}.get(new)
+        setpoint = {BumpPhase.GOING: self._to, BumpPhase.RETURNING: self._before}.get(new)
         if setpoint is not None:
             self._sent_s = t_s
-        if cause is NudgeInput.BEGUN:
+        if cause is BumpEvent.BEGUN:
             self._half_s = self._near_s = math.inf
             self.made.append(t_s)
             self._up = self._to < self._before
-        if new is NudgePhase.WATCHING:
+        if new is BumpPhase.WATCHING:
             self.evidence(t_s)
-        return NudgeNews(cause, new, setpoint, self._before, self._to, reason)
+        return BumpNews(cause, new, setpoint, self._before, self._to, reason)

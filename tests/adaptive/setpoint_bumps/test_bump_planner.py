@@ -13,30 +13,30 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.sequences import unsure
-from retuner.adaptive.setpoint_bumps.bump_settings import NudgeSettings
-from retuner.adaptive.setpoint_bumps.planner import (
+from retuner.adaptive.setpoint_bumps.bump_planner import (
     COURSE,
     HOLDS,
     SENT_AGAIN_SAMPLES,
+    BumpEvent,
+    BumpNews,
+    BumpPhase,
+    BumpPlanner,
     LoopAround,
-    NudgeInput,
-    NudgeNews,
-    NudgePhase,
-    NudgePlanner,
 )
-from retuner.adaptive.setpoint_bumps.watching import Nudger
+from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
+from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 
-ALLOWED = NudgeSettings(allowed=True, after_h=1.0, announce_s=60.0, longest_s=600.0)
+ALLOWED = BumpSettings(allowed=True, after_h=1.0, announce_s=60.0, longest_s=600.0)
 CALM = LoopAround(at_rest=True, wanted="nothing is known", hour=12.0, band=0.1, low=0.0, high=100.0)
 
 
 class Bench:
     """A loop whose controller takes every setpoint; pv follows at once."""
 
-    def __init__(self, wanted: NudgeSettings = ALLOWED, dt: float = 1.0) -> None:
-        self.planner, self.dt = NudgePlanner(wanted, 100.0, dt), dt
-        self.t, self.sp, self.news = 0.0, 50.0, list[NudgeNews]()
+    def __init__(self, wanted: BumpSettings = ALLOWED, dt: float = 1.0) -> None:
+        self.planner, self.dt = BumpPlanner(wanted, 100.0, dt), dt
+        self.t, self.sp, self.news = 0.0, 50.0, list[BumpNews]()
         self.wander = 0.0
 
     def run(self, samples: int, around: LoopAround = CALM, *, deaf: bool = False, **sample: object) -> None:
@@ -53,13 +53,13 @@ class Bench:
                 self.sp = asked
 
     @property
-    def causes(self) -> list[NudgeInput]:
+    def causes(self) -> list[BumpEvent]:
         return [news.cause for news in self.news]
 
     def out(self) -> None:
         """A bump is out."""
         self.run(3600 + 62)
-        assert self.planner.phase is NudgePhase.HOLDING
+        assert self.planner.phase is BumpPhase.HOLDING
         assert self.sp == 51.0
 
 
@@ -68,7 +68,7 @@ def around(**changes: object) -> LoopAround:
 
 
 def test_nothing_happens_unless_it_is_allowed() -> None:
-    bench = Bench(NudgeSettings(after_h=0.001, announce_s=0.0))
+    bench = Bench(BumpSettings(after_h=0.001, announce_s=0.0))
     bench.run(5000)
     assert (bench.news, bench.sp) == ([], 50.0)
 
@@ -78,23 +78,23 @@ def test_a_bump_is_announced_made_and_taken_back_when_the_loop_is_at_rest() -> N
     bench.run(3600)
     assert bench.news == []
     bench.run(1)
-    assert bench.causes == [NudgeInput.DUE]
+    assert bench.causes == [BumpEvent.DUE]
     assert "in 60 s the setpoint goes from 50 to 51" in bench.news[0].reason
     bench.run(60)
-    assert (bench.causes[-1], bench.sp) == (NudgeInput.BEGUN, 51.0)
+    assert (bench.causes[-1], bench.sp) == (BumpEvent.BEGUN, 51.0)
     bench.run(30, around(at_rest=False))
-    assert (bench.planner.phase, bench.sp) == (NudgePhase.HOLDING, 51.0)
+    assert (bench.planner.phase, bench.sp) == (BumpPhase.HOLDING, 51.0)
     bench.run(1)
-    assert (bench.causes[-1], bench.sp) == (NudgeInput.AT_REST, 50.0)
+    assert (bench.causes[-1], bench.sp) == (BumpEvent.AT_REST, 50.0)
     bench.run(SENT_AGAIN_SAMPLES + 1)
-    assert bench.causes == [NudgeInput.DUE, NudgeInput.BEGUN, NudgeInput.TAKEN, NudgeInput.AT_REST, NudgeInput.BACK]
+    assert bench.causes == [BumpEvent.DUE, BumpEvent.BEGUN, BumpEvent.TAKEN, BumpEvent.AT_REST, BumpEvent.BACK]
 
 
 def test_bumps_go_up_and_down_in_turn_and_keep_to_their_budgets() -> None:
-    bench = Bench(NudgeSettings(allowed=True, after_h=1.0, announce_s=0.0, most_per_day=2, most=3), dt=60.0)
+    bench = Bench(BumpSettings(allowed=True, after_h=1.0, announce_s=0.0, most_per_day=2, most=3), dt=60.0)
     bench.run(1440)
     assert len(bench.planner.made) == 2
-    assert [news.to for news in bench.news if news.cause is NudgeInput.DUE] == [51.0, 49.0]
+    assert [news.to for news in bench.news if news.cause is BumpEvent.DUE] == [51.0, 49.0]
     bench.run(3 * 1440)
     assert len(bench.planner.made) == 3
 
@@ -116,7 +116,7 @@ def test_no_bump_is_announced_to_a_loop_that_is_not_fit_for_it(unfit: dict[str, 
 def test_a_bump_that_would_drown_in_the_noise_is_not_made_and_that_is_told_once() -> None:
     bench = Bench()
     bench.run(5000, around(band=0.4))
-    assert (bench.causes, bench.sp) == ([NudgeInput.TOO_SMALL], 50.0)
+    assert (bench.causes, bench.sp) == ([BumpEvent.TOO_SMALL], 50.0)
     assert "is 2.5 noise bands, and 4 are needed" in bench.news[0].reason
     assert bench.news[0].reason.endswith("adaptation.nudge.percent = 1.6 would do")
 
@@ -136,7 +136,7 @@ def test_the_other_side_is_taken_where_one_has_no_room() -> None:
 
 @pytest.mark.parametrize(("hour", "due"), [(21.9, False), (22.0, True), (3.0, True), (5.0, False), (12.0, False)])
 def test_hours_may_go_over_midnight(hour: float, due: bool) -> None:
-    bench = Bench(NudgeSettings(allowed=True, after_h=0.1, from_h=22.0, to_h=5.0))
+    bench = Bench(BumpSettings(allowed=True, after_h=0.1, from_h=22.0, to_h=5.0))
     bench.run(400, around(hour=hour))
     assert bool(bench.news) is due
 
@@ -146,7 +146,7 @@ def test_whoever_moves_the_setpoint_puts_an_announced_bump_off() -> None:
     bench.run(3610)
     bench.sp = 55.0
     bench.run(200)
-    assert (bench.causes, bench.sp) == ([NudgeInput.DUE, NudgeInput.OTHERS], 55.0)
+    assert (bench.causes, bench.sp) == ([BumpEvent.DUE, BumpEvent.OTHERS], 55.0)
 
 
 def test_a_setpoint_that_somebody_else_sets_during_a_bump_stays() -> None:
@@ -154,18 +154,18 @@ def test_a_setpoint_that_somebody_else_sets_during_a_bump_stays() -> None:
     bench.out()
     bench.sp = 55.0
     bench.run(100)
-    assert (bench.causes[-1], bench.sp, bench.planner.phase) == (NudgeInput.OTHERS, 55.0, NudgePhase.WATCHING)
+    assert (bench.causes[-1], bench.sp, bench.planner.phase) == (BumpEvent.OTHERS, 55.0, BumpPhase.WATCHING)
 
 
 @pytest.mark.parametrize(
     ("sample", "cause"),
     [
-        ({"pv": 46.0}, NudgeInput.EXCURSION),
-        ({"limited": True}, NudgeInput.LIMITED),
-        ({"mode": LoopMode.MANUAL}, NudgeInput.NOT_IN_AUTO),
+        ({"pv": 46.0}, BumpEvent.EXCURSION),
+        ({"limited": True}, BumpEvent.LIMITED),
+        ({"mode": LoopMode.MANUAL}, BumpEvent.NOT_IN_AUTO),
     ],
 )
-def test_trouble_takes_a_bump_back_at_once(sample: dict[str, object], cause: NudgeInput) -> None:
+def test_trouble_takes_a_bump_back_at_once(sample: dict[str, object], cause: BumpEvent) -> None:
     bench = Bench()
     bench.out()
     bench.run(1, **sample)
@@ -176,7 +176,7 @@ def test_a_loop_that_does_not_come_to_rest_gets_its_setpoint_back_in_time() -> N
     bench = Bench()
     bench.out()
     bench.run(602, around(at_rest=False))
-    assert (bench.causes[-1], bench.sp) == (NudgeInput.TOO_LONG, 50.0)
+    assert (bench.causes[-1], bench.sp) == (BumpEvent.TOO_LONG, 50.0)
 
 
 def test_the_end_of_a_session_takes_a_bump_back() -> None:
@@ -184,7 +184,7 @@ def test_the_end_of_a_session_takes_a_bump_back() -> None:
     bench.out()
     news = bench.planner.end(bench.t)
     assert news is not None
-    assert (news.cause, news.setpoint) == (NudgeInput.ENDED, 50.0)
+    assert (news.cause, news.setpoint) == (BumpEvent.ENDED, 50.0)
     assert bench.planner.end(bench.t) is None
 
 
@@ -192,9 +192,9 @@ def test_a_setpoint_that_is_not_taken_is_sent_again_and_then_given_up() -> None:
     bench = Bench()
     bench.run(3600)
     bench.run(61 + 45, deaf=True)
-    assert bench.causes[-1] is NudgeInput.NOT_TAKEN
+    assert bench.causes[-1] is BumpEvent.NOT_TAKEN
     bench.run(60)
-    assert (bench.causes[-1], bench.sp) == (NudgeInput.BACK, 50.0)
+    assert (bench.causes[-1], bench.sp) == (BumpEvent.BACK, 50.0)
 
 
 def test_what_a_session_before_left_out_goes_back_first() -> None:
@@ -204,7 +204,7 @@ def test_what_a_session_before_left_out_goes_back_first() -> None:
     bench.run(3)
     assert (bench.sp, bench.planner.out) == (50.0, True)
     told = [(news.cause, news.phase, news.setpoint, news.before, news.to) for news in bench.news]
-    assert told == [(NudgeInput.LEFT_OUT, NudgePhase.RETURNING, 50.0, 50.0, 51.0)]  # a row: it may be killed again
+    assert told == [(BumpEvent.LEFT_OUT, BumpPhase.RETURNING, 50.0, 50.0, 51.0)]  # a row: it may be killed again
     bench.run(SENT_AGAIN_SAMPLES + 2)
     assert not bench.planner.out
 
@@ -220,7 +220,7 @@ def test_evidence_begins_the_waiting_anew() -> None:
 @pytest.mark.parametrize(("name", "value"), [("percent", 6.0), ("percent", math.nan), ("from_h", 25.0), ("most", 0)])
 def test_settings_outside_their_range_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"nudge: {name}"):
-        NudgeSettings(**{name: value})
+        BumpSettings(**{name: value})
 
 
 def restless() -> Bench:
@@ -269,16 +269,16 @@ def test_wherever_to_and_fro_ends_the_old_setpoint_comes_back(after: int) -> Non
     bench = restless()
     bench.run(after, around(at_rest=False))
     assert bench.sp in {51.0, 49.0}
-    bench.run(1 + (bench.causes[-1] is NudgeInput.NEXT), around(at_rest=False), limited=True)
-    assert (bench.causes[-1], bench.sp) == (NudgeInput.LIMITED, 50.0)
+    bench.run(1 + (bench.causes[-1] is BumpEvent.NEXT), around(at_rest=False), limited=True)
+    assert (bench.causes[-1], bench.sp) == (BumpEvent.LIMITED, 50.0)
     bench.run(SENT_AGAIN_SAMPLES + 2, around(at_rest=False))
     assert not bench.planner.out
 
 
 def test_to_and_fro_that_is_cut_off_on_its_way_to_the_other_side_comes_back() -> None:
     bench = restless()
-    while bench.causes[-1] is not NudgeInput.NEXT:
-        bench.run(1, around(at_rest=False), deaf=bench.causes[-1] is NudgeInput.NEXT)
+    while bench.causes[-1] is not BumpEvent.NEXT:
+        bench.run(1, around(at_rest=False), deaf=bench.causes[-1] is BumpEvent.NEXT)
     bench.sp = 51.0  # the controller has not taken 49 yet
     news = bench.planner.end(bench.t)
     assert news is not None
@@ -291,9 +291,9 @@ def test_to_and_fro_that_is_cut_off_on_its_way_to_the_other_side_comes_back() ->
 
 
 def test_every_phase_in_which_the_setpoint_is_out_ends_with_the_session() -> None:
-    for phase in NudgePhase:
-        after = COURSE.get((phase, NudgeInput.ENDED), phase)
-        assert after in {NudgePhase.WATCHING, NudgePhase.RETURNING}
+    for phase in BumpPhase:
+        after = COURSE.get((phase, BumpEvent.ENDED), phase)
+        assert after in {BumpPhase.WATCHING, BumpPhase.RETURNING}
 
 
 Doing = st.tuples(
@@ -309,7 +309,7 @@ Doing = st.tuples(
 @settings(deadline=None, max_examples=60)
 @given(st.lists(Doing, max_size=12))
 def test_whatever_happens_only_two_setpoints_are_ever_asked_for_and_the_old_one_comes_back(doings) -> None:
-    bench = Bench(NudgeSettings(allowed=True, after_h=0.001, announce_s=5.0, longest_s=40.0, most_per_day=100))
+    bench = Bench(BumpSettings(allowed=True, after_h=0.001, announce_s=5.0, longest_s=40.0, most_per_day=100))
     theirs = 50.0
     for samples, at_rest, limited, mode, moved, deaf in doings:
         if moved is not None:
@@ -329,19 +329,19 @@ def test_a_mode_that_forbids_it_ends_a_bump_at_once(to_and_fro: bool) -> None:
     bench.wander = 0.3 if to_and_fro else 0.0
     bench.out()
     bench.run(1, around(allowed=False))
-    assert bench.causes[-1] is NudgeInput.NOT_ALLOWED
+    assert bench.causes[-1] is BumpEvent.NOT_ALLOWED
     assert bench.sp == 50.0
     bench.run(20, around(allowed=False))
-    assert bench.planner.phase is NudgePhase.WATCHING
+    assert bench.planner.phase is BumpPhase.WATCHING
     assert bench.sp == 50.0
 
 
 def test_nor_is_one_sent_that_a_person_has_just_forbidden() -> None:
     bench = Bench()
     bench.run(3600 + 62, deaf=True)
-    assert bench.planner.phase is NudgePhase.GOING
+    assert bench.planner.phase is BumpPhase.GOING
     bench.run(1, around(allowed=False), deaf=True)
-    assert bench.causes[-1] is NudgeInput.NOT_ALLOWED
+    assert bench.causes[-1] is BumpEvent.NOT_ALLOWED
     assert bench.news[-1].setpoint == 50.0
 
 
@@ -352,11 +352,11 @@ def test_an_error_as_large_as_the_loads_usually_make_it_is_no_excursion() -> Non
     bench.run(3599, moved)
     bench.wander = 0.2  # pv comes by its setpoint, and the bump begins
     bench.run(64, moved)
-    assert bench.planner.phase is NudgePhase.HOLDING
+    assert bench.planner.phase is BumpPhase.HOLDING
     bench.run(3, moved, pv=bench.sp + 6.0)
-    assert NudgeInput.EXCURSION not in bench.causes
+    assert BumpEvent.EXCURSION not in bench.causes
     bench.run(1, moved, pv=bench.sp + 13.0)
-    assert bench.causes[-1] is NudgeInput.EXCURSION
+    assert bench.causes[-1] is BumpEvent.EXCURSION
 
 
 def held(slow: bool) -> list[float]:
@@ -384,11 +384,11 @@ def test_a_slow_controller_is_not_taken_for_a_quick_loop_by_a_load_that_helps() 
     slow = around(at_rest=False, reset_s=80.0)
     for _ in range(60):
         bench.run(1, slow)
-    assert bench.causes[-1] is not NudgeInput.NEXT
-    assert NudgeInput.NEXT in _causes_after(bench, slow)
+    assert bench.causes[-1] is not BumpEvent.NEXT
+    assert BumpEvent.NEXT in _causes_after(bench, slow)
 
 
-def _causes_after(bench: Bench, moved: LoopAround) -> list[NudgeInput]:
+def _causes_after(bench: Bench, moved: LoopAround) -> list[BumpEvent]:
     bench.run(60, moved)
     return bench.causes
 
@@ -402,17 +402,17 @@ def test_a_step_to_the_other_side_is_no_excursion_by_itself() -> None:
     bench.run(64, moved)
     far = 4.0 * (1 + 3.0**2) ** 0.5
     bench.run(1, moved, pv=50.0 - (far - 0.6))
-    assert NudgeInput.EXCURSION not in bench.causes
+    assert BumpEvent.EXCURSION not in bench.causes
     bench.run(1, moved, pv=50.0 - (far + 0.4))
-    assert bench.causes[-1] is NudgeInput.EXCURSION
+    assert bench.causes[-1] is BumpEvent.EXCURSION
 
 
 # ---- What a bump would teach: where loads never rest, single responses are not enough however many agree
 
-SOON = NudgeSettings(allowed=True, percent=5.0, after_h=0.1, announce_s=0.0)
+SOON = BumpSettings(allowed=True, percent=5.0, after_h=0.1, announce_s=0.0)
 
 
-def news(load: float) -> list[NudgeNews]:
+def news(load: float) -> list[BumpNews]:
     """Of a loop whose process two setpoint steps have shown, under loads of that size to both sides."""
     bench = made(GOOD)
     bench.run(400)
@@ -421,7 +421,7 @@ def news(load: float) -> list[NudgeNews]:
     known = bench.retuner.region_models[0]
     assert known.identifiable
     assert known.records > 1
-    nudger, found = Nudger(SOON, bench.retuner), []
+    nudger, found = LoopBumps(SOON, bench.retuner), []
     for i in range(40):
         for sample in bench.samples(20, 0.0, load if i % 2 else -load, 10.0):
             bench.retuner.observe(sample)
@@ -439,7 +439,7 @@ def test_a_loop_that_rests_and_is_known_from_two_records_needs_no_bump() -> None
 @pytest.mark.uncounted
 def test_where_loads_never_rest_what_single_responses_say_is_not_enough() -> None:
     first = news(1.0)[0]
-    assert first.cause is NudgeInput.DUE
+    assert first.cause is BumpEvent.DUE
     assert 'the model of region "a" rests on single responses' in first.reason
 
 

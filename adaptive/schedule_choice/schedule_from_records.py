@@ -11,7 +11,8 @@ from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.first_step import FirstStep, first_step
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.schedule_choice.candidates import (
+from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells, cells
+from retuner.adaptive.schedule_choice.scheduling_variables import (
     Candidate,
     Crossing,
     axis_of,
@@ -19,7 +20,6 @@ from retuner.adaptive.schedule_choice.candidates import (
     curves_along,
     curves_over_both,
 )
-from retuner.adaptive.schedule_choice.region_borders import COUNT, Cells, cells
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, knots, place_at, steps
 from retuner.adaptive.schedule_design.stretches import Axis, Shape, tells

@@ -16,7 +16,7 @@ What stands changes no gains, whatever it is. Without the setpoint's or the slip
 that drifts with co (a triangle in a fast loop), and that is said.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -24,7 +24,6 @@ import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import LawSettings, settings_in_force
 from retuner.adaptive.controller_settings.summed_law import summed_law
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.indexes.recording_quality import runs
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -48,7 +47,7 @@ ROUGHLY = LawSettings(explained_limit=0.5, std_limit=0.5, disagreement=2.0, slow
 
 
 @dataclass(frozen=True, slots=True)
-class StandingSettings:
+class StandStillSettings:
     """Settings.
 
     leg_error : mean error of a leg as a share of pv's range; 0.01 to 0.1, default 0.02. leg_sigmas : and in standard
@@ -103,7 +102,7 @@ class Leg:
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class StandStill:
     """What the plateaus of a record show.
 
     legs : that count. slips_s, agreed : when pv went to another level, and how many of these times co had gone there.
@@ -140,36 +139,13 @@ class Standing:
         return max((leg.dwell for leg in self.legs), default=0.0)
 
 
-def stand_still(window: Window, gains: PidGains | None, settings: StandingSettings) -> Standing | None:
+def stand_still(window: Window, gains: PidGains | None, settings: StandStillSettings) -> StandStill | None:
     """The same with settings that are read off the record, as well as it shows them, where they are not known."""
     gains = gains or settings_in_force(window, settings=ROUGHLY).gains or summed_law(window)
     return None if gains is None else standing(window, gains, settings)
 
 
-def standing_verdict(found: Standing, evidence: Mapping[str, float]) -> Diagnosis:
-    """The cause, for what stands or does not answer."""
-    evidence = {
-        **evidence,
-        "stand_travel": found.idle,
-        "stand_dwell": found.dwell,
-        "stands": float(len(found.legs)),
-        "slips": float(len(found.slips_s)),
-        "slips_agreed": float(found.agreed),
-    }
-    seen = ", ".join(f"{leg.start_s:.5g} to {leg.end_s:.5g} s" for leg in found.legs[:MOST_TOLD])
-    if found.dead:
-        reason = (
-            f"pv does not respond ({seen}) to nearly the whole range of co: a closed valve or line, a failed sensor"
-        )
-        return Diagnosis(Cause.UNKNOWN, 0.7, evidence, reason)
-    slips = ", ".join(f"{t:.5g}" for t in found.ends_s[:MOST_TOLD])
-    told = f"pv does not move while co moves ({seen})" + f", then follows in steps (at {slips} s)" * bool(slips)
-    if found.sticks:
-        return Diagnosis(Cause.STICTION, 0.8, evidence, f"{told}: a sticking valve with a varying stiction band")
-    return Diagnosis(Cause.UNKNOWN, 0.6, evidence, f"{told}: a sticking valve, or a load that drifts with co")
-
-
-def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Standing | None:
+def standing(window: Window, gains: PidGains, settings: StandStillSettings) -> StandStill | None:
     """Look for stand-still; None where the controller has no integral action or nothing moves.
 
     window : the record. gains : in force, for the direction of the controller and its integral time.
@@ -191,7 +167,7 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     stands = lasts and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
     silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
-    return Standing(
+    return StandStill(
         counted,
         tuple(float(rows.t_s[s]) for s in slips),
         len(agreed),
@@ -207,7 +183,7 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     )
 
 
-def _may_stand(rows: Window, tau_i: float, settings: StandingSettings) -> bool:
+def _may_stand(rows: Window, tau_i: float, settings: StandStillSettings) -> bool:
     """Whether the error keeps its sign for about as long as a stand takes; else plateaus are looked for in vain.
 
     tau_i : in rows.
@@ -222,7 +198,7 @@ def _agree(agreed: int, slips: int) -> bool:
     return agreed >= 1 and agreed >= 2 * (slips - agreed)
 
 
-def _explained(pv: FloatArray, steps: Steps, settings: StandingSettings) -> bool:
+def _explained(pv: FloatArray, steps: Steps, settings: StandStillSettings) -> bool:
     """Whether plateaus and steps are what pv consists of."""
     left = pv - steps.fitted
     within = float(np.std(left)) <= settings.remainder * steps.sigma
@@ -240,7 +216,7 @@ def _thinned(window: Window) -> Window:
 
 
 def _legs(
-    rows: Window, plateau: Plateau, steps: Steps, gains: PidGains, tau_i: float, settings: StandingSettings
+    rows: Window, plateau: Plateau, steps: Steps, gains: PidGains, tau_i: float, settings: StandStillSettings
 ) -> list[Leg]:
     """The legs on one plateau. tau_i : in rows."""
     inside = slice(plateau.first, plateau.last)
@@ -268,7 +244,7 @@ def _legs(
     return found
 
 
-def _agreed(rows: Window, found: Sequence[Plateau], direction: int, settings: StandingSettings) -> list[float]:
+def _agreed(rows: Window, found: Sequence[Plateau], direction: int, settings: StandStillSettings) -> list[float]:
     """When pv steps from plateau to plateau the way that co has gone before, s."""
     least, since = settings.slip_travel * float(np.ptp(rows.co)), 0
     agreed = []
@@ -287,7 +263,7 @@ def _ends(agreed: Sequence[float], legs: Sequence[Leg]) -> list[float]:
     return [slip for last, slip in pairs if any(last < leg.end_s <= slip for leg in legs)]
 
 
-def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandingSettings) -> list[float]:
+def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandStillSettings) -> list[float]:
     """Setpoint steps after which pv did not move for long while co did, and did move in the end."""
     found = []
     changes = [*(np.flatnonzero(np.diff(rows.sp)) + 1).tolist(), len(rows.sp)]

@@ -5,7 +5,7 @@
                     y_i = (1 - r) u(t_i) + r y_(i-1),      r = f_d / f_s = (S_i - J_i) / (S_i + J_i)
     going on    it follows co at that distance until co stops or turns
 
-Kano's and He's valves (valve/model.py) are special cases: there t_i is when co has gone a fixed band. Here t_i is
+Kano's and He's valves (valve/valve_model.py) are special cases: there t_i is when co has gone a fixed band. Here t_i is
 free and costs a parameter, so the band S_i = |u(t_i) - y_(i-1)| 2 / (1 + r) may differ from stop to stop, and where a
 record holds a dozen slips their times are looked for one by one. A slip away from co is impossible, and its size is not
 free: that sets it apart from load steps, which cost more and may do anything.
@@ -28,11 +28,11 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import LOAD_COST, WHITE, Misfit
 from retuner.adaptive.fit.refine import refine
 from retuner.adaptive.fit.structure import SLOPE, THETA
-from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, Seen, judged
+from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, CandidateList, judged
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.adaptive.valve.fit import with_best_gain
+from retuner.adaptive.valve.valve_fit import with_best_gain
 
 Rows = npt.NDArray[np.int64]
 
@@ -69,13 +69,13 @@ MOVES = (-16, -6, -2, -1, 1, 2, 6, 16)
 """Rows by which a slip is moved."""
 TRIED = 40
 """Rows at which one more slip is tried."""
-ROUNDS = 5
+MOST_ROUNDS = 5
 """Rounds of moving, adding and refining at the most."""
 FEWEST_SLIPS = 3
 """Fewer tell no law."""
 UNIQUE = 1e-6
 """A step of which less than this share is not explained by the others is no further one."""
-ENOUGH = 1.0
+LEAST_GAIN_PER_ROUND = 1.0
 """A round must lower the criterion by this."""
 SLIP_COST = 2
 """A slip counts as so many unknowns: its time, and one for having been looked for everywhere."""
@@ -182,7 +182,7 @@ def slipping(linear: Candidate, most_loads: int) -> Slipping | None:
 
 def _with_loads(at: Slipping, most: int) -> Slipping:
     """The same with load steps, where they pay."""
-    fit = improved(at.fit, most, Seen([at.fit]))
+    fit = improved(at.fit, most, CandidateList([at.fit]))
     return replace(at, fit=fit, criterion=at.criterion + fit.criterion - at.fit.criterion)
 
 
@@ -333,10 +333,10 @@ class Trial:
 def _settled(start: Start, co: Co) -> Slipping:
     """Slips and process refined in turn, until neither helps."""
     best = _explained(start.misfit, co, start.slips, start.x)
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ROUNDS):
         slips = _varied(Trial(best.fit, best.slips, co), co)
         after = _explained(best.fit.fit.misfit, co, slips, best.fit.fit.p)
-        if after.criterion > best.criterion - ENOUGH:
+        if after.criterion > best.criterion - LEAST_GAIN_PER_ROUND:
             break
         best = after
     return best

@@ -88,7 +88,7 @@ class Expected:
 
 
 @dataclass(frozen=True, slots=True)
-class Promise:
+class Prediction:
     """New and old gains under a setpoint step and under a load.
 
     models : how many models it is spread over. ms : of the new set; None for a promise without a model.
@@ -139,7 +139,7 @@ class Promise:
         }
 
     @classmethod
-    def from_dict(cls, body: Mapping[str, Any]) -> "Promise":
+    def from_dict(cls, body: Mapping[str, Any]) -> "Prediction":
         """And back."""
         setpoint, load, setpoint_before, load_before = (
             Expected.from_dict(body[name]) for name in ("setpoint", "load", "setpoint_before", "load_before")
@@ -166,14 +166,14 @@ class Promise:
         )
 
 
-def promise(
+def predict(
     allowed: Iterable[Plausible],
     old: PidGains,
     new: PidGains,
     sample_time_s: float = 0.0,
     b: float = 1.0,
     tau_f_s: float = 0.0,
-) -> Promise:
+) -> Prediction:
     """What `new` promises against `old`.
 
     allowed : the models that the records allow, the best one first. sample_time_s : of the controller.
@@ -189,7 +189,7 @@ def promise(
     found, n = shapes(loops, UPSETS), len(models)
     now, then = found[:n], found[n:]
     ms = Spread.over([sensitivity_peak(process, new, tau_f_s) for process in sampled])
-    return Promise(_setpoint(now), _load(now), _setpoint(then), _load(then), n, ms=ms)
+    return Prediction(_setpoint(now), _load(now), _setpoint(then), _load(then), n, ms=ms)
 
 
 def decay_seen(response: Response | None) -> float | None:
@@ -199,7 +199,7 @@ def decay_seen(response: Response | None) -> float | None:
     return swing([peak.e for peak in response.peaks], response.band)[2]
 
 
-def promise_without_model(seen: Response, old: PidGains, new: PidGains) -> Promise:
+def predict_without_model(seen: Response, old: PidGains, new: PidGains) -> Prediction:
     """For a change that rests on the pattern of a response alone: no worse than what was seen.
 
     The IAE of a load needs no model (1/ki); that of a setpoint step is left open.
@@ -226,7 +226,7 @@ def promise_without_model(seen: Response, old: PidGains, new: PidGains) -> Promi
         del gains
         return Spread(math.inf, 0.0, math.inf)
 
-    return Promise(
+    return Prediction(
         expected(new, open_iae),
         expected(new, load_iae),
         expected(old, open_iae),

@@ -3,11 +3,11 @@
 from dataclasses import dataclass, field
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
-from retuner.adaptive.diagnosis.standing_valve import StandingSettings
 from retuner.adaptive.fit.misfit import WHITE
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
-from retuner.adaptive.identification.structure_choice import ChoiceSettings
+from retuner.adaptive.identification.structure_choice import StructureSettings
+from retuner.adaptive.valve.stand_still import StandStillSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,9 +108,9 @@ class DiagnosisSettings:
     in_auto: bool = False
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(
-            ChoiceSettings(most_loads=6, most_order=WHITE, inverse=False), most_samples=2000
+            StructureSettings(most_loads=6, most_order=WHITE, inverse=False), most_samples=2000
         )
     )
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=2.4, weak=10.0))
     robust: RobustSettings = field(default_factory=RobustSettings)
-    standing: StandingSettings = field(default_factory=StandingSettings)
+    standing: StandStillSettings = field(default_factory=StandStillSettings)
