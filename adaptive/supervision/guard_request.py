@@ -300,7 +300,7 @@ def prediction_of(
     return prediction if swung else replace(prediction, wander=wander_of(samples))
 
 
-def prediction(found: Findings, verdict: Verdict) -> Prediction | None:
+def prediction_of_verdict(found: Findings, verdict: Verdict) -> Prediction | None:
     """What the gains of a verdict promise; how pv moved before steps to and fro is what loads do by themselves."""
     record = found.record
     at = record.table, record.region, record.at

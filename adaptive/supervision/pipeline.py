@@ -54,7 +54,13 @@ from retuner.adaptive.supervision.causes import (
 )
 from retuner.adaptive.supervision.choosing import chosen, lost_on_all, proved
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import may_follow, posterior_of, prediction, unproved_request, walked
+from retuner.adaptive.supervision.guard_request import (
+    may_follow,
+    posterior_of,
+    prediction_of_verdict,
+    unproved_request,
+    walked,
+)
 from retuner.adaptive.supervision.open_loop_unstable import cut_refuted, runaway
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.pipeline_types import (
@@ -354,7 +360,7 @@ def worth(found: Findings) -> None:
         found.stop(ONE_RECORD if choice.waits else NOT_WORTH, choice.reason)
         return
     found.verdict, found.expected = verdict, choice.reason
-    found.prediction = prediction(found, verdict)
+    found.prediction = prediction_of_verdict(found, verdict)
 
 
 ONE_RECORD = "one_record"
@@ -415,7 +421,7 @@ def expectation(found: Findings) -> None:
         and verdict.accepted
         and may_follow(found.question.trial, found.settings)
     ):
-        found.prediction = prediction(found, verdict)
+        found.prediction = prediction_of_verdict(found, verdict)
 
 
 def check_after_trial(found: Findings) -> None:
