@@ -120,6 +120,8 @@ ChooseWay = Callable[[Numbers, Numbers, bool], tuple[int, ...]]
 SEQUENCES = 1 << 16
 AT_LIMIT = 1e-6
 """Share of the output's range within which it counts as standing at the limit."""
+AGAIN = 0.75
+"""Samples after which a question that nothing has answered is put again."""
 TOGETHER = 0.5
 """Samples within which values of one sample come."""
 
@@ -178,7 +180,7 @@ class ForeignDevice:
         self._asked_setpoint = False
         self._stopped: dict[str, str] = {}  # reasons by what tells them
         self._up = self._there = False
-        self._ask_s = self._feed_s = -math.inf
+        self._ask_s = self._feed_s = self._again_s = -math.inf
         self._seq = 0
         self._agreed = AGREED  # sets read since two answers differed
         self._boots = 0
@@ -271,6 +273,7 @@ class ForeignDevice:
         if placed is None:
             return
         self._fresh.clear()
+        self._again_s = -math.inf
         t_s, lost = placed
         self._events += [SamplesLost(lost, t_s, self._grid.half_lost())] if lost else []
         changes = self._tap.news()
@@ -420,7 +423,9 @@ class ForeignDevice:
     def _ask(self, now_s: float) -> None:
         """Ask for the gains: at first, and now and then; and for the loop's numbers that come on request only."""
         access = self._access
-        if "pv" in access.on_request and self._grid.due(now_s) and not self._has_recent(now_s):
+        asks = "pv" in access.on_request and now_s >= self._again_s
+        if asks and self._grid.due(now_s) and not self._has_recent(now_s):
+            self._again_s = now_s + AGAIN * self.settings.sample_time_s
             access.ask(access.on_request)
         if not access.reads_back or self._course.busy or now_s < self._ask_s:
             return

@@ -95,10 +95,10 @@ CO = "co = { scale = 5.0 }"
 GAINS = "gains = { scale = 50.0 }"
 BAD = [
     ('profile = "odrive"', 'profile = "odrives"', ':24 device.profile = "odrives" is no profile; there is cia402,'),
-    (CO, 'co = { signal = "Iq_Wanted" }', "device.co.signal : odrive-cansimple.dbc: message 'Axis0_Get_Iq' has no"),
-    (CO, 'dbc = "nowhere.dbc"', "device.dbc : nowhere.dbc: cannot be read: No such file or directory"),
-    (CO, 'pv = { message = "Axis0_Enc" }', "device.pv.message : odrive-cansimple.dbc: no message 'Axis0_Enc'; there"),
-    (GAINS, "gains = { scale = 0.0 }", "device.gains.kp : "),
+    (CO, 'co = { signal = "Iq_Wanted" }', "device.co.signal: odrive-cansimple.dbc: message 'Axis0_Get_Iq' has no"),
+    (CO, 'dbc = "nowhere.dbc"', "device.dbc: nowhere.dbc: cannot be read: No such file or directory"),
+    (CO, 'pv = { message = "Axis0_Enc" }', "device.pv.message: odrive-cansimple.dbc: no message 'Axis0_Enc'; there"),
+    (GAINS, "gains = { scale = 0.0 }", "device.gains.kp: "),
     (GAINS, "gains = { scal = 50.0 }", "device.gains.scal is not a known key; did you mean scale?"),
     ("node = 0", "node = 99", "has no identifier"),
     ("node = 0", 'node = 0\nfixed = { "Axis0_Set_Input_Vel.Torque" = 1.0 }', "has no signal 'Torque'; there is Input_"),
@@ -106,7 +106,7 @@ BAD = [
     (
         CO,
         f'{CO}\nsetpoint = {{ message = "Axis0_Set_Vel_Gains", signal = "Vel_Gain" }}',
-        "device.gains.kp : odrive-cansimple.dbc: Axis0_Set_Vel_Gains.Vel_Gain is both setpoint and gains.kp; give each",
+        "device.gains.kp: odrive-cansimple.dbc: Axis0_Set_Vel_Gains.Vel_Gain is both setpoint and gains.kp; give each",
     ),
 ]
 
@@ -126,11 +126,11 @@ def test_what_is_wrong_is_one_line_with_the_key(
 
 CIA404 = 'profile = "cia404"'
 BAD_OBJECTS = [
-    (CIA404, f'{CIA404}\nsetpoint = {{ object = "6130:1" }}', "device.setpoint.object : cia404.eds: object 6130:1 (AI"),
-    (CIA404, f'{CIA404}\npv = {{ object = "6131" }}', "device.pv.object : cia404.eds: no object '6131'; there is"),
-    (CIA404, f'{CIA404}\npv = {{ object = "6130" }}', "device.pv.object : cia404.eds: object 6130 has parts; name one"),
-    (CIA404, f'{CIA404}\npv = {{ object = "6130:7" }}', "device.pv.object : cia404.eds: object 6130 has no part '7'"),
-    (CIA404, f'{CIA404}\npv = {{ object = "1018:1" }}\neds = "pyproject.toml"', "device.eds : pyproject.toml: "),
+    (CIA404, f'{CIA404}\nsetpoint = {{ object = "6130:1" }}', "device.setpoint.object: cia404.eds: object 6130:1 (AI"),
+    (CIA404, f'{CIA404}\npv = {{ object = "6131" }}', "device.pv.object: cia404.eds: no object '6131'; there is"),
+    (CIA404, f'{CIA404}\npv = {{ object = "6130" }}', "device.pv.object: cia404.eds: object 6130 has parts; name one"),
+    (CIA404, f'{CIA404}\npv = {{ object = "6130:7" }}', "device.pv.object: cia404.eds: object 6130 has no part '7'"),
+    (CIA404, f'{CIA404}\npv = {{ object = "1018:1" }}\neds = "pyproject.toml"', "device.eds: pyproject.toml: "),
     ('kind = "canopen"', 'kind = "dbc"', 'device.profile = "cia404" is for kind = "canopen"'),
     ("node = 5", "node = 5\n[loop.x]", "not a known key"),
 ]

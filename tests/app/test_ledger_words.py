@@ -14,6 +14,15 @@ from retuner.ledger import Ledger, Row
 from retuner.report.ledger_words import LedgerLine, told
 
 CONFIG = {"loop": {"name": "tank", "pv_unit": "bar"}}
+WATCHED = """schema = 1
+loop = { name = "tank", pv_unit = "bar", pv_min = 0.0, pv_max = 10.0, sample_time_s = 1.0 }
+schedule = { variable = "sp", region = [{ name = "all", kc = 2.0, tau_i_s = 20.0 }] }
+[device]
+kind = "dbc"
+dbc = "its.dbc"
+pv = { message = "STATE", signal = "P" }
+co = { message = "STATE", signal = "U" }
+"""
 GAINS, OTHER = {"kp": 2.0, "ki": 0.1, "kd": 0.0}, {"kp": 1.0, "ki": 0.1, "kd": 0.0}
 MODEL = {"type": "fopdt", "k": 1.0, "tau1": 2340.0, "tau2": 0.0, "theta": 66.0, "zeta": 1.0}
 ACCEPTED = {"accepted": True, "reason": "proved: nominal Ms 1.40", "ms": {"before": 1.13, "nominal": 1.4, "worst": 1.9}}
@@ -179,5 +188,14 @@ def test_what_waits_for_a_person_is_told_at_the_end(tmp_path: Path, capsys: pyte
     assert main(["ledger", "show", str(tmp_path)]) == 0
     shown = capsys.readouterr().out
     assert "open: all: decision 1 proposes 2, 20 -> 1, 10; retuner approve " in shown
+    (tmp_path / "config.toml").write_text(WATCHED)
+    assert main(["ledger", "show", str(tmp_path)]) == 0
+    assert "its description has no gains, so nothing is written" in (shown := capsys.readouterr().out)
+    assert "retuner approve" not in shown
+    assert main(["approve", str(tmp_path)]) == 0
+    digest, _, told_of = capsys.readouterr().out.partition(" ")
+    assert "its description has no gains" in told_of
+    assert main(["approve", str(tmp_path), digest]) == 1
+    assert "is not approved: its description has no gains" in capsys.readouterr().out
     assert main(["ledger", "show", str(tmp_path), "--kind", "decision"]) == 0
     assert "open:" not in capsys.readouterr().out

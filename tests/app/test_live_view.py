@@ -174,8 +174,8 @@ def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(
     assert "4.2, 70 -> 1.26, 247" in told[0].why
     assert told[1].command.endswith("--unlock high")
     with LedgerReader(tmp_path / "ledger.sqlite") as reader:
-        (watched,) = what_next(tmp_path, reader.rows(), 86400.0, [], None, by_hand=True)
-    assert "set it by hand, at the device and in [[schedule.region]]" in watched.why
+        (watched,) = what_next(tmp_path, reader.rows(), 86400.0, [], None, by_hand="its description has no gains")
+    assert watched.why.endswith("; its description has no gains")
     assert not watched.command
     assert told[2].command == f"retuner export {tmp_path / 'gains.toml'} --into oven.toml"
     with LedgerReader(tmp_path / "ledger.sqlite") as reader:

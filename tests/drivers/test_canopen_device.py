@@ -109,7 +109,7 @@ class Stage:
         self.wire = Wire(self.node)
         access = make_access(config, config.foreign_device)
         self.host = ForeignDevice(
-            self.wire, access, foreign_settings(config, config.foreign_device, access, ScheduleInputs(), 1.0)
+            self.wire, access, foreign_settings(config, config.foreign_device, ScheduleInputs(), 1.0)
         )
         self.host.choose_way = time_first
         self.now_s = 0.0

@@ -131,7 +131,7 @@ class Stage:
         access = make_access(config, config.foreign_device)
         self.axis = Axis()
         self.wire = Wire(self.axis)
-        settings = foreign_settings(config, config.foreign_device, access, ScheduleInputs(), 1.0)
+        settings = foreign_settings(config, config.foreign_device, ScheduleInputs(), 1.0)
         self.host = ForeignDevice(self.wire, access, settings)
         self.now_s = 0.0
 

@@ -10,7 +10,7 @@ import pytest
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.config.bench_plants import known_plant
-from retuner.config.described import advice_only, closed, foreign_settings, make_access
+from retuner.config.described import advice_only, foreign_settings, make_access
 from retuner.config.loading import UnusableError, parse_config, parse_session, with_signals
 from retuner.drivers.bus.link_settings import LinkSettings, LinkState
 from retuner.drivers.canopen.eds_file import EdsFile, read_eds
@@ -118,7 +118,7 @@ class Bench:
         self.access = make_access(self.config, foreign)
         self.waiting: list[can.Message] = []
         self.sent: list[can.Message] = []
-        told = foreign_settings(self.config, foreign, self.access, ScheduleInputs(), 1.0)
+        told = foreign_settings(self.config, foreign, ScheduleInputs(), 1.0)
         self.host = ForeignDevice(self, self.access, told)
         self.now_s = 0.0
 
@@ -161,10 +161,7 @@ def test_a_file_without_gains_is_watched_and_never_written(tmp_path: Path) -> No
     with pytest.raises(WriteRefusedError, match="its description has no gains"):
         bench.host.begin_write(PidGains(0.03, 0.03), bench.now_s)
     assert bench.sent == []
-    assert advice_only(bench.config)
-    foreign = bench.config.foreign_device
-    assert foreign is not None
-    assert "set them by hand" in closed(foreign, bench.access)
+    assert "set them by hand" in advice_only(bench.config)
 
 
 def test_what_it_stands_at_needs_no_place_for_a_setpoint(tmp_path: Path) -> None:
@@ -189,6 +186,12 @@ def test_a_data_frame_asks_for_telemetry_and_gains(tmp_path: Path) -> None:
     (done,) = [event for event in bench.run(10) if isinstance(event, WriteDone)]
     assert done.gains == PidGains(0.031, 0.017)
     assert bytes([49, 0, 31, 17, 0, 0, 0, 0]) in {bytes(message.data) for message in bench.sent}
+    bench.sent.clear()
+    bench.device.receive = lambda _: []  # type: ignore[method-assign]
+    for _ in range(40):  # polled often, as in real time, and not answered: one question a sample, not one a poll
+        bench.now_s += bench.config.loop.sample_time_s / 4
+        bench.host.poll(bench.now_s)
+    assert 8 <= sum(message.data[0] == 156 for message in bench.sent) <= 14
 
 
 @pytest.mark.parametrize(
@@ -256,6 +259,15 @@ def test_a_gain_that_the_device_lacks_is_taken_out_of_the_profile(gone: str) -> 
     foreign = config.foreign_device
     assert foreign is not None
     assert make_access(config, foreign).units.names == ("xp", "tn")
+
+
+def test_check_says_which_line_takes_a_gain_away(tmp_path: Path) -> None:
+    eds = (PROFILES / "cia404.eds").read_text().replace("[6454", "[6464")
+    (tmp_path / "its.eds").write_text(eds)
+    text = LOOP + WIDE.format(eds=tmp_path / "its.eds") + PLANT
+    with pytest.raises(UnusableError) as wrong:
+        with_signals(parse_session(text), text)
+    assert "if the device has no such gain: tv = false under [device.gains]" in wrong.value.findings[0].message
 
 
 def test_how_fast_sdo_can_be_asked_is_worked_out(tmp_path: Path) -> None:

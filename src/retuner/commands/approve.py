@@ -21,6 +21,7 @@ from retuner.errors import LedgerError, UserError, one_line, user_input
 from retuner.files import write_whole
 from retuner.gain_export.schedule_into import schedule_into
 from retuner.ledger.lock import WriterLock
+from retuner.products import product
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
 from retuner.session.order_queue import SHORT, OrderState, shown, superseded
@@ -51,7 +52,7 @@ def places(session: Path, loop: str | None = None) -> list["LoopPlace"]:
     says.
     """
     ledger = ledger_path(session)
-    rows, config = believed_rows(ledger), load_session(ledger.parent / CONFIG)[0]
+    rows, config = believed_rows(ledger), load_session(ledger.parent / CONFIG, as_run=True)[0]
     show_units_of(config)
     about = rows_by_loop(rows, config.names) if config.several else {config.names[0]: rows}
     wanted = config.loops if loop is None else (config.loops[config.place(loop)],)
@@ -78,6 +79,11 @@ class LoopPlace:
         self.name = config.loop.name if several else ""
         self.folder = loop_folder(self.session, self.name)
         self._ledger = ledger
+
+    @property
+    def by_hand(self) -> str:
+        """Why nothing is written to its controller; empty when it is."""
+        return product("foreign device").advice_only(self.config) if self.config.foreign_device else ""
 
     @property
     def expires_after_s(self) -> float:
@@ -194,6 +200,8 @@ def _closed(place: LoopPlace, full: str) -> str:
         return "it was approved before"
     if full in place.shown.rejected:
         return "it was rejected"
+    if place.by_hand:
+        return place.by_hand
     proposal = place.shown.proposals.get(full)
     if proposal is None:
         return "" if full in place.shown.waiting.values() else "this change needs no operator"
@@ -310,12 +318,12 @@ def _of_loop(place: LoopPlace, *, every: bool) -> tuple[dict[str, object], list[
 def _line(place: LoopPlace, proposal: Proposal, able: Sequence[Proposal]) -> str:
     """A proposal in one line; able : all of which some may be older ones of its region."""
     successor = place.shown.successor(proposal)
-    older = sum(one.region == proposal.region for one in able) - 1
+    older, by_hand = sum(one.region == proposal.region for one in able) - 1, place.by_hand
     told = f"superseded by {successor[:SHORTEST]}" if successor else f"supersedes {older} older" if older else ""
     return (
         f"{proposal.digest[:SHORTEST]}  decision {proposal.number}, {proposal.region}: "
         f"{settings_text(proposal.before)} -> {settings_text(proposal.after)}; expires at "
-        f"{proposal.t_s + place.expires_after_s:,.0f} s{f'; {told}' * bool(told)}"
+        f"{proposal.t_s + place.expires_after_s:,.0f} s{f'; {told}' * bool(told)}{f'; {by_hand}' * bool(by_hand)}"
     )
 
 

@@ -92,13 +92,13 @@ def described(config: "Config", model: "Sequence[str]", *, several: bool) -> lis
 
 def _device_notes(config: "Config") -> "Iterator[str]":
     """What a controller that is not ours cannot do, and how often it can be asked."""
-    from retuner.config.described import closed, make_access
+    from retuner.config.described import advice_only, make_access
 
     foreign = config.foreign_device
     if foreign is None:
         return
     access = make_access(config, foreign)
-    if reason := closed(foreign, access):
+    if reason := advice_only(config):
         yield f"watched only: {reason}"
     if not access.takes_setpoint and config.scenario and sum(one.sp is not None for one in config.scenario.steps) > 1:
         yield "!! device.setpoint is missing: a step of sp in [scenario] ends the run"

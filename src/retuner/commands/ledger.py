@@ -2,6 +2,7 @@
 other programs.
 """
 
+import contextlib
 import csv
 import io
 import json
@@ -17,14 +18,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from retuner.commands.signatures.ledger import ExportOptions, ShowOptions, VerifyOptions
+from retuner.config.loading import load_session
 from retuner.decision_page.row_values import number, part, parts, words
 from retuner.decision_page.shown_units import show_units_told
 from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
 from retuner.live_view.what_next import what_next
+from retuner.products import product
 from retuner.report.ledger_words import ABOUT_A_TRIAL, LedgerLine, no_formula, told
-from retuner.session.outputs import ledger_path, rows_by_loop
+from retuner.session.outputs import CONFIG, ledger_path, rows_by_loop
 
 SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
 COLUMNS = {
@@ -174,12 +177,17 @@ def _left_to_do(folder: Path, rows: list[Row]) -> list[str]:
     config = part(rows[0].body, "config")
     loops = parts(config, "loops") or [config]
     names = [words(part(one, "loop"), "name") for one in loops]
+    by_hand = [""] * len(loops)
+    with contextlib.suppress(UserError):  # a ledger is read without its configuration, too
+        loops_run = load_session(folder / CONFIG, as_run=True)[0].loops
+        by_hand = [product("foreign device").advice_only(one) if one.foreign_device else "" for one in loops_run]
     about = rows_by_loop(rows, names) if len(loops) > 1 else {"": tuple(rows)}
     lines = []
     for loop, own in about.items():
-        settings = part(loops[names.index(loop)] if loop else loops[0], "adaptation")
-        waits = what_next(folder, own, number(settings, "approval_s") or math.inf, (), None, loop)
-        lines += [f"open: {one.why.removesuffix(':')}; {one.command}" for one in waits]
+        at = names.index(loop) if loop else 0
+        open_s = number(part(loops[at], "adaptation"), "approval_s") or math.inf
+        waits = what_next(folder, own, open_s, (), None, loop, by_hand=by_hand[at])
+        lines += [f"open: {one.why.removesuffix(':')}{f'; {one.command}' * bool(one.command)}" for one in waits]
     return lines
 
 

@@ -166,7 +166,7 @@ def _tell_what_next(job: RunJob, ledger: Ledger, left: Sequence[_Left], screen: 
         table = job.folder / one.report.parent / GAINS
         changed = Changed(table, job.options.config) if loop.commits else None
         config = job.config.loops[job.config.names.index(name)]
-        by_hand = config.foreign_device is not None and product("foreign device").advice_only(config)
+        by_hand = product("foreign device").advice_only(config) if config.foreign_device else ""
         own, known_as = config.adaptation.approval_s, name if several else ""
         for told in what_next(job.folder, about[name], own, locked, changed, known_as, by_hand=by_hand):
             screen.say(told.why)

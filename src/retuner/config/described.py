@@ -48,6 +48,17 @@ def make_access(config: Config, foreign: Foreign) -> Access:
 
     Raises ProfileError: the description cannot be used, or has not what the mapping names.
     """
+    try:
+        return _access(config, foreign)
+    except ProfileError as error:
+        match error.key:
+            case ("gains", "ki" | "tn" | "repeats" | "kd" | "tv" as gain, "object" | "message" | "signal"):
+                remedy = f"; if the device has no such gain: {gain} = false under [device.gains]"
+                raise ProfileError(f"{error}{remedy}", error.key) from None
+        raise
+
+
+def _access(config: Config, foreign: Foreign) -> Access:
     mapping = mapping_of(config, foreign)
     if isinstance(foreign, DbcDeviceConfig):
         return DbcAccess(dbc_file(config, foreign), mapping)
@@ -65,17 +76,15 @@ def vendor_units(config: Config) -> VendorUnits | None:
     return None if foreign is None else make_access(config, foreign).units
 
 
-def closed(foreign: Foreign, access: Access) -> str:
-    """Why gains are never written to this device; empty when they are."""
+def advice_only(config: Config) -> str:
+    """Why gains are never written to the configured device; empty when they are."""
+    foreign = config.foreign_device
+    if foreign is None:
+        return ""
     if foreign.gains is None:
         return OUT_OF_REACH
-    return "" if access.reads_back or NO_READ_BACK in foreign.accept else CLOSED
-
-
-def advice_only(config: Config) -> bool:
-    """Whether nothing may be written to the configured device. Errors as make_access."""
-    foreign = config.foreign_device
-    return foreign is not None and bool(closed(foreign, make_access(config, foreign)))
+    reads_back = all(gain.read is not None for gain in foreign.gains.gains())
+    return "" if reads_back or NO_READ_BACK in foreign.accept else CLOSED
 
 
 def held_table(config: Config) -> GainTable:
@@ -118,7 +127,7 @@ def dbc_file(config: Config, foreign: DbcDeviceConfig) -> DbcFile:
 
 
 def foreign_settings(
-    config: Config, foreign: Foreign, access: Access, inputs: ScheduleInputs, speed: float, after_s: float | None = None
+    config: Config, foreign: Foreign, inputs: ScheduleInputs, speed: float, after_s: float | None = None
 ) -> ForeignSettings:
     """How to treat a foreign device. inputs : of the schedule. speed, after_s : as make_device."""
     sample = config.loop.sample_time_s
@@ -136,7 +145,7 @@ def foreign_settings(
         connect_s=max(CONNECT_SAMPLES * sample, CONNECT_FLOOR_S * speed),
         feed_s=foreign.feed_s * speed or NEVER_S,
         look_s=foreign.look_s,
-        closed=closed(foreign, access),
+        closed=advice_only(config),
         bench_node=config.node if foreign.plant is not None else None,
         after_s=after_s,
         note_id=note_id(config.loop.name),
@@ -153,7 +162,7 @@ def host_side(
     foreign = config.foreign_device
     assert foreign is not None
     access = make_access(config, foreign)
-    return ForeignDevice(link, access, foreign_settings(config, foreign, access, inputs, speed, after_s))
+    return ForeignDevice(link, access, foreign_settings(config, foreign, inputs, speed, after_s))
 
 
 def far_side(config: Config, settings: VirtualDeviceSettings, plant: Plant) -> BusDevice:

@@ -250,7 +250,8 @@ class ConfigFlaw(NamedTuple):
 
     def text(self, file: str) -> str:
         """The one line that a person sees."""
-        return one_line(f"{file}:{self.line} {self.key + ' ' if self.key else ''}{self.message}")
+        gap = " " * (bool(self.key) and not self.message.startswith(":"))
+        return one_line(f"{file}:{self.line} {self.key}{gap}{self.message}")
 
 
 class UnusableError(Exception):
@@ -284,8 +285,10 @@ def load_config(path: str | FilePath, loop: str | None = None) -> Config:
     return session.loops[session.place(loop)]
 
 
-def load_session(path: str | FilePath) -> tuple[SessionConfig, str]:
+def load_session(path: str | FilePath, *, as_run: bool = False) -> tuple[SessionConfig, str]:
     """Read and check a configuration file of one loop or several; the text that it was read from comes with it.
+
+    as_run : a session has run it: the files that it names need not be here.
 
     Raises
     ------
@@ -294,7 +297,8 @@ def load_session(path: str | FilePath) -> tuple[SessionConfig, str]:
     """
     try:
         text = read_text(path)
-        return with_signals(parse_session(text), text), text
+        session = parse_session(text)
+        return session if as_run else with_signals(session, text), text
     except UnusableError as unusable:
         raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None
 

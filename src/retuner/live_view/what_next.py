@@ -33,12 +33,12 @@ def what_next(
     changed: Changed | None,
     loop: str = "",
     *,
-    by_hand: bool = False,
+    by_hand: str = "",
 ) -> list[Next]:
     """Proposals that wait, changes that wait for a word, locked regions, the gains to be written back, the report.
 
     rows : of the ledger, about this loop. approval_s : how long a proposal is open. locked : regions that are locked
-    out. changed : where the table is. loop : its name, where there are several. by_hand : nothing may be written.
+    out. changed : where the table is. loop : its name, where there are several. by_hand : why nothing is written to it.
     """
     found, place, of = shown(rows), shlex.quote(str(folder)), f"{loop}, " if loop else ""
     place += f" --loop {shlex.quote(loop)}" if loop else ""
@@ -47,8 +47,9 @@ def what_next(
         if not found.successor(one):
             step = f"{short_settings(one.before, loop)} -> {short_settings(one.after, loop)}"
             why = f"{of}{one.region}: decision {one.number} proposes {step}"
-            hand = f"{why}; set it by hand, at the device and in [[schedule.region]]: nothing is written to it"
-            told.append(Next(hand) if by_hand else Next(why, f"retuner approve {place} {one.digest[:SHORT]}"))
+            told.append(
+                Next(f"{why}; {by_hand}") if by_hand else Next(why, f"retuner approve {place} {one.digest[:SHORT]}")
+            )
     for region, digest in found.waiting.items():
         why = f"{of}{region}: trial passed, as predicted: awaiting operator approval"
         told.append(Next(why, f"retuner approve {place} {digest[:SHORT]}"))
