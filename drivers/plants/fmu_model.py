@@ -58,10 +58,11 @@ class FmuModel:
         self.readings = self._read()
 
     def described(self) -> list[str]:
-        """Its variables, for a person."""
+        """Its variables with the values that they have at the start here, for a person."""
+        given = {**self._spec.parameters, **dict(zip(self._spec.inputs, self._spec.start, strict=True))}
         lines = [f"FMI {self._about.fmiVersion} {self._interface.replace('_', '-')}, {self._about.modelName}"]
         for what in ("input", "output", "parameter"):
-            names = [_shown(one) for one in self._about.modelVariables if one.causality == what]
+            names = [_shown(one, given.get(one.name)) for one in self._about.modelVariables if one.causality == what]
             more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
             lines.append(f"{what}s: {', '.join(names[:SHOWN]) or 'none'}{more}")
         return lines
@@ -226,7 +227,9 @@ def _described(spec: ModelSpec) -> tuple[Any, str]:
     return about, interface
 
 
-def _shown(variable: Any) -> str:  # noqa: ANN401  FMPy's
-    """A variable with its unit and start value."""
-    start = f" = {variable.start}" if variable.start is not None else ""
-    return f"{variable.name}{start}" + (f" {variable.unit}" if variable.unit else "")
+def _shown(variable: Any, given: object = None) -> str:  # noqa: ANN401  FMPy's
+    """A variable with its start value and unit; given : what it starts with instead."""
+    start = variable.start if given is None else f"{given:g}" if isinstance(given, float) else given
+    value = f" = {start}" if start is not None else ""
+    instead = f" (the FMU's own: {variable.start})" if given is not None and variable.start is not None else ""
+    return f"{variable.name}{value}" + (f" {variable.unit}" if variable.unit else "") + instead

@@ -31,12 +31,14 @@ def main(handle: int) -> None:
         told = {"readings": [*map(float, model.readings)], "described": model.described()}
         _send(pipe, FLOATS + json.dumps(told).encode())
         _answer(pipe, model, len(spec.inputs) or 1)
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  whatever it is, the bench tells it in a line
+    except BaseException as error:  # noqa: BLE001  whatever it is, the bench tells it in a line
         key = error.key if isinstance(error, PlantFaultError) else ()
         _send(pipe, TROUBLE + json.dumps({"message": _in_a_line(error), "key": key}).encode())
     finally:
         if model is not None:
             model.close()
+        with contextlib.suppress(OSError):  # the model may have closed what it found open
+            pipe.close()
 
 
 def _made(spec: ModelSpec) -> "PythonModel | FmuModel":

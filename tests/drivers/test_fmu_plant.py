@@ -55,7 +55,7 @@ def test_model_exchange_settles_on_other_inputs(lag: ModelSpec) -> None:
 def test_co_simulation_in_a_process_is_the_analytic_response(heater: ModelSpec) -> None:
     model = ModelInProcess(heater, 60.0)
     assert "FMI 2.0 co-simulation, Heater" in model.described[0]
-    assert "tau = 5" in model.described[3]
+    assert "tau = 8 (the FMU's own: 5)" in model.described[3]
     assert model.readings == [60.0]
     temps = [model.step([50.0], 1.0)[0] for _ in range(2000)]
     tau, sensor = 4000.0 / 20.0, 8.0

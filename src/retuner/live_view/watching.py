@@ -9,6 +9,7 @@ from pathlib import Path
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
+from retuner.decision_page.row_values import number
 from retuner.live_view.live_file import FIELDS, LiveWriter
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.loop_seen import LoopObserver
@@ -138,6 +139,7 @@ class Watching(OnScreen):
         super().__init__(screen, config)
         self._folder = folder
         self._publishers: dict[str, Publisher] = {}
+        self._lost: dict[str, int] = {}
 
     def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
         """See Observer."""
@@ -152,6 +154,12 @@ class Watching(OnScreen):
         if kind == "decision" and loop is not None:
             self._screen.decision(loop.decisions[-1], name)
         elif told := event_line(kind, body):
+            if kind == "lost" and not body.get("reason"):  # told again when their number has doubled
+                before = self._lost.get(name, 0)
+                self._lost[name] = total = before + int(number(body, "count") or 0)
+                if total.bit_length() == before.bit_length():
+                    return
+                told += f", {total} so far" * bool(before)
             self._screen.event(f"{t_s:8,.0f} s {f'{name}: ' * bool(name)}{told}")
 
     def said(self, text: str) -> None:
