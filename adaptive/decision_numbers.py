@@ -8,8 +8,9 @@ Such a value is built where the numbers are found, and handed back; nobody write
 ledger keeps is made here and nowhere else.
 """
 
-from dataclasses import dataclass, fields, replace
 from typing import Self
+
+from retuner.schedule.late_dataclass import dataclass, fields, replace
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ DeviceError
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 
 class DeviceError(Exception):

@@ -14,12 +14,12 @@ controllers the action is a switch and the gain has no sign: with `action` given
 """
 
 import math
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
 from retuner.schedule.dials import CONTROLLERS, GAINS, NO_DERIVATIVE, PARALLEL, TIMES, Dial, told_of_spans
 from retuner.schedule.gains import Form, PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.vendor_units import Quantity, VendorGain, VendorUnits
 
 

@@ -11,8 +11,9 @@ Series to parallel:  kp = kc (1 + tau_d/tau_i),  ki = kc/tau_i,  kd = kc tau_d  
 """
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
+
+from retuner.schedule.late_dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,10 +24,10 @@ costs 75 ns more to build and 13 to 28 more to unpack than a bare tuple, and a s
 """
 
 import math
-from dataclasses import dataclass, replace
 from typing import NamedTuple, NoReturn
 
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 StateTuple = tuple[float, float, float, float, int]
 """A state as `step` and `track` return it: the fields of PidState in their order."""

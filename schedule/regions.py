@@ -14,9 +14,10 @@ filters the common case is that both filtered values are still inside them: the 
 import math
 import sys
 from bisect import bisect_right
-from dataclasses import InitVar, dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
+
+from retuner.schedule.late_dataclass import InitVar, dataclass, field
 
 # ---- One axis of an operating map: a scheduling variable, its range and the borders on it, and its place without
 # chatter.

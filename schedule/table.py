@@ -17,10 +17,10 @@ stand proved at their own centres, and spreading the change over them would take
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.regions import Regions
 
 GAIN_NAMES = ("kp", "ki", "kd")

@@ -15,7 +15,6 @@ Where a set takes several messages, every order of them leads through other sets
 import math
 from array import array
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from itertools import permutations
 from typing import NamedTuple
@@ -29,6 +28,7 @@ from retuner.schedule.gains import (
     to_ideal,
     to_series,
 )
+from retuner.schedule.late_dataclass import dataclass
 
 SINGLE_MAX = 3.4028234663852886e38
 END_ROUNDING = 1e-6

@@ -11,7 +11,6 @@ process is stepped exactly for inputs that are held between samples, its dead ti
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule import pid
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 PERCENT = (0.0, 100.0)
 """Range of co, where the record stays in it."""

@@ -14,9 +14,9 @@ Which is earlier is not asked: feedback turns the phase of the error; roots came
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from retuner.adaptive.audit.tracks import SwingTrack, by_chance, coherence
+from retuner.schedule.late_dataclass import dataclass
 
 SAME_PERIOD = 0.04
 """Difference of two periods, as a share, below which they are one where nothing else can be compared."""

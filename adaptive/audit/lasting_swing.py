@@ -7,7 +7,6 @@ strength that counts has that share of the power (Wiener & Khinchin: the auto-co
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.indexes.autocovariance import DRIFT_WINDOWS, LEAST_STRENGTH, Regularity, regularity
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass, replace
 
 WINDOW = 2_048
 """Points of a window: some ten cycles of a period of two hundred, and fifty of one of forty."""

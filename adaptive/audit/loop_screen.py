@@ -14,7 +14,6 @@ one compiled pass (record_sums.py); noise and grid are told from BLOCKS parts of
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +38,7 @@ from retuner.adaptive.indexes.recording_quality import quantum
 from retuner.adaptive.indexes.setpoint_responses import idle_index
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass, replace
 
 DAY_S = 86_400.0
 GAP = 5.0

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +11,7 @@ from retuner.adaptive.audit.loop_screen import DAY_S, in_automatic, measure
 from retuner.adaptive.audit.record_sums import record_sums
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
+from retuner.schedule.late_dataclass import dataclass, fields
 
 WEEK_S = 7 * DAY_S
 MONDAY_S = 4 * DAY_S

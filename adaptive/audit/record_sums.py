@@ -5,7 +5,6 @@ needs no more than a part of the record (noise, quantisation, oscillation) is no
 """
 
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.indexes.limits import STRETCH, is_limit, runs
 from retuner.adaptive.indexes.recording_quality import STRAIGHT
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import astuple, dataclass, fields
 
 ONE_SIDED = 0.5
 """Share of its size that the error at a limit has to keep, where co is there once only."""

@@ -15,12 +15,12 @@ A trend's track are its values at common moments: the setpoint of a cascade's sl
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 OCTAVE = 16
 """Frequencies of the grid an octave: 4.4 % apart."""

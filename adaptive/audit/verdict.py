@@ -23,7 +23,6 @@ Harris index H of the variance stands in, of which the mean |error| feels 1 - sq
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -31,6 +30,7 @@ from retuner.adaptive.audit.attainable import Foreseen
 from retuner.adaptive.audit.loop_screen import LoopScreen
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.indexes.condition import SENTENCES, Condition
+from retuner.schedule.late_dataclass import dataclass, replace
 
 HALF = 0.5
 """What a further stretch counts."""

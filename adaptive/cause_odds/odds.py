@@ -14,7 +14,6 @@ acts the wrong way) stays as it is told. Records of one loop add up: one process
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +50,7 @@ from retuner.adaptive.indexes.condition import Condition, record_condition
 from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 FEWEST_RECORD_SAMPLES = 60
 """Samples of a record that a load that wanders is looked for in."""

@@ -1,9 +1,8 @@
 """Settings of the odds."""
 
-from dataclasses import dataclass, field
-
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings
 from retuner.adaptive.explanations.tuning_odds import TuningLimits
+from retuner.schedule.late_dataclass import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,7 @@
 """What the decision on a change weighs with (expected_cost.py), each number with where it comes from."""
 
-from dataclasses import dataclass, replace
-
 from retuner.adaptive.declared_setting import require_in_range, setting
+from retuner.schedule.late_dataclass import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True)

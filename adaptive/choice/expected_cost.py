@@ -35,7 +35,6 @@ this: that is the guard's (guard/proof.py), and only what it proved is weighed h
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
 from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.decision_numbers import Numbers
@@ -47,6 +46,7 @@ from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.trial.batch_responses import Loop, Upset
 from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 MOST_MODELS = 16
 """Models, the most likely ones, over which a cost is expected."""

@@ -12,7 +12,6 @@ this one or their mean, which moves kp by ki dt in all: the mean is told, the re
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from retuner.adaptive.indexes.limits import TOLERANCE, at_limits
 from retuner.adaptive.indexes.recording_quality import quantum, recording_quality
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import Form, PidGains, in_form
+from retuner.schedule.late_dataclass import dataclass, replace
 
 # ---- Which structure of a PID law made a record: lag, equation, derivative and filters, and whether P and I are there.
 #

@@ -15,13 +15,13 @@ of a law that is nearly right are neither white nor of even size.
 """
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.signals.recursion import recursion
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass, replace
 
 BLOCKS = 30
 """Blocks of consecutive samples whose scores count as independent."""

@@ -7,12 +7,11 @@ The way that co goes in the long run stays: it shows the direction, and roughly 
 enough to say that pv stands while co travels, and not enough for settings.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from retuner.adaptive.explanations.proposed_test import DecidingTest
@@ -11,6 +10,7 @@ from retuner.adaptive.identification.robust_simc import asks_for_integral
 from retuner.adaptive.loop.margins import EDGE, Margins, margins, sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 
 class Cause(StrEnum):

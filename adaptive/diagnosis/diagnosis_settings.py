@@ -1,13 +1,12 @@
 """Settings of diagnosis."""
 
-from dataclasses import dataclass, field
-
 from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.fit.misfit import WHITE
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
 from retuner.adaptive.identification.structure_choice import StructureSettings
 from retuner.adaptive.valve.stand_still import StandStillSettings
+from retuner.schedule.late_dataclass import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,12 +6,12 @@ they are the controller's.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 PADDED = 4
 """Zero padding of the spectrum: peaks to a quarter of a line."""

@@ -10,7 +10,6 @@ say. Cause before cure: what a rival explains teaches the model nothing.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from retuner.adaptive.signals.growth import half_waves
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True)

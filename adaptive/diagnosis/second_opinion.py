@@ -14,7 +14,6 @@ this stage 6 of 10 loops with good gains were changed).
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, asks_for_less
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
@@ -24,6 +23,7 @@ from retuner.adaptive.guard import Ruling
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 TOWARDS_SAFETY = frozenset({Ruling.SAFER, Ruling.URGENT})
 """Rulings of the guard that make a loop over its limit safer."""

@@ -11,7 +11,6 @@ it leaves more, a valve may leave somewhat more still, because its stick band di
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from retuner.adaptive.valve.slips import Slipping, slipping
 from retuner.adaptive.valve.stand_still import MOST_TOLD, StandStill, stand_still
 from retuner.adaptive.valve.valve_fit import Sticking, sticking, turns_s
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 SAME_TONE = 0.03
 """Two frequencies closer than this (in logarithms) lead to the same fit."""

@@ -11,7 +11,6 @@ A tone from outside has no reason to lie at w180. To the fits the two look alike
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.trial.batch_responses import Loop, Trace, Upset, traces
 from retuner.adaptive.trial.response_numbers import peaks_of
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 MOST_HALVINGS = 8
 """Halvings of the gain that are tried for a stable loop."""

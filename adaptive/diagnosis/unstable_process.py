@@ -11,7 +11,6 @@ it, where it lets the process go. There is no rule for it here: it is asked whet
 """
 
 import math
-from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -21,6 +20,7 @@ from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 SIGMAS = 4.0
 """Standard deviations by which the pole must lie on the wrong side."""

@@ -12,7 +12,6 @@ relay about once in a thousand samples near the reference (Astrom & Hagglund 199
 """
 
 import math
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ import numpy as np
 
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, LoopSample
+from retuner.schedule.late_dataclass import dataclass, replace
 
 HYSTERESIS_STD = 3.0
 """Hysteresis in standard deviations of the noise."""

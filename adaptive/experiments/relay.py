@@ -18,13 +18,13 @@ and co's switching.
 
 import cmath
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window, trapezoid
+from retuner.schedule.late_dataclass import dataclass
 
 FEWEST_WAVES = 2
 """Full waves from which a result is given; the first after the start is not among them."""

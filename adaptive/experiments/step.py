@@ -14,7 +14,6 @@ are for comparison.
 """
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -24,6 +23,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning, tuning
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 T1_SHARE = 1 - math.exp(-1 / 3)
 T2_SHARE = 1 - math.exp(-1)

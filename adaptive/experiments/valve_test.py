@@ -15,12 +15,12 @@ is half of the time that the valve needs for the difference.
 """
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 STAIRCASE = (8, *(1,) * 4, *(-1,) * 8, -4, *(-1,) * 4, *(1,) * 8, -4)
 """Moves of a valve test in small steps; the last leads back to where it began."""

@@ -23,7 +23,6 @@ import base64
 import math
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +43,7 @@ from retuner.adaptive.explanations.tone import likeliest_tone
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihoods
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 STEP, DEEPEST = 0.05, 255
 """Levels of the logarithms that are kept, and the one of what is left out: no loop at work comes from there."""

@@ -12,7 +12,6 @@ where the odds come out at nine to one or more. In each class the processes near
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,6 +29,7 @@ from retuner.adaptive.explanations.wandering_load import (
     spectrum,
 )
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 SIZES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 """Sizes tried, in standard deviations of pv's deviation from its setpoint."""

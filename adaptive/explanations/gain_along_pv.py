@@ -15,7 +15,6 @@ mean over h is the price of its numbers.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from retuner.adaptive.explanations.process_grid import GAINS, INTEGRATING
 from retuner.adaptive.explanations.valve_odds import DEAD_TIMES, LAGS, LOADS, log_mean
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, under_loads
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass, replace
 
 RATIOS = (0.2, 0.4, 2.5, 5.0)
 """Gain at the top of pv's range over that at the bottom, where it changes evenly."""

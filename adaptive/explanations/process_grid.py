@@ -11,7 +11,6 @@ Half a sampling interval counts as dead time, as a sampled controller sees the p
 """
 
 import math
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 ComplexArray = npt.NDArray[np.complex128]
 

@@ -1,7 +1,8 @@
 """The test that a diagnosis proposes; deciding_test.py works it out."""
 
-from dataclasses import dataclass
 from enum import StrEnum
+
+from retuner.schedule.late_dataclass import dataclass
 
 
 class TestKind(StrEnum):

@@ -10,7 +10,6 @@ that came with the step could explain any response; but loads do not wait for se
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +17,7 @@ import numpy.typing as npt
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, TuningOdds, class_of
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass, replace
 
 READING = 0.1
 """Standard deviation of an overshoot as it is read where nothing disturbs it."""

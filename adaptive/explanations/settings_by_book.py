@@ -14,7 +14,6 @@ comes back by itself looks like a process that does.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,6 +34,7 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 _MS = 1.1, 3.5
 """Every limit of Ms lies between these: they follow a person's own (supervision/retuner_settings.py)."""

@@ -15,7 +15,6 @@ random walk 2 had got three times the integral action, Ms 2.7 and 4.9).
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +38,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 BoolArray = npt.NDArray[np.bool_]
 

@@ -8,7 +8,6 @@ counts by the mean over its processes and not by their number: how finely a grid
 the mean, processes weigh by how usual they are (UsualProcess): a grid reaches farther than plants do.
 """
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LoopRobustness, robustness, shapes, units
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 CLASSES = ("ok", "aggressive", "slow_integrating", "sluggish")
 

@@ -30,7 +30,6 @@ has it (tone.py), the odds of a record do not.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
@@ -47,6 +46,7 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 MOST_SAMPLES = 1024
 """Longer records are condensed, or cut into windows, to this many; transforms of a power of two hold them."""

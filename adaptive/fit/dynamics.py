@@ -15,7 +15,6 @@ So the dead time only moves the instants at which the modes are read, and may be
 
 import cmath
 import math
-from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -23,6 +22,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.signals.recursion import Array, recursion
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass, replace
 
 EVEN = 1e-6
 """Sampling intervals that differ by less than this fraction of the interval count as equal (the fast path)."""

@@ -21,7 +21,6 @@ Where the remainder is coloured (a drifting load, an unmodelled disturbance), bo
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,6 +45,7 @@ from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD, dynamics_at, swing_excess
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 # What a fit leaves: is it white, and if not, which filter makes it so?
 #

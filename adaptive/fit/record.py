@@ -1,7 +1,6 @@
 """A record made ready for fitting: its own clock from zero, its noise, its scale, and where its time has gaps."""
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +13,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.noise import noise_sigma, quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 # ---- Load steps that stand where a setpoint change could have done it, and the model without them.
 #

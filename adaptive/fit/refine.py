@@ -8,7 +8,6 @@ record is what a supervising thread can spare).
 """
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +16,7 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit, Projection
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 GAIN_REACH = math.log(1e9)
 """k' is looked for within this distance round (range of pv) / (range of co, length of the record)."""

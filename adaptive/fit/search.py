@@ -7,7 +7,6 @@ steps are added one by one where they take away most of the misfit. The best nod
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from retuner.adaptive.fit.refine import LEAST_TIME, Fit, bounds, refine
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD, dynamics_at
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass, replace
 
 LAG_NODES = 9
 THETA_NODES = 9

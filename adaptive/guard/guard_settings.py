@@ -1,10 +1,10 @@
 """Settings of the guard, each with its meaning, range and source."""
 
 import math
-from dataclasses import dataclass, replace
 from typing import Any
 
 from retuner.adaptive.declared_setting import require_in_range, setting
+from retuner.schedule.late_dataclass import dataclass, replace
 
 UP, DOWN = "absent: step_up_max", "absent: step_down_max"
 BOTH_UP = "absent: none beside those of kc and tau_I, so 4 by default"

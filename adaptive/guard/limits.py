@@ -9,7 +9,6 @@ refused.
 """
 
 import math
-from dataclasses import dataclass, replace
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.guard.guard_settings import GuardSettings
@@ -18,6 +17,7 @@ from retuner.adaptive.guard.ruling import LimitNumbers, Ruling
 from retuner.adaptive.guard.step_size import change_factor
 from retuner.adaptive.identification.robust_simc import asks_for_integral
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True)

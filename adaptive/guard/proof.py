@@ -15,7 +15,6 @@ Everything is deterministic, so that replay decides alike.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
 from itertools import chain
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
@@ -48,6 +47,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.rules.rule import ControllerKind, Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 # Ms of one set of gains on every model that is allowed, evaluated when asked and only once.
 #

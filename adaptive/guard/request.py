@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -10,6 +9,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.vendor_units import VendorUnits
 
 

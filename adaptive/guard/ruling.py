@@ -1,12 +1,12 @@
 """What the guard rules, in words and numbers."""
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 
 class Ruling(StrEnum):

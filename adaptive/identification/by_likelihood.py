@@ -18,7 +18,6 @@ record does not tell how far out an end is, what is usual tells it (PRIORS), and
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
@@ -34,6 +33,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
+from retuner.schedule.late_dataclass import dataclass
 
 Spectrum = npt.NDArray[np.complex128]
 TYPE = ProcessType.SOPDT

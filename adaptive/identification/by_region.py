@@ -8,7 +8,6 @@ Cathey 1993), the one in which co and pv move most first.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +18,7 @@ from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.identify import FitSettings, identify_window
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 FEWEST_SAMPLES = 40
 """A shorter stretch shows no dynamics beside its start and its noise."""

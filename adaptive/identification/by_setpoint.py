@@ -19,7 +19,6 @@ Goodwin, Gevers & Ninness 1992). Records of many sequences are fitted as one, th
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from typing import NamedTuple
@@ -44,6 +43,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
+from retuner.schedule.late_dataclass import dataclass, replace
 
 TYPES = (ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG)
 STRENGTHS = (0.05, 0.15, 0.4, 1.0)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from retuner.adaptive.fit.refine import EXACT, Fit, Prior, refine
 from retuner.adaptive.fit.search import load_times
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.process.model import ProcessType
+from retuner.schedule.late_dataclass import dataclass, replace
 
 MODEL_ERROR = 0.005
 """What a second-order model leaves of a real response (order, nonlinearity): rms as a share of pv's range."""

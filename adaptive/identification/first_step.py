@@ -6,13 +6,12 @@ with the tau_c at which Kc has grown so far, so that the integral time fits the 
 integral action than that either. A gain that is cut is cut at once: that way lies safety.
 """
 
-from dataclasses import dataclass, replace
-
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 MOST_AT_ONCE = 3.0
 """Factor on Kc, and on Ki, that one event carries."""

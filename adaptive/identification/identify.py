@@ -14,7 +14,6 @@ extended Kalman update (Bell & Cathey 1993); see tracker.py.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +38,7 @@ from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,6 @@ posterior did harm in the estimation study. The points are deterministic, so tha
 """
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from retuner.adaptive.identification.candidate import Candidate, Priors
 from retuner.adaptive.identification.usual_dead_time import unusual, usual
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass, replace
 
 OUT = 2.0
 """How many standard deviations out the points on the axes lie where the Gaussian is right."""

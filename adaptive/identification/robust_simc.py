@@ -12,7 +12,6 @@ for the user, to judge by the Ms that comes with the settings. Half a sampling i
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 from retuner.adaptive.fit.structure import LEAST_ZETA
 from retuner.adaptive.identification.estimate import ModelEstimate
@@ -22,6 +21,7 @@ from retuner.adaptive.loop.most_integral import most_integral
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.schedule.late_dataclass import dataclass, replace
 
 BISECTIONS = 8
 """Of tau_c between its limits: to a few thousandths."""

@@ -8,7 +8,6 @@ fake load steps gain little where a filter explains the same. The winner and its
 remainder whitened, which is what makes the estimate unbiased in closed loop and its standard deviations true.
 """
 
-from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -24,6 +23,7 @@ from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass, replace
 
 FIRST, SECOND, INTEGRATING, INTEGRATING_LAG, INVERSE, THIRD = (
     ProcessType.FOPDT,

@@ -19,11 +19,11 @@ oscillation and e^(-pi zeta / sqrt(1 - zeta^2)) for a free decay; above 0.5 they
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 # Where a signal passes through zero, noise not counted.
 #

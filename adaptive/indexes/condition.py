@@ -14,7 +14,6 @@ In this order, the first that applies:
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -22,6 +21,7 @@ import numpy as np
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 DEAD = 1e-9
 """A signal that varies by less than this share of its magnitude is dead."""

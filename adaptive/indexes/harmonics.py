@@ -12,13 +12,13 @@ The phase of pv against co at w is that of the process itself where the loop mak
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.indexes.autocovariance import crossings, detrended
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 HARMONICS = 5
 """Highest harmonic fitted."""

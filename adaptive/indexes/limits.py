@@ -8,12 +8,11 @@ hand that holds co: at a limit the error pushes outwards, or comes back once at 
 it likes, and co does not follow.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 TOLERANCE = 1e-3
 """co counts as at its limit within this share of its range in the record."""

@@ -17,13 +17,13 @@ signal stands still as well; its compression cannot be told and counts as 1.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 STRAIGHT = 1e-6
 """A second difference below this share of the signal's range is zero."""

@@ -23,7 +23,6 @@ parallelogram (even speed along its sides, or one signal a square wave), 1 for G
 """
 
 import math
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -47,6 +46,7 @@ from retuner.adaptive.indexes.setpoint_responses import idle_index, setpoint_res
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 # ---- Shape of the curve that pv draws over co
 

@@ -6,13 +6,12 @@ with E1 the error right after the step and E2, E3 the next extremes on either si
 are given. The relative damping of a second-order loop is zeta = -ln(o) / sqrt(pi^2 + ln(o)^2), o the overshoot.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 STEP_BAND = 6.0
 """A setpoint change counts as a step when it exceeds this many standard deviations of pv's noise."""

@@ -9,7 +9,6 @@ it (variable projection: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973, 413-432
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
@@ -19,6 +18,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 ComplexArray = npt.NDArray[np.complex128]
 

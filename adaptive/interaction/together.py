@@ -9,13 +9,13 @@ w = 0 to infinity (the generalised Nyquist criterion, ibid. section 4.9), for a 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from retuner.adaptive.interaction.answers import Answers, ComplexArray
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 POINTS = 600
 """Frequencies that are looked at."""

@@ -18,7 +18,6 @@ by Newton's method on d ln|1 + L|^2 / d ln w, whose derivatives are known in clo
 import cmath
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from retuner.adaptive.loop.open_loop import (
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 # ---- Ms of the common kind of loop in a dozen evaluations of L
 

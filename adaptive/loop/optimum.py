@@ -8,7 +8,6 @@ an integrating process also has a small one. That leaves one free number for PI 
 """
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 
@@ -20,6 +19,7 @@ from retuner.adaptive.loop.performance import load_variation, setpoint_variation
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 MS_REFERENCE = 1.59
 """Ms of the reference controllers (that of SIMC with tau_c = theta on a first order process)."""

@@ -14,7 +14,6 @@ step of the setpoint is one of an output disturbance. derivative_on_setpoint=Fal
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from retuner.adaptive.loop.simulate import CutLoop, DelaySteps, PlainSteps, cut_
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 # Total variation of the error's integral (IAE) and of the controller output (TV) along a step response.
 #

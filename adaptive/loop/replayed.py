@@ -10,7 +10,6 @@ a replay is told over all models that the record allows.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.pid import law, start, step
 
 MOST_SAMPLES = 20_000

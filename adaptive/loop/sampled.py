@@ -8,7 +8,6 @@ products of values: on a circle in the z plane, a little outside the unit circle
 one turn (Cauchy's formula by fast Fourier transform, Abate & Whitt 1992).
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 Spectrum = npt.NDArray[np.complex128]
 

@@ -12,7 +12,6 @@ is far below 1e-6 (Bellen & Zennaro, Numerical methods for delay differential eq
 """
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from operator import mul
 from typing import NamedTuple
@@ -23,6 +22,7 @@ from numpy.polynomial import legendre
 from retuner.adaptive.process.model import LinearProcess, state_space
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 # A closed loop, cut open at the dead time:  dX/dt = A X + B v + R r,  u = U X + V v + W r,  y = C X + D v.
 #

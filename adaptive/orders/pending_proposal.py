@@ -6,13 +6,13 @@ ends when its time is over, or when other gains have come into force in its regi
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
 from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 
 class ProposalStanding(StrEnum):

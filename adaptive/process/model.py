@@ -6,13 +6,13 @@ k is the steady-state gain; for integrating types it is the slope gain k' per se
 """
 
 import math
-from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass, replace
 
 ComplexArray = npt.NDArray[np.complex128]
 

@@ -21,11 +21,11 @@ It is refused below SMALLEST_DAMPING: no lags stand for a resonance.
 """
 
 import math
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.schedule.late_dataclass import dataclass, replace
 
 # Numerator time constants set against denominator ones: rules T1 to T3 of Skogestad (2003), section 2.3.
 #

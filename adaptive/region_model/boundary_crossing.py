@@ -11,7 +11,6 @@ that way is proved on the whole spread of the covariance, as what is borrowed is
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from retuner.adaptive.region_model.varying_process_fit import InMotion, in_motio
 from retuner.adaptive.schedule_design.stretches import Axis, Shape
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.regions import Regions
 
 ELSEWHERE = 0.1

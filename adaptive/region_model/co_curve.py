@@ -10,9 +10,9 @@ variance of both. Where no curve is to be seen, s goes to zero and costs nothing
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from retuner.adaptive.schedule_design.stretches import SLOPE_STD
+from retuner.schedule.late_dataclass import dataclass
 
 TOO_SURE = 2.0
 """What a record says of s is off by so many times what it claims: the curves over pv have few bends. Looked at while

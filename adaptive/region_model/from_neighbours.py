@@ -7,7 +7,6 @@ and is never passed on.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.region_curves import Curves, centre_of, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings
+from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.regions import Regions
 
 MOST_LOG_STEP = math.log(2.0)

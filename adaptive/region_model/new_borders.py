@@ -12,7 +12,6 @@ Pure: a table and region models in, a proposal out.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.schedule_design.places import LEAST_STD, DesignLimits, iae
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.regions import Regions, choose, enter
 from retuner.schedule.table import GainTable, Lookup
 

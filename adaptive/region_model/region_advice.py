@@ -21,7 +21,6 @@ Pure: region models in, advice out; nothing is changed.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -32,6 +31,7 @@ from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import to_ideal
+from retuner.schedule.late_dataclass import asdict, dataclass, replace
 from retuner.schedule.regions import Axis, Regions
 
 # What a model asks of its controller, as two numbers with their covariance: (ln |Kc|, ln tau_I) of SIMC.

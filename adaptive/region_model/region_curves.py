@@ -13,7 +13,6 @@ schedule). A neighbour says less the farther it is, and regions that differ open
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings, predicted_all
 from retuner.adaptive.schedule_design.stretches import Axis, Shape
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.regions import Regions
 
 Place = tuple[float, ...]

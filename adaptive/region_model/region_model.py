@@ -1,7 +1,6 @@
 """What is known of a region's process, as values: by structure, with what the last records said by themselves."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
+from retuner.schedule.late_dataclass import dataclass, field
 
 POINTS = 12
 """So many of the last records are remembered by what they said alone."""

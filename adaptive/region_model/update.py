@@ -26,7 +26,6 @@ settles the process by itself, if it contradicts that record or would leave it u
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -45,6 +44,7 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.valve.record_through_valve import ValveInLoop, through_valve
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 # The first records of a region fitted as one: one process, each record with its own rest, loads and gains.
 #

@@ -15,7 +15,6 @@ between both ends of the record.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from retuner.adaptive.schedule_design.rest import Rest
 from retuner.adaptive.schedule_design.stretches import SLOPE_STD, Axis, Characteristic, Shape, Stretch, over, signals_of
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass, replace
 
 MOST_ROWS = 300
 """Rows of the record in the fit; longer ones are condensed."""

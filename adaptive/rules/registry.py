@@ -2,13 +2,13 @@
 
 import math
 import re
-from dataclasses import dataclass, replace
 
 from retuner.adaptive.loop.margins import ultimate
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules import averaging, classic, lambda_imc, optimal, simc_family, ziegler_nichols
 from retuner.adaptive.rules.rule import WISH_LABELS, ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
 from retuner.adaptive.rules.simc import TAU_I_FACTOR, without_second_lag
+from retuner.schedule.late_dataclass import dataclass, replace
 
 MODULES = (simc_family, averaging, optimal, lambda_imc, classic, ziegler_nichols)
 RULES: dict[str, Rule] = {rule.name: rule for module in MODULES for rule in module.RULES}

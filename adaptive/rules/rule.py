@@ -5,11 +5,11 @@ the command line, `--all` and the table in docs/rules.md are made from one list.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains, from_form, in_form
+from retuner.schedule.late_dataclass import dataclass
 
 # Which actions a controller has.
 

@@ -11,7 +11,8 @@ tau_I) needs LESS gain.
 """
 
 import math
-from dataclasses import dataclass
+
+from retuner.schedule.late_dataclass import dataclass
 
 FACTOR = 0.1
 """The printed coefficient; 1/pi^2 = 0.1013 by derivation."""

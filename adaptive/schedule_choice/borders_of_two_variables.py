@@ -7,13 +7,13 @@ sets win. A place that is not known demands nothing; a cell or knot without one 
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from itertools import combinations, pairwise, product
 
 import numpy as np
 
 from retuner.adaptive.schedule_design.places import CALMER, DesignLimits, Place, mean_of, times
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.table import Lookup
 
 COUNT = 7

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -26,6 +25,7 @@ from retuner.adaptive.schedule_design.stretches import Axis, Shape, tells
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import Lookup
 
 PLACES = 25

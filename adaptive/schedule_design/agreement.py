@@ -13,7 +13,6 @@ every sample of every stretch.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +20,7 @@ import numpy as np
 from retuner.adaptive.schedule_design.joint import At, Form
 from retuner.adaptive.schedule_design.stretches import LEVEL_STD
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 DIFFERENCES = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
 """Standard deviations of ln p between stretches that are tried."""

@@ -10,7 +10,6 @@ correlated in it, so that a model which does not explain a record does not becom
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from retuner.adaptive.schedule_design.rest import Rest
 from retuner.adaptive.schedule_design.stretches import LEVEL_STD, Axis, Characteristic, Second, Shape, Stretch, over
 from retuner.adaptive.schedule_design.weighing import SHAPES, SIMPLER, weighed
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass, replace
 
 FIRST_ORDER = 3
 """Parameters of a process without a second lag."""

@@ -9,7 +9,6 @@ that one with an upset that nothing explains does not speak loudest.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_
 from retuner.adaptive.schedule_design.stretches import Axis, Characteristic, Second, Shape, Stretch
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass, replace
 
 STEP = 1e-4
 """Step of z for derivatives."""

@@ -14,13 +14,13 @@ Arrays have the row first: (rows, stretches) or (rows, stretches, variants).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from retuner.adaptive.schedule_design.stretches import Characteristic, Stretch, summed
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 
 class Local(NamedTuple):

@@ -6,7 +6,6 @@ with an Ms within its limit on every model that is still allowed (identification
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +18,7 @@ from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessT
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.table import Lookup
 
 OUT = 2.0

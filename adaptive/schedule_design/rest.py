@@ -1,12 +1,12 @@
 """Which co holds each place, as the records show it: a smooth curve through the ends of the stretches."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from retuner.adaptive.schedule_design.stretches import LEAD_ROWS, Stretch
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 END = 4
 """The last one in so many rows of a stretch is its end."""

@@ -6,7 +6,6 @@ the variable are means over an interval round their time; co is kept as its inte
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from itertools import pairwise
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 MOST_ROWS = 400
 """Rows of a stretch at the most; longer ones are cut."""

@@ -12,7 +12,6 @@ bent is sure, and wrong at both ends and the middle): so it is that of all of th
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from retuner.adaptive.schedule_design.agreement import Agreement
 from retuner.adaptive.schedule_design.joint import Form
 from retuner.adaptive.schedule_design.stretches import Shape
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 SHAPES = (Shape.CONSTANT, Shape.LINE, Shape.BENT)
 SIMPLER = 2.0

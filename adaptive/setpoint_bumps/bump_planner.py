@@ -17,12 +17,12 @@ bump is over. Whatever else ends a bump puts the old setpoint back.
 """
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 
 from retuner.adaptive.setpoint_bumps.bump_settings import HOURS, BumpSettings
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.signals.step_sequence import STANDS
+from retuner.schedule.late_dataclass import dataclass
 
 SECONDS_PER_HOUR = 3600.0
 SAME = 0.05

@@ -1,8 +1,7 @@
 """Settings of setpoint bumps. All of them stand in the configuration file, below [adaptation.nudge]."""
 
-from dataclasses import dataclass
-
 from retuner.adaptive.declared_setting import require_in_range, setting
+from retuner.schedule.late_dataclass import dataclass
 
 HOURS = 24.0
 

@@ -11,7 +11,6 @@ Such a swing has no other cause to wait for: a verdict of before ("from outside"
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.signals.sample import LoopSample
+from retuner.schedule.late_dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,10 @@ The same formulas for setpoint and load changes (Foxboro TI 039-200, 1995, figur
 both numbers are equal; a large gap between them says that this is no ordinary response.
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
+
+from retuner.schedule.late_dataclass import dataclass
 
 
 class Ending(StrEnum):

@@ -1,7 +1,6 @@
 """One sample of a loop, and a window of samples: the form in which every other file of this room sees data."""
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 from itertools import groupby
 from operator import itemgetter
@@ -9,6 +8,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+
+from retuner.schedule.late_dataclass import dataclass
 
 FloatArray = npt.NDArray[np.float64]
 

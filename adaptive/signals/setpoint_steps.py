@@ -8,13 +8,13 @@ it by themselves: that is kept with it, for it tells how much is to be believed 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample
 from retuner.adaptive.signals.step_sequence import SetpointMove, StepSequence
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 LEAST_LEAD = 40
 """Samples before the first step that are needed to know how loads move the loop."""

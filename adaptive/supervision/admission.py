@@ -11,7 +11,6 @@ control or its variable left the state being learned; what happens without such 
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import NamedTuple
@@ -24,6 +23,7 @@ from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, stood_still
+from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.regions import Regions
 
 EVERYWHERE = (-math.inf, math.inf)

@@ -6,7 +6,6 @@ A ledger keeps it, and a replay is compared with it byte for byte.
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -26,6 +25,7 @@ from retuner.adaptive.trial.phase import UNDOS, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 
 class Mode(StrEnum):

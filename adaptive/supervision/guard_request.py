@@ -4,7 +4,6 @@ shown of gains on trial: what they promise, what was seen, and what is known by 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
 
@@ -44,6 +43,7 @@ from retuner.adaptive.trial.random_walk import beside_a_walk
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import GainTable, Lookup
 
 

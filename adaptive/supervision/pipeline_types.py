@@ -4,7 +4,6 @@ it, and the answer that is built from that.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import NamedTuple
@@ -37,6 +36,7 @@ from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.table import GainTable, Lookup
 
 PROCESS_CHANGES_OVER = 0.1

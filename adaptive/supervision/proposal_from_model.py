@@ -6,7 +6,6 @@ model that is still allowed is given less of everything without waiting for a be
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause, with_second_lag
 from retuner.adaptive.guard.step_size import less_of_everything
@@ -20,6 +19,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 LAG_DOMINANT = 8.0
 """tau1 over theta from which SIMC's integral time no longer is tau1 (Skogestad 2003, at tau_c = theta)."""

@@ -7,8 +7,6 @@
 Neither proves anything. The guard lets such a proposal through as a small step at the most, and the trial watches it.
 """
 
-from dataclasses import dataclass, field, replace
-
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.guard.request import NO_LOCKS, Locks
@@ -19,6 +17,7 @@ from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
 from retuner.adaptive.without_model.slow_oscillation_step import SlowSettings, slow_oscillation_online
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,5 @@
 """Settings of a retuner, its parts' settings among them."""
 
-from dataclasses import dataclass, field, replace
-
 from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
@@ -19,6 +17,7 @@ from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.vendor_units import VendorUnits
 
 

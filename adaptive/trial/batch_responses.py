@@ -9,7 +9,6 @@ performance.py is exact, for one loop at a time, and takes as long for one as th
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.process.model import LinearProcess, state_space
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 SPAN = 60.0
 """Length of a response over the inverse of the gain crossover: some nine swings of a loop that all but swings."""

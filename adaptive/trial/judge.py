@@ -24,7 +24,6 @@ The travel of the output is told, and not judged: in a recorded output it is mos
 """
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -40,6 +39,7 @@ from retuner.adaptive.trial.response_numbers import storable, swing, three
 from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 NOT_ITSELF = "the response itself is not judged"
 MEAN_OF_NOISE = 0.8

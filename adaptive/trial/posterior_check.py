@@ -14,7 +14,6 @@ take up a load with hardly a swing. What was seen of the old set counts more tha
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from retuner.adaptive.decision_numbers import Numbers
@@ -26,6 +25,7 @@ from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 

@@ -10,7 +10,6 @@ load's response is promised over a step and a pulse of it, because either may co
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 from retuner.adaptive.identification.plausible import Plausible
@@ -19,6 +18,7 @@ from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.trial.batch_responses import Loop, Upset
 from retuner.adaptive.trial.response_numbers import Shape, shapes, swing
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 MOST_MODELS = 16
 """Models, the most likely ones, over which a promise is spread."""

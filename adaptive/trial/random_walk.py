@@ -15,7 +15,6 @@ value of RATIOS; the noise is what is left (Patterson & Thompson 1971, restricte
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessT
 from retuner.adaptive.signals.sample import FloatArray, LoopSample
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 LONGEST = 2.5
 """Dead time over that of the first model, up to which models are asked."""

@@ -13,13 +13,13 @@ third one: the error of a load stays on one side while the integral takes it ove
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.trial.batch_responses import Loop, Trace, Upset, traces
+from retuner.schedule.late_dataclass import dataclass
 
 SMALL = 0.02
 """Half waves below this share of the largest error are not counted as peaks of a computed response."""

@@ -25,7 +25,6 @@ Where no model is left, the ones on which the tried set was proved keep the door
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from retuner.adaptive.decision_numbers import Numbers
@@ -35,6 +34,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.trial.phase import UNDOS, TrialEvent
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 SWINGS_ON = 0.9
 """Ratio of successive peaks from which a response was no decaying one (as the guard's urgent_damping)."""

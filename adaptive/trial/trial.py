@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from typing import Any
 
 from retuner.adaptive.trial.diverging_trial import DivergenceState
@@ -10,6 +9,7 @@ from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import Rollback, RollbackNumbers, SetsThatRan
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 MOST_EARLIER = 4
 """Sets that are remembered of those that ran in a region."""

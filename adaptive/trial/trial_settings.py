@@ -1,7 +1,8 @@
 """Settings of trial and undo."""
 
 import math
-from dataclasses import dataclass
+
+from retuner.schedule.late_dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

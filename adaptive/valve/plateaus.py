@@ -11,7 +11,6 @@ twice Schwarz's price, because what is left is coloured. sigma is the noise by t
 differences, and no finer than 0.4 % of pv's range.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 LAGS = (0.0, 3.0, 8.0, 20.0, 45.0, 100.0)
 """T tried at first, in rows."""

@@ -20,7 +20,6 @@ linear explanation needs loads, a drift or a filter: white remainders leave it n
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -47,6 +46,7 @@ from retuner.adaptive.valve.valve_fit import (
     with_lag,
 )
 from retuner.adaptive.valve.valve_model import Family, StuckValve
+from retuner.schedule.late_dataclass import dataclass, replace
 
 BANDS = tuple(np.geomspace(0.02, 0.7, 20).tolist())
 """Stick bands tried, as shares of co's range."""

@@ -18,7 +18,6 @@ helps.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +32,7 @@ from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.valve_fit import with_best_gain
+from retuner.schedule.late_dataclass import dataclass, replace
 
 Rows = npt.NDArray[np.int64]
 

@@ -17,7 +17,6 @@ that drifts with co (a triangle in a fast loop), and that is said.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +28,7 @@ from retuner.adaptive.indexes.recording_quality import runs
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.valve.plateaus import Plateau, Steps, as_steps, plateaus, price
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 MOST_ROWS = 800
 """Rows that are looked at; of a longer record means over several samples."""

@@ -8,7 +8,6 @@ process, scanned finely round S, J and where the valve stood when the record beg
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -24,6 +23,7 @@ from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.valve_model import Family, StuckValve
+from retuner.schedule.late_dataclass import dataclass, replace
 
 STICK_NODES = 45
 STICK_RANGE = (0.1, 1.2)

@@ -11,7 +11,6 @@ one direction, Kano's follows and He's moves in steps of J. J = 0 is backlash. R
 """
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.late_dataclass import dataclass
 
 
 class Family(StrEnum):

@@ -35,7 +35,6 @@ and a little more: a second-order process takes 0.45 of its radians for that.
 """
 
 import math
-from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -49,6 +48,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, fields, replace
 
 # ---- What a response looks like, in numbers by name
 

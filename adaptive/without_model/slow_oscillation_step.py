@@ -15,7 +15,6 @@ the cure needs.
 """
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -26,6 +25,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.slow_oscillation import SHORTEST_PERIOD, slow_oscillation
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 MAY_APPLY = frozenset({Cause.SLOW_INTEGRATING, Cause.SLUGGISH, Cause.UNKNOWN})
 """Causes besides no diagnosis under which the rule may speak: too much gain is the contrary."""

@@ -21,7 +21,6 @@ import socket
 import struct
 import sys
 from collections import Counter, deque
-from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
@@ -33,6 +32,7 @@ from retuner.drivers.bus.bus_opening import BUS_ERRORS, SOCKETCAN, UDP_MULTICAST
 from retuner.drivers.bus.link_settings import LinkCounters, LinkSettings
 from retuner.drivers.clock import Clock
 from retuner.drivers.device import BusError, LinkState
+from retuner.schedule.late_dataclass import dataclass, field
 
 # ---- What a bus's socket knows and python-can does not tell
 

@@ -1,12 +1,12 @@
 """What a host needs of a link, how a link is opened and when it is doubted, and what it counts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
 import can
 
 from retuner.drivers.device import LinkState
+from retuner.schedule.late_dataclass import dataclass, field, fields
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 import secrets
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
 import can
@@ -39,6 +38,7 @@ from retuner.drivers.protocol.frames import (
     TelemetrySp,
 )
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 SEQUENCES, COUNTERS = 1 << 16, 1 << 8
 LEASE_SAMPLES = 2000

@@ -1,13 +1,13 @@
 """What an examination comes to: what was tried, and what the device did otherwise than developers/protocol.md says."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from retuner.drivers.conformance.conversation import UNKNOWN, Conversation, NoAnswerError
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.frames import Confirm, Kind, Reason
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field
 
 
 class Finding(NamedTuple):

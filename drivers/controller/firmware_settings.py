@@ -1,9 +1,8 @@
 """What is burnt into the firmware of a virtual controller."""
 
-from dataclasses import dataclass, field
-
 from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.pid import PidLaw, law
 
 CO_WIRE = (-100.0, 200.0)  # percent, range of co in retuner.dbc

@@ -7,7 +7,6 @@ fixed values of the mapping, else the DBC's start values.
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import can
 
@@ -17,6 +16,7 @@ from retuner.drivers.profiles.access import Alive, Heard, ProfileError, Runs, St
 from retuner.drivers.profiles.distinct import Use, require_distinct
 from retuner.drivers.profiles.mapping import Ask, DeviceMapping, GainAt, SignalOf, States
 from retuner.drivers.telemetry.signal_source import DECODING_ERRORS
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.vendor_units import VendorGain, VendorUnits
 
 Slot = tuple[int, int | None]

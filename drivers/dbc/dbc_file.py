@@ -1,7 +1,6 @@
 """A DBC file, and the signals that a mapping names in it: found, or told in one line with the key that is wrong."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cantools.database
@@ -12,6 +11,7 @@ from cantools.database.can.signal import Signal
 from retuner.drivers.profiles.access import ProfileError
 from retuner.drivers.profiles.distinct import Use
 from retuner.drivers.protocol.codec import PARSING_ERRORS
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.vendor_units import SINGLE_MAX, Holds
 
 Key = tuple[str | int, ...]

@@ -1,7 +1,6 @@
 """Counter and checksum of one message: put into what is sent, demanded of what comes."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from cantools.database.can.message import Message as Layout
 from cantools.database.can.signal import Signal
@@ -9,6 +8,7 @@ from cantools.database.can.signal import Signal
 from retuner.drivers.dbc.checksums import ALGORITHMS
 from retuner.drivers.profiles.access import ProfileError
 from retuner.drivers.profiles.mapping import Protection
+from retuner.schedule.late_dataclass import dataclass
 
 ID_BYTES = 2
 

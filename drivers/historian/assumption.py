@@ -1,6 +1,6 @@
 """What was assumed in reading a record: told in a line, and in full with the key that fixes it otherwise."""
 
-from dataclasses import dataclass
+from retuner.schedule.late_dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

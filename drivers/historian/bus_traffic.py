@@ -7,7 +7,6 @@ a message FIC101 with a signal PV). Of a log that ends in damage what stands bef
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.historian.tags import named
 from retuner.drivers.recorded.frame_log import read_frames
 from retuner.drivers.recorded.recording import RecordingError
+from retuner.schedule.late_dataclass import dataclass
 
 Identifier = tuple[int, bool]
 """Of a frame, and whether it is an extended one."""

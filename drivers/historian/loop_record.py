@@ -6,7 +6,6 @@ What is ambiguous is not guessed: the refusal names the option that answers it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from importlib import import_module
 from itertools import chain, pairwise
 from pathlib import Path
@@ -27,6 +26,7 @@ from retuner.drivers.historian.scaling import scaled
 from retuner.drivers.historian.table_signals import BESIDE, TableSignals, signals_of
 from retuner.drivers.historian.tags import named
 from retuner.drivers.recorded.recording import Recording, RecordingError
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
 TRAFFIC = (".blf", ".asc", ".mf4", ".log")

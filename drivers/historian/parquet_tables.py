@@ -7,7 +7,6 @@ their own, so that what follows need not look at millions of names. Row groups t
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from retuner.drivers.historian.raw_table import RawTable
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.historian.tags import loops, named
 from retuner.drivers.recorded.recording import RecordingError
+from retuner.schedule.late_dataclass import dataclass
 
 MOST_ROWS = 1 << 20
 """Rows of a piece: four months at ten seconds; the memory of a piece is some hundred bytes a row."""

@@ -9,7 +9,6 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.record_form import DELIMITERS, RecordForm
 from retuner.drivers.historian.tags import TIME_UNIT, known_roles
 from retuner.drivers.recorded.recording import SIZE_MAX, RecordingError
+from retuner.schedule.late_dataclass import dataclass, field
 
 Column = Sequence[str] | FloatArray | npt.NDArray[np.datetime64]
 """Fields as text, numbers (nan where there is none), or times."""

@@ -12,7 +12,6 @@ The same names stand in a `[record]` section of a TOML file:
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -21,6 +20,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from retuner.drivers.historian.scaling import Scaling
 from retuner.drivers.historian.tags import SEPARATED, SEPARATORS
 from retuner.drivers.recorded.recording import RecordingError
+from retuner.schedule.late_dataclass import dataclass, field, fields, replace
 
 SIGNALS = ("sp", "pv", "co")
 COLUMN_ROLES = ("t", "date", *SIGNALS, "mode", "quality", "tag", "value")

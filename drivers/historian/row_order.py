@@ -4,13 +4,12 @@ A signal that a historian stores by exception has a row only when it changed; be
 So where most stamps of pv are not among those of co or sp, these are held from their last row.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray, all_finite
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import RecordingError
+from retuner.schedule.late_dataclass import dataclass
 
 FEW_OUT_OF_ORDER = 0.01
 """Share of rows that may be out of order and are put in place; more of them are two records in one file."""

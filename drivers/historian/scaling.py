@@ -7,13 +7,13 @@ The line goes on beyond both ends: 3.8 mA is a little below the range, and not t
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording
+from retuner.schedule.late_dataclass import dataclass, replace
 
 NUMBER = r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*"
 FORM = re.compile(rf"{NUMBER}\.\.{NUMBER}:{NUMBER}\.\.{NUMBER}")

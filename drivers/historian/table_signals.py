@@ -4,7 +4,6 @@ A wide table has a column for each signal; a long one has a row for each value, 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from types import MappingProxyType
 from typing import Any
@@ -23,6 +22,7 @@ from retuner.drivers.historian.row_order import Trend, in_order
 from retuner.drivers.historian.tags import TIME_UNIT, last_word, loops, named
 from retuner.drivers.historian.time_stamps import DIGITS, Stamps, from_numbers, from_text
 from retuner.drivers.recorded.recording import NUMBER, RecordingError
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 HELD_FROM = 0.05
 """Share of blanks from which a column is stored by exception and not full of faults."""

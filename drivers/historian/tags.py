@@ -6,9 +6,10 @@ manipulated variable (the output) beside PV and SV, and the measured value besid
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
+
+from retuner.schedule.late_dataclass import dataclass
 
 WORDS = MappingProxyType(
     {

@@ -8,7 +8,6 @@ their size says nothing else: seconds, milliseconds, ... since 1970, days of a s
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
 from types import MappingProxyType
 from zoneinfo import ZoneInfo
@@ -20,6 +19,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.record_form import TIME_UNITS, RecordForm
 from retuner.drivers.recorded.recording import NUMBER, RecordingError
+from retuner.schedule.late_dataclass import dataclass
 
 Numbers = Sequence[float] | npt.NDArray[np.floating]
 Times = Numbers | Sequence[datetime] | npt.NDArray[np.datetime64] | npt.NDArray[np.timedelta64]

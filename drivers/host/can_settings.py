@@ -2,10 +2,10 @@
 
 import math
 import secrets
-from dataclasses import dataclass, field
 
 from retuner.drivers.protocol.frames import OWNER_TAG
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
+from retuner.schedule.late_dataclass import dataclass, field
 
 TIMES = (
     "sample_time_s",

@@ -7,7 +7,6 @@ and what runs is can_device.py's business.
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.device import (
@@ -41,6 +40,7 @@ from retuner.drivers.protocol.frames import (
     reason_text,
 )
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 # The host's side of the lease: asks for it, prolongs it at a third of its length, and knows who else holds it.
 #

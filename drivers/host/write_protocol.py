@@ -13,7 +13,6 @@ result is unknown, and said to be.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed, WriteUnknown
@@ -37,6 +36,7 @@ from retuner.drivers.protocol.frames import (
 )
 from retuner.drivers.state_machine import StateMachine
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 
 class WritePhase(Enum):

@@ -14,11 +14,11 @@ Process Control Systems, section 2.
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.plants.plant import MeasurementNoise, check_step
+from retuner.schedule.late_dataclass import dataclass
 
 MAX_STEP_S = 0.5  # longest step of the sensor; with tau_s = 4 s its error is below 1e-3 of a move
 HISTORY_TRIM = 4096  # entries of the pipe's contents after which those that have left it are dropped

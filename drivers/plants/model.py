@@ -5,8 +5,9 @@ A model knows nothing of loops: shared_plant.py hangs them onto one. plant_proce
 
 import difflib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Protocol
+
+from retuner.schedule.late_dataclass import dataclass, field
 
 Parameter = float | int | bool | str
 

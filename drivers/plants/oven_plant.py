@@ -14,11 +14,11 @@ Runge-Kutta method with steps of at most MAX_STEP_S: with tau_s = 12 s its error
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.plants.plant import MeasurementNoise, check_step
+from retuner.schedule.late_dataclass import dataclass
 
 STEFAN_BOLTZMANN = 5.670374419e-8  # W/(m^2 K^4), CODATA 2018
 KELVIN = 273.15  # 0 degC

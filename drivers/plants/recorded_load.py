@@ -6,13 +6,13 @@ its rows; after its last row the load stays, or begins again where it is to be r
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.plants.plant import KnownPlant
+from retuner.schedule.late_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ a sensor fails. NaN and a late answer may pass; a model that has raised an error
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 from retuner.drivers.plants.model import PlantFaultError, PlantModel, StillBusyError
 from retuner.drivers.plants.plant import MeasurementNoise, check_step
 from retuner.drivers.plants.recorded_load import RecordedLoads
+from retuner.schedule.late_dataclass import dataclass
 
 MOST_TOLD = 6
 """How often it is told that readings are lost or are there again."""

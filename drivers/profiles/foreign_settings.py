@@ -1,10 +1,9 @@
 """What the host knows of a foreign controller beside its numbers: its pace, its ranges, its patience."""
 
-from dataclasses import dataclass, field
-
 from retuner.drivers.recorded.sample_note import NOTES
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field
 
 TIMES = ("sample_time_s", "reply_s", "silent_s", "connect_s", "feed_s", "look_s")
 

@@ -1,10 +1,10 @@
 """Which signals or objects of a foreign device are what: plain values, as a configuration or a profile gives them."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.vendor_units import Quantity
 
 

@@ -17,7 +17,6 @@ import logging
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import lru_cache
 from importlib.resources import files
@@ -34,6 +33,7 @@ from cantools.errors import Error as CantoolsError
 from retuner.drivers.device import DeviceError
 from retuner.drivers.protocol.checksum import frame_crc
 from retuner.drivers.protocol.frames import HIGHEST_NODE, NAMES, Frame
+from retuner.schedule.late_dataclass import dataclass, fields
 
 # ---- A frame's bytes to numbers and back, prepared once from the DBC
 

@@ -4,10 +4,10 @@ codec.py turns them into bytes and back and holds every value to the DBC's range
 """
 
 import math
-from dataclasses import dataclass, fields
 from enum import IntEnum, IntFlag
 
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, fields
 
 PROTOCOL_VERSION = 3
 STORE_KEY = 0x65766173  # "save" in ASCII, low byte first: the signature of CANopen 1010h

@@ -6,7 +6,6 @@ limited is where co stands at a limit. In a log of bus traffic the protocol has 
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +23,7 @@ from retuner.drivers.recorded.recording import (
 )
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 GAINS = ("kp", "ki", "kd")
 FURTHER = ("x", "x2", "mode", "limited", *GAINS)

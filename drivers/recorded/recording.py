@@ -10,13 +10,13 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass, field
 
 ROLES = ("t", "sp", "pv", "co")
 REQUIRED = ("t", "pv", "co")

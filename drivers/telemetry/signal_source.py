@@ -7,7 +7,6 @@ The DBC is any; without a file it is plant.dbc, which describes what the virtual
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from cantools.errors import Error as CantoolsError
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.drivers.device import VariableChanged
 from retuner.drivers.protocol.codec import DbcError, read_dbc
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.regions import CAN, VARIABLES
 
 PLANT_DBC = "plant.dbc"

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
@@ -29,6 +28,7 @@ from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.historian.time_stamps import Numbers, Times, seconds
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.tuning import TuneResult
 
 if TYPE_CHECKING:

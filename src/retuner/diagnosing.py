@@ -1,7 +1,6 @@
 """`retuner.diagnose`: the cause behind a loop's records, its odds and its cure, as a frozen result."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -19,6 +18,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.api import Record, followed_settings, window_of, within
 from retuner.drivers.historian.time_stamps import Numbers, Times
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.tuning import TuneResult
 
 if TYPE_CHECKING:

@@ -10,13 +10,13 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from retuner.errors import UserError
+from retuner.schedule.late_dataclass import dataclass
 
 NETWORK = Path("/sys/class/net")
 ARPHRD_CAN = "280"  # linux/if_arp.h

@@ -11,7 +11,6 @@ of that is left to the caller. `close` decides what runs on when nobody watches 
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +26,7 @@ from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.background import BackgroundRetuner
 from retuner.decisions.decider import Decider
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.pid import LIMITED, PidLaw, PidState, StateTuple, change, law, start, step, track
 from retuner.schedule.regions import CAN, Regions, RegionState, choose, enter, values
 from retuner.schedule.table import GainTable, Lookup

@@ -3,7 +3,6 @@
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import cast
 
@@ -27,6 +26,7 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import Record, window_of, within
 from retuner.drivers.historian.time_stamps import Numbers
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.regions import CAN, Axis, Regions
 from retuner.schedule.table import GainTable, Lookup
 

@@ -1,7 +1,5 @@
 """`retuner.tune`: settings for a process by a named rule, with their margins; frozen results that know their JSON."""
 
-from dataclasses import dataclass, field
-
 from retuner.adaptive import display_hook
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
@@ -10,6 +8,7 @@ from retuner.adaptive.rules.registry import Explanation, explanation, kind_for, 
 from retuner.adaptive.rules.rule import ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field
 
 RULES = tuple(REGISTRY)
 """Names of the tuning rules."""

@@ -9,7 +9,6 @@ where every file has all of its signals.
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from retuner.drivers.historian.loop_record import FILES_OF_A_FOLDER, TRAFFIC, traffic_names
@@ -18,6 +17,7 @@ from retuner.drivers.historian.raw_table import read_text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.tags import loops, named
 from retuner.drivers.recorded.recording import RecordingError
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 BEGIN_BYTES = 65_536
 """As much of a text file tells its form."""

@@ -6,7 +6,6 @@ with that of an earlier audit. A loop that fails is a row with the reason.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -30,6 +29,7 @@ from retuner.drivers.historian.parquet_tables import MOST_ROWS
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.report.what_if import of_diagnosis
+from retuner.schedule.late_dataclass import asdict, dataclass, field, replace
 
 SCHEMA = 6
 """Version of a row's keys."""

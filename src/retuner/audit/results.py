@@ -10,7 +10,6 @@ import json
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
@@ -30,6 +29,7 @@ from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 from retuner.report.what_if import page_script, panel_style
 from retuner.schedule.controller_units import ControllerUnits
+from retuner.schedule.late_dataclass import asdict, dataclass, field
 
 # ---- How the loops of each area of a plant ran, day by day or week by week
 

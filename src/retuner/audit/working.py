@@ -8,7 +8,6 @@ import os
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from multiprocessing import get_context
@@ -18,6 +17,7 @@ from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, Row, audit_task, failed
 from retuner.audit.result_store import signature
 from retuner.errors import UserError
+from retuner.schedule.late_dataclass import dataclass, replace
 
 AHEAD = 3
 """Tasks that are given out beyond those at work, a process."""

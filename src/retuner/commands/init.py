@@ -9,7 +9,6 @@ import math
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,6 +23,7 @@ from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.schedule.gains import Form, PidGains, from_form, in_form
+from retuner.schedule.late_dataclass import dataclass
 from retuner.templates import profiles, starter
 
 OVEN, NATIVE = "oven", "retuner"

@@ -1,7 +1,6 @@
 """Options that several commands share, and how a dataclass of options becomes a command's signature."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
 from functools import wraps
 from importlib import import_module
 from inspect import signature
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from retuner.errors import UserError, user_input
+from retuner.schedule.late_dataclass import dataclass, field, fields, replace
 
 if TYPE_CHECKING:  # slow to load, and most commands have no configuration
     from retuner.config.model import Config

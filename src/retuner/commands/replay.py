@@ -3,7 +3,6 @@
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from retuner.adaptive.guard import SAME_GAINS, change_factor
@@ -27,6 +26,7 @@ from retuner.drivers.recorded.recorded_samples import (
 from retuner.errors import UserError
 from retuner.replay.replaying import Replay, Replayed
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, fields
 from retuner.session.assembly import make_retuner, schedule_inputs
 from retuner.session.outputs import RecordedSession, differences, read_loops
 from retuner.verbosity import busy

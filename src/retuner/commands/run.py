@@ -3,7 +3,6 @@
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -26,6 +25,7 @@ from retuner.ledger.trend import require_writer
 from retuner.products import product
 from retuner.schedule.controller_units import Acting
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.session.assembly import guard_settings
 from retuner.session.outputs import (
     BUS_LOG,

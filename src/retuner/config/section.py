@@ -6,7 +6,6 @@ the reference page and a reader of the code see the same.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, create_model, model_validator
@@ -14,6 +13,7 @@ from pydantic_core import PydanticUndefined
 
 from retuner.adaptive.declared_setting import Declared, declared
 from retuner.config.toml_lines import Path
+from retuner.schedule.late_dataclass import dataclass
 
 T = TypeVar("T")
 Many = Annotated[tuple[T, ...], Strict(strict=False)]  # a TOML array; its elements stay strict

@@ -8,7 +8,6 @@ sections that stand at the top of the file. So everything behind the configurati
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 from retuner.config.bench import OutputConfig
 from retuner.config.model import Config
@@ -16,6 +15,7 @@ from retuner.config.plants import ModelSection
 from retuner.config.section import Problem
 from retuner.config.toml_lines import Path
 from retuner.errors import UserError
+from retuner.schedule.late_dataclass import dataclass
 
 SECTIONS = ("schedule", "adaptation", "bus", "device", "scenario")
 """Sections that a loop may have for itself: [loop.schedule] and so on below its [[loop]]. [output] is the session's."""

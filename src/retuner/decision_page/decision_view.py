@@ -5,7 +5,6 @@ page leaves its section out.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -31,6 +30,7 @@ from retuner.decision_page.row_values import (
     words,
 )
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 LAST_SAMPLES = 300
 """Samples shown of a decision that no response led to."""

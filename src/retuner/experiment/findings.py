@@ -5,7 +5,6 @@ record allows; another method's model or another rule is taken only when it is a
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import starmap
 
@@ -22,6 +21,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.api import Identification, identify_record
 from retuner.errors import UserError
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field
 from retuner.tuning import TuneResult, tune, tuning_lines
 
 ULTIMATE = "ultimate"

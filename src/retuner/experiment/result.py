@@ -1,6 +1,5 @@
 """What an experiment leaves behind: one JSON document, the record as CSV, the picture."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from retuner.adaptive.experiments.phases import Phase
@@ -12,6 +11,7 @@ from retuner.experiment.drawing import experiment_figure
 from retuner.experiment.findings import Findings, headline
 from retuner.experiment.runner import ExperimentRunner
 from retuner.files import write_json, write_whole
+from retuner.schedule.late_dataclass import dataclass
 
 RECORD, TREND, PICTURE, SUMMARY = "record.csv", "trend.csv", "experiment.png", "summary.json"
 """The experiment alone, which `retuner experiment --from` takes; everything from the first look on; the picture; what

@@ -3,10 +3,10 @@
 import math
 import re
 from array import array
-from dataclasses import dataclass
 
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains, in_form
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GAIN_NAMES, GainTable, Lookup
 from retuner.schedule.vendor_units import SINGLE_MAX

@@ -11,10 +11,10 @@ may be given one that was noted elsewhere.
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from retuner.ledger.canonical import canonical_json
+from retuner.schedule.late_dataclass import dataclass
 
 GENESIS = "0" * 64  # stands for the row before the first
 

@@ -4,7 +4,6 @@ The observer only looks. It costs a few comparisons a sample; Ms is worked out a
 """
 
 import math
-from dataclasses import dataclass
 from typing import Protocol
 
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -18,6 +17,7 @@ from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decision_page.explain import settings_text
 from retuner.drivers.device import RunningSet
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 
 class Runs(Protocol):

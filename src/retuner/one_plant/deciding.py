@@ -10,7 +10,6 @@ all loops' records -> answers to every output (interaction/) -> Ms of each loop,
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from retuner.adaptive.guard.step_size import extent, less_of_everything
@@ -23,6 +22,7 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
 from retuner.decisions.decider import Answer, Decider, without_decision
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 
 NO_VERDICT = "a known disturbance, no verdict on this loop"
 """How it ends what is told of another loop's move in a response."""

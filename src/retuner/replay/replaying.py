@@ -11,7 +11,6 @@ it did then; and it says the time of the last one, so a log that lacks frames is
 import itertools
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from retuner.ledger import Row
 from retuner.ledger.chain import canonical, without_place
 from retuner.ledger.trend import COLUMNS, COLUMNS_2, NO_PYARROW
 from retuner.report.scores import Columns
+from retuner.schedule.late_dataclass import dataclass, field
 from retuner.session.assembly import make_retuner, retuner_settings, schedule_inputs
 from retuner.session.ledger_rows import feed
 from retuner.session.memory_file import started_with

@@ -1,7 +1,6 @@
 """A recommended change of settings, tried on the record that it comes from: what the loop would have done with it."""
 
 import math
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -15,6 +14,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
 from retuner.diagnosing import RecordDiagnosis
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 OFF = 2.0 * STRUCTURE_STD
 """How far each parameter of a process is off in the band, as a logarithm, beside what the record by itself allows."""

@@ -7,7 +7,6 @@ Works on the documents that rows hold, whatever release wrote them: what a row l
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
 
 from retuner.adaptive.trial.judge import TrialFinding
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
@@ -36,6 +35,7 @@ from retuner.errors import one_line
 from retuner.ledger import Row
 from retuner.ledger.chain import digest_of, without_place
 from retuner.report.event_words import EVENTS, event_line
+from retuner.schedule.late_dataclass import asdict, dataclass
 
 RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller", "bus", "program"
 BY = {

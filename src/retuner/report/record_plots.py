@@ -1,7 +1,6 @@
 """The picture of one record: setpoint, pv and its explanations, co, what is left, pv over co, evidence."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ from retuner.decision_page.svg import FAINT, MARK, MODEL, settings
 from retuner.report.change_of_settings import Change
 from retuner.report.loop_plots import change_into
 from retuner.report.plots import PV, SP, floors, time_axis
+from retuner.schedule.late_dataclass import dataclass
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,7 +5,6 @@ Each decision that changes something, or that a proof decided, has a page of its
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,6 +32,7 @@ from retuner.report.plots import Mark, trend_svg, twin_svg
 from retuner.report.scores import Columns, RegionScore, Twin, twin_steps
 from retuner.report.what_if import of_region, panel_style
 from retuner.report.what_if import section as what_if_section
+from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.table import GainTable
 
 # What stands in each region now: gains, what is known of the process, where a trial or a lock stands.

@@ -1,13 +1,13 @@
 """Every tuning rule that applies to a process, side by side: settings, robustness and performance."""
 
 import math
-from dataclasses import dataclass
 
 from retuner.adaptive.loop.optimum import References, references
 from retuner.adaptive.loop.performance import Performance, performance, weighted_cost
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.registry import RULES, kind_for
 from retuner.adaptive.rules.rule import ControllerKind, Takes
+from retuner.schedule.late_dataclass import dataclass
 from retuner.tuning import TuneResult, tune
 
 OPTION_OF_WISH = {"tau_c_s": "tau_c"}

@@ -9,7 +9,6 @@ operating point: nothing that the controller did came back in it.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.table import GainTable
 
 NOISE_BANDS, CO_FLOOR = 8.0, 10.0

@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
@@ -30,6 +29,7 @@ from retuner.report.scores import CO_FLOOR, NOISE_BANDS, Columns
 from retuner.schedule.controller_units import DEFAULT, ControllerUnits
 from retuner.schedule.dials import CONTROLLERS
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 
 MOST_SAMPLES, MOST_MODELS, FREQUENCIES, SPEEDS = 800, 4, 240, 25
 """Sizes of what a page carries: some thirty kilobytes a loop."""

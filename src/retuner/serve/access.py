@@ -8,7 +8,8 @@ import hashlib
 import hmac
 import secrets
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+
+from retuner.schedule.late_dataclass import dataclass
 
 LASTS_S = 900.0
 """A session ends so long after its last act."""

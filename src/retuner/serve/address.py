@@ -4,10 +4,10 @@ import errno
 import ipaddress
 import socket
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 from retuner.errors import UserError
+from retuner.schedule.late_dataclass import dataclass, replace
 
 PORT = 8017
 """Where it listens unless told otherwise."""

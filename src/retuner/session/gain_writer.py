@@ -8,7 +8,6 @@ A decision on a region where the loop is not changes the table alone: the schedu
 While a set is being taken back the table has the verified one already, so no way leads to the tried one.
 """
 
-from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 
 from retuner.adaptive.guard import SAME_GAINS, change_factor
@@ -19,6 +18,7 @@ from retuner.drivers.device import Device, RunningSet, WriteDone, WriteFailed, W
 from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import Lookup
 
 INTERPOLATION_STEP = 1.02

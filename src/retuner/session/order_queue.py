@@ -7,7 +7,6 @@ and, at the start, the proposals and decisions of the session before it in the s
 
 from collections import deque
 from collections.abc import Iterable, Mapping, Reversible
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +19,7 @@ from retuner.errors import LedgerError, one_line
 from retuner.ledger import Recorder, Row
 from retuner.ledger.chain import digest_of, without_place
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, field
 from retuner.session.ledger_rows import feed, gains_of
 from retuner.session.orders import LONGEST, Order, OrderBox, OrderFile, OrderKind
 from retuner.session.outputs import LEDGER, ORDERS, believed_rows, loop_folder

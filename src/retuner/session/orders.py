@@ -17,7 +17,6 @@ import re
 import secrets
 import stat
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +24,7 @@ from typing import Any, NamedTuple
 from retuner.errors import UserError
 from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 from retuner.session.outputs import ORDERS
 
 TAKEN, REFUSED = "taken", "refused"

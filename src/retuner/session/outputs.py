@@ -13,7 +13,6 @@ import hashlib
 import platform
 import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +27,7 @@ from retuner.errors import LedgerError, UserError
 from retuner.files import sync_folder
 from retuner.ledger import LedgerReader, Row
 from retuner.ledger.lock import WriterLock
+from retuner.schedule.late_dataclass import dataclass, replace
 
 LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
     "ledger.sqlite",

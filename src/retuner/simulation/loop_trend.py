@@ -2,7 +2,6 @@
 
 import importlib.util
 from array import array
-from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -11,6 +10,7 @@ import numpy as np
 from retuner.adaptive import display_hook
 from retuner.adaptive.loop.replayed import mean_error, way
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

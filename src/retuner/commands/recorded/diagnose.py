@@ -6,7 +6,6 @@ without them nothing can be said of the tuning.
 
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,6 +39,7 @@ from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.report.change_of_settings import Change, change_of, change_words, step_words
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 from retuner.tuning import tune, tuning_lines
 from retuner.verbosity import busy
 

@@ -1,6 +1,5 @@
 """The options of `retuner audit`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +7,7 @@ import typer
 
 from retuner.audit import AREA
 from retuner.commands.options import Controller, FormOptions, Json, PvSpan, command, option
+from retuner.schedule.late_dataclass import dataclass
 
 app = typer.Typer(add_completion=False)
 

@@ -1,12 +1,12 @@
 """The options of `retuner experiment`, of each test."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from retuner.commands.options import Channel, FormOptions, Interface, Json, Loop, Plot, argument, command, option
+from retuner.schedule.late_dataclass import dataclass
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -1,10 +1,9 @@
 """The options of `retuner identify`."""
 
-from dataclasses import dataclass
-
 import typer
 
 from retuner.commands.options import RecordOptions, command, option
+from retuner.schedule.late_dataclass import dataclass
 
 app = typer.Typer(add_completion=False)
 

@@ -1,10 +1,9 @@
 """The options of `retuner reduce`."""
 
-from dataclasses import dataclass
-
 import typer
 
 from retuner.commands.options import Json, command, option
+from retuner.schedule.late_dataclass import dataclass
 
 app = typer.Typer(add_completion=False)
 

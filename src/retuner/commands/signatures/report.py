@@ -1,11 +1,11 @@
 """The options of `retuner report`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import typer
 
 from retuner.commands.options import Json, Loop, Session, command, option
+from retuner.schedule.late_dataclass import dataclass
 
 app = typer.Typer(add_completion=False)
 

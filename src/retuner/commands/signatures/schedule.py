@@ -1,12 +1,12 @@
 """The options of `retuner schedule`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from retuner.commands.options import ActionOption, Controller, FormOptions, Json, PvSpan, command, option
+from retuner.schedule.late_dataclass import dataclass
 
 app = typer.Typer(add_completion=False)
 
