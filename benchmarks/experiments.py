@@ -20,7 +20,7 @@ from itertools import count
 from online.judge import Judge
 
 from retuner.adaptive.experiments.phases import Phase
-from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.experiments.plan import Experiment, Plan
 from retuner.adaptive.loop.margins import ultimate
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.process.reduction import half_rule
@@ -34,7 +34,7 @@ from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.experiment.findings import Findings, Question, evaluate
+from retuner.experiment.findings import ExperimentFindings, ExperimentQuestion, evaluate
 from retuner.experiment.runner import ExperimentRunner
 from retuner.schedule.gains import PidGains
 from retuner.session.running import nothing
@@ -76,10 +76,10 @@ class Job:
         self.before = PidGains(0.5 * self.best.kp, 0.4 * self.best.ki)
         self.seed = rng.randrange(1 << 30)
 
-    def plan(self, kind: Kind) -> Plan:
+    def plan(self, kind: Experiment) -> Plan:
         """The experiment as somebody would set it up who knows the scales."""
         band = 1e3 * self.size + abs(self.process.k) * 1e3
-        amplitude = self.size if kind == Kind.SETPOINT else AMPLITUDE
+        amplitude = self.size if kind == Experiment.SETPOINT else AMPLITUDE
         time_s = 4000 * self.dt * max(1.0, (self.process.lags_s or (1.0,))[0] / (100 * self.dt))
         return Plan(
             kind,
@@ -92,7 +92,7 @@ class Job:
             60,
             600 * self.dt,
             bias=0.3,
-            kc0=OVERSHOOT_GAIN * self.best.kp if kind == Kind.SETPOINT else None,
+            kc0=OVERSHOOT_GAIN * self.best.kp if kind == Experiment.SETPOINT else None,
         )
 
 
@@ -113,13 +113,14 @@ def conduct(job: Job, plan: Plan) -> tuple[ExperimentRunner, VirtualDevice]:
     return conductor, device
 
 
-def evaluated(conductor: ExperimentRunner, kind: Kind) -> Findings:
+def evaluated(conductor: ExperimentRunner, kind: Experiment) -> ExperimentFindings:
     assert conductor.rest is not None
     assert conductor.before is not None
-    kc = conductor.plan.kc0 if kind == Kind.SETPOINT else None
+    kc = conductor.plan.kc0 if kind == Experiment.SETPOINT else None
     rest = conductor.rest
     return evaluate(
-        Window.of(conductor.excited), Question(kind, kc=kc, hysteresis=rest.hysteresis, rest=(rest.pv, rest.co))
+        Window.of(conductor.excited),
+        ExperimentQuestion(kind, kc=kc, hysteresis=rest.hysteresis, rest=(rest.pv, rest.co)),
     )
 
 
@@ -147,11 +148,11 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.02)
     options = parser.parse_args()
     rng = random.Random(options.seed)
-    counts: dict[Kind, Counter[str]] = {kind: Counter() for kind in Kind}
+    counts: dict[Experiment, Counter[str]] = {kind: Counter() for kind in Experiment}
     ratios: dict[str, list[float]] = {"Kc step": [], "Kc relay": [], "Kc setpoint": [], "Ku": [], "Pu": []}
     for _ in range(options.runs):
         job = Job(rng, options.noise)
-        for kind in Kind:
+        for kind in Experiment:
             conductor, device = conduct(job, job.plan(kind))
             tally, sp = counts[kind], conductor.before.sp if conductor.before else 0.0
             tally["ended by itself"] += conductor.cause is None

@@ -20,7 +20,7 @@ import numpy as np
 from cases.plant import HeldPlant
 
 from retuner import Action, PidController, PidGains
-from retuner.adaptive.interaction.answers import Answers, Element
+from retuner.adaptive.interaction.answers import Element, StepAnswers
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.process.model import LinearProcess
 from retuner.one_plant.controllers import on_one_plant
@@ -92,7 +92,7 @@ def gains_of(plant: Plant, start: str) -> list[PidGains]:
 
 def ms_of(plant: Plant, gains: list[PidGains]) -> tuple[float, ...]:
     """Of each loop on the true plant."""
-    true = [Answers(tuple(Element(*cell) for cell in row), 0.0) for row in plant.rows]
+    true = [StepAnswers(tuple(Element(*cell) for cell in row), 0.0) for row in plant.rows]
     return together(true, [Closed(one, plant.dt_s) for one in gains])
 
 

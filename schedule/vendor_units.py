@@ -57,7 +57,7 @@ ACTIONS = {"proportional": PROPORTIONAL, "integral": INTEGRAL, "derivative": DER
 
 
 @dataclass(frozen=True, slots=True)
-class Holds:
+class StorableNumbers:
     """The numbers that a place in the controller can hold.
 
     low, high : ends. step : between neighbours, counted from `zero`; 0 for none. single : rounded to float32.
@@ -112,7 +112,7 @@ class VendorGain:
 
     quantity: Quantity
     scale: float = 1.0
-    holds: Holds = Holds()
+    holds: StorableNumbers = StorableNumbers()
     message: int = 0
     off: float | None = None
 

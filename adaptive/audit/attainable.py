@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.fit.dynamics import Clock
+from retuner.adaptive.fit.dynamics import SamplingInstants
 from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -49,7 +49,7 @@ class Foreseen:
     calmer: float
 
 
-class _Counted(NamedTuple):
+class _CountedLoops(NamedTuple):
     """Integral of |error| and travel of co."""
 
     error: float
@@ -84,17 +84,17 @@ def foreseen(records: Sequence[Window], models: Sequence[ProcessModel], gains: P
     )
 
 
-def _summed(parts: Sequence[_Counted]) -> _Counted:
-    return _Counted(sum(part.error for part in parts), sum(part.travel for part in parts))
+def _summed(parts: Sequence[_CountedLoops]) -> _CountedLoops:
+    return _CountedLoops(sum(part.error for part in parts), sum(part.travel for part in parts))
 
 
-def _counted(error: FloatArray, co: FloatArray, dt_s: float) -> _Counted:
-    return _Counted(float(np.sum(np.abs(error))) * dt_s, float(np.sum(np.abs(np.diff(co)))))
+def _counted(error: FloatArray, co: FloatArray, dt_s: float) -> _CountedLoops:
+    return _CountedLoops(float(np.sum(np.abs(error))) * dt_s, float(np.sum(np.abs(np.diff(co)))))
 
 
 def _evenly(record: Window) -> tuple[Window, float]:
     """A record at even intervals, in s: itself, or read off at the usual one, co as it was held."""
-    clock = Clock.of(record.t_s)
+    clock = SamplingInstants.of(record.t_s)
     if clock.dt_s is not None:
         return record, clock.dt_s
     dt_s = record.sample_time_s
@@ -103,7 +103,7 @@ def _evenly(record: Window) -> tuple[Window, float]:
     return Window(t_s, record.sp[held], np.interp(t_s, record.t_s, record.pv), record.co[held]), dt_s
 
 
-def _with(record: Window, dt_s: float, process: LinearProcess, gains: PidGains) -> _Counted:
+def _with(record: Window, dt_s: float, process: LinearProcess, gains: PidGains) -> _CountedLoops:
     """Error and travel with other settings; infinite where the loop does not hold."""
     low, high = float(np.min(record.co)), float(np.max(record.co))
     ends = PERCENT if PERCENT[0] <= low <= high <= PERCENT[1] else (2 * low - high - 1, 2 * high - low + 1)
@@ -116,7 +116,7 @@ def _with(record: Window, dt_s: float, process: LinearProcess, gains: PidGains) 
     for i in range(1, len(sp)):
         there = pv[i] + moved.step(outputs[-1] - co[i - 1])
         if not abs(there) < math.inf:
-            return _Counted(math.inf, math.inf)
+            return _CountedLoops(math.inf, math.inf)
         state, out = pid.step(law, state, sp[i], there, dt_s)
         errors.append(sp[i] - there)
         outputs.append(out)

@@ -54,7 +54,7 @@ WAITS = 0.25
 SURE_IT_WAITS = 0.7
 
 
-class Action(StrEnum):
+class AuditAction(StrEnum):
     """What to do about a loop."""
 
     RETUNE = "retune"
@@ -74,40 +74,40 @@ class Action(StrEnum):
 
 EFFORT = MappingProxyType(
     {
-        Action.RETUNE: 1.0,
-        Action.STEP: 1.75,
-        Action.AUTOMATIC: 1.0,
-        Action.SIGNAL: 1.5,
-        Action.UPSTREAM: 1.5,
-        Action.LOOK: 2.0,
-        Action.VALVE: 1.75,
-        Action.SCHEDULE: 1.5,
-        Action.SIZE: 2.25,
-        Action.RECORD: 2.0,
-        Action.EXPORT: 1.0,
-        Action.SCREENED: 1.0,
-        Action.NOTHING: 10.0,
+        AuditAction.RETUNE: 1.0,
+        AuditAction.STEP: 1.75,
+        AuditAction.AUTOMATIC: 1.0,
+        AuditAction.SIGNAL: 1.5,
+        AuditAction.UPSTREAM: 1.5,
+        AuditAction.LOOK: 2.0,
+        AuditAction.VALVE: 1.75,
+        AuditAction.SCHEDULE: 1.5,
+        AuditAction.SIZE: 2.25,
+        AuditAction.RECORD: 2.0,
+        AuditAction.EXPORT: 1.0,
+        AuditAction.SCREENED: 1.0,
+        AuditAction.NOTHING: 10.0,
     }
 )
 """Work of a visit, in units of one retune at the desk; a judgement, to be fixed by the plant."""
 FOR_CAUSE = MappingProxyType(
     {
-        Cause.AGGRESSIVE: Action.RETUNE,
-        Cause.SLUGGISH: Action.RETUNE,
-        Cause.SLOW_INTEGRATING: Action.RETUNE,
-        Cause.STICTION: Action.VALVE,
-        Cause.NONLINEAR: Action.SCHEDULE,
-        Cause.EXTERNAL: Action.UPSTREAM,
-        Cause.SATURATION: Action.SIZE,
+        Cause.AGGRESSIVE: AuditAction.RETUNE,
+        Cause.SLUGGISH: AuditAction.RETUNE,
+        Cause.SLOW_INTEGRATING: AuditAction.RETUNE,
+        Cause.STICTION: AuditAction.VALVE,
+        Cause.NONLINEAR: AuditAction.SCHEDULE,
+        Cause.EXTERNAL: AuditAction.UPSTREAM,
+        Cause.SATURATION: AuditAction.SIZE,
     }
 )
 FOR_CONDITION = MappingProxyType(
     {
-        Condition.DEAD_PV: Action.SIGNAL,
-        Condition.DEAD_CO: Action.AUTOMATIC,
-        Condition.MANUAL: Action.AUTOMATIC,
-        Condition.NO_RESPONSE: Action.SIGNAL,
-        Condition.NOT_CONTROLLING: Action.LOOK,
+        Condition.DEAD_PV: AuditAction.SIGNAL,
+        Condition.DEAD_CO: AuditAction.AUTOMATIC,
+        Condition.MANUAL: AuditAction.AUTOMATIC,
+        Condition.NO_RESPONSE: AuditAction.SIGNAL,
+        Condition.NOT_CONTROLLING: AuditAction.LOOK,
     }
 )
 
@@ -123,7 +123,7 @@ class StretchVerdict:
     reason: str
 
 
-class Basis(StrEnum):
+class VerdictBasis(StrEnum):
     """Where the avoidable error comes from."""
 
     SIMULATED = "simulated"
@@ -144,14 +144,14 @@ class LoopVerdict:
 
     cause: Cause
     confidence: float
-    action: Action
+    action: AuditAction
     reason: str
     since_s: float | None
     seen: int
     looked_at: int
     avoidable: float
     rank: float
-    basis: Basis = Basis.NONE
+    basis: VerdictBasis = VerdictBasis.NONE
 
 
 def error_share(variance_share: float) -> float:
@@ -167,14 +167,14 @@ def with_foreseen(verdict: LoopVerdict, found: Foreseen | None, *, proposed: boo
 
     found : None where no process was identified. proposed : settings are proposed, and found is of them.
     """
-    action = verdict.action if proposed else Action.STEP
+    action = verdict.action if proposed else AuditAction.STEP
     saved = None if found is None else found.saved if proposed else found.least
     if saved is None or found is None or not math.isfinite(saved):
         return replace(verdict, action=action, rank=verdict.rank * EFFORT[verdict.action] / EFFORT[action])
     saved = min(max(saved, 0.0), 1.0)
     benefit = max(saved, CALM * found.calmer if proposed else 0.0, LEAST_BENEFIT)
     rank = verdict.confidence * benefit / EFFORT[action]
-    return replace(verdict, action=action, avoidable=saved, rank=rank, basis=Basis.SIMULATED)
+    return replace(verdict, action=action, avoidable=saved, rank=rank, basis=VerdictBasis.SIMULATED)
 
 
 def joined_confidence(cause: Cause, stretches: Sequence[StretchVerdict]) -> float:
@@ -215,7 +215,7 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         reason = f"co is at a limit for {w:.0%} of the time, where {loss:.0%} of the error arises, on one side"
         showing = [s for s in stretches if s.cause == Cause.SATURATION]
         since = showing[0].begin_s if showing else None
-        rank, seen, basis = bound * loss / EFFORT[action], len(showing), Basis.LIMIT
+        rank, seen, basis = bound * loss / EFFORT[action], len(showing), VerdictBasis.LIMIT
         return LoopVerdict(Cause.SATURATION, bound, action, reason, since, seen, len(stretches), loss, rank, basis)
     if best is not None and joined_confidence(best, stretches) >= CONVINCED:
         showing = [s for s in stretches if s.cause == best]
@@ -225,30 +225,32 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         often = max(len(showing) / len(stretches), screen.swinging if best not in TUNING_CAUSES else 0)
         avoidable, seen, since = error_share(screen.harris) * often, len(showing), showing[0].begin_s
         rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
-        basis = Basis.HARRIS
+        basis = VerdictBasis.HARRIS
         return LoopVerdict(best, sure, action, clearest.reason, since, seen, len(stretches), avoidable, rank, basis)
     if _waits(screen, stretches):
         # sluggish by the idle index, without settings
-        action = Action.RECORD
+        action = AuditAction.RECORD
         reason = (
             f"after loads co and pv return together (idle index {screen.idle:.2f}): the loop waits for the process. "
             "A setpoint step would give the settings"
         )
-        sure, avoidable, basis = SURE_IT_WAITS, error_share(screen.harris), Basis.HARRIS
+        sure, avoidable, basis = SURE_IT_WAITS, error_share(screen.harris), VerdictBasis.HARRIS
         rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
         return LoopVerdict(Cause.SLUGGISH, sure, action, reason, None, 0, len(stretches), avoidable, rank, basis)
     if any(s.cause in {Cause.OK, Cause.NOISE} for s in stretches) and screen.swinging < SWINGS:
         calm = [s for s in stretches if s.cause in {Cause.OK, Cause.NOISE}]
         sure = 1 - joined_confidence(best, stretches) if best is not None else max(s.confidence for s in calm)
         sure, count = min(sure, MOST_SURE), len(calm)
-        return LoopVerdict(calm[-1].cause, sure, Action.NOTHING, calm[-1].reason, None, count, len(stretches), 0.0, 0.0)
+        return LoopVerdict(
+            calm[-1].cause, sure, AuditAction.NOTHING, calm[-1].reason, None, count, len(stretches), 0.0, 0.0
+        )
     # Nothing can be named; a loop that swings is worth a look all the same
     swings = screen.swinging >= SWINGS
-    told_by_itself = Action.RECORD if stretches else Action.SCREENED
-    action = Action.LOOK if swings else told_by_itself if screen.setpoint else Action.EXPORT
+    told_by_itself = AuditAction.RECORD if stretches else AuditAction.SCREENED
+    action = AuditAction.LOOK if swings else told_by_itself if screen.setpoint else AuditAction.EXPORT
     reason = stretches[-1].reason if stretches else _of_screen(screen)
     avoidable = error_share(screen.harris * screen.strength) if swings else 0.0
-    rank, basis = HALF * avoidable / EFFORT[action], Basis.HARRIS if swings else Basis.NONE
+    rank, basis = HALF * avoidable / EFFORT[action], VerdictBasis.HARRIS if swings else VerdictBasis.NONE
     return LoopVerdict(Cause.UNKNOWN, HALF, action, reason, None, 0, len(stretches), avoidable, rank, basis)
 
 
@@ -281,7 +283,7 @@ def limit_confidence(screen: LoopScreen) -> float:
     return min(odds / (1 + odds), MOST_SURE)
 
 
-def _of_condition(screen: LoopScreen, action: Action, looked_at: int) -> LoopVerdict:
+def _of_condition(screen: LoopScreen, action: AuditAction, looked_at: int) -> LoopVerdict:
     reason = SENTENCES[screen.condition]
     return LoopVerdict(Cause.UNKNOWN, 0.9, action, reason, 0.0, looked_at, looked_at, 1.0, 0.9 * 0.5 / EFFORT[action])
 

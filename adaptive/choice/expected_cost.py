@@ -43,7 +43,7 @@ from retuner.adaptive.identification.robust_simc import asks_for_integral, by_in
 from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
-from retuner.adaptive.trial.batch_responses import Loop, Upset
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset
 from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
@@ -197,7 +197,7 @@ def _j_of_all(
 ) -> list[list[float]]:
     """J by set and process."""
     pairs = [(process, choosable.gains) for choosable in sets for process in processes]
-    loops = [Loop(p, gains, loop.b, loop.tau_f_s) for p, gains in (*pairs, *zip(processes, rules, strict=True))]
+    loops = [ClosedLoop(p, gains, loop.b, loop.tau_f_s) for p, gains in (*pairs, *zip(processes, rules, strict=True))]
     iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(processes)
     of_rule = iae[-n:]
     return [[_j(iae[i * n + k], of_rule[k]) for k in range(n)] for i in range(len(sets))]

@@ -20,7 +20,7 @@ from retuner.adaptive.loop.margins import margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.trial.batch_responses import Loop, Trace, Upset, traces
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Trace, Upset, traces
 from retuner.adaptive.trial.response_numbers import peaks_of
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -137,7 +137,7 @@ def _due(response: Response, trace: Trace, said: list[float], unnoticed: int, se
     return abs(by_then[0]) if by_then else 0.0
 
 
-def foretold(response: Response, loop: Loop, ramp_s: float = 0.0) -> Trace:
+def foretold(response: Response, loop: ClosedLoop, ramp_s: float = 0.0) -> Trace:
     """The error after an upset like this one, by a model.
 
     loop : the model, with the dead time of sampling, under the gains of the response. ramp_s : for how long the load

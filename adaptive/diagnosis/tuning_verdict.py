@@ -60,7 +60,7 @@ class DiagnosedRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Loop:
+class JudgedLoop:
     """What a verdict is about. found : linear explanations, best first. fits : as identification makes them.
 
     tone : the explanation by an oscillation from outside, where one was tried.
@@ -98,14 +98,16 @@ def linear_verdict(
     if gains is None:
         reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
         return DiagnosedRecord(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
-    loop = Loop(window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings, fits.get("external"))
+    loop = JudgedLoop(
+        window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings, fits.get("external")
+    )
     reason = estimate.reason + _not_brought_back(window)
     told = _by_margins(loop, DiagnosedRecord(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate), oscillates)
     told = replace(told, fits=fits)
     return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
 
 
-def _by_margins(loop: Loop, found: DiagnosedRecord, oscillates: bool) -> DiagnosedRecord:
+def _by_margins(loop: JudgedLoop, found: DiagnosedRecord, oscillates: bool) -> DiagnosedRecord:
     """The verdict by the margins of the models that the record allows. found : nothing said as yet."""
     window, settings, estimate = loop.window, loop.settings, found.estimate
     assert estimate is not None
@@ -132,7 +134,7 @@ def _by_margins(loop: Loop, found: DiagnosedRecord, oscillates: bool) -> Diagnos
     return _if_agreed(loop, DiagnosedRecord(verdict, estimate, tuning), asked=doubt is not None)
 
 
-def _in_order(loop: Loop, found: DiagnosedRecord) -> DiagnosedRecord:
+def _in_order(loop: JudgedLoop, found: DiagnosedRecord) -> DiagnosedRecord:
     """In order, where the cause stays open but the setpoint responses speak for themselves; else what there was.
 
     The loop has followed its setpoint without much overshoot, and without load steps at the setpoint changes the record
@@ -168,7 +170,7 @@ RATIOS = frozenset({"ki_ratio", "kp_ratio"})
 """Evidence of how much faster a loop could be."""
 
 
-def _if_agreed(loop: Loop, found: DiagnosedRecord, *, asked: bool = False) -> DiagnosedRecord:
+def _if_agreed(loop: JudgedLoop, found: DiagnosedRecord, *, asked: bool = False) -> DiagnosedRecord:
     """The verdict, unless another model of the record, as good as its own, gives other settings.
 
     asked : identification has confirmed the cause already, with a model of its own.
@@ -190,7 +192,7 @@ def _if_agreed(loop: Loop, found: DiagnosedRecord, *, asked: bool = False) -> Di
     return _with_settings(loop, replace(found, estimate=estimate), asked)
 
 
-def _in_order_with_play(loop: Loop, found: DiagnosedRecord) -> str:
+def _in_order_with_play(loop: JudgedLoop, found: DiagnosedRecord) -> str:
     """Why the valve and not the tuning may be the cause, empty when it is not so.
 
     Play in a valve slows the loop and turns its phase, and a linear fit takes it for a longer lag. A valve with play
@@ -215,7 +217,7 @@ def _in_order_with_play(loop: Loop, found: DiagnosedRecord) -> str:
     )
 
 
-def _with_settings(loop: Loop, found: DiagnosedRecord, asked: bool) -> DiagnosedRecord:
+def _with_settings(loop: JudgedLoop, found: DiagnosedRecord, asked: bool) -> DiagnosedRecord:
     """The settings that would cure it, where identification knows the process as well and means the same."""
     estimate = found.estimate
     assert estimate is not None
@@ -242,7 +244,7 @@ def _with_settings(loop: Loop, found: DiagnosedRecord, asked: bool) -> Diagnosed
     return _open(found, unsure)
 
 
-def _slow_oscillation(loop: Loop, found: DiagnosedRecord) -> DiagnosedRecord | None:
+def _slow_oscillation(loop: JudgedLoop, found: DiagnosedRecord) -> DiagnosedRecord | None:
     """The cure of a slow swing of an integrating loop, which hangs on k' alone; None where it is none, or k' not known.
 
     The factor on k' Kc tau_I that makes it DAMPED (rules/slow_oscillation.py) is shared by gain and integral time, the
@@ -279,7 +281,7 @@ DAMPED, SLOPE_KNOWN, GAINS_TRIED = 4.0, 0.1, 6
 gains that are tried between the largest and the old."""
 
 
-def _torn(loop: Loop, found: DiagnosedRecord, other: ProcessModel, why: str) -> DiagnosedRecord:
+def _torn(loop: JudgedLoop, found: DiagnosedRecord, other: ProcessModel, why: str) -> DiagnosedRecord:
     """Two models of a record far apart: no settings, and no cause but that the loop is too strong on either."""
     verdict = found.diagnosis
     strong = sensitivity_peak(other.linear(), loop.gains) > loop.settings.cause.ms_high
@@ -296,7 +298,7 @@ def _open(found: DiagnosedRecord, why: str) -> DiagnosedRecord:
     return replace(found, diagnosis=replace(found.diagnosis, reason=reason, settled=False), tuning=None)
 
 
-def _first_step(loop: Loop, found: DiagnosedRecord) -> DiagnosedRecord:
+def _first_step(loop: JudgedLoop, found: DiagnosedRecord) -> DiagnosedRecord:
     """No farther at once than the record carries."""
     estimate, verdict = found.estimate, found.diagnosis
     assert estimate is not None
@@ -309,7 +311,7 @@ def _first_step(loop: Loop, found: DiagnosedRecord) -> DiagnosedRecord:
     return replace(found, diagnosis=told, tuning=step.now, aim=step.aim)
 
 
-def second_opinion(loop: Loop, verdict: Diagnosis) -> bool:
+def second_opinion(loop: JudgedLoop, verdict: Diagnosis) -> bool:
     """Whether identification's own fit, with no load step at a setpoint change, names the same cause.
 
     It whitens what is left instead of buying load steps, so a verdict that many of them, or a tone, put in doubt is
@@ -335,7 +337,7 @@ class Doubt:
     may_be_asked: bool = False
 
 
-def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
+def _doubt(verdict: Diagnosis, loop: JudgedLoop, oscillates: bool) -> Doubt | None:
     """The first doubt of a verdict that would change gains."""
     evidence, window, settings = verdict.evidence, loop.window, loop.settings
     steps, loads, left = evidence.get("setpoint_steps", 0.0), evidence["loads"], evidence["linear_left"]
@@ -367,7 +369,7 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     return None
 
 
-def _tone_doubt(loop: Loop, evidence: Mapping[str, float], explained: bool) -> Doubt | None:
+def _tone_doubt(loop: JudgedLoop, evidence: Mapping[str, float], explained: bool) -> Doubt | None:
     """The doubt where a tone explains a record as well or better than load steps.
 
     A second fit without a tone dispels it where the tone is not the likelier one: it would be as near its border.
@@ -395,7 +397,7 @@ def _by_coincidence(evidence: Mapping[str, float]) -> float:
     return 2.0 * math.log(ms) if math.isfinite(ms) and not evidence.get("setpoint_steps") else 0.0
 
 
-def _by_tone_instead(loop: Loop, evidence: Mapping[str, float], may_be_asked: bool) -> Doubt:
+def _by_tone_instead(loop: JudgedLoop, evidence: Mapping[str, float], may_be_asked: bool) -> Doubt:
     """External, where a tone that goes on explains a record better; with few cycles it is a load like any other."""
     assert loop.tone is not None
     period_s = 2 * math.pi / math.exp(float(loop.tone.fit.p[-1]))

@@ -46,7 +46,7 @@ SHORTEST_WATCH = 20
 """Samples before a response may count as come to rest."""
 
 
-class Kind(StrEnum):
+class Experiment(StrEnum):
     """The experiments under the names of the command line."""
 
     STEP = "step"
@@ -55,7 +55,7 @@ class Kind(StrEnum):
     VALVE = "valve"
 
 
-HELD = (Kind.SETPOINT, Kind.VALVE)
+HELD = (Experiment.SETPOINT, Experiment.VALVE)
 """Experiments that may hold what they do for a time."""
 
 
@@ -77,7 +77,7 @@ class Plan:
     Raises ValueError: a setting is out of its range (named).
     """
 
-    kind: Kind
+    kind: Experiment
     amplitude: float
     pv_low: float
     pv_high: float
@@ -101,7 +101,7 @@ class Plan:
         for name, low, high in (("cycles", 2, 50), ("rest_samples", 10, 10000), ("bias", 0.0, 0.8)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} = {getattr(self, name)}: give {low} to {high}")
-        if self.amplitude == 0 or (self.kind == Kind.RELAY and self.amplitude < 0):
+        if self.amplitude == 0 or (self.kind == Experiment.RELAY and self.amplitude < 0):
             raise ValueError(f"amplitude = {self.amplitude}: give a number other than 0, positive for a relay")
         if not self.pv_low < self.pv_high:
             raise ValueError(f"pv band {self.pv_low:g} to {self.pv_high:g}: the lower end must be below the upper")
@@ -114,8 +114,8 @@ class Plan:
             ("hysteresis", hysteresis is not None and not 0 <= hysteresis < math.inf),
             ("kc0", kc0 is not None and not 0 < abs(kc0) < math.inf),
             ("hold_s", not 0 <= self.hold_s < math.inf or (self.hold_s > 0 and self.kind not in HELD)),
-            ("moves", bool(self.moves) != (self.kind == Kind.VALVE) or sum(self.moves) != 0),
-            ("hold_s", self.kind == Kind.VALVE and self.hold_s == 0),
+            ("moves", bool(self.moves) != (self.kind == Experiment.VALVE) or sum(self.moves) != 0),
+            ("hold_s", self.kind == Experiment.VALVE and self.hold_s == 0),
         ):
             if wrong:
                 raise ValueError(f"{name} = {getattr(self, name)} is out of its range")
@@ -133,17 +133,17 @@ class Plan:
 
     def co_levels(self, co0: float) -> tuple[float, float]:
         """Lowest and highest output of the experiment about co0."""
-        if self.kind == Kind.STEP:
+        if self.kind == Experiment.STEP:
             return min(co0, co0 + self.amplitude), max(co0, co0 + self.amplitude)
-        if self.kind == Kind.VALVE:
+        if self.kind == Experiment.VALVE:
             levels = [co0 + self.co_of_hold(hold) for hold in range(len(self.moves))]
             return min(levels), max(levels)
-        if self.kind == Kind.RELAY:
+        if self.kind == Experiment.RELAY:
             return co0 - (1 - self.bias) * self.amplitude, co0 + (1 + self.bias) * self.amplitude
         return co0, co0
 
 
-class Rest(NamedTuple):
+class LoopAtRest(NamedTuple):
     """The loop at rest: mean pv and co, noise of pv, and the hysteresis that follows."""
 
     pv: float
@@ -152,7 +152,7 @@ class Rest(NamedTuple):
     hysteresis: float
 
 
-def at_rest(plan: Plan, samples: list[LoopSample]) -> Rest | None:
+def at_rest(plan: Plan, samples: list[LoopSample]) -> LoopAtRest | None:
     """What the last rest_samples show, or None while the loop moves."""
     if len(samples) < plan.rest_samples:
         return None
@@ -164,11 +164,11 @@ def at_rest(plan: Plan, samples: list[LoopSample]) -> Rest | None:
     sigma = noise_sigma(pv)
     moved = abs(float(np.polyfit(np.linspace(-0.5, 0.5, n), pv, 1)[0]))
     band = min(plan.pv_high - plan.pv_low, 2 * plan.deviation)
-    waits = not plan.hold_s or plan.kind == Kind.VALVE
+    waits = not plan.hold_s or plan.kind == Experiment.VALVE
     if waits and moved > max(REST_DRIFT * band, TREND_STD * sigma * math.sqrt(12 / n)):
         return None
     hysteresis = HYSTERESIS_STD * sigma if plan.hysteresis is None else plan.hysteresis
-    return Rest(float(np.mean(pv)), float(np.mean([s.co for s in watched])), sigma, hysteresis)
+    return LoopAtRest(float(np.mean(pv)), float(np.mean([s.co for s in watched])), sigma, hysteresis)
 
 
 class RelayState(NamedTuple):
@@ -183,29 +183,29 @@ def relay_start() -> RelayState:
     return RelayState(high=True, switches=0)
 
 
-def relay_step(state: RelayState, pv: float, rest: Rest, direction: int) -> RelayState:
+def relay_step(state: RelayState, pv: float, rest: LoopAtRest, direction: int) -> RelayState:
     """Switch or stay; direction is -1 for a process whose pv falls with co."""
     low_by = (rest.pv - pv) * direction
     high = True if low_by > rest.hysteresis else False if low_by < -rest.hysteresis else state.high
     return RelayState(high, state.switches + (high != state.high))
 
 
-def relay_output(plan: Plan, state: RelayState, rest: Rest) -> float:
+def relay_output(plan: Plan, state: RelayState, rest: LoopAtRest) -> float:
     """co of the relay in percent."""
     low, high = plan.co_levels(rest.co)
     return high if state.high else low
 
 
-def enough(plan: Plan, samples: list[LoopSample], rest: Rest, relay: RelayState) -> bool:
+def enough(plan: Plan, samples: list[LoopSample], rest: LoopAtRest, relay: RelayState) -> bool:
     """Whether the samples since the excitation began show what the experiment is for."""
-    if plan.kind == Kind.RELAY:
+    if plan.kind == Experiment.RELAY:
         return relay.switches >= 2 * plan.cycles + 3
     if plan.hold_s:
         return bool(samples) and samples[-1].t_s - samples[0].t_s >= (len(plan.moves) or 2) * plan.hold_s
     pv = np.array([s.pv for s in samples])
     if len(pv) < SHORTEST_WATCH:
         return False
-    if plan.kind == Kind.SETPOINT:
+    if plan.kind == Experiment.SETPOINT:
         # How often a signal has turned back by more than the noise
         y = pv - rest.pv
         turns, extreme, rising = 0, float(y[0]), True
@@ -221,7 +221,7 @@ def enough(plan: Plan, samples: list[LoopSample], rest: Rest, relay: RelayState)
     return far or _come_to_rest(pv, rest, STEP_PART)
 
 
-def _come_to_rest(pv: FloatArray, rest: Rest, part: float) -> bool:
+def _come_to_rest(pv: FloatArray, rest: LoopAtRest, part: float) -> bool:
     """Whether this last part is flat, after a clear move."""
     last = pv[-int(part * len(pv)) :]
     moved = abs(float(np.mean(last)) - rest.pv)

@@ -44,7 +44,7 @@ HALF_TURN = 1e-9 - math.pi
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class ProcessShape:
     """A process but for its gain and dead time. lag, second : in samples; lag without end where it integrates, negative
     where it runs away.
     """
@@ -72,9 +72,9 @@ def second_lags(lag: float) -> tuple[float, ...]:
 
 
 @cache
-def shapes(lags: tuple[float, ...] = LAGS) -> tuple[Shape, ...]:
+def shapes(lags: tuple[float, ...] = LAGS) -> tuple[ProcessShape, ...]:
     """All shapes, in the order of every array of the grid. lags : EVERY_LAG adds those that run away, at the end."""
-    return tuple(Shape(lag, second) for lag in lags for second in second_lags(lag))
+    return tuple(ProcessShape(lag, second) for lag in lags for second in second_lags(lag))
 
 
 EVERY_LAG = (*LAGS, *RUNAWAY_LAGS)

@@ -25,7 +25,7 @@ from retuner.adaptive.explanations.process_grid import (
     GAINS,
     HALF_TURN,
     ComplexArray,
-    Shape,
+    ProcessShape,
     control_law,
     gain_unit,
     loop_phases,
@@ -156,7 +156,7 @@ NEXT_TO_NONE = 1e-9
 """Of the likeliest process's odds: what is less likely never counts."""
 
 
-def process_model(shape: Shape, dead: float, gain: float, direction: int, sample_time_s: float) -> ProcessModel:
+def process_model(shape: ProcessShape, dead: float, gain: float, direction: int, sample_time_s: float) -> ProcessModel:
     """A process of the grid as a model that a rule takes. dead : in samples. gain : per sample where it integrates."""
     dt = sample_time_s
     theta, second = max(dead, 0.5) * dt, shape.second * dt

@@ -18,7 +18,7 @@ from retuner.adaptive.fit import _engine
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Prior
-from retuner.adaptive.fit.search import Grid, Node
+from retuner.adaptive.fit.search import Node, SearchGrid
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
@@ -95,7 +95,7 @@ def colour(r: FloatArray, least_std: float, most_order: int) -> tuple[float, tup
     return _engine.colour(np.ascontiguousarray(r), least_std, most_order)
 
 
-def searched(grid: Grid, sigma: float, most_loads: int) -> Iterator[Node]:
+def searched(grid: SearchGrid, sigma: float, most_loads: int) -> Iterator[Node]:
     """Every node of the coarse search with 0, 1, ... load steps."""
     lags, thetas = grid.lags_s, grid.thetas_s
     shape = (len(lags) * len(thetas), most_loads + 1)

@@ -37,7 +37,7 @@ LEAST_APART = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class SamplingInstants:
     """Sampling instants with what the fast path needs to know of them.
 
     t_s : shape (n,), exactly even where it is nearly so. dt_s : the common interval where it is even, else None.
@@ -47,7 +47,7 @@ class Clock:
     dt_s: float | None
 
     @classmethod
-    def of(cls, t_s: FloatArray) -> "Clock":
+    def of(cls, t_s: FloatArray) -> "SamplingInstants":
         """Look at the intervals once."""
         dt = np.diff(t_s)
         mean = float((t_s[-1] - t_s[0]) / len(dt))
@@ -108,7 +108,7 @@ class Dynamics:
         inside = _summed([w * np.exp(-s * t) for s, w in self.modes()])
         return np.where(since_s >= 0, inside, 0.0)
 
-    def held(self, clock: Clock, u: FloatArray, theta_s: float) -> FloatArray:
+    def held(self, clock: SamplingInstants, u: FloatArray, theta_s: float) -> FloatArray:
         """Response to the input u, held between samples, after the dead time; zero input before the first sample.
 
         theta_s : dead time in seconds, >= 0, any real number.
@@ -145,7 +145,7 @@ def _held_twice(s: complex, t: FloatArray) -> Array:
     return np.where(small, t**2 / 2 * (1 - own * t / 3), (t - _held(s, t)) / rate)
 
 
-def through_lag(clock: Clock, values: FloatArray, lag_s: float) -> FloatArray:
+def through_lag(clock: SamplingInstants, values: FloatArray, lag_s: float) -> FloatArray:
     """Values, shape (n,), straight from sample to sample, through a lag that begins at rest.
 
         y_(i+1) = e y_i + (r - e) x_i + (1 - r) x_(i+1),   e = exp(-h / d),  r = (1 - e) d / h
@@ -167,7 +167,7 @@ class Reading:
     since_s: FloatArray | np.float64
 
     @classmethod
-    def of(cls, clock: Clock, theta_s: float) -> "Reading":
+    def of(cls, clock: SamplingInstants, theta_s: float) -> "Reading":
         """theta_s : dead time, >= 0."""
         n = len(clock.t_s)
         if clock.dt_s is not None:
@@ -179,7 +179,7 @@ class Reading:
         return cls(first, at[first:], np.maximum(read_at[first:] - clock.t_s[at[first:]], 0.0))
 
 
-def moved_mode(clock: Clock, u: FloatArray, s: complex, theta_s: float) -> Array:
+def moved_mode(clock: SamplingInstants, u: FloatArray, s: complex, theta_s: float) -> Array:
     """Response of 1/(s' + s) to the held input, read theta_s late."""
     x, late = run_mode(clock, u, s), Reading.of(clock, theta_s)
     out = np.zeros_like(x)
@@ -187,7 +187,7 @@ def moved_mode(clock: Clock, u: FloatArray, s: complex, theta_s: float) -> Array
     return out
 
 
-def run_mode(clock: Clock, u: FloatArray, s: complex) -> Array:
+def run_mode(clock: SamplingInstants, u: FloatArray, s: complex) -> Array:
     """The same at the samples, without dead time."""
     dt = np.float64(clock.dt_s) if clock.dt_s is not None else np.diff(clock.t_s)
     return recursion(np.exp(-s * dt), _held(s, dt) * u[:-1])
@@ -338,7 +338,7 @@ class LateMode:
     read: FloatArray
 
     @classmethod
-    def of(cls, s: complex, clock: Clock, u: FloatArray, theta_s: float) -> "LateMode":
+    def of(cls, s: complex, clock: SamplingInstants, u: FloatArray, theta_s: float) -> "LateMode":
         """s : rate of the mode. theta_s : the dead time."""
         rate = s if s.imag else s.real
         dt: Array = np.asarray(clock.dt_s) if clock.dt_s is not None else np.diff(clock.t_s)
@@ -354,7 +354,7 @@ class LateMode:
         return found
 
 
-def late_modes(dynamics: Dynamics, clock: Clock, u: FloatArray, theta_s: float) -> list[LateMode]:
+def late_modes(dynamics: Dynamics, clock: SamplingInstants, u: FloatArray, theta_s: float) -> list[LateMode]:
     """The response of every mode that has derivatives (mode_slopes)."""
     return [LateMode.of(m.s, clock, u, theta_s) for m in mode_slopes(dynamics, By.LAG)]
 

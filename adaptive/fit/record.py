@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from retuner.adaptive.fit.dynamics import Clock
+from retuner.adaptive.fit.dynamics import SamplingInstants
 from retuner.adaptive.fit.structure import LAG, SECOND, SLOPE, THETA
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -219,7 +219,7 @@ class Record:
 
     pv: FloatArray
     co: FloatArray
-    clock: Clock
+    clock: SamplingInstants
     sample_time_s: float
     span_s: float
     noise_std: float
@@ -252,7 +252,7 @@ class Record:
         return cls(
             np.ascontiguousarray(window.pv),
             window.co - window.co[0],
-            Clock.of(t),
+            SamplingInstants.of(t),
             dt,
             float(t[-1]),
             noise,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.fit.dynamics import Clock, Dynamics
+from retuner.adaptive.fit.dynamics import Dynamics, SamplingInstants
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import LONGEST_LAG, Record, near
@@ -42,7 +42,7 @@ def starts(misfit: Misfit, most_loads: int, count: int) -> dict[int, list[FloatA
 
     misfit : its type says which structure: first order, or integrating.
     """
-    grid = Grid.of(misfit)
+    grid = SearchGrid.of(misfit)
     engine = compiled()
     if engine is None or misfit.record.barred_s or misfit.ramp:  # the engine's search knows neither
         nodes = _searched(grid, misfit, most_loads)
@@ -58,13 +58,13 @@ def starts(misfit: Misfit, most_loads: int, count: int) -> dict[int, list[FloatA
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class SearchGrid:
     """What is searched: the record thinned, and the nodes. lags_s : infinite for an integrating process.
 
     at_s : candidates for the time of a load step.
     """
 
-    clock: Clock
+    clock: SamplingInstants
     co: FloatArray
     pv: FloatArray
     lags_s: FloatArray
@@ -72,7 +72,7 @@ class Grid:
     at_s: FloatArray
 
     @classmethod
-    def of(cls, misfit: Misfit) -> "Grid":
+    def of(cls, misfit: Misfit) -> "SearchGrid":
         """The grid of a record."""
         t, u, pv = _thinned(misfit)
         record = misfit.record
@@ -81,7 +81,7 @@ class Grid:
             lags = np.array([math.inf])
         longest = max(THETA_RANGE[1] * record.span_s, 2 * record.sample_time_s)
         thetas = np.geomspace(THETA_RANGE[0] * record.sample_time_s, longest, THETA_NODES)
-        return cls(Clock.of(t), u, pv, lags, thetas, instants(record.span_s, LOAD_NODES))
+        return cls(SamplingInstants.of(t), u, pv, lags, thetas, instants(record.span_s, LOAD_NODES))
 
 
 def instants(span_s: float, count: int) -> FloatArray:
@@ -125,7 +125,7 @@ def _point(node: Node, sign: int) -> FloatArray:
     return np.array([math.log(signed), math.log(node.theta_s), *lag, *node.loads])
 
 
-def _searched(grid: Grid, misfit: Misfit, most_loads: int) -> Iterator[Node]:
+def _searched(grid: SearchGrid, misfit: Misfit, most_loads: int) -> Iterator[Node]:
     """Every node with 0, 1, ... load steps, none at a setpoint change that is barred to them."""
     t, record = grid.clock.t_s, misfit.record
     for lag in grid.lags_s.tolist():

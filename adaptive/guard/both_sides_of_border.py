@@ -18,7 +18,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from retuner.adaptive.guard.request import Beside, NeighbourBorder
+from retuner.adaptive.guard.request import DiagonalNeighbour, NeighbourBorder
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -70,16 +70,16 @@ def _reach(table: GainTable, region: int, other: int, axis: int) -> float:
 
 def _beside(
     table: GainTable, region: int, other: int, models: Mapping[int, Sequence[Plausible]]
-) -> tuple[Beside, Beside]:
+) -> tuple[DiagonalNeighbour, DiagonalNeighbour]:
     """The two cells between one and the one diagonally opposite."""
     (i, j), (m, n) = table.regions.cell(region), table.regions.cell(other)
     one, two = table.regions.region_at((i, n)), table.regions.region_at((m, j))
     return _cell(table, one, models), _cell(table, two, models)
 
 
-def _cell(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> Beside:
+def _cell(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> DiagonalNeighbour:
     known = models.get(region, ())
-    return Beside(table.gains_of(region), known[0].model if known else None)
+    return DiagonalNeighbour(table.gains_of(region), known[0].model if known else None)
 
 
 def at_border(

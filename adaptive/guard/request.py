@@ -79,7 +79,7 @@ NO_DERIVATIVE = Locks(tau_d=True)
 KC_ONLY = Locks(tau_i=True, tau_d=True)
 
 
-class Beside(NamedTuple):
+class DiagonalNeighbour(NamedTuple):
     """A cell between this one and the one diagonally opposite. gains : its set. model : its best, None if unknown."""
 
     gains: PidGains
@@ -107,7 +107,7 @@ class NeighbourBorder:
     models: tuple[Plausible, ...]
     reach: float
     interpolated: bool = False
-    beside: tuple[Beside, ...] = ()
+    beside: tuple[DiagonalNeighbour, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 <= self.reach <= 1:

@@ -170,14 +170,14 @@ END = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Holds:
+class HeldStretches:
     """Stretches in which pv and co were held together. share : of the samples. samples : in each, the median."""
 
     share: float
     samples: float
 
 
-def held_together(pv: FloatArray, co: FloatArray) -> Holds | None:
+def held_together(pv: FloatArray, co: FloatArray) -> HeldStretches | None:
     """Where both signals, shape (n,), stood still at once time and again; None where each moves for itself."""
     still = np.diff(pv) == 0, np.diff(co) == 0
     of_pv, of_co = (_holds(each) for each in still)
@@ -185,7 +185,7 @@ def held_together(pv: FloatArray, co: FloatArray) -> Holds | None:
     if len(both) < max(FEWEST_HOLDS, ALIKE * len(of_pv), ALIKE * len(of_co)):
         return None
     lengths = [end - first for first, end in both]
-    return Holds(sum(lengths) / len(pv), float(np.median(lengths)))
+    return HeldStretches(sum(lengths) / len(pv), float(np.median(lengths)))
 
 
 def _holds(still: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:

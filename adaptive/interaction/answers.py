@@ -59,14 +59,14 @@ class Element:
 
 
 @dataclass(frozen=True, slots=True)
-class Answers:
+class StepAnswers:
     """elements : one an output. left : share of pv's variation in the windows that they do not explain."""
 
     elements: tuple[Element, ...]
     left: float
 
 
-def answers(windows: Sequence[Moved], dt_s: float) -> Answers:
+def answers(windows: Sequence[Moved], dt_s: float) -> StepAnswers:
     """The elements of one process value.
 
     windows : one or more, each of ten samples at least; between them every output moves. dt_s : sample time, seconds.
@@ -96,7 +96,7 @@ def answers(windows: Sequence[Moved], dt_s: float) -> Answers:
         Element(float(k), math.exp(lag) * dt_s, math.exp(lag) * ratio * dt_s, late * dt_s)
         for k, (lag, ratio, late) in zip(gains, best[1].reshape(loops, 3), strict=True)
     )
-    return Answers(elements, float(error @ error) / data.whole if data.whole else 1.0)
+    return StepAnswers(elements, float(error @ error) / data.whole if data.whole else 1.0)
 
 
 class _Data:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retuner.adaptive.interaction.answers import Answers, ComplexArray
+from retuner.adaptive.interaction.answers import ComplexArray, StepAnswers
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -39,7 +39,7 @@ class Closed:
         return np.asarray((g.kp + g.ki / s + derivative) * np.exp(-s * self.dt_s / 2))
 
 
-def together(plant: Sequence[Answers], closed: Sequence[Closed]) -> tuple[float, ...]:
+def together(plant: Sequence[StepAnswers], closed: Sequence[Closed]) -> tuple[float, ...]:
     """Ms of each loop with the others closed; infinite for all where they are not stable together.
 
     plant : by process value, an element an output, in the order of `closed`.

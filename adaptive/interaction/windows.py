@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.interaction.answers import Answers, Moved, answers
+from retuner.adaptive.interaction.answers import Moved, StepAnswers, answers
 from retuner.adaptive.signals.sample import FloatArray
 
 LEAD = 10
@@ -30,7 +30,7 @@ LEFT = 0.1
 """Share of a process value's variation that may stay unexplained."""
 
 
-class Record(NamedTuple):
+class OneLoopRecord(NamedTuple):
     """One loop on the common clock, a value a sample time: shape (n,) each."""
 
     sp: FloatArray
@@ -38,7 +38,7 @@ class Record(NamedTuple):
     co: FloatArray
 
 
-def seen_in(records: Sequence[Record], dt_s: float) -> tuple[Answers, ...] | None:
+def seen_in(records: Sequence[OneLoopRecord], dt_s: float) -> tuple[StepAnswers, ...] | None:
     """What each process value of the plant does after each output; None where too few moves have shown it.
 
     records : of all loops, at the same times, dt_s seconds apart.
@@ -57,7 +57,7 @@ def seen_in(records: Sequence[Record], dt_s: float) -> tuple[Answers, ...] | Non
     return tuple(found) if all(one.left <= LEFT for one in found) else None
 
 
-def _spans(records: Sequence[Record]) -> list[tuple[int, int]] | None:
+def _spans(records: Sequence[OneLoopRecord]) -> list[tuple[int, int]] | None:
     """First move and end of each window; None where a loop's setpoint has not moved."""
     n = len(records[0].sp)
     moves = [np.flatnonzero(np.diff(one.sp)) + 1 for one in records]

@@ -31,7 +31,7 @@ WILD = 100.0
 
 
 @dataclass(frozen=True, slots=True)
-class Replayed:
+class ReplayedRecord:
     """A record with the settings of another controller in it: arrays of shape (n,) on one even grid.
 
     t_s, sp : as recorded. pv, co : as they would have been; in a replay that runs away NaN from there on.
@@ -81,7 +81,7 @@ def replayed(
     gains: PidGains,
     co_limits: tuple[float | None, float | None] = (None, None),
     tau_f_s: float | None = None,
-) -> Replayed:
+) -> ReplayedRecord:
     """The record with these settings in the loop, from the first sample on, taken over without a bump.
 
     window : on an even grid (`even`). process : that was identified on it. gains : the settings to try.
@@ -110,7 +110,7 @@ def replayed(
         pv[i] = moved + free
         state, co[i] = step(pid, state, wanted, moved + free, dt_s)
         moved = plant.step(float(co[i]) - co0)
-    return Replayed(window.t_s, window.sp, pv, co)
+    return ReplayedRecord(window.t_s, window.sp, pv, co)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,10 +121,10 @@ class BeforeAfter:
     """
 
     record: Window
-    replays: tuple[Replayed, ...]
+    replays: tuple[ReplayedRecord, ...]
 
     @property
-    def best(self) -> Replayed:
+    def best(self) -> ReplayedRecord:
         """On the model that is believed most."""
         return self.replays[0]
 

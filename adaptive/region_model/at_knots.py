@@ -19,8 +19,8 @@ from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.from_neighbours import MOST_LOG_STEP
 from retuner.adaptive.region_model.region_curves import (
-    Curves,
     Place,
+    RegionCurves,
     centre_of,
     curves,
     lenders,
@@ -55,7 +55,7 @@ def at_knots(
 
 
 def carried(
-    model: RegionModel, regions: Regions, through: Mapping[ProcessType, Curves], here: Place, region: int
+    model: RegionModel, regions: Regions, through: Mapping[ProcessType, RegionCurves], here: Place, region: int
 ) -> RegionModel:
     """A model carried from a place to the centre of its region."""
     there = centre_of(regions, region)

@@ -28,7 +28,7 @@ from retuner.adaptive.region_model.update import (
     scattered,
 )
 from retuner.adaptive.region_model.varying_process_fit import InMotion, in_motion
-from retuner.adaptive.schedule_design.stretches import Axis, Shape
+from retuner.adaptive.schedule_design.stretches import CurveAxis, CurveShape
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -110,7 +110,7 @@ def fitted_crossing(crossing: Crossing) -> FittedCrossing:
     points = [point for model in crossing.region_models.values() for point in model.points]
     found = {point.t_s: point.co_curve for point in points if point.co_curve is not None}  # one teaches several regions
     curves = [found[t_s] for t_s in sorted(found)]
-    return FittedCrossing(alone, in_motion(crossing.window, x, Axis(axis.low, axis.high), alone, curves))
+    return FittedCrossing(alone, in_motion(crossing.window, x, CurveAxis(axis.low, axis.high), alone, curves))
 
 
 def update_across(crossing: Crossing, shown: FittedCrossing, region: int, known: RegionModel | None) -> Learned:
@@ -182,7 +182,7 @@ def _at_centre(crossing: Crossing, one: InMotion, region: int) -> LogModel:
     for k, (axis, reached) in enumerate(zip(crossing.regions.axes, crossing.reached, strict=True)):
         if k != crossing.along:
             places = np.array([sum(reached) / 2, crossing.regions.centre(region, k)])
-            here, there = Axis(axis.low, axis.high).columns(places, Shape.BENT)
+            here, there = CurveAxis(axis.low, axis.high).columns(places, CurveShape.BENT)
             more += float(np.sum((there - here) ** 2))
     return widened(log, more)
 

@@ -14,7 +14,7 @@ from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.region_curves import Curves, centre_of, curves, lenders
+from retuner.adaptive.region_model.region_curves import RegionCurves, centre_of, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -95,7 +95,7 @@ def borrowed(
     )
 
 
-def _log(curve: Curves, place: tuple[float, ...], sign: int, type_: ProcessType) -> LogModel:
+def _log(curve: RegionCurves, place: tuple[float, ...], sign: int, type_: ProcessType) -> LogModel:
     """The process of one structure at a place."""
     x, p = curve.at(place)
     return LogModel(x, proper_covariance(p), sign, type_)

@@ -19,7 +19,7 @@ from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.region_model.region_advice import features
-from retuner.adaptive.region_model.region_curves import Curves, curves, lenders
+from retuner.adaptive.region_model.region_curves import RegionCurves, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.simc import simc, without_second_lag
@@ -315,7 +315,7 @@ def in_force(table: GainTable, x: float) -> PidGains:
     return table.at(choose(law, enter(law, x, 0.0), x, 0.0).region, x)
 
 
-def _log(curve: Curves, x: float, sign: int, type_: ProcessType) -> LogModel:
+def _log(curve: RegionCurves, x: float, sign: int, type_: ProcessType) -> LogModel:
     mean, p = curve.at((x,))
     return LogModel(mean, proper_covariance(p), sign, type_)
 

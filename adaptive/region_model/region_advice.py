@@ -199,7 +199,7 @@ def _side(points: Sequence[_Weighted]) -> _Side:
 
 
 @dataclass(frozen=True, slots=True)
-class _Cut:
+class _RecordCut:
     """Records parted at a place on an axis: the best of those that were tried."""
 
     border: float
@@ -219,7 +219,7 @@ def _weighted(points: Sequence[RecordPoint], sample_time_s: float, scatter: floa
     return [(f.z, np.asarray(np.linalg.inv(f.p + scatter**2 * np.eye(SIZE)), dtype=np.float64)) for f in found]
 
 
-def _best_cut(points: Sequence[_Weighted], places: Sequence[float], least: int) -> _Cut | None:
+def _best_cut(points: Sequence[_Weighted], places: Sequence[float], least: int) -> _RecordCut | None:
     """The cut of ordered places that explains best; None where there is none with enough records on both sides."""
     order = np.argsort(places, kind="stable").tolist()
     cuts = []
@@ -227,7 +227,7 @@ def _best_cut(points: Sequence[_Weighted], places: Sequence[float], least: int) 
         low, high = places[order[n - 1]], places[order[n]]
         if low < high:
             below, above = _side([points[i] for i in order[:n]]), _side([points[i] for i in order[n:]])
-            cuts.append(_Cut((low + high) / 2, below, above, 1))
+            cuts.append(_RecordCut((low + high) / 2, below, above, 1))
     return replace(min(cuts, key=lambda cut: cut.left), tried=len(cuts)) if cuts else None
 
 
@@ -274,7 +274,7 @@ def _advice(
     return RegionAdvice(kind, places, axis.label, axis.unit, border, gain, delay, counted, *numbers)
 
 
-def _is_worth_it(regions: Regions, region: int, k: int, cut: _Cut, settings: AdviceSettings) -> bool:
+def _is_worth_it(regions: Regions, region: int, k: int, cut: _RecordCut, settings: AdviceSettings) -> bool:
     """Whether the two sides differ by enough, and the border leaves room for the hysteresis on both."""
     apart = float(np.max(np.abs(cut.above.mean - cut.below.mean)))
     low, high = regions.span(region, k)

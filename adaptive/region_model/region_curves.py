@@ -20,7 +20,7 @@ from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings, predicted_all
-from retuner.adaptive.schedule_design.stretches import Axis, Shape
+from retuner.adaptive.schedule_design.stretches import CurveAxis, CurveShape
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.regions import Regions
@@ -32,13 +32,13 @@ OPEN = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Curves:
+class RegionCurves:
     """One structure's parameters over the scheduling variables.
 
     axes : of the table. centre : c, shape (d,). z : mean, parameter by parameter, shape (d m,). p : covariance.
     """
 
-    axes: tuple[Axis, ...]
+    axes: tuple[CurveAxis, ...]
     centre: FloatArray
     z: FloatArray
     p: FloatArray
@@ -67,11 +67,11 @@ def place_of_records(region_model: RegionModel, regions: Regions, region: int) -
     return tuple(min(max(float(x), axis.low), axis.high) for x, axis in zip(where, regions.axes, strict=False))
 
 
-def open_curves(regions: Regions, d: int) -> Curves:
+def open_curves(regions: Regions, d: int) -> RegionCurves:
     """The curves of d parameters before any record."""
     axes = _axes(regions)
     size = d * _size(axes)
-    return Curves(axes, np.zeros(d), np.zeros(size), np.eye(size))
+    return RegionCurves(axes, np.zeros(d), np.zeros(size), np.eye(size))
 
 
 def lenders(region_models: Mapping[int, RegionModel], sign: int) -> dict[int, RegionModel]:
@@ -90,7 +90,7 @@ def curves(
     tracker: TrackerSettings,
     *,
     of_records: bool = False,
-) -> dict[ProcessType, Curves]:
+) -> dict[ProcessType, RegionCurves]:
     """The curves of every structure that all these regions have, none where there is no region.
 
     Parameters
@@ -106,7 +106,7 @@ def curves(
     return {t: _through(regions, places, [known[t] for known in logs.values()]) for t in ProcessType if t in types}
 
 
-def _through(regions: Regions, places: list[Place], logs: list[LogModel]) -> Curves:
+def _through(regions: Regions, places: list[Place], logs: list[LogModel]) -> RegionCurves:
     """The curves through what is known at some places."""
     centre = np.mean([log.x for log in logs], axis=0)
     axes, d = _axes(regions), len(centre)
@@ -117,7 +117,7 @@ def _through(regions: Regions, places: list[Place], logs: list[LogModel]) -> Cur
         solved = np.linalg.solve(log.p, np.concatenate([row, (log.x - centre)[:, None]], axis=1))
         precision += row.T @ solved[:, :-1]
         weighted += row.T @ solved[:, -1]
-    shaped = [_shaped(precision, weighted, _kept(axes, d, shape)) for shape in Shape]
+    shaped = [_shaped(precision, weighted, _kept(axes, d, shape)) for shape in CurveShape]
     best = max(evidence for _, _, evidence in shaped)
     shares = np.array([math.exp(evidence - best) for _, _, evidence in shaped])
     shares *= (1 - OPEN) / np.sum(shares)
@@ -126,12 +126,12 @@ def _through(regions: Regions, places: list[Place], logs: list[LogModel]) -> Cur
     p = np.zeros_like(precision)
     for share, (z, own, _) in zip(shares, shaped, strict=True):
         p += share * (own + np.outer(z - mean, z - mean))
-    return Curves(axes, centre, mean, p)
+    return RegionCurves(axes, centre, mean, p)
 
 
-def _kept(axes: tuple[Axis, ...], d: int, shape: Shape) -> list[int]:
+def _kept(axes: tuple[CurveAxis, ...], d: int, shape: CurveShape) -> list[int]:
     """Which coefficients curves of a shape have."""
-    more, m = int(Shape.BENT) - 1, _size(axes)
+    more, m = int(CurveShape.BENT) - 1, _size(axes)
     own = [0, *(1 + k * more + j for k in range(len(axes)) for j in range(int(shape) - 1))]
     return [i * m + j for i in range(d) for j in own]
 
@@ -147,17 +147,17 @@ def _shaped(precision: FloatArray, weighted: FloatArray, kept: list[int]) -> tup
     return z, p, 0.5 * float(weighted[kept] @ z[kept] - np.linalg.slogdet(whole)[1])
 
 
-def _axes(regions: Regions) -> tuple[Axis, ...]:
-    return tuple(Axis(axis.low, axis.high) for axis in regions.axes)
+def _axes(regions: Regions) -> tuple[CurveAxis, ...]:
+    return tuple(CurveAxis(axis.low, axis.high) for axis in regions.axes)
 
 
-def _size(axes: tuple[Axis, ...]) -> int:
+def _size(axes: tuple[CurveAxis, ...]) -> int:
     """Coefficients of a parameter: one level, and slope and bends along every axis."""
-    return 1 + len(axes) * (int(Shape.BENT) - 1)
+    return 1 + len(axes) * (int(CurveShape.BENT) - 1)
 
 
-def _rows(axes: tuple[Axis, ...], place: Place, d: int) -> FloatArray:
+def _rows(axes: tuple[CurveAxis, ...], place: Place, d: int) -> FloatArray:
     """d ln p / dz at a place, shape (d, d m): the same for each of d parameters."""
-    columns = [axis.columns(np.array(x), Shape.BENT) for axis, x in zip(axes, place, strict=True)]
+    columns = [axis.columns(np.array(x), CurveShape.BENT) for axis, x in zip(axes, place, strict=True)]
     phi = np.concatenate([columns[0], *(more[1:] for more in columns[1:])])
     return np.kron(np.eye(d), phi)

@@ -23,9 +23,17 @@ from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, pr
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
 from retuner.adaptive.schedule_design.curves import inflation
-from retuner.adaptive.schedule_design.joint import Form, Joint, Noise, noise_of, refined
-from retuner.adaptive.schedule_design.rest import Rest
-from retuner.adaptive.schedule_design.stretches import SLOPE_STD, Axis, Characteristic, Shape, Stretch, over, signals_of
+from retuner.adaptive.schedule_design.joint import CurveForm, Joint, Noise, noise_of, refined
+from retuner.adaptive.schedule_design.rest import RestCurve
+from retuner.adaptive.schedule_design.stretches import (
+    SLOPE_STD,
+    Characteristic,
+    CurveAxis,
+    CurveShape,
+    Stretch,
+    over,
+    signals_of,
+)
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -48,8 +56,8 @@ class InMotion:
     """
 
     type: ProcessType
-    form: Form
-    rest: Rest
+    form: CurveForm
+    rest: RestCurve
     z: FloatArray
     covariance: FloatArray
     evidence: float
@@ -95,7 +103,7 @@ def _log_of(ln: FloatArray) -> FloatArray:
 
 
 def in_motion(
-    window: Window, x: FloatArray, axis: Axis, alone: ModelEstimate, curves: Sequence[CoCurve] = ()
+    window: Window, x: FloatArray, axis: CurveAxis, alone: ModelEstimate, curves: Sequence[CoCurve] = ()
 ) -> tuple[InMotion, ...]:
     """The curves, one or two lags, the more likely first; none where the linear models have no lag.
 
@@ -113,7 +121,7 @@ def in_motion(
         return ()
     lag = lagged.tau1_s + lagged.tau2_s
     centre = (math.log(abs(lagged.k) / lag), math.log(lagged.theta_s), math.log(lag))
-    form = Form(axis, (Shape.BENT,) * 3, centre, 1 if lagged.k > 0 else -1, _felt(stretch, curves))
+    form = CurveForm(axis, (CurveShape.BENT,) * 3, centre, 1 if lagged.k > 0 else -1, _felt(stretch, curves))
     found = []
     for loads in sorted({joint.loads[0], _rows(stretch, alone)}, key=len):
         one = _fitted(replace(joint, loads=(loads,)), form)
@@ -124,7 +132,7 @@ def in_motion(
 
 def _felt(stretch: Stretch, curves: Sequence[CoCurve]) -> Characteristic | None:
     """How co acts, as it is known before this record; None where co stands still."""
-    found = over([stretch], Shape.LINE)
+    found = over([stretch], CurveShape.LINE)
     if found is None:
         return None
     travel = found.axis.high - found.axis.low
@@ -144,15 +152,15 @@ def _rows(stretch: Stretch, alone: ModelEstimate) -> tuple[int, ...]:
 _STARTS = (ProcessType.FOPDT, ProcessType.SOPDT)
 
 
-def _with_second_lag(one: InMotion) -> tuple[Form, FloatArray]:
+def _with_second_lag(one: InMotion) -> tuple[CurveForm, FloatArray]:
     """A lag beside the first, out of the dead time; its start."""
     b, theta, tau = one.form.centre
     centre = (b, theta + math.log1p(-SECOND_LAG), tau, theta + math.log(SECOND_LAG))
-    shapes = (*one.form.shapes, Shape.CONSTANT)
+    shapes = (*one.form.shapes, CurveShape.CONSTANT)
     return replace(one.form, shapes=shapes, centre=centre), np.insert(one.z, one.form.felt_place.start, 0.0)
 
 
-def _fitted(joint: Joint, form: Form, start: FloatArray | None = None) -> InMotion:
+def _fitted(joint: Joint, form: CurveForm, start: FloatArray | None = None) -> InMotion:
     """One structure: first as if what is left were white, or slow noise would stand for what the curves can say."""
     pv = joint.stretches[0].pv
     floor = math.hypot(noise_sigma(pv), MODEL_ERROR * float(np.ptp(pv)))
@@ -166,5 +174,5 @@ def _fitted(joint: Joint, form: Form, start: FloatArray | None = None) -> InMoti
     covariance = proper_covariance(np.asarray(np.linalg.inv(information), dtype=np.float64))
     evidence = len(now.r) * math.log(float(np.mean(now.left[0] ** 2))) + 2 * len(joint.loads[0]) * math.log(len(now.r))
     type_ = ProcessType.SOPDT if len(form.shapes) > 3 else ProcessType.FOPDT
-    rest = Rest.on_the_way(joint.stretches[0])
+    rest = RestCurve.on_the_way(joint.stretches[0])
     return InMotion(type_, form, rest, now.z, covariance, evidence, float(np.std(now.left[0])))

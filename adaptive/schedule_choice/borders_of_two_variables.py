@@ -63,7 +63,7 @@ def _between(edges: Sequence[float], x: float) -> tuple[int, float]:
 
 
 @dataclass(frozen=True)
-class Grid:
+class PlaceGrid:
     """COUNT x COUNT places, row by row, and what they demand. limits : to be kept."""
 
     places: tuple[Place, ...]
@@ -99,14 +99,14 @@ def cells(places: Sequence[Place], limits: DesignLimits, lookup: str, most: int)
 
     places : COUNT x COUNT, row by row, one known at the least. lookup : "hard", "interpolated" or "auto".
     """
-    grid = Grid(tuple(places), limits)
+    grid = PlaceGrid(tuple(places), limits)
     options = [] if lookup == Lookup.INTERPOLATED else [_stepped(grid, most)]
     if lookup != Lookup.HARD:
         options.append(_knotted(grid, most))
     return min((one for one in options if one is not None), key=lambda one: len(one.sets), default=None)
 
 
-def _knotted(grid: Grid, most: int) -> Cells | None:
+def _knotted(grid: PlaceGrid, most: int) -> Cells | None:
     axes = sorted(product(KNOTS, KNOTS), key=lambda pair: len(pair[0]) * len(pair[1]))
     for (rows, columns), calmer in product(axes, CALMER):
         if not 1 < len(rows) * len(columns) <= most:
@@ -129,7 +129,7 @@ def _round(values: Sequence[float], knots: tuple[int, ...]) -> tuple[float, ...]
     return (*(values[k] - half for k in knots), values[knots[-1]] + half)
 
 
-def _stepped(grid: Grid, most: int) -> Cells | None:
+def _stepped(grid: PlaceGrid, most: int) -> Cells | None:
     served: dict[tuple[int, int, int, int], PidGains | None] = {}
     sizes = sorted(product(range(1, COUNT + 1), repeat=2), key=lambda pair: (pair[0] * pair[1], abs(pair[0] - pair[1])))
     for rows, columns in sizes:
@@ -148,7 +148,7 @@ def _cuts(parts: int) -> Iterator[tuple[int, ...]]:
 
 
 def _sets(
-    grid: Grid,
+    grid: PlaceGrid,
     cut: Sequence[int],
     cut2: Sequence[int],
     served: dict[tuple[int, int, int, int], PidGains | None],
@@ -165,7 +165,7 @@ def _sets(
     return tuple(found)
 
 
-def _one(grid: Grid, first: int, end: int, first2: int, end2: int) -> PidGains | None:
+def _one(grid: PlaceGrid, first: int, end: int, first2: int, end2: int) -> PidGains | None:
     """A set that serves every place of a cell, that of one of its places; None when none does."""
     inside = [i * COUNT + j for i in range(first, end) for j in range(first2, end2) if grid.places[i * COUNT + j].known]
     middle = (first + end) // 2 * COUNT + (first2 + end2) // 2

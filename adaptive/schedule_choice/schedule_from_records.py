@@ -12,8 +12,8 @@ from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells, cells
 from retuner.adaptive.schedule_choice.scheduling_variables import (
-    Candidate,
-    Crossing,
+    RegionCrossing,
+    SchedulingVariable,
     axis_of,
     crossings,
     curves_along,
@@ -21,7 +21,7 @@ from retuner.adaptive.schedule_choice.scheduling_variables import (
 )
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, knots, place_at, steps
-from retuner.adaptive.schedule_design.stretches import Axis, Shape, tells
+from retuner.adaptive.schedule_design.stretches import CurveAxis, CurveShape, tells
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
@@ -42,7 +42,7 @@ LEAST_TRAVEL = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class VariableEvidence:
     """A candidate variable and what speaks for it. ln_evidence : over a process that is the same everywhere."""
 
     variable: str
@@ -67,9 +67,9 @@ class Design:
     layout: Layout | Cells | None
     hysteresis: float
     min_stay_s: float
-    candidates: tuple[Evidence, ...]
+    candidates: tuple[VariableEvidence, ...]
     reason: str
-    crossings: tuple[Crossing, ...] = ()
+    crossings: tuple[RegionCrossing, ...] = ()
     second: str = ""
     second_hysteresis: float = 0.0
     aim: Layout | Cells | None = None
@@ -77,7 +77,7 @@ class Design:
 
 def design(
     windows: Sequence[Window],
-    candidates: Sequence[Candidate],
+    candidates: Sequence[SchedulingVariable],
     limits: DesignLimits,
     lookup: str,
     span: tuple[float | None, float | None],
@@ -136,7 +136,9 @@ def design(
     return replace(made, crossings=crossings_of(made, windows))
 
 
-def _able(candidates: Sequence[Candidate], span: tuple[float | None, float | None]) -> list[Candidate]:
+def _able(
+    candidates: Sequence[SchedulingVariable], span: tuple[float | None, float | None]
+) -> list[SchedulingVariable]:
     """The candidates that move; errors as design."""
     able = [c for c in candidates if c.span()[1] - c.span()[0] > LEAST_TRAVEL * c.noise()]
     still = ", ".join(c.name for c in candidates if c not in able)
@@ -158,8 +160,8 @@ MOST_PAIRS = 3
 class _Chosen:
     """One variable or two, and the curves along them."""
 
-    one: Candidate
-    two: Candidate | None
+    one: SchedulingVariable
+    two: SchedulingVariable | None
     curves: Curves
 
     @property
@@ -171,13 +173,13 @@ class _Chosen:
     def both_matter(self) -> bool:
         """Whether the process changes with each of two variables."""
         form = self.curves.form
-        one, two = (any(shape > Shape.CONSTANT for shape in s) for s in (form.shapes, form.second_shapes))
+        one, two = (any(shape > CurveShape.CONSTANT for shape in s) for s in (form.shapes, form.second_shapes))
         return one and two and self.curves.second_evidence > 0
 
 
 def _pairs(
-    best: Candidate, able: Sequence[Candidate], changing: Collection[str], *, settles: bool
-) -> list[tuple[Candidate, Candidate]]:
+    best: SchedulingVariable, able: Sequence[SchedulingVariable], changing: Collection[str], *, settles: bool
+) -> list[tuple[SchedulingVariable, SchedulingVariable]]:
     """The best beside others, signals of the loop first; two of these go together in a loop, so they are no pair.
 
     changing : variables along which something changes. settles : whether the best one does alone. Where it does not,
@@ -193,9 +195,9 @@ def _settles(chosen: _Chosen, places: Sequence[Place]) -> bool:
     return not _refused(chosen, places) and max(chosen.curves.differences, default=0.0) < ASKS
 
 
-def _evidence(name: str, found: Curves) -> Evidence:
+def _evidence(name: str, found: Curves) -> VariableEvidence:
     changes = any(shape > 1 for shape in (*found.form.shapes, *found.form.second_shapes))
-    return Evidence(name, found.evidence, found.log_likelihood, changes)
+    return VariableEvidence(name, found.evidence, found.log_likelihood, changes)
 
 
 def _counted(sets: int, lookup: str, places: Sequence[Place], wanted: float, affordable: float) -> str:
@@ -209,7 +211,7 @@ def _counted(sets: int, lookup: str, places: Sequence[Place], wanted: float, aff
     return how + slower * (affordable > wanted)
 
 
-def crossings_of(found: Design, windows: Sequence[Window]) -> tuple[Crossing, ...]:
+def crossings_of(found: Design, windows: Sequence[Window]) -> tuple[RegionCrossing, ...]:
     """The loop in motion along the first variable; in the middle of a second one. None with one set."""
     layout, variable = found.layout, found.variable
     if variable not in {"sp", "pv"} or layout is None or len(layout.sets) == 1:
@@ -223,7 +225,7 @@ def crossings_of(found: Design, windows: Sequence[Window]) -> tuple[Crossing, ..
     return tuple(crossings(found.curves, row, lambda x: layout.gains_at(x, middle), (variable,), largest, middle))
 
 
-def _second_hysteresis(two: Candidate | None, layout: Layout | Cells) -> float:
+def _second_hysteresis(two: SchedulingVariable | None, layout: Layout | Cells) -> float:
     """Hysteresis of the borders on a second variable."""
     if two is None or not isinstance(layout, Cells):
         return 0.0
@@ -234,7 +236,7 @@ NEAR_VISITED_RANGES = 0.25
 """Distance from where the records have been, in visited ranges of each variable, within which a place may be known."""
 
 
-def _places(chosen: _Chosen, ends: Mapping[str, Axis], dt: float, limits: DesignLimits) -> tuple[Place, ...]:
+def _places(chosen: _Chosen, ends: Mapping[str, CurveAxis], dt: float, limits: DesignLimits) -> tuple[Place, ...]:
     """From end to end of one variable or two, row by row; only what the records visit can be known."""
     found, two = chosen.curves, chosen.two
     if two is None:
@@ -262,7 +264,7 @@ def _visited(chosen: _Chosen, places: Sequence[Place]) -> list[bool]:
     return [all(each) for each in zip(inside, beside, near, strict=True)]
 
 
-def _inside(one: Candidate, x: float) -> bool:
+def _inside(one: SchedulingVariable, x: float) -> bool:
     """Whether a value lies within what is visited, or a little beyond."""
     low, high = one.span()
     beyond = BEYOND * (high - low)
@@ -373,7 +375,7 @@ def _mean_j(places: Sequence[Place], layout: Layout) -> float:
     return float(np.mean([p.judged(layout.gains_at(p.x)).j for p in places if p.known]))
 
 
-def _hysteresis(chosen: Candidate, lookup: Lookup, edges: Sequence[float]) -> float:
+def _hysteresis(chosen: SchedulingVariable, lookup: Lookup, edges: Sequence[float]) -> float:
     """Three standard deviations of the variable's noise, and a hundredth of the range; within what the sets allow."""
     if lookup is not Lookup.HARD or len(edges) <= 2:
         return 0.0
@@ -383,7 +385,7 @@ def _hysteresis(chosen: Candidate, lookup: Lookup, edges: Sequence[float]) -> fl
     return min(wanted, 0.4 * narrowest)
 
 
-__all__ = ["Candidate", "Design", "Evidence", "design"]
+__all__ = ["Design", "SchedulingVariable", "VariableEvidence", "design"]
 
 
 # ---- How far a schedule may go at once: each set no farther than what was asked of the records where it is in force.

@@ -10,9 +10,9 @@ from retuner.adaptive.schedule_design.curves import Curves, Progress, curves
 from retuner.adaptive.schedule_design.motion import recursion
 from retuner.adaptive.schedule_design.places import Place, mean_of
 from retuner.adaptive.schedule_design.stretches import (
-    Axis,
+    CurveAxis,
+    CurveShape,
     Second,
-    Shape,
     Stretch,
     cut,
     moving,
@@ -32,7 +32,7 @@ OWN = ("sp", "pv", "co")
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class SchedulingVariable:
     """A variable at the samples of every record. follows : it goes after a signal of the loop, as a filtered pv."""
 
     name: str
@@ -89,7 +89,7 @@ def _left(x: FloatArray, y: FloatArray) -> float:
     return float(np.var(y - level - slope * (x - float(np.mean(x)))))
 
 
-def axis_of(candidate: Candidate, span: tuple[float | None, float | None]) -> Axis:
+def axis_of(candidate: SchedulingVariable, span: tuple[float | None, float | None]) -> CurveAxis:
     """From end to end of a schedule, those that are given and those that the records visit."""
     own = candidate.span()
     low, high = (given if given is not None else seen for given, seen in zip(span, own, strict=True))
@@ -98,14 +98,14 @@ def axis_of(candidate: Candidate, span: tuple[float | None, float | None]) -> Ax
             f"{candidate.name}: the records visit {own[0]:.4g} to {own[1]:.4g}, and nothing of low = {low:g} to "
             f"high = {high:g}; give ends that take in some of it"
         )
-    return Axis(low, high)
+    return CurveAxis(low, high)
 
 
 LEAST_RATIO = 2.0
 """High over low of a variable from outside from which its ratios are tried as its steps."""
 
 
-def curves_along(windows: Sequence[Window], candidate: Candidate, axis: Axis, told: Progress) -> Curves:
+def curves_along(windows: Sequence[Window], candidate: SchedulingVariable, axis: CurveAxis, told: Progress) -> Curves:
     """Over the variable, or over its ratios where these say more."""
     axes = [axis]
     if candidate.outside and axis.low > 0 and axis.high / axis.low >= LEAST_RATIO:
@@ -127,11 +127,13 @@ def silent(stage: str, share: float) -> None:
     del stage, share
 
 
-def curves_over_both(windows: Sequence[Window], both: tuple[Candidate, Candidate], alone: Sequence[Curves]) -> Curves:
+def curves_over_both(
+    windows: Sequence[Window], both: tuple[SchedulingVariable, SchedulingVariable], alone: Sequence[Curves]
+) -> Curves:
     """Over two variables at once: every parameter a product of a curve over each. alone : along either by itself."""
     one, two = both
     axes = [found.form.axis for found in alone]
-    second = Second(axes[1], (Shape.CONSTANT,) * 3, two.outside)
+    second = Second(axes[1], (CurveShape.CONSTANT,) * 3, two.outside)
     richest = max((found.rich for found in alone), key=lambda form: (len(form.shapes), form.felt is not None))
     some = stretches_of(windows, one, two)
     return curves(some, axes[0], direction(windows), silent, pushed=one.outside, second=second, known=richest)
@@ -162,7 +164,9 @@ def direction(windows: Sequence[Window]) -> int | None:
     return next((way for way in read_off if way is not None), None)
 
 
-def stretches_of(windows: Sequence[Window], one: Candidate, two: Candidate | None = None) -> list[Stretch]:
+def stretches_of(
+    windows: Sequence[Window], one: SchedulingVariable, two: SchedulingVariable | None = None
+) -> list[Stretch]:
     """All stretches of all records, with one variable or two."""
     found: list[Stretch] = []
     for i, window in enumerate(windows):
@@ -204,7 +208,7 @@ Lookup = Callable[[float, float], PidGains]
 
 
 @dataclass(frozen=True, slots=True)
-class Crossing:
+class RegionCrossing:
     """The worst of the steps one way. up : which. share : of the range that is stepped over.
 
     variable : that looks the gains up. iae_ratio : over that with own gains. overshoot : beyond the end, as a share of
@@ -237,7 +241,7 @@ def crossings(
     variables: Sequence[str],
     largest: float,
     x2: float | None = None,
-) -> list[Crossing]:
+) -> list[RegionCrossing]:
     """Both ways, for each lookup variable of "sp" and "pv".
 
     gains_at : of the schedule. largest : step of the setpoint in the records. x2 : where a second variable stands.
@@ -247,7 +251,7 @@ def crossings(
         return []
     low, high = known[0].x, known[-1].x
     share = min(max(largest / (high - low), LEAST_SHARE), MOST_SHARE)
-    process = _Process.of(curves, known, x2)
+    process = _ProcessAlong.of(curves, known, x2)
     own = _own(known)
     found = []
     size = share * (high - low)
@@ -258,7 +262,7 @@ def crossings(
         for variable in variables:
             runs = [_run(process, start, end, _lookup(gains_at, variable)) for start, end in ways]
             each = [
-                Crossing(variable, up, share, run[0] / ideal[0], run[1], ideal[1])
+                RegionCrossing(variable, up, share, run[0] / ideal[0], run[1], ideal[1])
                 for run, ideal in zip(runs, best, strict=True)
             ]
             found.append(min(each, key=lambda one: (one.proper, -one.iae_ratio)))
@@ -284,7 +288,7 @@ def _own(places: Sequence[Place]) -> Callable[[float], PidGains]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Process:
+class _ProcessAlong:
     """Curves on a grid, for stepping. rows : b, theta, tau, tau2 at grid places; dt_s, steps : of the simulation."""
 
     low: float
@@ -294,7 +298,7 @@ class _Process:
     steps: int
 
     @classmethod
-    def of(cls, curves: Curves, places: Sequence[Place], x2: float | None) -> "_Process":
+    def of(cls, curves: Curves, places: Sequence[Place], x2: float | None) -> "_ProcessAlong":
         grid = np.linspace(places[0].x, places[-1].x, GRID)
         ln = curves.ln(grid, None if x2 is None else np.full(GRID, x2))
         values = np.exp(ln)
@@ -312,7 +316,7 @@ class _Process:
         return found
 
 
-def _run(process: _Process, start: float, end: float, lookup: Lookup) -> tuple[float, float]:
+def _run(process: _ProcessAlong, start: float, end: float, lookup: Lookup) -> tuple[float, float]:
     """IAE and overshoot of one crossing; infinite where it does not end."""
     dt, size = process.dt_s, abs(end - start)
     past = [0.0]

@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.joint import At, Form
+from retuner.adaptive.schedule_design.joint import At, CurveForm
 from retuner.adaptive.schedule_design.stretches import LEVEL_STD
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
@@ -28,7 +28,7 @@ VARIANCE_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
+class CurvesAgreement:
     """differences : standard deviation of each ln p between the stretches.
 
     normal, right : of the coefficients z, prior included: what is left is z' normal z / 2 - right' z and a constant.
@@ -45,7 +45,7 @@ class Agreement:
 
 
 @dataclass(frozen=True, slots=True)
-class _Piece:
+class _StretchPiece:
     """One stretch by what its samples say: of ln p as a whole (information, score), of the coefficients, of both."""
 
     information: FloatArray
@@ -55,7 +55,7 @@ class _Piece:
     pull: FloatArray
 
     @classmethod
-    def of(cls, a: FloatArray, j: FloatArray, r: FloatArray) -> "_Piece":
+    def of(cls, a: FloatArray, j: FloatArray, r: FloatArray) -> "_StretchPiece":
         """a : dr/d(ln p). j : dr/dz."""
         return cls(a.T @ a, -a.T @ r, j.T @ j, a.T @ j, -j.T @ r)
 
@@ -77,7 +77,7 @@ class _Piece:
         return s, np.eye(len(v)) + s[:, None] * self.information * s
 
 
-def agreement(form: Form, now: At, sizes: Sequence[int], c: float) -> Agreement:
+def agreement(form: CurveForm, now: At, sizes: Sequence[int], c: float) -> CurvesAgreement:
     """The agreement of a fit with its derivatives.
 
     sizes : rows of r by stretch. c : variance of r over that of white noise.
@@ -86,7 +86,7 @@ def agreement(form: Form, now: At, sizes: Sequence[int], c: float) -> Agreement:
     whole = np.stack([now.jacobian[:, place.start] / LEVEL_STD for place in form.places], axis=1) / np.sqrt(c)
     j, r = now.jacobian / np.sqrt(c), now.r / np.sqrt(c)
     ends = np.cumsum([0, *sizes]).tolist()
-    pieces = [_Piece.of(whole[first:end], j[first:end], r[first:end]) for first, end in pairwise(ends)]
+    pieces = [_StretchPiece.of(whole[first:end], j[first:end], r[first:end]) for first, end in pairwise(ends)]
     # the variances with the largest likelihood, one after the other
     count = len(form.places)
     v = np.zeros(count)
@@ -101,4 +101,4 @@ def agreement(form: Form, now: At, sizes: Sequence[int], c: float) -> Agreement:
         information, score = piece.known(v)
         normal += information
         right += information @ now.z + score
-    return Agreement(tuple(np.sqrt(v).tolist()), normal + np.eye(form.size), right)
+    return CurvesAgreement(tuple(np.sqrt(v).tolist()), normal + np.eye(form.size), right)

@@ -14,9 +14,27 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from retuner.adaptive.schedule_design.agreement import agreement
-from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, at, noise_of, refined, starts, with_loads
-from retuner.adaptive.schedule_design.rest import Rest
-from retuner.adaptive.schedule_design.stretches import LEVEL_STD, Axis, Characteristic, Second, Shape, Stretch, over
+from retuner.adaptive.schedule_design.joint import (
+    At,
+    CurveForm,
+    Joint,
+    Noise,
+    at,
+    noise_of,
+    refined,
+    starts,
+    with_loads,
+)
+from retuner.adaptive.schedule_design.rest import RestCurve
+from retuner.adaptive.schedule_design.stretches import (
+    LEVEL_STD,
+    Characteristic,
+    CurveAxis,
+    CurveShape,
+    Second,
+    Stretch,
+    over,
+)
 from retuner.adaptive.schedule_design.weighing import SHAPES, SIMPLER, weighed
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -41,9 +59,9 @@ class Curves:
     second_evidence : ln E of the shapes over the best in which nothing changes with the second variable.
     """
 
-    form: Form
+    form: CurveForm
     z: FloatArray
-    rich: Form
+    rich: CurveForm
     covariance: FloatArray
     joint: Joint
     noise: Noise
@@ -51,7 +69,7 @@ class Curves:
     log_likelihood: float
     evidence: float
     weight: float
-    rest: Rest
+    rest: RestCurve
     differences: tuple[float, ...] = ()
     second_evidence: float = 0.0
 
@@ -88,13 +106,13 @@ class Curves:
 
 def curves(
     stretches: Sequence[Stretch],
-    axis: Axis,
+    axis: CurveAxis,
     sign: int | None,
     progress: Progress,
     *,
     pushed: bool = False,
     second: Second | None = None,
-    known: Form | None = None,
+    known: CurveForm | None = None,
 ) -> Curves:
     """The curves of some stretches over an axis.
 
@@ -127,7 +145,7 @@ def curves(
     return max((_chosen(fit, c) for fit in rich), key=lambda found: found.weight)
 
 
-Fit = tuple[Joint, Form, Noise, At]
+Fit = tuple[Joint, CurveForm, Noise, At]
 
 
 def _chosen(rich: Fit, c: float) -> Curves:
@@ -135,7 +153,7 @@ def _chosen(rich: Fit, c: float) -> Curves:
     joint, form, noise, now = rich
     together = agreement(form, now, [len(left) for left in now.left], c)
     told = weighed(form, together)
-    felt = None if form.felt is None or told.felt is Shape.CONSTANT else replace(form.felt, shape=told.felt)
+    felt = None if form.felt is None or told.felt is CurveShape.CONSTANT else replace(form.felt, shape=told.felt)
     fit = _under(noise, joint, *form.with_shapes(told.shapes, now.z, felt, told.second))
     return Curves(
         form=fit[1],
@@ -148,25 +166,25 @@ def _chosen(rich: Fit, c: float) -> Curves:
         log_likelihood=_innovations(fit),
         evidence=told.evidence,
         weight=evidence_of(fit, c),
-        rest=Rest.of(joint.stretches),
+        rest=RestCurve.of(joint.stretches),
         differences=together.differences,
         second_evidence=told.second_evidence,
     )
 
 
-def _bent(fit: Fit) -> tuple[Form, FloatArray]:
+def _bent(fit: Fit) -> tuple[CurveForm, FloatArray]:
     _, form, _, now = fit
-    bent = (Shape.BENT,) * len(form.shapes)
+    bent = (CurveShape.BENT,) * len(form.shapes)
     return form.with_shapes(bent, now.z, None, bent)
 
 
-def _felt(fit: Fit, felt: Characteristic) -> tuple[Form, FloatArray]:
+def _felt(fit: Fit, felt: Characteristic) -> tuple[CurveForm, FloatArray]:
     """The same with co acting through a characteristic."""
     _, form, _, now = fit
     return form.with_shapes(form.shapes, now.z, felt, form.second_shapes)
 
 
-def _settled(joint: Joint, form: Form, z: FloatArray, rounds: int) -> Fit:
+def _settled(joint: Joint, form: CurveForm, z: FloatArray, rounds: int) -> Fit:
     """Curves, noise and load steps in turn."""
     noise = _noise(joint, at(joint, form, z, Noise((), np.ones(len(joint.loads))), derivatives=False))
     now = refined(joint, form, z, noise)
@@ -177,7 +195,7 @@ def _settled(joint: Joint, form: Form, z: FloatArray, rounds: int) -> Fit:
     return joint, form, _noise(joint, now), now
 
 
-def _under(noise: Noise, joint: Joint, form: Form, z: FloatArray) -> Fit:
+def _under(noise: Noise, joint: Joint, form: CurveForm, z: FloatArray) -> Fit:
     """The same under a noise that is given."""
     now = at(joint, form, z, noise, derivatives=False)
     joint = with_loads(joint, form, now, noise)
@@ -195,7 +213,7 @@ def _noise(joint: Joint, now: At) -> Noise:
     return replace(found, sigma=np.hypot(found.sigma, MODEL_ERROR * travel))
 
 
-def _with_second_lag(form: Form, z: FloatArray) -> tuple[Form, FloatArray]:
+def _with_second_lag(form: CurveForm, z: FloatArray) -> tuple[CurveForm, FloatArray]:
     """A lag beside the first, out of the dead time."""
     ln_theta = form.centre[1] + float(form.axis.columns(np.array(form.axis.low), form.shapes[1]) @ z[form.places[1]])
     centre = (form.centre[0], form.centre[1], form.centre[2], ln_theta + math.log(SECOND_LAG))
@@ -203,8 +221,8 @@ def _with_second_lag(form: Form, z: FloatArray) -> tuple[Form, FloatArray]:
     less[form.places[1].start] += math.log(1 - SECOND_LAG) / LEVEL_STD
     second = form.second
     if second is not None:
-        second = replace(second, shapes=(*second.shapes, Shape.CONSTANT))
-    return replace(form, shapes=(*form.shapes, Shape.CONSTANT), centre=centre, second=second), np.append(less, 0.0)
+        second = replace(second, shapes=(*second.shapes, CurveShape.CONSTANT))
+    return replace(form, shapes=(*form.shapes, CurveShape.CONSTANT), centre=centre, second=second), np.append(less, 0.0)
 
 
 LOAD_PRICE = 6.0

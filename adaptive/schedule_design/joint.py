@@ -14,7 +14,7 @@ import numpy as np
 
 from retuner.adaptive.fit.damped import Limits, descended
 from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_ways, response
-from retuner.adaptive.schedule_design.stretches import Axis, Characteristic, Second, Shape, Stretch
+from retuner.adaptive.schedule_design.stretches import Characteristic, CurveAxis, CurveShape, Second, Stretch
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -29,7 +29,7 @@ WIDTH = 48
 
 
 @dataclass(frozen=True, slots=True)
-class Form:
+class CurveForm:
     """What is fitted. shapes : of ln b, ln theta, ln tau and, where there is a second lag, ln tau2.
 
     centre : of the prior of each. sign : of the process gain. axis : see Axis. felt : how co acts; its coefficients
@@ -38,8 +38,8 @@ class Form:
     second : another variable beside it; its coefficients stand last.
     """
 
-    axis: Axis
-    shapes: tuple[Shape, ...]
+    axis: CurveAxis
+    shapes: tuple[CurveShape, ...]
     centre: tuple[float, ...]
     sign: int
     felt: Characteristic | None = None
@@ -82,7 +82,7 @@ class Form:
         return tuple(slice(end - size, end) for end, size in zip(ends, self.second.sizes, strict=True))
 
     @property
-    def second_shapes(self) -> tuple[Shape, ...]:
+    def second_shapes(self) -> tuple[CurveShape, ...]:
         """Shape of each parameter over the second variable; none where there is none."""
         return () if self.second is None else self.second.shapes
 
@@ -113,11 +113,11 @@ class Form:
 
     def with_shapes(
         self,
-        shapes: Sequence[Shape],
+        shapes: Sequence[CurveShape],
         z: FloatArray,
         felt: Characteristic | None = None,
-        second: Sequence[Shape] = (),
-    ) -> tuple["Form", FloatArray]:
+        second: Sequence[CurveShape] = (),
+    ) -> tuple["CurveForm", FloatArray]:
         """The same with other shapes, and z carried over: what is new is zero, what goes is lost.
 
         second : shapes over the second variable, where there is one.
@@ -180,7 +180,7 @@ class At:
         return float(self.r @ self.r + self.z @ self.z)
 
 
-def at(joint: Joint, form: Form, z: FloatArray, noise: Noise, *, derivatives: bool) -> At:
+def at(joint: Joint, form: CurveForm, z: FloatArray, noise: Noise, *, derivatives: bool) -> At:
     """The misfit at z, with its derivatives where they are wanted."""
     parts: list[At] = []
     done = 0
@@ -200,7 +200,7 @@ def at(joint: Joint, form: Form, z: FloatArray, noise: Noise, *, derivatives: bo
     )
 
 
-def local_at(form: Form, batch: Batch, z: FloatArray) -> Local:
+def local_at(form: CurveForm, batch: Batch, z: FloatArray) -> Local:
     """The process at every row for each variant of z, shape (size, variants)."""
     curves = form.curves(batch.x, z, batch.x2)
     return Local(curves[0], curves[1], curves[2], curves[3] if len(curves) > 3 else None)
@@ -209,7 +209,7 @@ def local_at(form: Form, batch: Batch, z: FloatArray) -> Local:
 def _at_batch(
     batch: Batch,
     loads: Sequence[tuple[int, ...]],
-    form: Form,
+    form: CurveForm,
     z: FloatArray,
     noise: Noise,
     *,
@@ -240,7 +240,7 @@ def _at_batch(
 def _jacobian(
     batch: Batch,
     loads: Sequence[tuple[int, ...]],
-    form: Form,
+    form: CurveForm,
     now: At,
     noise: Noise,
     bases: Sequence[FloatArray],
@@ -305,7 +305,7 @@ def white(values: FloatArray, ar: Sequence[float]) -> FloatArray:
     return found
 
 
-def refined(joint: Joint, form: Form, z: FloatArray, noise: Noise, tries: int = LIMITS.in_all) -> At:
+def refined(joint: Joint, form: CurveForm, z: FloatArray, noise: Noise, tries: int = LIMITS.in_all) -> At:
     """The smallest misfit near z, after so many tries at the most."""
 
     def seen(z: FloatArray, *, derivatives: bool = True) -> At:
@@ -323,7 +323,7 @@ def refined(joint: Joint, form: Form, z: FloatArray, noise: Noise, tries: int = 
     return found[2]
 
 
-def _step(form: Form, now: At, damping: float) -> FloatArray:
+def _step(form: CurveForm, now: At, damping: float) -> FloatArray:
     """A damped step, no ln p moved too far."""
     assert now.jacobian is not None
     normal = now.jacobian.T @ now.jacobian + np.eye(form.size)
@@ -385,17 +385,17 @@ beside a controller must not be differenced: its output answers the noise at onc
 
 def starts(
     stretches: Sequence[Stretch],
-    axis: Axis,
+    axis: CurveAxis,
     sign: int | None,
     *,
     pushed: bool = False,
     second: Second | None = None,
-) -> list[Form]:
+) -> list[CurveForm]:
     """Constant processes to start from, one for each whitening; their z is zero, as the prior is centred on it.
 
     sign : of the process gain, where it is known. pushed, second : see Form.
     """
-    form = Form(axis, (Shape.CONSTANT,) * 3, (0.0, 0.0, 0.0), 1, pushed=pushed, second=second)
+    form = CurveForm(axis, (CurveShape.CONSTANT,) * 3, (0.0, 0.0, 0.0), 1, pushed=pushed, second=second)
     chosen = sorted(stretches, key=_excitation, reverse=True)[:MOST_STRETCHES]
     batch = Batch.of(chosen)
     h = float(np.median(batch.h_s))
@@ -424,7 +424,7 @@ def starts(
     return [_constant(form, *node[1:]) for node in found_any]
 
 
-def _constant(form: Form, slope: float, theta: float, lag: float) -> Form:
+def _constant(form: CurveForm, slope: float, theta: float, lag: float) -> CurveForm:
     centre = (math.log(max(abs(slope), 1e-300)), math.log(theta), math.log(lag))
     return replace(form, centre=centre, sign=1 if slope >= 0 else -1)
 
@@ -454,7 +454,7 @@ LOAD_STEP_PRICE = 12.0
 """Fall of the misfit, beyond 2 ln n, that a load step must bring."""
 
 
-def with_loads(joint: Joint, form: Form, now: At, noise: Noise) -> Joint:
+def with_loads(joint: Joint, form: CurveForm, now: At, noise: Noise) -> Joint:
     """The stretches with the load steps that pay for the curves as they are at `now`."""
     loads: list[tuple[int, ...]] = []
     done = 0

@@ -16,7 +16,7 @@ FOR_EACH = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class RestCurve:
     """co = polynomial of (x - middle) / half. std : of the stretches round it, as loads have it, in co units."""
 
     coefficients: tuple[float, ...]
@@ -30,7 +30,7 @@ class Rest:
         return np.asarray(np.polyval(self.coefficients, inside), dtype=np.float64)
 
     @classmethod
-    def of(cls, stretches: Sequence[Stretch]) -> "Rest":
+    def of(cls, stretches: Sequence[Stretch]) -> "RestCurve":
         """From where each stretch ends."""
         x, co = np.array([_end(s) for s in stretches]).T
         middle, half = (float(np.max(x) + np.min(x)) / 2, max(float(np.ptp(x)) / 2, 1e-12))
@@ -40,7 +40,7 @@ class Rest:
         return cls(tuple(coefficients.tolist()), middle, half, float(np.median(np.abs(left))) * 1.5)
 
     @classmethod
-    def on_the_way(cls, stretch: Stretch) -> "Rest":
+    def on_the_way(cls, stretch: Stretch) -> "RestCurve":
         """The rest of one stretch: a straight line from where it begins to where it ends."""
         changes = stretch.signals.changes
         lead = max(changes[0] - stretch.first, 2) if changes else LEAD_ROWS

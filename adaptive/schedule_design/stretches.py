@@ -201,7 +201,7 @@ BENDS = 6
 KNOTS = 13
 
 
-class Shape(IntEnum):
+class CurveShape(IntEnum):
     """How many coefficients a parameter has."""
 
     CONSTANT = 1
@@ -210,7 +210,7 @@ class Shape(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
+class CurveAxis:
     """Where the curves live: low to high of the scheduling variable.
 
     by_ratio : whether a straight line is one over ln x, a power law, as gain, lag and delay over a flow are.
@@ -220,7 +220,7 @@ class Axis:
     high: float
     by_ratio: bool = False
 
-    def columns(self, x: FloatArray, shape: Shape) -> FloatArray:
+    def columns(self, x: FloatArray, shape: CurveShape) -> FloatArray:
         """d ln p(x) / dz, shape (*x.shape, shape). Outside low..high it is what it is at the end."""
         inside = np.clip(x, self.low, self.high)
         share = (inside - self.low) / (self.high - self.low)
@@ -245,8 +245,8 @@ class Second:
     axis : of x2. shapes : of each parameter over it. pushed : it comes from outside and moves pv by itself.
     """
 
-    axis: Axis
-    shapes: tuple[Shape, ...]
+    axis: CurveAxis
+    shapes: tuple[CurveShape, ...]
     pushed: bool = False
 
     @property
@@ -299,8 +299,8 @@ class Characteristic:
     slope : of ln phi' per unit of co, as it is known beforehand. doubt : of its coefficients, 1 where nothing is.
     """
 
-    axis: Axis
-    shape: Shape = Shape.CONSTANT
+    axis: CurveAxis
+    shape: CurveShape = CurveShape.CONSTANT
     slope: float = 0.0
     doubt: float = 1.0
 
@@ -330,13 +330,13 @@ class Characteristic:
         return np.asarray(np.stack(found, axis=1) + (co - inside)[:, None] * ends, dtype=np.float64)
 
 
-def over(stretches: Sequence[Stretch], shape: Shape = Shape.BENT) -> Characteristic | None:
+def over(stretches: Sequence[Stretch], shape: CurveShape = CurveShape.BENT) -> Characteristic | None:
     """Over what co does in the records; None where it stands still."""
     rates = [np.diff(s.fired(s.t_s)) / np.diff(s.t_s) for s in stretches]
     low, high = min(float(np.min(r)) for r in rates), max(float(np.max(r)) for r in rates)
     if not high - low > LEAST_TRAVEL * max(abs(low), abs(high)):
         return None
-    return Characteristic(Axis(low, high), shape)
+    return Characteristic(CurveAxis(low, high), shape)
 
 
 def summed(characteristic: Characteristic, stretches: Sequence[Stretch], z: FloatArray) -> list[FloatArray]:

@@ -15,13 +15,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.agreement import Agreement
-from retuner.adaptive.schedule_design.joint import Form
-from retuner.adaptive.schedule_design.stretches import Shape
+from retuner.adaptive.schedule_design.agreement import CurvesAgreement
+from retuner.adaptive.schedule_design.joint import CurveForm
+from retuner.adaptive.schedule_design.stretches import CurveShape
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
-SHAPES = (Shape.CONSTANT, Shape.LINE, Shape.BENT)
+SHAPES = (CurveShape.CONSTANT, CurveShape.LINE, CurveShape.BENT)
 SIMPLER = 2.0
 """Nats that a step from constant to line to bent must bring beyond its evidence."""
 
@@ -34,21 +34,21 @@ class Weighed:
     second : the likeliest over the second variable. second_evidence : ln E over the best without any of these.
     """
 
-    shapes: tuple[Shape, ...]
-    felt: Shape
+    shapes: tuple[CurveShape, ...]
+    felt: CurveShape
     covariance: FloatArray
     evidence: float
-    second: tuple[Shape, ...] = ()
+    second: tuple[CurveShape, ...] = ()
     second_evidence: float = 0.0
 
 
-def weighed(form: Form, told: Agreement) -> Weighed:
+def weighed(form: CurveForm, told: CurvesAgreement) -> Weighed:
     """form : every shape as rich as it may become."""
     n = len(form.shapes)
-    most = (*form.shapes, Shape.CONSTANT if form.felt is None else form.felt.shape, *form.second_shapes)
+    most = (*form.shapes, CurveShape.CONSTANT if form.felt is None else form.felt.shape, *form.second_shapes)
     ranked = _ranked(form, told, most, len(most))
     best = max(ranked, key=ranked.__getitem__)
-    level = ranked[(Shape.CONSTANT,) * len(most)]
+    level = ranked[(CurveShape.CONSTANT,) * len(most)]
     covariance = _covariance(form, told, ranked, best)
     without = _ranked(form, told, most, n + 1) if form.second_shapes else ranked
     return Weighed(
@@ -60,14 +60,16 @@ FOLLOWED = 12.0
 """Nats below the best so far within which shapes are followed further: rarer ones weigh nothing."""
 
 
-def _ranked(form: Form, told: Agreement, most: tuple[Shape, ...], free: int) -> dict[tuple[Shape, ...], float]:
+def _ranked(
+    form: CurveForm, told: CurvesAgreement, most: tuple[CurveShape, ...], free: int
+) -> dict[tuple[CurveShape, ...], float]:
     """ln E of the shapes that weigh anything, by a search from nothing and from everything, a step at a time.
 
     most : the richest. free : how many of the first may be other than constant.
     """
-    allowed = tuple(shape if i < free else Shape.CONSTANT for i, shape in enumerate(most))
-    ranked: dict[tuple[Shape, ...], float] = {}
-    waiting = [(Shape.CONSTANT,) * len(most), allowed]
+    allowed = tuple(shape if i < free else CurveShape.CONSTANT for i, shape in enumerate(most))
+    ranked: dict[tuple[CurveShape, ...], float] = {}
+    waiting = [(CurveShape.CONSTANT,) * len(most), allowed]
     top = -math.inf
     while waiting:
         for shapes in waiting:
@@ -85,7 +87,7 @@ def _ranked(form: Form, told: Agreement, most: tuple[Shape, ...], free: int) -> 
     return ranked
 
 
-def _neighbours(shapes: tuple[Shape, ...], allowed: tuple[Shape, ...]) -> list[tuple[Shape, ...]]:
+def _neighbours(shapes: tuple[CurveShape, ...], allowed: tuple[CurveShape, ...]) -> list[tuple[CurveShape, ...]]:
     """One of them a step simpler or richer."""
     found = []
     for i, shape in enumerate(shapes):
@@ -96,7 +98,7 @@ def _neighbours(shapes: tuple[Shape, ...], allowed: tuple[Shape, ...]) -> list[t
     return found
 
 
-def _kept(form: Form, shapes: Sequence[Shape]) -> list[int]:
+def _kept(form: CurveForm, shapes: Sequence[CurveShape]) -> list[int]:
     """Rows of z that these shapes have."""
     n = len(form.shapes)
     places = [*form.places, form.felt_place, *form.second_places]
@@ -105,7 +107,7 @@ def _kept(form: Form, shapes: Sequence[Shape]) -> list[int]:
 
 
 def _covariance(
-    form: Form, told: Agreement, ranked: dict[tuple[Shape, ...], float], best: tuple[Shape, ...]
+    form: CurveForm, told: CurvesAgreement, ranked: dict[tuple[CurveShape, ...], float], best: tuple[CurveShape, ...]
 ) -> FloatArray:
     """Round the likeliest shapes' coefficients, over all shapes with their weights."""
     centre = _solved(_kept(form, best), told)[0]
@@ -124,7 +126,7 @@ LEAST_WEIGHT = 1e-4
 """Over that of the likeliest, below which shapes say nothing."""
 
 
-def _solved(kept: list[int], told: Agreement) -> tuple[FloatArray, FloatArray]:
+def _solved(kept: list[int], told: CurvesAgreement) -> tuple[FloatArray, FloatArray]:
     """z and covariance where only some coefficients are kept; zero for the others."""
     z, covariance = np.zeros_like(told.right), np.zeros_like(told.normal)
     inverse = np.linalg.inv(told.normal[np.ix_(kept, kept)])

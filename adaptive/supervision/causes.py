@@ -48,7 +48,7 @@ from retuner.adaptive.supervision.guard_request import known_with, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.adaptive.trial.batch_responses import Loop
+from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.valve.stand_still import stand_still
 from retuner.schedule.table import Lookup
 
@@ -322,7 +322,7 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
     if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
         return None
     model = allowed[0].model.seen_by_controller(settings.sample_time_s)
-    loop = Loop(model.linear(), record.in_force, settings.setpoint_weight, settings.filter_s)
+    loop = ClosedLoop(model.linear(), record.in_force, settings.setpoint_weight, settings.filter_s)
     said = foretold(record.response, loop, found.learned.estimate.ramp_s if found.learned is not None else 0.0)
     reason = not_seen(record.response, said, settings.swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None

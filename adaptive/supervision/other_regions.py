@@ -28,7 +28,7 @@ from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import BETWEEN, KnownProcesses, change_request, prediction_of, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit
-from retuner.adaptive.trial.batch_responses import Loop
+from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.load_variability import wander_of, wander_there
 from retuner.adaptive.trial.posterior_check import costs
 from retuner.adaptive.trial.prediction import Prediction, decay_seen
@@ -139,7 +139,9 @@ def _wander(found: Findings, verdict: Verdict) -> float:
     here = predicted(model, float(record.window.t_s[-1]), settings.tracker).model()
     sampled = (each.seen_by_controller(settings.sample_time_s).linear() for each in (here, verdict.allowed[0].model))
     more = (settings.setpoint_weight, settings.filter_s)
-    loops = [Loop(each, gains, *more) for each, gains in zip(sampled, (record.in_force, verdict.gains), strict=True)]
+    loops = [
+        ClosedLoop(each, gains, *more) for each, gains in zip(sampled, (record.in_force, verdict.gains), strict=True)
+    ]
     return wander_there(seen, record.window.noise_std, loops[0], loops[1])
 
 

@@ -462,7 +462,7 @@ def _wanted(found: Findings) -> RobustProposal:
     return found.tuning
 
 
-class Stage(NamedTuple):
+class PipelineStage(NamedTuple):
     """name : as in developers/how-it-works.md. run : what it does. always : also when an earlier one has decided."""
 
     name: str
@@ -472,24 +472,24 @@ class Stage(NamedTuple):
 
 
 STAGES = (
-    Stage("joining", joined_step_sequence),
-    Stage("action", action),
-    Stage("admission", admission),
-    Stage("swing", swing),
-    Stage("identification", identification),
-    Stage("hidden cause", hidden_cause),
-    Stage("region model", region_model),
-    Stage("without a model", without_a_model),
-    Stage("cause", cause),
-    Stage("proof", proof),
-    Stage("refutation", refutation),
-    Stage("worth", worth),
-    Stage("runaway", runaway),
-    Stage("confirmation", confirmation),
-    Stage("return", cut_refuted, always=True),
-    Stage("all samples", by_all_samples, always=True, alone=True),
-    Stage("expectation", expectation, always=True, alone=True),
-    Stage("check after a trial", check_after_trial, always=True),
-    Stage("elsewhere", elsewhere, always=True),
+    PipelineStage("joining", joined_step_sequence),
+    PipelineStage("action", action),
+    PipelineStage("admission", admission),
+    PipelineStage("swing", swing),
+    PipelineStage("identification", identification),
+    PipelineStage("hidden cause", hidden_cause),
+    PipelineStage("region model", region_model),
+    PipelineStage("without a model", without_a_model),
+    PipelineStage("cause", cause),
+    PipelineStage("proof", proof),
+    PipelineStage("refutation", refutation),
+    PipelineStage("worth", worth),
+    PipelineStage("runaway", runaway),
+    PipelineStage("confirmation", confirmation),
+    PipelineStage("return", cut_refuted, always=True),
+    PipelineStage("all samples", by_all_samples, always=True, alone=True),
+    PipelineStage("expectation", expectation, always=True, alone=True),
+    PipelineStage("check after a trial", check_after_trial, always=True),
+    PipelineStage("elsewhere", elsewhere, always=True),
 )
 """In their order: what else may be behind the response comes before the tuning, and a proof before any change."""

@@ -53,7 +53,7 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True)
-class Loop:
+class ClosedLoop:
     """A process under a controller; b is the setpoint weight, tau_f_s the derivative's filter time."""
 
     process: LinearProcess
@@ -62,7 +62,7 @@ class Loop:
     tau_f_s: float = 0.0
 
 
-def traces(loops: Sequence[Loop], upsets: Sequence[Upset]) -> list[list[Trace]]:
+def traces(loops: Sequence[ClosedLoop], upsets: Sequence[Upset]) -> list[list[Trace]]:
     """The response of every loop to every upset: [loop][upset]."""
     loops = [replace(loop, process=_with_states(loop.process)) for loop in loops]
     steps = [SPAN / (POINTS * crossover(loop)) for loop in loops]
@@ -78,7 +78,7 @@ def traces(loops: Sequence[Loop], upsets: Sequence[Upset]) -> list[list[Trace]]:
     ]
 
 
-def crossover(loop: Loop) -> float:
+def crossover(loop: ClosedLoop) -> float:
     """Highest frequency at which the loop's gain is 1, rad/s, on a grid: a scale, not a margin."""
     p, g = loop.process, loop.gains
     times = [x for x in (p.theta_s, *p.lags_s, *(c2**0.5 for _, c2 in p.quadratics)) if x > 0]
@@ -106,7 +106,7 @@ def _rest(process: LinearProcess, upset: Upset) -> float:
 class _Lanes:
     """All loops under all upsets, side by side; arrays of shape (lanes,) or (states, lanes)."""
 
-    def __init__(self, loops: Sequence[Loop], steps: Sequence[float], upsets: Sequence[Upset]) -> None:
+    def __init__(self, loops: Sequence[ClosedLoop], steps: Sequence[float], upsets: Sequence[Upset]) -> None:
         n = len(upsets)
         # phi (states, states, lanes), Gamma, B and C (states, lanes), each process n times; states padded to the most
         spaces = [state_space(loop.process, step) for loop, step in zip(loops, steps, strict=True)]

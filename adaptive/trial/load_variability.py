@@ -21,7 +21,7 @@ from itertools import islice, takewhile
 import numpy as np
 
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.trial.batch_responses import Loop, Upset, traces
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
 
 BLOCK = 100
 """Samples of a block: some dead times of a loop that is sampled as it should be."""
@@ -50,7 +50,7 @@ def wander_of(samples: Sequence[LoopSample]) -> float:
     return float(np.quantile(np.std(left, axis=1), QUIET))
 
 
-def wander_there(seen: float, noise_std: float, here: Loop, there: Loop) -> float:
+def wander_there(seen: float, noise_std: float, here: ClosedLoop, there: ClosedLoop) -> float:
     """What `seen` (wander_of) under one loop would be under another, pv units. noise_std : of pv."""
     if seen <= noise_std:
         return seen

@@ -20,7 +20,7 @@ from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.trial.batch_responses import Loop, Upset
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.adaptive.trial.trial_settings import TrialSettings
@@ -77,7 +77,7 @@ def costs(
 
 def _costs(processes: Sequence[LinearProcess], old: PidGains, new: PidGains, b: float, tau_f_s: float) -> list[float]:
     """The same on processes as the controller sees them."""
-    loops = [Loop(process, gains, b, tau_f_s) for gains in (new, old) for process in processes]
+    loops = [ClosedLoop(process, gains, b, tau_f_s) for gains in (new, old) for process in processes]
     iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(processes)
     return [_mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True)]
 

@@ -15,8 +15,8 @@ from typing import Any
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.signals.response import Ending, Response
-from retuner.adaptive.trial.batch_responses import Loop, Upset
-from retuner.adaptive.trial.response_numbers import Shape, shapes, swing
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset
+from retuner.adaptive.trial.response_numbers import ResponseNumbers, shapes, swing
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -73,7 +73,7 @@ class Expected:
     settle_s: Spread
 
     @classmethod
-    def over(cls, shapes: Sequence[Shape]) -> "Expected":
+    def over(cls, shapes: Sequence[ResponseNumbers]) -> "Expected":
         """Over the allowed models, the best one first."""
         return cls(*(Spread.over([getattr(shape, name) for shape in shapes]) for name in NAMES))
 
@@ -185,7 +185,7 @@ def predict(
     if not models:
         raise ValueError("a prediction needs at least one model")
     sampled = [found.model.seen_by_controller(sample_time_s).linear() for found in models]
-    loops = [Loop(process, gains, b, tau_f_s) for gains in (new, old) for process in sampled]
+    loops = [ClosedLoop(process, gains, b, tau_f_s) for gains in (new, old) for process in sampled]
     found, n = shapes(loops, UPSETS), len(models)
     now, then = found[:n], found[n:]
     ms = Spread.over([sensitivity_peak(process, new, tau_f_s) for process in sampled])
@@ -236,12 +236,12 @@ def predict_without_model(seen: Response, old: PidGains, new: PidGains) -> Predi
     )
 
 
-def _setpoint(found: Sequence[Sequence[Shape]]) -> Expected:
+def _setpoint(found: Sequence[Sequence[ResponseNumbers]]) -> Expected:
     """Over the models, under a setpoint step."""
     return Expected.over([row[0] for row in found])
 
 
-def _load(shapes: Sequence[Sequence[Shape]]) -> Expected:
+def _load(shapes: Sequence[Sequence[ResponseNumbers]]) -> Expected:
     """Over the models, under a load step; a pulse may swing more."""
     found = Expected.over([row[1] for row in shapes])
     pulses = [row[2].decay for row in shapes]

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.adaptive.trial.batch_responses import Loop, Trace, Upset, traces
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Trace, Upset, traces
 from retuner.schedule.late_dataclass import dataclass
 
 SMALL = 0.02
@@ -30,7 +30,7 @@ AT_REST = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class ResponseNumbers:
     """Numbers of one response (see the head of this file); settle_s : until the error stays small, s."""
 
     overshoot: float
@@ -68,7 +68,7 @@ def three(peaks: list[float], unseen: float) -> tuple[float, float, float]:
     return first, second, third
 
 
-def shape_of(trace: Trace, ki: float) -> Shape:
+def shape_of(trace: Trace, ki: float) -> ResponseNumbers:
     """Of a computed response to a unit upset; iae and settle_s are infinite for a loop that never comes to rest.
 
     ki : of the loop; what the error's integral still has to do after the last point follows from it.
@@ -79,14 +79,14 @@ def shape_of(trace: Trace, ki: float) -> Shape:
     quarter = len(size) // TAIL
     last, before = float(np.max(size[-quarter:])), float(np.max(size[: 2 * quarter]))
     if last >= before * (1 - 1e-9):
-        return Shape(overshoot, damping, max(decay, 1.0), math.inf, travel, math.inf)
+        return ResponseNumbers(overshoot, damping, max(decay, 1.0), math.inf, travel, math.inf)
     rest = abs((trace.rest_u - float(trace.u[-1])) / ki) if ki else math.inf
     moving = np.flatnonzero(size > AT_REST * before)
     settle = trace.step_s * float(moving[-1] if moving.size else 0)
-    return Shape(overshoot, damping, decay, trace.step_s * float(np.sum(size)) + rest, travel, settle)
+    return ResponseNumbers(overshoot, damping, decay, trace.step_s * float(np.sum(size)) + rest, travel, settle)
 
 
-def shapes(loops: Sequence[Loop], upsets: Sequence[Upset]) -> list[list[Shape]]:
+def shapes(loops: Sequence[ClosedLoop], upsets: Sequence[Upset]) -> list[list[ResponseNumbers]]:
     """The numbers of every loop under every upset: [loop][upset]."""
     rows = zip(loops, traces(loops, upsets), strict=True)
     return [[shape_of(trace, loop.gains.ki) for trace in row] for loop, row in rows]

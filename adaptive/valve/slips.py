@@ -306,7 +306,7 @@ def explained_by(misfit: Misfit, p: FloatArray, co: Co, each: Sequence[Slips]) -
     return found
 
 
-class Trial:
+class TriedSlips:
     """Slips tried with the process held: what they leave, price of the slips included. at : the best so far."""
 
     def __init__(self, fit: Candidate, at: Slips, co: Co) -> None:
@@ -334,7 +334,7 @@ def _settled(start: Start, co: Co) -> Slipping:
     """Slips and process refined in turn, until neither helps."""
     best = _explained(start.misfit, co, start.slips, start.x)
     for _ in range(MOST_ROUNDS):
-        slips = _varied(Trial(best.fit, best.slips, co), co)
+        slips = _varied(TriedSlips(best.fit, best.slips, co), co)
         after = _explained(best.fit.fit.misfit, co, slips, best.fit.fit.p)
         if after.criterion > best.criterion - LEAST_GAIN_PER_ROUND:
             break
@@ -342,7 +342,7 @@ def _settled(start: Start, co: Co) -> Slipping:
     return best
 
 
-def _varied(trial: Trial, co: Co) -> Slips:
+def _varied(trial: TriedSlips, co: Co) -> Slips:
     """Shares, starts and times in turn, then a slip less and one more where they pay."""
     at, n = trial.at, len(co.u)
     typical = float(np.median(co.bands(at))) if at.rows else 0.0

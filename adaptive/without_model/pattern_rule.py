@@ -382,7 +382,7 @@ def pattern_rule(
     """
     shown = pattern_numbers(response, window)
     refused = _refusal(response, diagnosis, shown, settings)
-    read = _Read(refused, Move()) if refused else _reading(gains, shown, settings)
+    read = _PatternRead(refused, Move()) if refused else _reading(gains, shown, settings)
     reading, move = read.reading, read.move
     if diagnosis is not None and move.direction * WANTED.get(diagnosis.cause, 0) < 0:
         reading = PatternReading.CONTRADICTED
@@ -395,7 +395,7 @@ def pattern_rule(
     return PatternAdvice(reading, sentence, numbers, Tuning("pattern", "ideal", move.of(gains), None, (sentence,)))
 
 
-class _Read(NamedTuple):
+class _PatternRead(NamedTuple):
     """A reading, what it moves, and the numbers that it rests on (AdviceNumbers)."""
 
     reading: PatternReading
@@ -447,7 +447,7 @@ def _is_long(shown: PatternNumbers, settings: PatternSettings) -> bool:
     return shown.after_load is not None and shown.after_load.tail_s > settings.long_tail * shown.after_load.rise_s
 
 
-def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) -> _Read:
+def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) -> _PatternRead:
     """The rule at the head of this file."""
     second, load = shown.second, shown.after_load
     damping = shown.third.damping if shown.third else 0.0
@@ -456,7 +456,7 @@ def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) 
     rebound = load.rebound if load else 0.0
     m = min(room, settings.damping_target - max(damping, rebound))
     if second is None:
-        return _Read(*_without_second_peak(gains, room, m, shown, settings), m)
+        return _PatternRead(*_without_second_peak(gains, room, m, shown, settings), m)
     ratio = gains.ki / gains.kp * second.period_s if gains.kp else math.inf
     # slow, near its targets, calm or lively. m : margin. ratio : period over tau_I
     if m < settings.dead_zone and _is_slow(second, ratio, shown.tenth_s, settings):
@@ -468,7 +468,7 @@ def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) 
     else:
         riding = damping - second.overshoot > settings.riding
         reading, move = PatternReading.LIVELY, _calmer(m, 0.0 if riding else ratio, damping, settings)
-    return _Read(reading, move, m, ratio if gains.kp else None)
+    return _PatternRead(reading, move, m, ratio if gains.kp else None)
 
 
 def _without_second_peak(

@@ -18,8 +18,8 @@ from retuner.drivers.profiles.access import (
     Denied,
     Doubted,
     Heard,
+    NoFault,
     ProfileError,
-    Runs,
     Started,
     Stopped,
     Told,
@@ -45,7 +45,7 @@ class NodeSettings(NamedTuple):
     reply_s: float = 0.3
 
 
-class _Place(NamedTuple):
+class _ObjectPlace(NamedTuple):
     """An object and its conversion: ours = scale x its + offset."""
 
     variable: Variable
@@ -78,8 +78,8 @@ class CanOpenAccess:
     def __init__(self, file: EdsFile, mapping: DeviceMapping, settings: NodeSettings | None = None) -> None:
         self._file, self._settings = file, settings or NodeSettings()
         self._sdo = SdoQueue(file.node, self._settings.reply_s)
-        self._read: dict[str, _Place] = {}
-        self._written: dict[str, _Place] = {}
+        self._read: dict[str, _ObjectPlace] = {}
+        self._written: dict[str, _ObjectPlace] = {}
         self._watched: dict[str, _Watch] = {}
         self._queue: list[can.Message] = []
         self._beat_s = float("-inf")
@@ -100,9 +100,9 @@ class CanOpenAccess:
             place = (variable.index, variable.subindex)
             yield Use(role, what, place, frozenset(), frozenset({0}), text_of(variable), key)
 
-    def _place(self, at: object, key: Key, *, written: bool = False, read: bool = True) -> _Place:
+    def _place(self, at: object, key: Key, *, written: bool = False, read: bool = True) -> _ObjectPlace:
         assert isinstance(at, ObjectOf)
-        return _Place(self._file.variable(at.object, key, written=written, read=read), at.scale, at.offset)
+        return _ObjectPlace(self._file.variable(at.object, key, written=written, read=read), at.scale, at.offset)
 
     def _listen(self, mapping: DeviceMapping) -> None:
         self._read["pv"] = self._place(mapping.pv, ("pv",))
@@ -132,7 +132,7 @@ class CanOpenAccess:
         """One gain, read back where it is written."""
         key: Key = ("gains", str(gain.quantity))
         place = self._place(gain.at, key, written=True)
-        self._read[gain.quantity] = self._written[gain.quantity] = _Place(place.variable)
+        self._read[gain.quantity] = self._written[gain.quantity] = _ObjectPlace(place.variable)
         try:
             return VendorGain(gain.quantity, gain.scale, holds(place.variable), message, gain.off)
         except ValueError as error:
@@ -210,7 +210,7 @@ class CanOpenAccess:
         if not watch.source:
             return (Heard("mode", float(expected)),)
         if expected:
-            return (Runs(watch.source),)
+            return (NoFault(watch.source),)
         reason = watch.states.reason or f"object {text_of(variable)} = {int(value):#x}"
         return (Stopped(reason, watch.source),)
 
@@ -221,13 +221,13 @@ class CanOpenAccess:
             self._queue.append(_frame(NMT, bytes([START, self._file.node])))
         if state == STOPPED:
             return (Alive(), Stopped("the node was stopped (NMT)", "nmt"))
-        return (Alive(), Runs("nmt")) if state == OPERATIONAL else (Alive(),)
+        return (Alive(), NoFault("nmt")) if state == OPERATIONAL else (Alive(),)
 
     def _on_emergency(self, data: bytes) -> Sequence[Told]:
         """An emergency object; error code 0 says that it is over."""
         code, register = int.from_bytes(data[:2], "little"), data[2]
         if not code:
-            return (Alive(), Runs("emergency"))
+            return (Alive(), NoFault("emergency"))
         described = EmcyError(code, register, data[3:], 0.0).get_desc()
         words = f", {described.lower()}" if described else ""
         return (Alive(), Stopped(f"emergency {code:#06x}{words}", "emergency"))

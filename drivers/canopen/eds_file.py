@@ -16,7 +16,7 @@ from canopen.objectdictionary import datatypes
 
 from retuner.drivers.canopen.eds_text import plain_text
 from retuner.drivers.profiles.access import ProfileError
-from retuner.schedule.vendor_units import SINGLE_MAX, Holds
+from retuner.schedule.vendor_units import SINGLE_MAX, StorableNumbers
 
 Key = tuple[str | int, ...]
 Variable = canopen.objectdictionary.ODVariable
@@ -194,7 +194,7 @@ def text_of(variable: Variable) -> str:
     return f"{variable.index:04X}:{variable.subindex}"
 
 
-def holds(variable: Variable) -> Holds:
+def holds(variable: Variable) -> StorableNumbers:
     """The numbers that an object can hold, by its type and its limits."""
     kind = variable.data_type
     single = kind == datatypes.REAL32
@@ -209,4 +209,4 @@ def holds(variable: Variable) -> Holds:
     least, most = variable.min, variable.max
     if isinstance(least, int | float) and isinstance(most, int | float) and least < most:
         low, high = max(low, float(least)), min(high, float(most))
-    return Holds(low, high, step, 0.0, single=single)
+    return StorableNumbers(low, high, step, 0.0, single=single)

@@ -33,7 +33,7 @@ class Transfer(NamedTuple):
     data: bytes | None
 
 
-class Answer(NamedTuple):
+class SdoAnswer(NamedTuple):
     """How it ended. data : what was read, None for a write. refused : why not, "" when it was done."""
 
     transfer: Transfer
@@ -117,7 +117,7 @@ class SdoQueue:
     def _message(self, data: bytes) -> can.Message:
         return can.Message(arbitration_id=0x600 + self._node, is_extended_id=False, data=data)
 
-    def take(self, message: can.Message) -> Answer | None:
+    def take(self, message: can.Message) -> SdoAnswer | None:
         """An answer to the open question; None for anything else."""
         data, transfer = bytes(message.data), self._open
         if message.arbitration_id != 0x580 + self._node or len(data) != 8:
@@ -128,13 +128,13 @@ class SdoQueue:
             self._compare(data)
             return None
         if data[0] == ABORT:
-            return self._ended(Answer(transfer, None, abort_text(int.from_bytes(data[4:8], "little"))), data)
+            return self._ended(SdoAnswer(transfer, None, abort_text(int.from_bytes(data[4:8], "little"))), data)
         command = data[0] & COMMAND
         if transfer.data is not None:
             if command == DOWNLOADED and self._segments is not None:
                 self._go_on(self._segments.down())
                 return None
-            return self._ended(Answer(transfer, None, ""), data) if command == DOWNLOADED else None
+            return self._ended(SdoAnswer(transfer, None, ""), data) if command == DOWNLOADED else None
         if command != UPLOADED:
             return None
         if not data[0] & EXPEDITED:
@@ -142,7 +142,7 @@ class SdoQueue:
             self._go_on(self._segments.up())
             return None
         size = 4 - (data[0] >> 2 & 3) if data[0] & SIZED else len(transfer.variable) // 8
-        return self._ended(Answer(transfer, data[4 : 4 + size], ""), data)
+        return self._ended(SdoAnswer(transfer, data[4 : 4 + size], ""), data)
 
     def _begins(self, data: bytes) -> bool:
         """Whether an answer is the one before the first segment of a write."""
@@ -151,23 +151,23 @@ class SdoQueue:
         assert segments is not None
         return transfer.data is not None and not segments.at and data[0] == DOWNLOADED
 
-    def _segment(self, transfer: Transfer, segments: _Segments, data: bytes) -> Answer | None:
+    def _segment(self, transfer: Transfer, segments: _Segments, data: bytes) -> SdoAnswer | None:
         writes = transfer.data is not None
         if data[0] & COMMAND != (SEGMENT_TAKEN if writes else SEGMENT_GIVEN):
             return None
         if data[0] & TOGGLE != segments.toggle:
-            return self._ended(Answer(transfer, None, abort_text(WRONG_TOGGLE)), data)
+            return self._ended(SdoAnswer(transfer, None, abort_text(WRONG_TOGGLE)), data)
         segments.toggle ^= TOGGLE
         if writes:
             if segments.at >= len(segments.data):
-                return self._ended(Answer(transfer, None, ""), data)
+                return self._ended(SdoAnswer(transfer, None, ""), data)
             self._go_on(segments.down())
             return None
         segments.data += data[1 : 8 - (data[0] >> 1 & 7)]
         if len(segments.data) > len(transfer.variable) // 8:
-            return self._ended(Answer(transfer, None, abort_text(TOO_LONG)), data)
+            return self._ended(SdoAnswer(transfer, None, abort_text(TOO_LONG)), data)
         if data[0] & LAST:
-            return self._ended(Answer(transfer, segments.data, ""), data)
+            return self._ended(SdoAnswer(transfer, segments.data, ""), data)
         self._go_on(segments.up())
         return None
 
@@ -175,7 +175,7 @@ class SdoQueue:
         """Send this next; the node has its time for each answer anew."""
         self._next, self._deadline_s = segment, None
 
-    def _ended(self, answer: Answer, data: bytes) -> Answer:
+    def _ended(self, answer: SdoAnswer, data: bytes) -> SdoAnswer:
         self._last = answer.transfer, data
         self._open = self._deadline_s = self._segments = self._next = None
         return answer

@@ -12,7 +12,7 @@ from retuner.drivers.profiles.access import ProfileError
 from retuner.drivers.profiles.distinct import Use
 from retuner.drivers.protocol.codec import PARSING_ERRORS
 from retuner.schedule.late_dataclass import dataclass
-from retuner.schedule.vendor_units import SINGLE_MAX, Holds
+from retuner.schedule.vendor_units import SINGLE_MAX, StorableNumbers
 
 Key = tuple[str | int, ...]
 LARGEST = 16 << 20  # bytes
@@ -50,7 +50,7 @@ class SignalPlace:
         pages, frame = frozenset(self.signal.multiplexer_ids or ()), (self.frame_id, int(self.layout.is_extended_frame))
         return Use(role, what, frame, pages, frozenset(bits_of(self.signal)), self.text, key)
 
-    def holds(self) -> Holds:
+    def holds(self) -> StorableNumbers:
         """The numbers that it can carry, by the limits of its bits and, where the DBC has some, by those of the DBC."""
         signal = self.signal
         low, high = carried(signal)
@@ -61,7 +61,7 @@ class SignalPlace:
             told_high = float(signal.maximum) if signal.maximum is not None else high
             if told_low < told_high:  # [0|0] says that nobody has filled it in
                 low, high = max(low, told_low), min(high, told_high)
-        return Holds(low, high, step, zero, single)
+        return StorableNumbers(low, high, step, zero, single)
 
 
 def carried(signal: Signal) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from retuner.drivers.historian.parquet_tables import tables_of_parquet
 from retuner.drivers.historian.raw_table import RawTable, decoded, text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.reshaped import annotated_table, is_annotated
-from retuner.drivers.historian.row_order import Trend, joined
+from retuner.drivers.historian.row_order import OneSignal, joined
 from retuner.drivers.historian.scaling import scaled
 from retuner.drivers.historian.table_signals import BESIDE, TableSignals, signals_of
 from retuner.drivers.historian.tags import named
@@ -63,7 +63,7 @@ class _Loop(NamedTuple):
     """Signals of one loop by role, and where it is automatic (stretches of time), where that is known."""
 
     tag: str
-    trends: Mapping[str, Trend]
+    trends: Mapping[str, OneSignal]
 
 
 def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_automatic: bool = False) -> LoopRecord:
@@ -316,11 +316,11 @@ def _text_table(path: Path, form: RecordForm) -> RawTable:
     return text_table(path, text, assumed, form)
 
 
-Pieces = dict[str, list[Trend]]
+Pieces = dict[str, list[OneSignal]]
 """A loop's signals by role, each in pieces."""
 
 
-def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, Trend]]:
+def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, OneSignal]]:
     """Signals of all tables by tag and role: pieces of one signal one after the other."""
     refused = [error for one in read for error in one.refused.values()]
     if refused:
@@ -342,12 +342,12 @@ def _pieces(read: Sequence[TableSignals]) -> dict[str, Pieces]:
     return pieces
 
 
-def _put_together(roles: Pieces, source: str) -> dict[str, Trend]:
+def _put_together(roles: Pieces, source: str) -> dict[str, OneSignal]:
     """A loop's signals, their pieces one after the other."""
     return {role: _one_after_the_other(role, found, source) for role, found in roles.items()}
 
 
-def _one_after_the_other(role: str, pieces: list[Trend], source: str) -> Trend:
+def _one_after_the_other(role: str, pieces: list[OneSignal], source: str) -> OneSignal:
     """A signal that is recorded in pieces."""
     if len(pieces) == 1:
         return pieces[0]
@@ -357,14 +357,14 @@ def _one_after_the_other(role: str, pieces: list[Trend], source: str) -> Trend:
             raise RecordingError(
                 f"{source}: {role} has two values at the same time; give one file for it, or --columns"
             )
-    return Trend(
+    return OneSignal(
         np.concatenate([p.t_s for p in pieces]),
         np.concatenate([p.values for p in pieces]),
         any(p.held for p in pieces),
     )
 
 
-def _chosen(loops: Mapping[str, Mapping[str, Trend]], form: RecordForm, tables: Sequence[RawTable]) -> _Loop:
+def _chosen(loops: Mapping[str, Mapping[str, OneSignal]], form: RecordForm, tables: Sequence[RawTable]) -> _Loop:
     source = tables[0].source
     whole = {tag: trends for tag, trends in loops.items() if {"pv", "co"} <= trends.keys()}
     if form.tag:

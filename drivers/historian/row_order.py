@@ -18,7 +18,7 @@ SHARED = 0.95
 
 
 @dataclass(frozen=True, slots=True)
-class Trend:
+class OneSignal:
     """One signal: stamps in seconds and values, shape (n,) each; no value is nan. held : it is stored by exception."""
 
     t_s: FloatArray
@@ -89,7 +89,7 @@ def _distinct(places: np.ndarray, stamps: FloatArray) -> tuple[np.ndarray, Float
     return places, spread, [Assumption(f"{usual} rows to a stamp: spread evenly over {width:g} s")]
 
 
-def joined(pv: Trend, others: dict[str, Trend]) -> tuple[FloatArray, dict[str, FloatArray], list[Assumption]]:
+def joined(pv: OneSignal, others: dict[str, OneSignal]) -> tuple[FloatArray, dict[str, FloatArray], list[Assumption]]:
     """Stamps of pv at which all signals are known, all signals there (pv too), and what was assumed."""
     t_s, told = pv.t_s, []
     known = np.ones(len(t_s), dtype=bool)
@@ -112,7 +112,7 @@ def joined(pv: Trend, others: dict[str, Trend]) -> tuple[FloatArray, dict[str, F
     return t_s[known], {role: v[known] for role, v in values.items()}, told
 
 
-def _until(trend: Trend) -> float:
+def _until(trend: OneSignal) -> float:
     """Until when a signal stored by exception is known: its last row and as long again as it ever stood."""
     longest = float(np.max(np.diff(trend.t_s))) if len(trend.t_s) > 1 else np.inf
     return float(trend.t_s[-1]) + longest

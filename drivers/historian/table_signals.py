@@ -18,7 +18,7 @@ from retuner.drivers.historian.cells import decimal_mark, good, numbers, unit_be
 from retuner.drivers.historian.raw_table import VALUE, RawTable, repeated
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.reshaped import unpaired
-from retuner.drivers.historian.row_order import Trend, in_order
+from retuner.drivers.historian.row_order import OneSignal, in_order
 from retuner.drivers.historian.tags import TIME_UNIT, last_word, loops, named
 from retuner.drivers.historian.time_stamps import DIGITS, Stamps, from_numbers, from_text
 from retuner.drivers.recorded.recording import NUMBER, RecordingError
@@ -47,7 +47,7 @@ class TableSignals:
     """Signals of a table by tag and role, what was assumed of all and of each; loops that cannot be read."""
 
     source: str
-    loops: Mapping[str, Mapping[str, Trend]]
+    loops: Mapping[str, Mapping[str, OneSignal]]
     assumed: tuple[Assumption, ...]
     refused: Mapping[str, RecordingError] = field(default_factory=dict)
     of_loop: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
@@ -84,7 +84,7 @@ def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False)
     clock, more = _clock(table, found, form, decimal)
     told += [*mark, *more]
     good_rows = _good(table, plain.get("quality", []), form, told)
-    known: dict[str, dict[str, Trend]] = {}
+    known: dict[str, dict[str, OneSignal]] = {}
     refused: dict[str, RecordingError] = {}
     own: dict[str, tuple[Assumption, ...]] = {}
     for tag, roles in wanted.items():
@@ -334,7 +334,7 @@ def _trends(
     good_rows: np.ndarray,
     form: RecordForm,
     told: list[Assumption],
-) -> dict[str, Trend]:
+) -> dict[str, OneSignal]:
     """Signals of one loop without what is missing; nothing is copied where nothing is."""
     trends = {}
     plain_clock = clock.as_they_stand and bool(good_rows.all())
@@ -351,10 +351,10 @@ def _trends(
             name = quoted(table.names[place])
             told.append(Assumption(f"{role} is {name}", f"columns.{role} = {name}"))
         if everything:
-            trends[role] = Trend(clock.t_s, values, held)
+            trends[role] = OneSignal(clock.t_s, values, held)
         else:
             known = (np.isfinite(values) & good_rows)[clock.rows]
-            trends[role] = Trend(clock.t_s[known], values[clock.rows][known], held)
+            trends[role] = OneSignal(clock.t_s[known], values[clock.rows][known], held)
     return trends
 
 
@@ -385,7 +385,7 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
     decimal, mark = decimal_mark(table, [value_at], form)
     stamps = _stamps(table, {"": plain}, form, decimal, _begins(tags))
     good_rows = _good(table, plain.get("quality", []), form, told)
-    known: dict[str, dict[str, Trend]] = {}
+    known: dict[str, dict[str, OneSignal]] = {}
     own: dict[str, tuple[Assumption, ...]] = {}
     told += [*mark, *stamps.assumed]
     for tag, role, name in _signals_named(table, sorted(set(tags)), form):
@@ -395,7 +395,7 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
         values = numbers(its, value_at, decimal, form)
         fine = np.isfinite(values) & good_rows[of_it]
         rows, t_s, more = in_order(stamps.t_s[of_it[fine]], table.source)
-        known.setdefault(tag, {})[role] = Trend(t_s, values[fine][rows])
+        known.setdefault(tag, {})[role] = OneSignal(t_s, values[fine][rows])
         own[tag] = (*own.get(tag, ()), *more, Assumption(f"{role} is {quoted(name)}"))
     return TableSignals(table.source, known, tuple(told), of_loop=own)
 

@@ -42,7 +42,7 @@ TIME_UNIT = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
+class NamedColumn:
     """A column by its name: which loop, which role ("" for none), and the unit that the name holds."""
 
     tag: str
@@ -51,7 +51,7 @@ class Named:
 
 
 @lru_cache(maxsize=1 << 16)
-def named(name: str) -> Named:
+def named(name: str) -> NamedColumn:
     """Read a column's name; a plant's names are asked for again and again."""
     unit = UNIT.search(name)
     bare = UNIT.sub("", name).strip() if unit and UNIT.sub("", name).strip() else name.strip()
@@ -61,10 +61,10 @@ def named(name: str) -> Named:
         word = "".join(parts[-taken:]).lower()
         role = "mv" if word == "mv" else ROLE_OF.get(word, "")
         if role:
-            return Named(_before(bare, parts, taken), role, inside)
+            return NamedColumn(_before(bare, parts, taken), role, inside)
     if len(parts) == 2 and parts[1].lower() in TIME_UNIT and ROLE_OF.get(parts[0].lower()) == "t":
-        return Named("", "t", parts[1].lower())
-    return Named("", "", inside)
+        return NamedColumn("", "t", parts[1].lower())
+    return NamedColumn("", "", inside)
 
 
 def last_word(name: str) -> str:

@@ -37,7 +37,7 @@ class Stopped(NamedTuple):
     source: str = ""
 
 
-class Runs(NamedTuple):
+class NoFault(NamedTuple):
     """What had told of a stop tells of none any more."""
 
     source: str = ""
@@ -70,7 +70,7 @@ class Doubted(NamedTuple):
     name: str
 
 
-Told = Doubted | Heard | Stopped | Runs | Started | Alive | Acknowledged | Denied
+Told = Doubted | Heard | Stopped | NoFault | Started | Alive | Acknowledged | Denied
 
 
 class Access(Protocol):

@@ -37,7 +37,17 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
-from retuner.drivers.profiles.access import Access, Acknowledged, Denied, Doubted, Heard, Runs, Started, Stopped, Told
+from retuner.drivers.profiles.access import (
+    Access,
+    Acknowledged,
+    Denied,
+    Doubted,
+    Heard,
+    NoFault,
+    Started,
+    Stopped,
+    Told,
+)
 from retuner.drivers.profiles.bench_loop import load_frame
 from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.gain_course import GainCourse
@@ -227,7 +237,7 @@ class ForeignDevice:
                 self._hear(told.name, told.value, now_s)
             case Stopped():
                 self._on_stop(told)
-            case Runs():
+            case NoFault():
                 self._stopped.pop(told.source, None)
             case Started():
                 self._on_restart()

@@ -77,7 +77,7 @@ class Protection:
     data_id: int | None = None
 
 
-class Named(NamedTuple):
+class MappedPlace(NamedTuple):
     """One place that a mapping names. role : its key, for people ("gains.kp"). what : places of one kind may be one: a
     gain and its read-back, the setpoint and its report, states with masks of their own. key : path in the mapping.
     """
@@ -112,20 +112,20 @@ class DeviceMapping:
     protected: tuple[Protection, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
 
-    def named(self) -> Iterator[Named]:
+    def named(self) -> Iterator[MappedPlace]:
         """Every signal or object that it names, with what it is."""
-        yield Named("pv", "pv", ("pv",), self.pv)
-        yield Named("co", "co", ("co",), self.co)
+        yield MappedPlace("pv", "pv", ("pv",), self.pv)
+        yield MappedPlace("co", "co", ("co",), self.co)
         if self.sp is not None:
-            yield Named("sp", "setpoint", ("sp",), self.sp)
+            yield MappedPlace("sp", "setpoint", ("sp",), self.sp)
         if self.setpoint is not None:
-            yield Named("setpoint", "setpoint", ("setpoint",), self.setpoint)
+            yield MappedPlace("setpoint", "setpoint", ("setpoint",), self.setpoint)
         for gain in self.gains:
             role, key = f"gains.{gain.quantity}", ("gains", str(gain.quantity))
-            yield Named(role, role, key, gain.at)
+            yield MappedPlace(role, role, key, gain.at)
             if gain.read is not None:
-                yield Named(role, role, key, gain.read)
+                yield MappedPlace(role, role, key, gain.read)
         if self.mode is not None:
-            yield Named("mode", "state", ("mode",), self.mode.at)
+            yield MappedPlace("mode", "state", ("mode",), self.mode.at)
         for i, states in enumerate(self.stops):
-            yield Named("stop", "state", ("stop", i), states.at)
+            yield MappedPlace("stop", "state", ("stop", i), states.at)

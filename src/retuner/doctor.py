@@ -37,7 +37,7 @@ class Level(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class MachineFinding:
     """What was found of one thing. what : in a line. remedy : what to do, empty where nothing is to be done."""
 
     name: str
@@ -50,7 +50,7 @@ class Finding:
         return {"name": self.name, "level": self.level, "what": self.what, "remedy": self.remedy}
 
 
-def findings(folder: Path, *, adapters: bool = False) -> Iterator[Finding]:
+def findings(folder: Path, *, adapters: bool = False) -> Iterator[MachineFinding]:
     """Every check, one after another.
 
     folder : where sessions are going to be kept. adapters : ask the drivers of CAN adapters too, which takes seconds
@@ -58,7 +58,7 @@ def findings(folder: Path, *, adapters: bool = False) -> Iterator[Finding]:
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     where = f"{platform.python_implementation()} {platform.python_version()} on {platform.system()}"
-    yield Finding("Python", Level.OK, f"{where}, {platform.machine()}, {cores} cores")
+    yield MachineFinding("Python", Level.OK, f"{where}, {platform.machine()}, {cores} cores")
     yield _installed()
     yield _engine()
     from importlib.metadata import metadata  # noqa: PLC0415  beside its use
@@ -69,9 +69,9 @@ def findings(folder: Path, *, adapters: bool = False) -> Iterator[Finding]:
             continue
         wrong = [text for text in map(_shortfall, needed) if text]
         if wrong:
-            yield Finding(f"extra {extra}", Level.OPTIONAL, "; ".join(wrong), f'pip install "retuner[{extra}]"')
+            yield MachineFinding(f"extra {extra}", Level.OPTIONAL, "; ".join(wrong), f'pip install "retuner[{extra}]"')
         else:
-            yield Finding(f"extra {extra}", Level.OK, ", ".join(needed))
+            yield MachineFinding(f"extra {extra}", Level.OK, ", ".join(needed))
     yield _checked(
         "virtual bus",
         _virtual,
@@ -100,12 +100,12 @@ def findings(folder: Path, *, adapters: bool = False) -> Iterator[Finding]:
     yield _terminal()
 
 
-def _installed() -> Finding:
+def _installed() -> MachineFinding:
     """Our own version, and every package of the base install at a version that is enough."""
     wrong = [text for text in map(_shortfall, _required(None)) if text]
     if wrong:
-        return Finding("retuner", Level.BROKEN, "; ".join(wrong), "pip install --upgrade retuner")
-    return Finding("retuner", Level.OK, f"version {version('retuner')}; all its packages are installed")
+        return MachineFinding("retuner", Level.BROKEN, "; ".join(wrong), "pip install --upgrade retuner")
+    return MachineFinding("retuner", Level.OK, f"version {version('retuner')}; all its packages are installed")
 
 
 def _required(extra: str | None) -> list[str]:
@@ -140,29 +140,29 @@ def _shortfall(requirement: str) -> str:
     )
 
 
-def _engine() -> Finding:
+def _engine() -> MachineFinding:
     from retuner.adaptive.fit.engine import compiled, engine_name  # noqa: PLC0415  loads numpy
 
     try:
         if compiled() is not None:
-            return Finding("engine of fits", Level.OK, f"compiled, {engine_name()}")
+            return MachineFinding("engine of fits", Level.OK, f"compiled, {engine_name()}")
     except ValueError as error:  # the variable of the environment
-        return Finding("engine of fits", Level.BROKEN, str(error), "take the variable away")
+        return MachineFinding("engine of fits", Level.BROKEN, str(error), "take the variable away")
     remedy = (
         "install a C compiler and Python's headers, then: pip install --force-reinstall --no-binary retuner retuner"
     )
-    return Finding(
+    return MachineFinding(
         "engine of fits", Level.OPTIONAL, f"{engine_name()}: many times slower than the compiled one", remedy
     )
 
 
-def _checked(name: str, check: Callable[[], str], remedy: str) -> Finding:
+def _checked(name: str, check: Callable[[], str], remedy: str) -> MachineFinding:
     from retuner.drivers.device import DeviceError  # noqa: PLC0415
 
     try:
-        return Finding(name, Level.OK, check())
+        return MachineFinding(name, Level.OK, check())
     except (OSError, ValueError, UserError, DeviceError) as error:
-        return Finding(name, Level.BROKEN, getattr(error, "strerror", None) or str(error), remedy)
+        return MachineFinding(name, Level.BROKEN, getattr(error, "strerror", None) or str(error), remedy)
 
 
 def _virtual() -> str:
@@ -188,52 +188,52 @@ def _there_and_back(interface: str, channel: str, options: dict[str, object]) ->
     raise OSError(f"a frame was sent and did not arrive within {WAIT_S:g} s")
 
 
-def _multicast() -> Finding:
+def _multicast() -> MachineFinding:
     """Two processes on this machine without kernel CAN."""
     from retuner.drivers.device import DeviceError  # noqa: PLC0415
 
     name = "udp_multicast"
     try:
-        return Finding(name, Level.OK, _there_and_back(name, GROUP, {}) + ", none left this machine")
+        return MachineFinding(name, Level.OK, _there_and_back(name, GROUP, {}) + ", none left this machine")
     except DeviceError as error:  # a BusError, with what to do about it in its last part
         what, _, remedy = str(error).rpartition("; ")
-        return Finding(name, Level.OPTIONAL, what, remedy)
+        return MachineFinding(name, Level.OPTIONAL, what, remedy)
     except OSError as error:
-        return Finding(
+        return MachineFinding(
             name, Level.OPTIONAL, str(error), "let the loopback interface carry multicast: ip link set lo multicast on"
         )
 
 
-def _socketcan() -> Iterator[Finding]:
+def _socketcan() -> Iterator[MachineFinding]:
     """Every CAN interface of the kernel, by listening only."""
     names = sorted(path.parent.name for path in NETWORK.glob("*/type") if path.read_text("ascii").strip() == ARPHRD_CAN)
     if not names:
         if platform.system() != "Linux":
-            yield Finding(
+            yield MachineFinding(
                 "SocketCAN", Level.OPTIONAL, "only Linux has it", "use --interface udp_multicast, or your adapter's"
             )
             return
         remedy = "modprobe vcan && ip link add dev vcan0 type vcan && ip link set vcan0 up; else use udp_multicast"
-        yield Finding("SocketCAN", Level.OPTIONAL, "the kernel shows no CAN interface", remedy)
+        yield MachineFinding("SocketCAN", Level.OPTIONAL, "the kernel shows no CAN interface", remedy)
     for name in names:
         yield _listened(name)
 
 
-def _listened(name: str) -> Finding:
+def _listened(name: str) -> MachineFinding:
     from retuner.drivers.bus.bus_opening import SOCKETCAN, open_bus  # noqa: PLC0415
     from retuner.drivers.device import DeviceError  # noqa: PLC0415
 
     up = int((NETWORK / name / "flags").read_text("ascii"), 16) & 1
     if not up:
-        return Finding(f"SocketCAN {name}", Level.OPTIONAL, "is down", f"ip link set {name} up")
+        return MachineFinding(f"SocketCAN {name}", Level.OPTIONAL, "is down", f"ip link set {name} up")
     try:
         open_bus(SOCKETCAN, name, 0, {}).shutdown()
     except (DeviceError, OSError) as error:
-        return Finding(f"SocketCAN {name}", Level.OPTIONAL, str(error), "ask for the right to open it")
-    return Finding(f"SocketCAN {name}", Level.OK, "is up and can be opened")
+        return MachineFinding(f"SocketCAN {name}", Level.OPTIONAL, str(error), "ask for the right to open it")
+    return MachineFinding(f"SocketCAN {name}", Level.OK, "is up and can be opened")
 
 
-def _adapters() -> Finding:
+def _adapters() -> MachineFinding:
     import can  # noqa: PLC0415  slow to load
 
     logging.disable(
@@ -246,12 +246,12 @@ def _adapters() -> Finding:
     own = ("virtual", "udp_multicast", "socketcan")
     found = [f"{one['interface']} {one['channel']}" for one in seen if one["interface"] not in own]
     if found:
-        return Finding("CAN adapters", Level.OK, ", ".join(found))
+        return MachineFinding("CAN adapters", Level.OK, ", ".join(found))
     remedy = "install the vendor's driver and python-can's package for it"
-    return Finding("CAN adapters", Level.OPTIONAL, "no driver of python-can finds one", remedy)
+    return MachineFinding("CAN adapters", Level.OPTIONAL, "no driver of python-can finds one", remedy)
 
 
-def _timer() -> Finding:
+def _timer() -> MachineFinding:
     """How late this machine wakes a sleeper."""
     late_s = 0.0
     for _ in range(TIMER_TRIES):
@@ -260,15 +260,15 @@ def _timer() -> Finding:
         late_s = max(late_s, time.perf_counter() - asleep_s - 0.005)
     what = f"wakes up at most {late_s * 1e3:.1f} ms late, in {TIMER_TRIES} tries"
     if late_s * 1e3 <= LATE_MS:
-        return Finding("timer", Level.OK, what)
+        return MachineFinding("timer", Level.OK, what)
     remedy = f"fast enough for loops slower than {late_s * 10:.1f} s; for faster loops reduce the load on this machine"
-    return Finding("timer", Level.OPTIONAL, what, remedy)
+    return MachineFinding("timer", Level.OPTIONAL, what, remedy)
 
 
-def _terminal() -> Finding:
+def _terminal() -> MachineFinding:
     encoding = (sys.stdout.encoding or "").lower()
     colour = "without colour (NO_COLOR)" if os.environ.get("NO_COLOR") else "with colour on a terminal"
     if encoding.startswith("utf"):
-        return Finding("screen", Level.OK, f"{encoding}, {colour}")
+        return MachineFinding("screen", Level.OK, f"{encoding}, {colour}")
     remedy = "set PYTHONIOENCODING=utf-8 for the signs of units and graphs; without it they are escaped"
-    return Finding("screen", Level.OPTIONAL, f"encoding {encoding or 'unknown'}, {colour}", remedy)
+    return MachineFinding("screen", Level.OPTIONAL, f"encoding {encoding or 'unknown'}, {colour}", remedy)

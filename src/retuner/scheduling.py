@@ -20,7 +20,7 @@ from retuner.adaptive.schedule_choice.schedule_from_records import (
     first_sets,
     next_experiment,
 )
-from retuner.adaptive.schedule_choice.scheduling_variables import OWN, Candidate, follows_loop, silent
+from retuner.adaptive.schedule_choice.scheduling_variables import OWN, SchedulingVariable, follows_loop, silent
 from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, model_of
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import Record, window_of, within
@@ -348,7 +348,7 @@ def windows_of(records: Window | Record | Sequence[Window | Record]) -> tuple[Wi
     return tuple(one if isinstance(one, Window) else window_of(one) for one in several)
 
 
-def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequence[Numbers]]) -> Candidate:
+def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequence[Numbers]]) -> SchedulingVariable:
     """A variable at the samples of every record."""
     if name in values:
         arrays = [np.asarray(v, dtype=np.float64) for v in values[name]]
@@ -362,10 +362,10 @@ def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequen
     for array, window in zip(arrays, windows, strict=True):
         if array.shape != window.t_s.shape or not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: give a finite value at each of the record's {len(window.t_s)} samples")
-    return Candidate(name, tuple(arrays), follows=name not in OWN and follows_loop(windows, arrays))
+    return SchedulingVariable(name, tuple(arrays), follows=name not in OWN and follows_loop(windows, arrays))
 
 
-def _between_gaps(one: Candidate, rows: Sequence[Sequence[slice]]) -> Candidate:
+def _between_gaps(one: SchedulingVariable, rows: Sequence[Sequence[slice]]) -> SchedulingVariable:
     """A variable at the samples of every part of the records."""
     values = tuple(array[part] for array, parts in zip(one.values, rows, strict=True) for part in parts)
     return replace(one, values=values)

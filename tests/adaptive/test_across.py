@@ -17,10 +17,10 @@ from retuner.adaptive.region_model.boundary_crossing import (
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
 from retuner.adaptive.region_model.varying_process_fit import in_motion
-from retuner.adaptive.schedule_design.stretches import Axis
+from retuner.adaptive.schedule_design.stretches import CurveAxis
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Axis as TableAxis
+from retuner.schedule.regions import CurveAxis as TableAxis
 from retuner.schedule.regions import Regions
 
 REGIONS = Regions("pv", "-", ("low", "middle", "high"), 0.0, (40.0, 60.0), 100.0)
@@ -75,7 +75,7 @@ def test_a_linear_model_of_a_long_step_is_a_fiction_and_one_in_motion_is_not(rec
     alone = Fits(record, (1,), FIT).estimate()
     linear = alone.log.model()
     assert not 0.85 < linear.tau1_s / TAU_S < 1.2
-    found = in_motion(record, record.pv, Axis(0.0, 100.0), alone)[0]
+    found = in_motion(record, record.pv, CurveAxis(0.0, 100.0), alone)[0]
     for place in (40.0, 55.0, 75.0):
         model = found.at(place).model()
         assert model.k == pytest.approx(steep(place), rel=0.2)
@@ -111,7 +111,7 @@ def behind_a_valve(low: float, high: float, seconds: int = 900) -> Window:
 @pytest.mark.parametrize(("low", "high"), [(26.0, 46.0), (73.0, 50.0)])
 def test_a_curve_of_the_valve_is_not_taken_for_lags_and_bends(low: float, high: float) -> None:
     window = behind_a_valve(low, high)
-    found = in_motion(window, window.pv, Axis(8.0, 90.0), Fits(window, (1,), FIT).estimate())[0]
+    found = in_motion(window, window.pv, CurveAxis(8.0, 90.0), Fits(window, (1,), FIT).estimate())[0]
     for level in (low, high):
         here = found.at(level).model()
         assert here.k / (here.tau1_s + here.tau2_s) == pytest.approx(math.sqrt(level) * R / 1200, rel=0.25)

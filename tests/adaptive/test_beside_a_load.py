@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retuner.adaptive.fit.dynamics import Clock, Dynamics
+from retuner.adaptive.fit.dynamics import Dynamics, SamplingInstants
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import EXACT, refine
@@ -34,7 +34,7 @@ def record() -> Window:
     co, pv, integral = np.zeros(N), np.zeros(N), 0.0
     noise = 0.005 * rng.standard_normal(N)
     for i in range(N):
-        moved = process.held(Clock.of(t[: i + 1]), co[: i + 1], THETA_S)[-1] if i else 0.0
+        moved = process.held(SamplingInstants.of(t[: i + 1]), co[: i + 1], THETA_S)[-1] if i else 0.0
         pv[i] = moved / TOTAL + load[i] + noise[i]
         integral -= 1.5 / 30 * pv[i] * DT
         co[i] = -1.5 * pv[i] + integral

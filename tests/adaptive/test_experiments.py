@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.experiments import relay, step
 from retuner.adaptive.experiments.plan import (
-    Kind,
+    Experiment,
+    LoopAtRest,
     Plan,
     RelayState,
-    Rest,
     at_rest,
     enough,
     relay_output,
@@ -422,8 +422,8 @@ def test_no_swing_is_refused() -> None:
 # ---- The pure step functions of experiments on demand: rest, relay, when enough has been seen, settings out of
 # range
 
-PLAN = Plan(Kind.RELAY, 10.0, 0.0, 100.0, rest_samples=30)
-REST = Rest(50.0, 40.0, 0.1, 0.3)
+PLAN = Plan(Experiment.RELAY, 10.0, 0.0, 100.0, rest_samples=30)
+REST = LoopAtRest(50.0, 40.0, 0.1, 0.3)
 
 
 def samples(pv: list[float], co: float = 40.0, sp: float = 50.0) -> list[LoopSample]:
@@ -453,8 +453,8 @@ def test_rest_needs_its_samples_and_one_setpoint_and_mode() -> None:
     assert at_rest(PLAN, samples([50.0] * 29)) is None
     moved = samples([50.0] * 20) + samples([50.0] * 20, sp=51.0)
     assert at_rest(PLAN, moved) is None
-    assert at_rest(PLAN, samples([50.0] * 40)) == Rest(50.0, 40.0, 0.0, 0.0)
-    assert at_rest(replace(PLAN, hysteresis=0.7), samples([50.0] * 40)) == Rest(50.0, 40.0, 0.0, 0.7)
+    assert at_rest(PLAN, samples([50.0] * 40)) == LoopAtRest(50.0, 40.0, 0.0, 0.0)
+    assert at_rest(replace(PLAN, hysteresis=0.7), samples([50.0] * 40)) == LoopAtRest(50.0, 40.0, 0.0, 0.7)
 
 
 @given(pv=st.floats(40.0, 60.0), high=st.booleans(), direction=st.sampled_from([-1, 1]))
@@ -489,7 +489,7 @@ def first_order(n: int, tau: float, gain: float = 5.0, delay: int = 5) -> list[f
 @pytest.mark.parametrize("sigma", [0.0, 0.1])
 @pytest.mark.parametrize("tau", [10.0, 40.0])
 def test_a_step_is_over_when_the_response_has_come_to_rest_and_not_before(tau: float, sigma: float) -> None:
-    plan, rest = Plan(Kind.STEP, 5.0, 0.0, 100.0), Rest(50.0, 40.0, sigma, 0.0)
+    plan, rest = Plan(Experiment.STEP, 5.0, 0.0, 100.0), LoopAtRest(50.0, 40.0, sigma, 0.0)
     noise = sigma * np.random.default_rng(4).standard_normal(1000)
     pv = (np.array(first_order(1000, tau)) + noise).tolist()
     ends = next(n for n in range(1, 1000) if enough(plan, samples(pv[:n]), rest, relay_start()))
@@ -498,25 +498,29 @@ def test_a_step_is_over_when_the_response_has_come_to_rest_and_not_before(tau: f
 
 
 def test_a_dead_time_is_not_rest() -> None:
-    plan = Plan(Kind.STEP, 5.0, 0.0, 100.0)
+    plan = Plan(Experiment.STEP, 5.0, 0.0, 100.0)
     assert not enough(plan, samples(noisy(500, 0.1)), REST, relay_start())
 
 
 def test_a_ramp_is_over_when_it_has_gone_far_enough_of_its_band() -> None:
-    plan = Plan(Kind.STEP, 5.0, 0.0, 60.0)
+    plan = Plan(Experiment.STEP, 5.0, 0.0, 60.0)
     pv = [50.0 + 0.1 * i for i in range(200)]
     assert not enough(plan, samples(pv[:55]), REST, relay_start())
     assert enough(plan, samples(pv[:65]), REST, relay_start())
 
 
 def test_a_swinging_setpoint_response_is_over_after_some_turns_and_a_peak_is_no_rest() -> None:
-    plan = Plan(Kind.SETPOINT, 1.0, 0.0, 100.0)
+    plan = Plan(Experiment.SETPOINT, 1.0, 0.0, 100.0)
     t = np.arange(600)
     sustained = (51.0 - np.cos(2 * math.pi * t / 60)).tolist()
-    ends = next(n for n in range(1, 600) if enough(plan, samples(sustained[:n]), Rest(50, 40, 0.0, 0.0), relay_start()))
+    ends = next(
+        n for n in range(1, 600) if enough(plan, samples(sustained[:n]), LoopAtRest(50, 40, 0.0, 0.0), relay_start())
+    )
     assert 100 < ends < 250
     dying = (51.0 - np.cos(2 * math.pi * t / 60) * np.exp(-t / 40)).tolist()
-    ends = next(n for n in range(1, 600) if enough(plan, samples(dying[:n]), Rest(50, 40, 0.02, 0.0), relay_start()))
+    ends = next(
+        n for n in range(1, 600) if enough(plan, samples(dying[:n]), LoopAtRest(50, 40, 0.02, 0.0), relay_start())
+    )
     assert ends > 90  # beyond the undershoot at 60
 
 

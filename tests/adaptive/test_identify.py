@@ -11,7 +11,7 @@ from effort import examples, sized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.fit.dynamics import Clock, Dynamics
+from retuner.adaptive.fit.dynamics import Dynamics, SamplingInstants
 from retuner.adaptive.identification.identify import OPEN_LOOP, FitSettings, estimate_of, fitted, identify_window
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.process.model import ProcessType
@@ -22,7 +22,7 @@ FIRST = ProcessType.FOPDT
 
 def through(t: np.ndarray, u: np.ndarray, tau: float, theta: float) -> np.ndarray:
     """The response of a lag of gain one with dead time."""
-    return Dynamics(0.0, 1 / tau).held(Clock.of(t), u - u[0], theta) / tau
+    return Dynamics(0.0, 1 / tau).held(SamplingInstants.of(t), u - u[0], theta) / tau
 
 
 HEATER = Path(__file__).parent.parent / "data" / "heater" / "open_loop_step.csv"
@@ -169,7 +169,7 @@ def test_a_process_that_swings_long_is_found_with_its_damping(zeta: float) -> No
     t, tau = np.arange(0.0, 600.0, 2.0), 15.0
     u = np.where(t < 40.0, 0.0, 1.0)
     total = 2 * zeta * tau
-    pv = 3.0 * Dynamics(tau**2 / total, 1 / total).held(Clock.of(t), u, 7.0) / total
+    pv = 3.0 * Dynamics(tau**2 / total, 1 / total).held(SamplingInstants.of(t), u, 7.0) / total
     noise = 0.01 * np.random.default_rng(3).standard_normal(len(t))
     model = identify_window(Window(t, np.zeros_like(t), pv + noise, u), sign=1).log.model()
     assert model.zeta == pytest.approx(zeta, rel=0.05)

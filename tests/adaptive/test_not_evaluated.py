@@ -14,7 +14,7 @@ from loop_bench import Bench, scaled, table
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline import STAGES, Stage
+from retuner.adaptive.supervision.pipeline import STAGES, PipelineStage
 from retuner.adaptive.supervision.pipeline_types import NOT_EVALUATED, Findings
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -37,7 +37,7 @@ ERRORS = (
 )
 
 
-def breaking(error: BaseException, at: str) -> tuple[Stage, ...]:
+def breaking(error: BaseException, at: str) -> tuple[PipelineStage, ...]:
     """The stages, of which one raises."""
 
     def broken(found: Findings) -> None:

@@ -13,7 +13,7 @@ from test_diagnose import DT, GOOD, loop, times
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.tuning_verdict import Loop, _doubt, _tone_doubt
+from retuner.adaptive.diagnosis.tuning_verdict import JudgedLoop, _doubt, _tone_doubt
 from retuner.adaptive.identification.identify import Fits, FitSettings
 
 STRONG = times(3.2, 4.0)  # Ms about 6: a pulse rings for some ten cycles
@@ -54,7 +54,7 @@ def test_what_the_record_refutes_is_not_put_to_a_second_opinion(ms: float, asked
     window = loop(GOOD, sp=lambda i: float(i >= 80))
     evidence = {"setpoint_steps": 1.0, "loads": 5.0, "linear_left": 1.1, "external_left": 1.1, "ms": ms}
     verdict = Diagnosis(Cause.AGGRESSIVE, 1.0, evidence, "by the fit")
-    of = Loop(window, GOOD, [], Fits(window, (1,), FitSettings()), DiagnosisSettings())
+    of = JudgedLoop(window, GOOD, [], Fits(window, (1,), FitSettings()), DiagnosisSettings())
     doubt = _doubt(verdict, of, oscillates=False)
     assert doubt is not None
     assert doubt.may_be_asked is asked

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete, tf2ss
 
-from retuner.adaptive.fit.dynamics import Clock, through_lag
+from retuner.adaptive.fit.dynamics import SamplingInstants, through_lag
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import refine
@@ -292,7 +292,7 @@ def test_a_ramp_through_a_lag_is_exact_at_any_interval(even: bool) -> None:
     t = np.arange(40) * 0.5 if even else np.cumsum(np.random.default_rng(1).uniform(0.1, 1.0, 40))
     t -= t[0]
     expected = t - 3.0 * -np.expm1(-t / 3.0)
-    np.testing.assert_allclose(through_lag(Clock.of(t), t, 3.0), expected, atol=1e-9)
+    np.testing.assert_allclose(through_lag(SamplingInstants.of(t), t, 3.0), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("model", [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.fit.dynamics import Clock, Dynamics
+from retuner.adaptive.fit.dynamics import Dynamics, SamplingInstants
 from retuner.adaptive.identification.identify import Fits, FitSettings, identify_window
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import Window
@@ -64,7 +64,7 @@ def manual(cut: int, steps: tuple[tuple[int, float], ...] = ((50, 1.0), (200, -0
     t, u, rng = np.arange(600.0), np.zeros(600), np.random.default_rng(5)
     for at, value in steps:
         u[at:] = value
-    pv = 2 * Dynamics(0.0, 1 / 40).held(Clock.of(t), u, 6.0) / 40 + 0.01 * rng.standard_normal(600)
+    pv = 2 * Dynamics(0.0, 1 / 40).held(SamplingInstants.of(t), u, 6.0) / 40 + 0.01 * rng.standard_normal(600)
     return [x[cut:] for x in (t, np.zeros(600), pv + 30, u + 20)]
 
 

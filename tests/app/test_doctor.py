@@ -10,11 +10,11 @@ import pytest
 from command_line import run
 
 from retuner import doctor
-from retuner.doctor import Finding, Level, findings
+from retuner.doctor import Level, MachineFinding, findings
 from retuner.drivers.device import BusError
 
 
-def finding(name: str, folder: Path) -> Finding:
+def finding(name: str, folder: Path) -> MachineFinding:
     return next(one for one in findings(folder) if one.name.startswith(name))
 
 
@@ -75,7 +75,7 @@ def test_a_missing_package_of_the_base_is_broken_and_of_an_extra_is_not(
     monkeypatch.setattr(doctor, "version", without)
 
     assert finding("retuner", tmp_path).level == Level.BROKEN
-    assert finding("extra canopen", tmp_path) == Finding(
+    assert finding("extra canopen", tmp_path) == MachineFinding(
         "extra canopen", Level.OPTIONAL, "canopen is not installed", 'pip install "retuner[canopen]"'
     )
     assert finding("extra parquet", tmp_path).what == "pyarrow 1.0 is there, >=15 is needed"

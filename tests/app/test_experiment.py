@@ -13,7 +13,7 @@ import pytest
 from shared_time import SharedTime
 
 from retuner.adaptive.experiments.phases import Phase
-from retuner.adaptive.experiments.plan import Kind
+from retuner.adaptive.experiments.plan import Experiment
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.cli import main
@@ -28,7 +28,7 @@ from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import Bench
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.errors import LedgerError
-from retuner.experiment.findings import Question, evaluate
+from retuner.experiment.findings import ExperimentQuestion, evaluate
 from retuner.experiment.on_demand import OnDemandExperiment, SettingsWriter
 from retuner.experiment.runner import ExperimentRunner
 from retuner.ledger import Ledger, LedgerReader
@@ -355,7 +355,7 @@ def test_a_live_bus_is_experimented_with_and_restored(loop: Path, monkeypatch: p
     thread = threading.Thread(target=be_device)
     thread.start()
     try:
-        plan = plan_for(config, Kind.RELAY, RelayOptions(), ExperimentSignal(10.0, cycles=2, bias=0.3))
+        plan = plan_for(config, Experiment.RELAY, RelayOptions(), ExperimentSignal(10.0, cycles=2, bias=0.3))
         with live(config, speed) as bench:
             conductor = ExperimentRunner(bench.device, plan, 0.1, bench.device.settings.silent_s, nothing)
             while not conductor.phase.over:
@@ -368,7 +368,7 @@ def test_a_live_bus_is_experimented_with_and_restored(loop: Path, monkeypatch: p
     assert conductor.cause is None
     assert machine.auto
     assert machine.sp == pytest.approx(4.0, abs=0.1)
-    found = evaluate(Window.of(conductor.excited), Question(Kind.RELAY))
+    found = evaluate(Window.of(conductor.excited), ExperimentQuestion(Experiment.RELAY))
     assert found.ultimate is not None
     assert found.fit is not None
     model = found.fit.estimate.log.model()

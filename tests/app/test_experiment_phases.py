@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from retuner.adaptive.experiments.phases import TRANSITIONS, AbortCause, Happening, Phase, after
-from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.experiments.plan import Experiment, Plan
 from retuner.adaptive.experiments.valve_test import SHORT
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.bus.bus import CanLink, LinkSettings
@@ -27,12 +27,16 @@ CHANNELS = itertools.count()
 DT = 0.5
 GAINS = PidGains(2.0, 0.25, 0.5)
 PLANS = {
-    Kind.STEP: Plan(Kind.STEP, 10.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=200.0),
-    Kind.RELAY: Plan(Kind.RELAY, 10.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=400.0, bias=0.2),
-    Kind.VALVE: Plan(
-        Kind.VALVE, 2.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=200.0, hold_s=20.0, moves=SHORT
+    Experiment.STEP: Plan(Experiment.STEP, 10.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=200.0),
+    Experiment.RELAY: Plan(
+        Experiment.RELAY, 10.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=400.0, bias=0.2
     ),
-    Kind.SETPOINT: Plan(Kind.SETPOINT, 2.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=200.0, kc0=3.0),
+    Experiment.VALVE: Plan(
+        Experiment.VALVE, 2.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=200.0, hold_s=20.0, moves=SHORT
+    ),
+    Experiment.SETPOINT: Plan(
+        Experiment.SETPOINT, 2.0, 30.0, 70.0, rest_samples=10, rest_time_s=60.0, time_s=200.0, kc0=3.0
+    ),
 }
 LIVING = [phase for phase in Phase if not phase.over]
 
@@ -142,11 +146,11 @@ def test_what_is_not_in_the_table_cannot_happen(phase: Phase, happening: Happeni
         after(phase, happening)
 
 
-@pytest.mark.parametrize("kind", Kind)
+@pytest.mark.parametrize("kind", Experiment)
 @pytest.mark.parametrize("cause", AbortCause)
 @pytest.mark.parametrize("phase", LIVING)
 def test_every_cause_in_every_phase_ends_in_the_verified_old_state(
-    phase: Phase, cause: AbortCause, kind: Kind, lab: Callable[..., Lab]
+    phase: Phase, cause: AbortCause, kind: Experiment, lab: Callable[..., Lab]
 ) -> None:
     bench = lab(PLANS[kind])
     bench.until(phase)
@@ -159,9 +163,9 @@ def test_every_cause_in_every_phase_ends_in_the_verified_old_state(
     assert bench.conductor.touched == (phase not in {Phase.CONNECTING, Phase.RESTING})
 
 
-@pytest.mark.parametrize("kind", Kind)
+@pytest.mark.parametrize("kind", Experiment)
 @pytest.mark.parametrize("phase", LIVING)
-def test_a_restart_of_the_controller_in_every_phase(phase: Phase, kind: Kind, lab: Callable[..., Lab]) -> None:
+def test_a_restart_of_the_controller_in_every_phase(phase: Phase, kind: Experiment, lab: Callable[..., Lab]) -> None:
     bench = lab(PLANS[kind])
     bench.until(phase)
     bench.some(0 if phase is Phase.CONNECTING else 2 if phase is Phase.EXCITING else 1)
@@ -174,9 +178,9 @@ def test_a_restart_of_the_controller_in_every_phase(phase: Phase, kind: Kind, la
         assert bench.conductor.cause is None or bench.conductor.cause is AbortCause.RESTARTED
 
 
-@pytest.mark.parametrize("kind", Kind)
+@pytest.mark.parametrize("kind", Experiment)
 @pytest.mark.parametrize("phase", [p for p in LIVING if p is not Phase.CONNECTING])
-def test_telemetry_lost_for_a_while_in_every_phase(phase: Phase, kind: Kind, lab: Callable[..., Lab]) -> None:
+def test_telemetry_lost_for_a_while_in_every_phase(phase: Phase, kind: Experiment, lab: Callable[..., Lab]) -> None:
     bench = lab(PLANS[kind])
     bench.until(phase)
     bench.alive = False
@@ -189,9 +193,9 @@ def test_telemetry_lost_for_a_while_in_every_phase(phase: Phase, kind: Kind, lab
         assert bench.conductor.cause is AbortCause.SILENT
 
 
-@pytest.mark.parametrize("kind", Kind)
+@pytest.mark.parametrize("kind", Experiment)
 @pytest.mark.parametrize("phase", [p for p in LIVING if p.touched])
-def test_a_controller_that_never_comes_back_is_told(phase: Phase, kind: Kind, lab: Callable[..., Lab]) -> None:
+def test_a_controller_that_never_comes_back_is_told(phase: Phase, kind: Experiment, lab: Callable[..., Lab]) -> None:
     bench = lab(PLANS[kind])
     bench.until(phase)
     bench.alive = False
@@ -200,8 +204,8 @@ def test_a_controller_that_never_comes_back_is_told(phase: Phase, kind: Kind, la
     assert bench.conductor.before is not None  # what a person has to bring back
 
 
-@pytest.mark.parametrize("kind", Kind)
-def test_an_undisturbed_experiment_leaves_everything_as_it_was(kind: Kind, lab: Callable[..., Lab]) -> None:
+@pytest.mark.parametrize("kind", Experiment)
+def test_an_undisturbed_experiment_leaves_everything_as_it_was(kind: Experiment, lab: Callable[..., Lab]) -> None:
     bench = lab(PLANS[kind])
     bench.over()
     assert bench.conductor.phase is Phase.RESTORED
@@ -219,8 +223,8 @@ def test_an_undisturbed_experiment_leaves_everything_as_it_was(kind: Kind, lab: 
     assert len(bench.conductor.excited) > 20
 
 
-@pytest.mark.parametrize("kind", [Kind.STEP, Kind.RELAY])
-def test_a_loop_in_manual_is_left_in_manual_at_its_output(kind: Kind, lab: Callable[..., Lab]) -> None:
+@pytest.mark.parametrize("kind", [Experiment.STEP, Experiment.RELAY])
+def test_a_loop_in_manual_is_left_in_manual_at_its_output(kind: Experiment, lab: Callable[..., Lab]) -> None:
     bench = lab(PLANS[kind], auto=False)
     bench.over()
     assert bench.conductor.phase is Phase.RESTORED
@@ -229,16 +233,16 @@ def test_a_loop_in_manual_is_left_in_manual_at_its_output(kind: Kind, lab: Calla
 
 
 def test_a_setpoint_experiment_in_manual_is_refused_before_anything_is_touched(lab: Callable[..., Lab]) -> None:
-    bench = lab(PLANS[Kind.SETPOINT], auto=False)
+    bench = lab(PLANS[Experiment.SETPOINT], auto=False)
     bench.over()
     assert bench.conductor.cause is AbortCause.WRONG_MODE
     assert not bench.conductor.touched
 
 
-@pytest.mark.parametrize("kind", Kind)
-def test_a_reverse_acting_loop(kind: Kind, lab: Callable[..., Lab]) -> None:
+@pytest.mark.parametrize("kind", Experiment)
+def test_a_reverse_acting_loop(kind: Experiment, lab: Callable[..., Lab]) -> None:
     gains = PidGains(-2.0, -0.25, -0.5)
-    plan = replace(PLANS[kind], kc0=-3.0 if kind == Kind.SETPOINT else None)
+    plan = replace(PLANS[kind], kc0=-3.0 if kind == Experiment.SETPOINT else None)
     bench = lab(plan, k=-1.0, gains=gains)
     bench.over()
     assert bench.conductor.phase is Phase.RESTORED
@@ -250,15 +254,15 @@ def test_a_reverse_acting_loop(kind: Kind, lab: Callable[..., Lab]) -> None:
 
 
 def test_pv_outside_its_band_at_the_start(lab: Callable[..., Lab]) -> None:
-    bench = lab(replace(PLANS[Kind.STEP], pv_low=60.0))
+    bench = lab(replace(PLANS[Experiment.STEP], pv_low=60.0))
     bench.over()
     assert bench.conductor.cause is AbortCause.PV_BAND
     assert not bench.conductor.touched
     assert bench.as_before()
 
 
-@pytest.mark.parametrize("kind", Kind)
-def test_a_load_that_drives_pv_out_of_its_band(kind: Kind, lab: Callable[..., Lab]) -> None:
+@pytest.mark.parametrize("kind", Experiment)
+def test_a_load_that_drives_pv_out_of_its_band(kind: Experiment, lab: Callable[..., Lab]) -> None:
     bench = lab(replace(PLANS[kind], deviation=8.0))
     bench.until(Phase.EXCITING)
     bench.device.load = 40.0
@@ -269,7 +273,7 @@ def test_a_load_that_drives_pv_out_of_its_band(kind: Kind, lab: Callable[..., La
 
 
 def test_a_drifting_loop_is_not_experimented_with(lab: Callable[..., Lab]) -> None:
-    bench = lab(replace(PLANS[Kind.STEP], rest_samples=40), auto=False)
+    bench = lab(replace(PLANS[Experiment.STEP], rest_samples=40), auto=False)
     for i in range(600):
         bench.device.load = 0.05 * i
         bench.turn()
@@ -279,8 +283,8 @@ def test_a_drifting_loop_is_not_experimented_with(lab: Callable[..., Lab]) -> No
     assert not bench.conductor.touched
 
 
-@pytest.mark.parametrize("kind", [Kind.STEP, Kind.RELAY])
-def test_an_amplitude_beyond_the_range_of_the_output_is_refused(kind: Kind, lab: Callable[..., Lab]) -> None:
+@pytest.mark.parametrize("kind", [Experiment.STEP, Experiment.RELAY])
+def test_an_amplitude_beyond_the_range_of_the_output_is_refused(kind: Experiment, lab: Callable[..., Lab]) -> None:
     bench = lab(replace(PLANS[kind], amplitude=70.0))
     bench.over()
     assert bench.conductor.cause is AbortCause.NO_ROOM
@@ -288,14 +292,14 @@ def test_an_amplitude_beyond_the_range_of_the_output_is_refused(kind: Kind, lab:
 
 
 def test_an_output_that_the_controller_limits_ends_the_setpoint_experiment(lab: Callable[..., Lab]) -> None:
-    bench = lab(replace(PLANS[Kind.SETPOINT], amplitude=15.0, kc0=8.0))
+    bench = lab(replace(PLANS[Experiment.SETPOINT], amplitude=15.0, kc0=8.0))
     bench.over()
     assert bench.conductor.cause is AbortCause.SATURATED
     assert bench.as_before()
 
 
 def test_a_held_setpoint_goes_out_and_back_under_the_active_gains(lab: Callable[..., Lab]) -> None:
-    held = replace(PLANS[Kind.SETPOINT], kc0=None, hold_s=20.0)
+    held = replace(PLANS[Experiment.SETPOINT], kc0=None, hold_s=20.0)
     bench = lab(held, noise=0.3)
     bench.over()
     assert bench.conductor.cause is None
@@ -306,11 +310,11 @@ def test_a_held_setpoint_goes_out_and_back_under_the_active_gains(lab: Callable[
     assert excited[-1].t_s - out[-1] == pytest.approx(20.0, abs=3 * DT)
     assert {s.sp for s in excited} == {50.0, 52.0}
     with pytest.raises(ValueError, match="hold_s"):
-        replace(PLANS[Kind.STEP], hold_s=20.0)
+        replace(PLANS[Experiment.STEP], hold_s=20.0)
 
 
 def test_a_valve_test_plays_its_moves_in_manual_and_goes_back(lab: Callable[..., Lab]) -> None:
-    plan = replace(PLANS[Kind.VALVE], amplitude=1.0)
+    plan = replace(PLANS[Experiment.VALVE], amplitude=1.0)
     bench = lab(plan)
     bench.over()
     assert bench.conductor.cause is None
@@ -326,7 +330,7 @@ def test_a_valve_test_plays_its_moves_in_manual_and_goes_back(lab: Callable[...,
 
 
 def test_a_setpoint_that_another_moves_during_a_hold_ends_it(lab: Callable[..., Lab]) -> None:
-    bench = lab(replace(PLANS[Kind.SETPOINT], kc0=None, hold_s=20.0))
+    bench = lab(replace(PLANS[Experiment.SETPOINT], kc0=None, hold_s=20.0))
     bench.until(Phase.EXCITING)
     bench.some(60)  # the setpoint is back by now
     bench.device.sp = 47.0
@@ -336,17 +340,17 @@ def test_a_setpoint_that_another_moves_during_a_hold_ends_it(lab: Callable[..., 
 
 
 def test_a_relay_against_the_grain_never_switches_back(lab: Callable[..., Lab]) -> None:
-    bench = lab(replace(PLANS[Kind.RELAY], pv_low=0.0, pv_high=100.0, time_s=100.0, amplitude=5.0), k=-1.0)
+    bench = lab(replace(PLANS[Experiment.RELAY], pv_low=0.0, pv_high=100.0, time_s=100.0, amplitude=5.0), k=-1.0)
     bench.over()
     assert bench.conductor.cause in {AbortCause.NEVER_SWITCHED, AbortCause.NOT_AT_REST, AbortCause.PV_BAND}
-    bench = lab(replace(PLANS[Kind.RELAY], hysteresis=30.0, pv_low=0.0, pv_high=100.0, time_s=100.0))
+    bench = lab(replace(PLANS[Experiment.RELAY], hysteresis=30.0, pv_low=0.0, pv_high=100.0, time_s=100.0))
     bench.over()
     assert bench.conductor.cause is AbortCause.NEVER_SWITCHED
     assert bench.as_before()
 
 
 def test_the_time_limit(lab: Callable[..., Lab]) -> None:
-    bench = lab(replace(PLANS[Kind.STEP], time_s=5.0))
+    bench = lab(replace(PLANS[Experiment.STEP], time_s=5.0))
     bench.over()
     assert bench.conductor.cause is AbortCause.TIME
     assert bench.as_before()
@@ -355,7 +359,7 @@ def test_the_time_limit(lab: Callable[..., Lab]) -> None:
 def test_cycles_limit_the_relay(lab: Callable[..., Lab]) -> None:
     lengths = []
     for cycles in (2, 6):
-        bench = lab(replace(PLANS[Kind.RELAY], cycles=cycles))
+        bench = lab(replace(PLANS[Experiment.RELAY], cycles=cycles))
         bench.over()
         assert bench.conductor.cause is None
         co = [s.co for s in bench.conductor.excited]
@@ -364,7 +368,7 @@ def test_cycles_limit_the_relay(lab: Callable[..., Lab]) -> None:
 
 
 def test_hysteresis_comes_from_the_noise_seen_at_rest(lab: Callable[..., Lab]) -> None:
-    plan = replace(PLANS[Kind.RELAY], rest_samples=100)
+    plan = replace(PLANS[Experiment.RELAY], rest_samples=100)
     bench = lab(plan, auto=False, noise=0.2)
     bench.over()
     assert bench.conductor.cause is None
@@ -373,21 +377,21 @@ def test_hysteresis_comes_from_the_noise_seen_at_rest(lab: Callable[..., Lab]) -
 
 
 def test_a_gain_set_that_the_controller_refuses_ends_the_experiment(lab: Callable[..., Lab]) -> None:
-    bench = lab(replace(PLANS[Kind.SETPOINT], kc0=1000.0))
+    bench = lab(replace(PLANS[Experiment.SETPOINT], kc0=1000.0))
     bench.over()
     assert bench.conductor.cause is AbortCause.REFUSED
     assert bench.as_before()
 
 
 def test_a_setpoint_that_the_controller_refuses_ends_the_experiment(lab: Callable[..., Lab]) -> None:
-    bench = lab(PLANS[Kind.SETPOINT], sp_max=51.0)
+    bench = lab(PLANS[Experiment.SETPOINT], sp_max=51.0)
     bench.over()
     assert bench.conductor.cause is AbortCause.REFUSED
     assert bench.as_before()
 
 
 def test_an_operator_who_takes_over_ends_the_experiment(lab: Callable[..., Lab]) -> None:
-    bench = lab(PLANS[Kind.RELAY])
+    bench = lab(PLANS[Experiment.RELAY])
     bench.until(Phase.EXCITING)
     bench.some(3)
     bench.device.auto = True  # at the panel of the controller
@@ -397,7 +401,7 @@ def test_an_operator_who_takes_over_ends_the_experiment(lab: Callable[..., Lab])
 
 
 def test_an_operator_who_moves_the_setpoint_ends_a_setpoint_experiment(lab: Callable[..., Lab]) -> None:
-    bench = lab(PLANS[Kind.SETPOINT])
+    bench = lab(PLANS[Experiment.SETPOINT])
     bench.until(Phase.EXCITING)
     bench.some(5)
     bench.device.sp = 47.0
@@ -407,7 +411,7 @@ def test_an_operator_who_moves_the_setpoint_ends_a_setpoint_experiment(lab: Call
 
 
 def test_a_setpoint_that_follows_pv_in_manual_is_no_trouble_and_is_brought_back(lab: Callable[..., Lab]) -> None:
-    bench = lab(PLANS[Kind.STEP])
+    bench = lab(PLANS[Experiment.STEP])
     for _ in range(3000):
         if bench.conductor.phase.over:
             break
@@ -419,8 +423,8 @@ def test_a_setpoint_that_follows_pv_in_manual_is_no_trouble_and_is_brought_back(
     assert bench.as_before()
 
 
-@pytest.mark.parametrize("kind", Kind)
-def test_a_loop_that_another_host_commands_is_left_alone(kind: Kind, lab: Callable[..., Lab]) -> None:
+@pytest.mark.parametrize("kind", Experiment)
+def test_a_loop_that_another_host_commands_is_left_alone(kind: Experiment, lab: Callable[..., Lab]) -> None:
     bench = lab(PLANS[kind])
     link = CanLink(bench.near.settings, bench.clock)
     other = CanDevice(link, CanDeviceSettings(sample_time_s=DT, owner=77))
@@ -454,7 +458,7 @@ def test_a_ledger_that_fails_ends_the_experiment_but_not_the_way_back(failing: i
         if len(calls) > failing:
             raise LedgerError("the disk is full")
 
-    bench = lab(PLANS[Kind.STEP], record=record)
+    bench = lab(PLANS[Experiment.STEP], record=record)
     bench.over()
     assert bench.conductor.phase is Phase.RESTORED
     assert bench.conductor.lost_ledger is not None
@@ -467,7 +471,7 @@ def test_a_ledger_that_fails_ends_the_experiment_but_not_the_way_back(failing: i
 def test_without_a_controller_nothing_is_conducted(lab: Callable[..., Lab]) -> None:
     from retuner.drivers.device import DeviceSilentError
 
-    bench = lab(PLANS[Kind.STEP])
+    bench = lab(PLANS[Experiment.STEP])
     bench.alive = False
     with pytest.raises(DeviceSilentError):
         bench.over()

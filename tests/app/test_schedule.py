@@ -10,7 +10,7 @@ import pytest
 
 import retuner
 from retuner.adaptive.schedule_choice.borders_of_two_variables import Cells
-from retuner.adaptive.schedule_choice.schedule_from_records import Design, Evidence
+from retuner.adaptive.schedule_choice.schedule_from_records import Design, VariableEvidence
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
 from retuner.decision_page.shown_units import show_units
@@ -174,7 +174,7 @@ def test_what_a_person_must_fill_in_is_told(second: str, told: str) -> None:
 
 
 def test_which_variable_is_told_with_how_far_the_others_are_behind() -> None:
-    weighed = [Evidence("pv", 90.0, -100.0, True), Evidence("flow", 80.0, -103.0, True)]
+    weighed = [VariableEvidence("pv", 90.0, -100.0, True), VariableEvidence("flow", 80.0, -103.0, True)]
     found = SimpleNamespace(variable="pv", second="", design=SimpleNamespace(candidates=weighed))
     told = variable_sentence(cast("ScheduleDesign", found))
     assert "flow by 3 nats" in told

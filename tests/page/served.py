@@ -12,10 +12,10 @@ from retuner.ledger import Ledger
 from retuner.live_view.loop_seen import LoopObserver
 from retuner.live_view.watching import Publisher, head_of
 from retuner.schedule.gains import PidGains
-from retuner.serve.access import Access
-from retuner.serve.application import Page
+from retuner.serve.access import PageAccess
+from retuner.serve.application import PageAnswers
 from retuner.serve.hub import Hub
-from retuner.serve.runs import Runs
+from retuner.serve.runs import RecordedRuns
 from retuner.session.assembly import make_retuner
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,9 +93,9 @@ class Served:
 
     def __init__(self, root: Path, *, read_only: bool = False) -> None:
         self.clock = Clock()
-        self.access = Access([HOST], self.clock, secure=False, read_only=read_only, port=8017)
-        self.hub = Hub(Runs(root))
-        self.client = TestClient(Page(self.hub, self.access).application(), base_url=f"http://{HOST}")
+        self.access = PageAccess([HOST], self.clock, secure=False, read_only=read_only, port=8017)
+        self.hub = Hub(RecordedRuns(root))
+        self.client = TestClient(PageAnswers(self.hub, self.access).application(), base_url=f"http://{HOST}")
 
     def look(self) -> None:
         """The hub takes in what has come."""

@@ -13,7 +13,7 @@ from retuner.cli import main
 from retuner.report.ledger_words import LedgerLine
 from retuner.serve import hub as hubs
 from retuner.serve.documents import rows_csv
-from retuner.serve.runs import Runs
+from retuner.serve.runs import RecordedRuns
 
 
 @pytest.fixture
@@ -259,4 +259,4 @@ def test_a_ledger_of_another_version_is_told(tmp_path: Path, capsys: pytest.Capt
     assert main(["serve", str(tmp_path / "demo")]) == 2
     assert "is a ledger of version 99; this release reads version" in capsys.readouterr().err
     with pytest.raises(Exception, match="version 99"):
-        Runs(tmp_path)
+        RecordedRuns(tmp_path)

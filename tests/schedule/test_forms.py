@@ -20,7 +20,7 @@ from retuner.schedule.gains import (
     to_ideal,
     to_series,
 )
-from retuner.schedule.vendor_units import Holds, Quantity, VendorGain, VendorUnits
+from retuner.schedule.vendor_units import Quantity, StorableNumbers, VendorGain, VendorUnits
 
 magnitudes = st.floats(1e-6, 1e6)
 gains_kc = st.builds(lambda size, sign: size * sign, magnitudes, st.sampled_from((1.0, -1.0)))
@@ -227,7 +227,7 @@ def test_gains_are_printed_to_three_digits_and_represented_whole() -> None:
 
 # ---- Gains in a vendor's form and units: what they come to, what rounding makes of them, which sets lie between
 
-WORD = Holds(0, 65535, 1.0)
+WORD = StorableNumbers(0, 65535, 1.0)
 
 
 def controller(*, series: bool = False) -> VendorUnits:
@@ -263,7 +263,10 @@ def test_what_is_held_is_held_again_and_near(kc: float, tau_i: float, tau_d: flo
 @given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
 def test_float32_gains_are_rounded_as_the_wire_rounds(kp: float, ki: float) -> None:
     units = VendorUnits(
-        (VendorGain(Quantity.KP, holds=Holds(single=True)), VendorGain(Quantity.KI, holds=Holds(single=True)))
+        (
+            VendorGain(Quantity.KP, holds=StorableNumbers(single=True)),
+            VendorGain(Quantity.KI, holds=StorableNumbers(single=True)),
+        )
     )
     assert units.rounded(PidGains(kp, ki)) == PidGains(*struct.unpack("<ff", struct.pack("<ff", kp, ki)))
     assert units.atomic

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.interaction.answers import Answers, Element
-from retuner.adaptive.interaction.windows import Record
+from retuner.adaptive.interaction.answers import Element, StepAnswers
+from retuner.adaptive.interaction.windows import OneLoopRecord
 from retuner.schedule.gains import PidGains
 
 MINUTE = 60.0
@@ -19,12 +19,16 @@ BLT = (PidGains.from_ideal(0.375, 8.29 * MINUTE), PidGains.from_ideal(-0.075, 23
 DT_S = 30.0
 
 
-def column() -> tuple[Answers, ...]:
+def column() -> tuple[StepAnswers, ...]:
     """Wood and Berry's."""
-    return tuple(Answers(tuple(Element(k, a * MINUTE, 0.0, b * MINUTE) for k, a, b in row), 0.0) for row in WOOD_BERRY)
+    return tuple(
+        StepAnswers(tuple(Element(k, a * MINUTE, 0.0, b * MINUTE) for k, a, b in row), 0.0) for row in WOOD_BERRY
+    )
 
 
-def records(noise: float, moves: tuple[int, ...] = (0, 1, 0, 1), gains: tuple[PidGains, ...] = BLT) -> list[Record]:
+def records(
+    noise: float, moves: tuple[int, ...] = (0, 1, 0, 1), gains: tuple[PidGains, ...] = BLT
+) -> list[OneLoopRecord]:
     """The column under these gains, the setpoints stepped in turn, 120 minutes apart; noise in pv units."""
     rng, n = np.random.default_rng(7), int(120 * MINUTE / DT_S)
     late = [[int(b * MINUTE / DT_S) for _, _, b in row] for row in WOOD_BERRY]
@@ -43,4 +47,4 @@ def records(noise: float, moves: tuple[int, ...] = (0, 1, 0, 1), gains: tuple[Pi
             for b in range(2):
                 u = co[b, i - late[a][b]] if i >= late[a][b] else 0.0
                 inner[a, b] = WOOD_BERRY[a][b][0] * u * (1 - held[a][b]) + held[a][b] * inner[a, b]
-    return [Record(sp[i], pv[i], co[i]) for i in range(2)]
+    return [OneLoopRecord(sp[i], pv[i], co[i]) for i in range(2)]

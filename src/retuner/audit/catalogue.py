@@ -54,7 +54,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class _Held:
+class _HeldFile:
     """What a file holds: names of signals as it writes them by role and tag, names that are none; its size in rows.
 
     rows : of a Parquet file, 0 of text. long : it has a row for each value.
@@ -116,7 +116,7 @@ def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") ->
     files : as files_of gives them. form : what is known of their form. tag_pattern : a regular expression; what its
     first group finds in a file's name is the tag of a record without tags. None: a tag before a date is one.
     """
-    held: dict[Path, _Held] = {}
+    held: dict[Path, _HeldFile] = {}
     refused: list[tuple[Path, str]] = []
     for path in files:
         try:
@@ -142,7 +142,7 @@ def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") ->
     return Catalogue((*tasks, *shared), tuple(refused), *_joined(held.values()))
 
 
-def _joined(held: Iterable[_Held]) -> tuple[dict[str, dict[str, str]], tuple[str, ...]]:
+def _joined(held: Iterable[_HeldFile]) -> tuple[dict[str, dict[str, str]], tuple[str, ...]]:
     """Names by tag and role in all files, and names that are no signal's."""
     signals: dict[str, dict[str, str]] = {}
     for one in held:
@@ -151,7 +151,9 @@ def _joined(held: Iterable[_Held]) -> tuple[dict[str, dict[str, str]], tuple[str
     return signals, tuple(dict.fromkeys(name for one in held for name in one.others))
 
 
-def _shared(apart: Mapping[str, list[Path]], held: Mapping[Path, _Held], refused: list[tuple[Path, str]]) -> list[Task]:
+def _shared(
+    apart: Mapping[str, list[Path]], held: Mapping[Path, _HeldFile], refused: list[tuple[Path, str]]
+) -> list[Task]:
     """Tasks of tagged loops: those of the same files together, of Parquet as many as fit a piece."""
     together: dict[tuple[Path, ...], list[str]] = {}
     for tag, paths in apart.items():
@@ -169,7 +171,7 @@ def _shared(apart: Mapping[str, list[Path]], held: Mapping[Path, _Held], refused
     return tasks
 
 
-def _of_parquet(files: tuple[Path, ...], tags: Sequence[str], held: Sequence[_Held]) -> list[Task]:
+def _of_parquet(files: tuple[Path, ...], tags: Sequence[str], held: Sequence[_HeldFile]) -> list[Task]:
     """Tasks of as many loops as fit a piece, of one at least."""
     long = any(one.long for one in held)
     rows = sum(one.rows // max(len(one.signals), 1) if one.long else one.rows for one in held)
@@ -179,20 +181,20 @@ def _of_parquet(files: tuple[Path, ...], tags: Sequence[str], held: Sequence[_He
     return [Task(tuple(tags[i : i + count]), files, in_pieces=in_pieces) for i in range(0, len(tags), count)]
 
 
-def _held(path: Path, form: RecordForm) -> _Held:
+def _held(path: Path, form: RecordForm) -> _HeldFile:
     if path.suffix.lower() in TRAFFIC:
-        return _Held(*_roles(traffic_names(path, form), form))
+        return _HeldFile(*_roles(traffic_names(path, form), form))
     if path.suffix.lower() != ".parquet":
         table = read_text_table(path, replace(form, words={}, signals={}), BEGIN_BYTES)
         if not _is_long(table.names):
             return _of_columns(path, table.names, form)
         tags = read_text_table(path, form).columns[loops(table.names)[""]["tag"][0]]
-        return _Held(*_roles(list(dict.fromkeys(str(field).strip() for field in tags)), form), long=True)
+        return _HeldFile(*_roles(list(dict.fromkeys(str(field).strip() for field in tags)), form), long=True)
     shape = parquet_shape(path)
     if _is_long([form.called(name) for name in shape.names]):
-        return _Held(*_roles(long_names(path, form), form), rows=shape.rows, long=True)
+        return _HeldFile(*_roles(long_names(path, form), form), rows=shape.rows, long=True)
     if shape.folder_signal:
-        return _Held(*_roles([shape.folder_signal], form), rows=shape.rows)
+        return _HeldFile(*_roles([shape.folder_signal], form), rows=shape.rows)
     return replace(_of_columns(path, shape.names, form), rows=shape.rows)
 
 
@@ -212,16 +214,16 @@ def _roles(names: Sequence[str], form: RecordForm) -> tuple[dict[str, dict[str, 
     return signals, tuple(name for name in names if not named(form.called(name)).role)
 
 
-def _of_columns(path: Path, names: Sequence[str], form: RecordForm) -> _Held:
+def _of_columns(path: Path, names: Sequence[str], form: RecordForm) -> _HeldFile:
     """What a wide file holds by its columns, else by its name."""
     signals, others = _roles(names, form)
     own = {role: name for role, name in form.columns.items() if role in SIGNALS and name in names}
     if own:
         signals[""] = {**signals.get("", {}), **own}
     if signals:
-        return _Held(signals, tuple(name for name in others if name not in form.columns.values()))
+        return _HeldFile(signals, tuple(name for name in others if name not in form.columns.values()))
     by_name, _ = _roles([path.stem], form)
-    return _Held(by_name, () if by_name else others)
+    return _HeldFile(by_name, () if by_name else others)
 
 
 def _by_name(path: Path, pattern: str) -> str:

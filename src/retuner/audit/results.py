@@ -19,7 +19,7 @@ from typing import Any
 from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped, interactions
 from retuner.adaptive.audit.loop_screen import DAY_S
 from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades, twins
-from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, Action
+from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, AuditAction
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit import AREA
 from retuner.audit.catalogue import Catalogue
@@ -182,7 +182,7 @@ def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> 
         if group.root == row["tag"]:
             # What others swing with is not sent upstream by itself: there is nobody it comes from
             if row["cause"] == str(Cause.EXTERNAL):
-                row["action"] = str(Action.LOOK)
+                row["action"] = str(AuditAction.LOOK)
                 row["reason"] = (
                     f"others oscillate in step with it, probably caused here: {group.why}; by itself: {row['reason']}"
                 )
@@ -247,7 +247,7 @@ def change(row: Row, earlier: Row | None) -> str:
 def _diagnosed(row: Row) -> bool:
     """Whether a row says what a loop is: neither screened only, nor unreadable, nor another loop's record."""
     action = str(row.get("action", ""))
-    return "failed" not in row and action != str(Action.SCREENED) and not action.startswith(AGAIN)
+    return "failed" not in row and action != str(AuditAction.SCREENED) and not action.startswith(AGAIN)
 
 
 def write_joined(path: Path, found: Catalogue) -> None:
@@ -271,7 +271,7 @@ def summary(rows: Sequence[Row], refused: int) -> str:
     visits = Counter(_kind_of_visit(row) for row in rows if is_fault(row))
     worth, quiet = sum(visits.values()), sum(row["cause"] in calm for row in rows)
     broken = sum("failed" in row for row in rows)
-    screened = sum(row["action"] == str(Action.SCREENED) for row in rows)
+    screened = sum(row["action"] == str(AuditAction.SCREENED) for row in rows)
     again = sum(str(row["action"]).startswith(AGAIN) for row in rows)
     quiet -= sum(row["cause"] in calm and str(row["action"]).startswith(AGAIN) for row in rows)
     untold = len(rows) - worth - quiet - broken - screened - again

@@ -11,7 +11,7 @@ from retuner.commands.options import Json
 from retuner.errors import UserError
 
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
-    from retuner.doctor import Finding
+    from retuner.doctor import MachineFinding
 
 app = typer.Typer(add_completion=False)
 
@@ -46,7 +46,7 @@ def doctor(
     return 0 if works else 1
 
 
-def lines(finding: "Finding") -> list[str]:
+def lines(finding: "MachineFinding") -> list[str]:
     """A finding for a person."""
     told = [f"{finding.level:<11}{finding.name}: {finding.what}"]
     return [*told, f"{'':<11}  to do: {finding.remedy}"] if finding.remedy else told

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.experiments.plan import Experiment, Plan
 from retuner.adaptive.experiments.valve_test import SHORT, STAIRCASE, read_valve_test
 from retuner.adaptive.explanations.proposed_test import TestKind
 from retuner.adaptive.rules.registry import rule_named
@@ -39,7 +39,7 @@ from retuner.experiment.findings import (
     METHODS,
     OVERSHOOT_RULE,
     ULTIMATE,
-    Question,
+    ExperimentQuestion,
     described,
     evaluate,
     headline,
@@ -75,7 +75,7 @@ class ExperimentSignal(NamedTuple):
 
 def step(options: StepOptions) -> int:
     """A step of co; the exit status."""
-    return _test(Kind.STEP, options, question_for(Kind.STEP, options), ExperimentSignal(options.amplitude))
+    return _test(Experiment.STEP, options, question_for(Experiment.STEP, options), ExperimentSignal(options.amplitude))
 
 
 def setpoint(options: SetpointOptions) -> int:
@@ -87,8 +87,8 @@ def setpoint(options: SetpointOptions) -> int:
         amplitude, hold_s = proposed(options.from_diagnosis)
     if hold_s and (options.kc0 is not None or options.file is not None):
         raise UserError("--hold: the test runs under the active gains; leave out --kc0 and --from")
-    question = question_for(Kind.SETPOINT, options, options.kc0)
-    return _test(Kind.SETPOINT, options, question, ExperimentSignal(amplitude, kc0=options.kc0, hold_s=hold_s))
+    question = question_for(Experiment.SETPOINT, options, options.kc0)
+    return _test(Experiment.SETPOINT, options, question, ExperimentSignal(amplitude, kc0=options.kc0, hold_s=hold_s))
 
 
 def proposed(path: Path) -> tuple[float, float]:
@@ -111,9 +111,9 @@ def proposed(path: Path) -> tuple[float, float]:
 
 def relay(options: RelayOptions) -> int:
     """Relay feedback; the exit status."""
-    question = question_for(Kind.RELAY, options, None, options.hysteresis)
+    question = question_for(Experiment.RELAY, options, None, options.hysteresis)
     shape = ExperimentSignal(options.amplitude, options.cycles, options.bias, options.hysteresis)
-    return _test(Kind.RELAY, options, question, shape)
+    return _test(Experiment.RELAY, options, question, shape)
 
 
 def ultimate(options: UltimateOptions) -> int:
@@ -121,7 +121,7 @@ def ultimate(options: UltimateOptions) -> int:
     return from_recording(options.file, options, question_for(ULTIMATE, options, options.kc))
 
 
-def _test(kind: Kind, options: OnDemandOptions, question: Question, shape: ExperimentSignal) -> int:
+def _test(kind: Experiment, options: OnDemandOptions, question: ExperimentQuestion, shape: ExperimentSignal) -> int:
     """A recording, or a controller."""
     if options.file is not None and options.config is not None:
         raise UserError("give CONFIG to run the test, or --from FILE to evaluate a recording, not both")
@@ -132,7 +132,7 @@ def _test(kind: Kind, options: OnDemandOptions, question: Question, shape: Exper
     return on_demand(options.config, kind, options, question, shape)
 
 
-def from_recording(file: Path, options: RecordedOptions, question: Question) -> int:
+def from_recording(file: Path, options: RecordedOptions, question: ExperimentQuestion) -> int:
     """Evaluate a recorded experiment and show it; the exit status: 0, or 1 when it carries no settings.
 
     Raises UserError, RecordingError: the file or an option cannot be used.
@@ -143,7 +143,7 @@ def from_recording(file: Path, options: RecordedOptions, question: Question) -> 
     recording = read.recording
     if question.kind != ULTIMATE:
         require_excitation(recording)
-    if question.kind == Kind.SETPOINT:
+    if question.kind == Experiment.SETPOINT:
         require_setpoint(recording)
     window = recording.window()
     found = evaluate(window, question)
@@ -160,7 +160,7 @@ def from_recording(file: Path, options: RecordedOptions, question: Question) -> 
 
 def question_for(
     experiment: str, options: RecordedOptions, kc: float | None = None, hysteresis: float | None = None
-) -> Question:
+) -> ExperimentQuestion:
     """The question that the options ask of a record.
 
     Raises UserError: a number is out of its range, or a method or rule is not known.
@@ -175,11 +175,13 @@ def question_for(
     if rule != OVERSHOOT_RULE:
         with user_input(f"--rule {rule}"):
             rule_named(rule)
-    at_rest = experiment != Kind.SETPOINT
-    return Question(experiment, method, rule, options.kind, kc, hysteresis or 0.0, from_rest=at_rest)
+    at_rest = experiment != Experiment.SETPOINT
+    return ExperimentQuestion(experiment, method, rule, options.kind, kc, hysteresis or 0.0, from_rest=at_rest)
 
 
-def on_demand(path: Path, kind: Kind, options: ControllerOptions, question: Question, shape: ExperimentSignal) -> int:
+def on_demand(
+    path: Path, kind: Experiment, options: ControllerOptions, question: ExperimentQuestion, shape: ExperimentSignal
+) -> int:
     """Conduct an experiment, evaluate it, and write the settings if they are confirmed; the exit status.
 
     Raises ConfigError, UserError, DeviceError: the configuration, an option, the folder or the bus cannot be used;
@@ -212,14 +214,14 @@ def on_demand(path: Path, kind: Kind, options: ControllerOptions, question: Ques
         raise
 
 
-def plan_for(config: Config, kind: Kind, options: ControllerOptions, shape: ExperimentSignal) -> Plan:
+def plan_for(config: Config, kind: Experiment, options: ControllerOptions, shape: ExperimentSignal) -> Plan:
     """The plan that options and configuration make.
 
     Raises UserError: an option is out of its range.
     """
     loop, dt = config.loop, config.loop.sample_time_s
     span = loop.pv_max - loop.pv_min
-    range_ = span if kind == Kind.SETPOINT else loop.co_max_pct - loop.co_min_pct
+    range_ = span if kind == Experiment.SETPOINT else loop.co_max_pct - loop.co_min_pct
     with user_input(f"retuner experiment {kind}"):
         return Plan(
             kind=kind,
@@ -260,7 +262,7 @@ def valve(options: ValveOptions) -> int:
                 "--hold: missing; give the seconds for which each step is held: four times the time to half"
             )
         shape = ExperimentSignal(_valve_step(options), hold_s=options.hold, moves=SHORT if options.short else STAIRCASE)
-        return on_demand(options.config, Kind.VALVE, options, Question(Kind.VALVE), shape)
+        return on_demand(options.config, Experiment.VALVE, options, ExperimentQuestion(Experiment.VALVE), shape)
     if options.file is None:
         sys.stdout.write("\n".join(_valve_moves(options)) + "\n")
         return 0

@@ -68,7 +68,7 @@ def init(options: InitOptions) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Answers:
+class StarterAnswers:
     """A loop in a few words: name, unit and range of pv, sampling interval in seconds, active gains, bus and node."""
 
     name: str
@@ -109,7 +109,9 @@ def asked(file: Path) -> str:
     tau_i = _ask("Integral time tau_I now, s (0: none)", 100.0, _number(0.0))
     tau_d = _ask("Derivative time tau_D now, s", 0.0, _number(0.0))
     gains = from_form(Form.SERIES, kc, tau_i or None, tau_d)
-    return _composed(Answers(name, unit, low, high, sample_s, gains, interface, channel, node), "by your answers")
+    return _composed(
+        StarterAnswers(name, unit, low, high, sample_s, gains, interface, channel, node), "by your answers"
+    )
 
 
 Answer = TypeVar("Answer")
@@ -179,7 +181,7 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
     if gains is None:
         raise UserError(f"{record}: the record does not show the active gains; give --kc, --tau-i and --tau-d")
     pv_min, pv_max = _range(window.pv)
-    answers = Answers(read.tag or record.stem, "-", pv_min, pv_max, window.sample_time_s, gains)
+    answers = StarterAnswers(read.tag or record.stem, "-", pv_min, pv_max, window.sample_time_s, gains)
     text = _composed(answers, f"of {record.name}: range of pv with room, interval and gains as the record shows them")
     with user_input(str(record)):
         found = identify_record(window, gains=gains)
@@ -225,7 +227,7 @@ def _range(pv: FloatArray) -> tuple[float, float]:
     return float(f"{ends[0]:.9g}"), float(f"{ends[1]:.9g}")
 
 
-def _composed(answers: Answers, source: str) -> str:
+def _composed(answers: StarterAnswers, source: str) -> str:
     """One region, advice only; what is left out has its default."""
     kc, tau_i, tau_d = (in_form(answers.gains, Form.SERIES)[key] for key in ("kc", "tau_i", "tau_d"))
     return f"""# retuner configuration {source}.

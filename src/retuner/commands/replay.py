@@ -24,7 +24,7 @@ from retuner.drivers.recorded.recorded_samples import (
     table_samples,
 )
 from retuner.errors import UserError
-from retuner.replay.replaying import Replay, Replayed
+from retuner.replay.replaying import Replay, ReplayedSession
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, fields
 from retuner.session.assembly import make_retuner, schedule_inputs
@@ -65,7 +65,7 @@ def _refuse_form(options: FormOptions, why: str) -> None:
             raise UserError(f"--{name}: gives the form of a table; {why}")
 
 
-def document(session: RecordedSession, result: Replayed) -> dict[str, object]:
+def document(session: RecordedSession, result: ReplayedSession) -> dict[str, object]:
     """The result as one JSON document."""
     return {
         "session": str(session.folder),
@@ -82,7 +82,7 @@ def document(session: RecordedSession, result: Replayed) -> dict[str, object]:
     }
 
 
-def told(session: RecordedSession, result: Replayed) -> list[str]:
+def told(session: RecordedSession, result: ReplayedSession) -> list[str]:
     """The result in lines for a person."""
     counted = f"{result.compared} decision{'s' * (result.compared != 1)} on {result.samples:,} samples"
     ongoing = "" if session.end is not None else " (the session was killed, or goes on)"
@@ -118,7 +118,7 @@ samples after the border was crossed."""
 
 
 @dataclass(slots=True)
-class Answer:
+class ReplayedLog:
     """What would have been done. changes : times at which the record's own gains changed, s."""
 
     samples: int = 0
@@ -150,9 +150,9 @@ class InForce:
         return True
 
 
-def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> Answer:
+def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> ReplayedLog:
     """Run a retuner over a record."""
-    found, in_force = Answer(), InForce(retuner)
+    found, in_force = ReplayedLog(), InForce(retuner)
     for sample, gains in recorded:
         found.samples += 1
         try:
@@ -203,7 +203,7 @@ def recorded_loop(log: Path, options: FormOptions, config: Config) -> Iterator[R
     return recording_samples(read.recording, facts)
 
 
-def _answered(log: Path, config_file: Path, retuner: Retuner, found: Answer) -> dict[str, object]:
+def _answered(log: Path, config_file: Path, retuner: Retuner, found: ReplayedLog) -> dict[str, object]:
     table = retuner.table
     return {
         "log": str(log),

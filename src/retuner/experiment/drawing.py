@@ -6,14 +6,14 @@ from matplotlib.figure import Figure
 from retuner.adaptive.identification.fitted_curve import fitted_pv
 from retuner.adaptive.signals.sample import Window
 from retuner.decision_page.svg import MARK, settings
-from retuner.experiment.findings import Findings
+from retuner.experiment.findings import ExperimentFindings
 from retuner.report.plots import FIXED, PV, SP, time_axis
 from retuner.report.record_plots import ExplainedCurve
 
 
 @settings("experiment")
 def experiment_figure(
-    window: Window, found: Findings, title: str, unit: str, band: tuple[float, float] | None
+    window: Window, found: ExperimentFindings, title: str, unit: str, band: tuple[float, float] | None
 ) -> Figure:
     """The picture.
 

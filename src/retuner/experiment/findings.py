@@ -9,7 +9,7 @@ from functools import partial
 from itertools import starmap
 
 from retuner.adaptive.experiments import relay, step
-from retuner.adaptive.experiments.plan import Kind
+from retuner.adaptive.experiments.plan import Experiment
 from retuner.adaptive.experiments.relay import RelayCycle, relay_cycle
 from retuner.adaptive.experiments.step import swing
 from retuner.adaptive.experiments.valve_test import ValveReading
@@ -28,9 +28,9 @@ ULTIMATE = "ultimate"
 """The experiment that exists as a record only: a swing under proportional control."""
 FIT = "fit"
 METHODS = {
-    str(Kind.STEP): (FIT, *(str(method) for method in step.StepMethod)),
-    str(Kind.SETPOINT): (FIT, "two-step"),
-    str(Kind.RELAY): (FIT, "asymmetric"),
+    str(Experiment.STEP): (FIT, *(str(method) for method in step.StepMethod)),
+    str(Experiment.SETPOINT): (FIT, "two-step"),
+    str(Experiment.RELAY): (FIT, "asymmetric"),
     ULTIMATE: (FIT,),
 }
 """Methods of each experiment by name."""
@@ -43,7 +43,7 @@ ULTIMATE_RULES = (("zn-ultimate", "pi"), ("zn-ultimate", "pid"))
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class ExperimentQuestion:
     """What is asked of a record.
 
     kind : step, setpoint, relay or ultimate. method : whose model is tuned for. rule, controller : by which rule.
@@ -65,7 +65,7 @@ class Question:
 
 
 @dataclass(slots=True)
-class Findings:
+class ExperimentFindings:
     """What was found. models and refused by method; measured by kind of reading; offers by their name."""
 
     kind: str
@@ -106,13 +106,18 @@ class Findings:
         }
 
 
-def evaluate(window: Window, question: Question) -> Findings:
+def evaluate(window: Window, question: ExperimentQuestion) -> ExperimentFindings:
     """Everything that the record says.
 
     Raises UserError: the rule that was asked for refuses.
     """
-    found = Findings(question.kind)
-    readers = {Kind.STEP: _read_step, Kind.SETPOINT: _read_setpoint, Kind.RELAY: _read_relay, ULTIMATE: _read_swing}
+    found = ExperimentFindings(question.kind)
+    readers = {
+        Experiment.STEP: _read_step,
+        Experiment.SETPOINT: _read_setpoint,
+        Experiment.RELAY: _read_relay,
+        ULTIMATE: _read_swing,
+    }
     if question.kind != ULTIMATE:
         _fit(found, window, question)
     readers[question.kind](found, window, question)
@@ -125,7 +130,7 @@ def evaluate(window: Window, question: Question) -> Findings:
     return found
 
 
-def _try(found: Findings, name: str, work: Callable[[], ProcessModel]) -> None:
+def _try(found: ExperimentFindings, name: str, work: Callable[[], ProcessModel]) -> None:
     """Note the model of a method, or why there is none."""
     try:
         found.models[name] = work()
@@ -133,8 +138,8 @@ def _try(found: Findings, name: str, work: Callable[[], ProcessModel]) -> None:
         found.refused[name] = str(refusal)
 
 
-def _fit(found: Findings, window: Window, question: Question) -> None:
-    gains = PidGains(question.kc, 0.0) if question.kc and question.kind == Kind.SETPOINT else question.in_force
+def _fit(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:
+    gains = PidGains(question.kc, 0.0) if question.kc and question.kind == Experiment.SETPOINT else question.in_force
     try:
         found.fit = identify_record(window, open_loop=question.from_rest, gains=gains)
     except ValueError as refusal:
@@ -147,7 +152,7 @@ def _fit(found: Findings, window: Window, question: Question) -> None:
         found.refused[FIT] = estimate.reason
 
 
-def _read_step(found: Findings, window: Window, question: Question) -> None:  # noqa: ARG001  all readers alike
+def _read_step(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:  # noqa: ARG001  all readers alike
     for method in step.StepMethod:
         _try(found, method, partial(_step_model, method, window))
 
@@ -156,7 +161,7 @@ def _step_model(method: step.StepMethod, window: Window) -> ProcessModel:
     return step.model_by(method, step.step_response(window, rest=method != step.StepMethod.SLOPE))
 
 
-def _read_setpoint(found: Findings, window: Window, question: Question) -> None:
+def _read_setpoint(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:
     """Peak and undershoot, the two-step model and the direct settings."""
     try:
         seen = step.measure(window)
@@ -184,7 +189,7 @@ def _read_setpoint(found: Findings, window: Window, question: Question) -> None:
         found.offers[OVERSHOOT_RULE] = TuneResult(direct, direct.form, margins(best.linear(), direct.gains))
 
 
-def _read_relay(found: Findings, window: Window, question: Question) -> None:
+def _read_relay(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:
     """Ultimate gain and period, and the asymmetric relay's first order."""
     try:
         cycle = relay_cycle(window, question.hysteresis)
@@ -198,7 +203,7 @@ def _read_relay(found: Findings, window: Window, question: Question) -> None:
     _offer_ultimate(found, cycle.ku * cycle.direction, cycle.pu_s)
 
 
-def _read_swing(found: Findings, window: Window, question: Question) -> None:
+def _read_swing(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:
     """Period and decay, and what the gain was with that."""
     try:
         seen = swing(window)
@@ -215,14 +220,14 @@ def _read_swing(found: Findings, window: Window, question: Question) -> None:
         found.offers["quarter-decay pid"] = tune(rule="quarter-decay", kq=question.kc, pq=seen.period_s)
 
 
-def _offer_ultimate(found: Findings, ku: float, pu_s: float) -> None:
+def _offer_ultimate(found: ExperimentFindings, ku: float, pu_s: float) -> None:
     """The rules of the ultimate gain; ku has the sign of the process."""
     found.ultimate = ku, pu_s
     for rule, kind in ULTIMATE_RULES:
         found.offers[f"{rule} {kind}"] = tune(found.model, rule, kind=kind, ku=ku, pu=pu_s)
 
 
-def _asked_for(found: Findings, question: Question) -> tuple[str, TuneResult | None]:
+def _asked_for(found: ExperimentFindings, question: ExperimentQuestion) -> tuple[str, TuneResult | None]:
     """Name and settings by the method and rule asked for; None where the record does not carry them."""
     rule, kind = question.rule, question.controller
     if rule == OVERSHOOT_RULE or (question.kind == ULTIMATE and found.ultimate is None):
@@ -247,7 +252,7 @@ def _asked_for(found: Findings, question: Question) -> tuple[str, TuneResult | N
 # An experiment's findings in lines for a person.
 
 
-def headline(found: Findings) -> str:
+def headline(found: ExperimentFindings) -> str:
     """The result in a line."""
     if found.model is not None:
         return f"{model_text(found.model)} (fit)"
@@ -291,7 +296,7 @@ def _reading(name: str, value: float) -> str:
     return f"{LABELS.get(name, name)} {value:.4g}"
 
 
-def described(found: Findings, *, settings: bool = True) -> list[str]:
+def described(found: ExperimentFindings, *, settings: bool = True) -> list[str]:
     """Models by method, readings, and settings (unless they are not wanted) in lines."""
     width = max((len(name) for name in (*found.models, *found.refused)), default=0)
     lines = [f"{name:<{width}}  {model_text(model)}" for name, model in found.models.items()]

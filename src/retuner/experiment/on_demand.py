@@ -15,14 +15,14 @@ from pathlib import Path
 import typer
 
 from retuner.adaptive.experiments.phases import AbortCause, Phase
-from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.experiments.plan import Experiment, Plan
 from retuner.adaptive.experiments.valve_test import FEWEST_HOLDS, read_valve_test
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.config import Config
 from retuner.drivers.device import Bench, Event, Reverted, WriteDone, WriteFailed, WriteRefusedError
 from retuner.errors import UserError, user_input
-from retuner.experiment.findings import Findings, Question, described, evaluate, valve_described
+from retuner.experiment.findings import ExperimentFindings, ExperimentQuestion, described, evaluate, valve_described
 from retuner.experiment.result import RECORD, ExperimentResult
 from retuner.experiment.runner import ExperimentRunner, restore_patience_s
 from retuner.experiment.target import p_only
@@ -144,7 +144,7 @@ class OnDemandExperiment:
         self,
         config: Config,
         plan: Plan,
-        question: Question,
+        question: ExperimentQuestion,
         folder: Path,
         ledger: Ledger,
         screen: RunScreen,
@@ -225,13 +225,13 @@ class OnDemandExperiment:
         progress = min(since / runner.plan.time_s, 1.0) if phase is Phase.EXCITING else float(phase in AFTER)
         self._screen.sample(sample, progress, phase.value)
 
-    def _evaluate(self) -> Findings | None:
+    def _evaluate(self) -> ExperimentFindings | None:
         """What the record of the excitation says, if there is one."""
         runner, asked = self._runner, self._question
         rest, before = runner.rest, runner.before
         if rest is None or before is None or len(runner.excited) < FEWEST_SAMPLES:
             return None
-        kc = p_only(runner.plan, before).kp if runner.plan.kind == Kind.SETPOINT else None
+        kc = p_only(runner.plan, before).kp if runner.plan.kind == Experiment.SETPOINT else None
         question = replace(
             asked, kc=kc, hysteresis=rest.hysteresis, rest=(rest.pv, rest.co), from_rest=True, in_force=before.gains
         )

@@ -8,7 +8,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.decision_page.svg import drawn
 from retuner.experiment.drawing import experiment_figure
-from retuner.experiment.findings import Findings, headline
+from retuner.experiment.findings import ExperimentFindings, headline
 from retuner.experiment.runner import ExperimentRunner
 from retuner.files import write_json, write_whole
 from retuner.schedule.late_dataclass import dataclass
@@ -32,7 +32,7 @@ class ExperimentResult:
     unit: str
     folder: Path
     runner: ExperimentRunner
-    found: Findings | None = None
+    found: ExperimentFindings | None = None
     valve: ValveReading | None = None
     written: str | None = None
 

@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping
 
 from retuner.adaptive.experiments.phases import AbortCause, Happening, Phase, after
 from retuner.adaptive.experiments.plan import (
-    Kind,
+    Experiment,
+    LoopAtRest,
     Plan,
     RelayState,
-    Rest,
     at_rest,
     enough,
     relay_start,
@@ -54,7 +54,7 @@ def out_of_band(plan: Plan, sample: LoopSample) -> Trouble | None:
     return AbortCause.PV_BAND, f"pv = {sample.pv:.6g}, band {plan.pv_low:.6g} to {plan.pv_high:.6g}"
 
 
-def cannot_begin(plan: Plan, rest: Rest, sample: LoopSample) -> Trouble | None:
+def cannot_begin(plan: Plan, rest: LoopAtRest, sample: LoopSample) -> Trouble | None:
     """No room for the amplitude, or the wrong mode."""
     low, high = plan.co_levels(rest.co)
     if not (plan.co_low <= low and high <= plan.co_high):
@@ -62,7 +62,7 @@ def cannot_begin(plan: Plan, rest: Rest, sample: LoopSample) -> Trouble | None:
             f"co = {rest.co:.4g} % would go to {low:.4g} and {high:.4g} %, its range is "
             f"{plan.co_low:g} to {plan.co_high:g} %"
         )
-    if plan.kind == Kind.SETPOINT and sample.mode != LoopMode.AUTO:
+    if plan.kind == Experiment.SETPOINT and sample.mode != LoopMode.AUTO:
         return AbortCause.WRONG_MODE, "a setpoint experiment needs auto, it is in manual"
     return None
 
@@ -71,7 +71,7 @@ def out_of_time(plan: Plan, relay: RelayState, excited_s: float) -> Trouble | No
     """The time limit of the excitation has passed."""
     if excited_s <= plan.time_s:
         return None
-    if plan.kind == Kind.RELAY and relay.switches < 2:
+    if plan.kind == Experiment.RELAY and relay.switches < 2:
         return AbortCause.NEVER_SWITCHED, (
             f"{plan.time_s:g} s for {relay.switches} switchings; are amplitude, bias and the "
             "sign of the active gains right?"
@@ -88,7 +88,7 @@ class Following:
     kind : of the experiment. helm : knows what is shown. patience : samples that a new target may take to show.
     """
 
-    def __init__(self, kind: Kind, helm: Helm, patience: int) -> None:
+    def __init__(self, kind: Experiment, helm: Helm, patience: int) -> None:
         self._kind, self._helm, self._patience = kind, helm, patience
         self._limited = self._foreign = 0
         self._shown = False
@@ -104,7 +104,7 @@ class Following:
         self._foreign = self._foreign + 1 if differs else 0
         if self._foreign > (0 if self._shown else self._patience):
             return AbortCause.FOREIGN, differs
-        if self._kind == Kind.SETPOINT:
+        if self._kind == Experiment.SETPOINT:
             self._limited = self._limited + 1 if sample.limited else 0
             if self._limited > LIMITED_MOST:
                 return AbortCause.SATURATED, f"co is at {sample.co:.4g} %; give a smaller amplitude or kc0"
@@ -157,7 +157,7 @@ class ExperimentRunner:
         self.cause: AbortCause | None = None
         self.detail = ""
         self.before: OldState | None = None
-        self.rest: Rest | None = None
+        self.rest: LoopAtRest | None = None
         self.samples: list[LoopSample] = []
         self.excited_from = self.excited_to = 0
         self.touched = False
@@ -344,10 +344,10 @@ class ExperimentRunner:
         assert before is not None
         trouble = self._following.trouble(self._target(), sample)
         if trouble is None:
-            if plan.kind == Kind.RELAY:
+            if plan.kind == Experiment.RELAY:
                 self._relay = relay_step(self._relay, sample.pv, rest, before.gains.direction)
             since = self.samples[self.excited_from :]
-            if plan.kind == Kind.VALVE:
+            if plan.kind == Experiment.VALVE:
                 self._relay = RelayState(True, int((sample.t_s - since[0].t_s) // plan.hold_s))
             elif plan.hold_s:
                 out = sample.t_s - since[0].t_s < plan.hold_s

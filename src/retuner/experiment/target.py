@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from retuner.adaptive.experiments.phases import Phase
-from retuner.adaptive.experiments.plan import Kind, Plan, RelayState, Rest, relay_output
+from retuner.adaptive.experiments.plan import Experiment, LoopAtRest, Plan, RelayState, relay_output
 from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.decision_page.shown_units import units_of
@@ -42,12 +42,12 @@ class Target(NamedTuple):
 
 
 def target(
-    phase: Phase, plan: Plan, before: OldState | None, rest: Rest | None, relay: RelayState, *, parking: bool
+    phase: Phase, plan: Plan, before: OldState | None, rest: LoopAtRest | None, relay: RelayState, *, parking: bool
 ) -> Target:
     """The target of a phase; nothing before the loop has been seen at rest."""
     if before is None or rest is None:
         return Target()
-    setpoint = plan.kind == Kind.SETPOINT
+    setpoint = plan.kind == Experiment.SETPOINT
     if phase is Phase.PREPARING:
         if setpoint:
             return Target(p_only(plan, before), before.sp, LoopMode.AUTO)
@@ -55,9 +55,9 @@ def target(
     if phase is Phase.EXCITING:
         if setpoint:
             return Target(p_only(plan, before), before.sp + plan.amplitude * relay.high, LoopMode.AUTO)
-        if plan.kind == Kind.VALVE:
+        if plan.kind == Experiment.VALVE:
             return Target(mode=LoopMode.MANUAL, co=rest.co + plan.co_of_hold(relay.switches))
-        co = rest.co + plan.amplitude if plan.kind == Kind.STEP else relay_output(plan, relay, rest)
+        co = rest.co + plan.amplitude if plan.kind == Experiment.STEP else relay_output(plan, relay, rest)
         return Target(mode=LoopMode.MANUAL, co=co)
     if phase is Phase.PARKING and parking and not setpoint:
         return Target(mode=LoopMode.MANUAL, co=before.co)

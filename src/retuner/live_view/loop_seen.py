@@ -20,7 +20,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 
 
-class Runs(Protocol):
+class RunningController(Protocol):
     """The controller, as far as it says what it runs."""
 
     @property
@@ -150,7 +150,7 @@ class LoopObserver:
     retuner : watches the loop. device : runs the gains.
     """
 
-    def __init__(self, retuner: Retuner, device: Runs) -> None:
+    def __init__(self, retuner: Retuner, device: RunningController) -> None:
         self._retuner, self._device = retuner, device
         self._parts: tuple[object, ...] = ()
         self._stands: tuple[object, ...] = ()

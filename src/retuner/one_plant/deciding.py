@@ -14,7 +14,7 @@ from itertools import pairwise
 
 from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.interaction.together import Closed, together
-from retuner.adaptive.interaction.windows import Record, seen_in
+from retuner.adaptive.interaction.windows import OneLoopRecord, seen_in
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Question, StageResult
@@ -59,7 +59,7 @@ class Among:
 
     names: tuple[str, ...]
     closed: tuple[Closed, ...]
-    records: tuple[Record, ...]
+    records: tuple[OneLoopRecord, ...]
     dt_s: float
     own: int
     ms_most: float
@@ -102,7 +102,7 @@ def _shown(ms: float) -> str:
     return "infinite" if ms == float("inf") else f"{ms:.2f}"
 
 
-def on_one_clock(samples: Sequence[Sequence[tuple[float, ...]]], dt_s: float) -> tuple[Record, ...]:
+def on_one_clock(samples: Sequence[Sequence[tuple[float, ...]]], dt_s: float) -> tuple[OneLoopRecord, ...]:
     """What loops have kept as records at the same times, from when all were watched; samples : (t_s, sp, pv, co, ...).
 
     Each controller counts its own time: the newest samples are taken for simultaneous where they are further apart than
@@ -118,7 +118,7 @@ def on_one_clock(samples: Sequence[Sequence[tuple[float, ...]]], dt_s: float) ->
     begin = max(float(one[0, 0]) for one in every)
     t = end - dt_s * np.arange(int((end - begin) / dt_s + 1e-9), -1, -1)
     rows = [one[np.maximum(np.searchsorted(one[:, 0], t + dt_s / 1000, "right") - 1, 0)] for one in every]
-    return tuple(Record(row[:, 1], row[:, 2], row[:, 3]) for row in rows)
+    return tuple(OneLoopRecord(row[:, 1], row[:, 2], row[:, 3]) for row in rows)
 
 
 MOVES_MOST = 4

@@ -68,7 +68,7 @@ class Difference:
 
 
 @dataclass(slots=True)
-class Replayed:
+class ReplayedSession:
     """What a replay has come to.
 
     samples : taken from the log. decisions : made again. compared : of these with the ledger. difference : the first.
@@ -123,9 +123,9 @@ class Replay:
         self._t_s = 0.0
         self._waiting: list[Decision] = []  # made again, and not yet met in the ledger
         here, then = engine_name(), session.versions.get("engine", "")
-        self._result = Replayed(engines=(then, here) if then and then != here else None)
+        self._result = ReplayedSession(engines=(then, here) if then and then != here else None)
 
-    def run(self) -> Replayed:
+    def run(self) -> ReplayedSession:
         """Take the whole log, or what there is of it.
 
         Raises UserError: there is no log.

@@ -27,7 +27,7 @@ LONGER, SURE = (1.0, 4.0, 16.0), 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class ShownChange:
     """A change of settings as it is shown.
 
     found : the record before and after. processes : of the band, the best first. seen : the best as the controller sees
@@ -49,7 +49,7 @@ def change_words(found: BeforeAfter) -> str:
     return f"mean error {_percent(error)} of before, co travel {_percent(travel)}"
 
 
-def step_words(change: Change) -> str:
+def step_words(change: ShownChange) -> str:
     """What the change does to a setpoint step and to Ms, on the best model."""
     sets = [gains for gains in (change.active, change.recommended) if gains is not None]
     until_s = settling_s(change.seen, change.recommended)
@@ -98,7 +98,7 @@ def _percent(ratios: tuple[float, float, float]) -> str:
     return f"{best:.0f} %{band}"
 
 
-def change_of(window: Window, result: RecordDiagnosis) -> Change | None:
+def change_of(window: Window, result: RecordDiagnosis) -> ShownChange | None:
     """The change that a diagnosis recommends, tried on its record; None where it recommends none."""
     if result.recommended is None:
         return None
@@ -107,7 +107,7 @@ def change_of(window: Window, result: RecordDiagnosis) -> Change | None:
         return None
     seen = best.seen_by_controller(window.sample_time_s).linear()
     found = before_after(window, processes, result.recommended, result.co_limits)
-    return Change(found, spread(processes, MOST_MODELS), seen, result.active, result.recommended)
+    return ShownChange(found, spread(processes, MOST_MODELS), seen, result.active, result.recommended)
 
 
 def processes_of(result: RecordDiagnosis) -> tuple[LinearProcess, ...]:

@@ -9,7 +9,7 @@ from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.decision_page.svg import MARK, settings
-from retuner.report.change_of_settings import Change, change_words, settling_s
+from retuner.report.change_of_settings import ShownChange, change_words, settling_s
 from retuner.report.plots import FIXED, PV, SP, floors, time_axis
 from retuner.schedule.gains import PidGains
 from retuner.simulation.loop_trend import LoopTrend
@@ -48,7 +48,7 @@ def trend_figure(trend: LoopTrend) -> Figure:
     return figure
 
 
-def change_into(figure: Figure, grid: "GridSpec", change: Change) -> None:
+def change_into(figure: Figure, grid: "GridSpec", change: ShownChange) -> None:
     """Draw a change into a grid of two rows and three columns: the record, a setpoint step and a load step."""
     top = figure.add_subplot(grid[0, 0])
     # The record, and the same with the new settings, with the band over the models
@@ -71,7 +71,7 @@ def change_into(figure: Figure, grid: "GridSpec", change: Change) -> None:
         step_panels(pv, figure.add_subplot(grid[1, column], sharex=pv), change, load=load)
 
 
-def step_panels(top: "Axes", low: "Axes", change: Change, *, load: bool) -> None:
+def step_panels(top: "Axes", low: "Axes", change: ShownChange, *, load: bool) -> None:
     """A unit step of setpoint or load, before and after, with the band over the models."""
     until_s = settling_s(change.processes[0], change.recommended)
     sets = [(change.active, FIXED, "active"), (change.recommended, PV, "new")]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.decision_page.svg import FAINT, MARK, MODEL, settings
-from retuner.report.change_of_settings import Change
+from retuner.report.change_of_settings import ShownChange
 from retuner.report.loop_plots import change_into
 from retuner.report.plots import PV, SP, floors, time_axis
 from retuner.schedule.late_dataclass import dataclass
@@ -66,7 +66,7 @@ class RecordPicture:
     limits: tuple[float | None, float | None] = (None, None)
     noise_std: float = 0.0
     closed_loop: bool = True
-    change: Change | None = None
+    change: ShownChange | None = None
 
 
 @settings("record")

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from retuner.adaptive.schedule_choice.scheduling_variables import Crossing
+from retuner.adaptive.schedule_choice.scheduling_variables import RegionCrossing
 from retuner.adaptive.schedule_design.places import OUT
-from retuner.adaptive.schedule_design.stretches import Shape
+from retuner.adaptive.schedule_design.stretches import CurveShape
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.decision_page.html import document, escaped, figure, paragraph, text_table
 from retuner.decision_page.shown_units import chosen_units
@@ -51,7 +51,7 @@ def changing_with(found: ScheduleDesign, *, second: bool = False) -> list[str]:
     return [
         f"{name} (from {math.exp(one[0]):.3g} to {math.exp(one[-1]):.3g})"
         for name, shape, one in zip(PARAMETERS, shapes, np.asarray(curve).T, strict=False)
-        if shape > Shape.CONSTANT or np.ptp(one) > MOVES
+        if shape > CurveShape.CONSTANT or np.ptp(one) > MOVES
     ]
 
 
@@ -102,7 +102,7 @@ LONG_HOLD_S = 120.0  # from here on in minutes
 """Overshoot with each place's own gains from which a step is too large for any gains."""
 
 
-def _moving_words(crossing: Crossing) -> str:
+def _moving_words(crossing: RegionCrossing) -> str:
     if not crossing.proper:
         return ". WORSE: ramp such steps."
     if crossing.own_overshoot > TOO_LARGE:

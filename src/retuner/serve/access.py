@@ -42,14 +42,14 @@ class Bucket:
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
+class SignedIn:
     """Of a person who has given the token. Times by the monotonic clock."""
 
     began_s: float
     acted_s: float
 
 
-class Access:
+class PageAccess:
     """See the head of this file.
 
     hosts : values of the Host header that are ours. secure : whether TLS is spoken. read_only : nobody may act.
@@ -68,7 +68,7 @@ class Access:
         self.orders = Bucket(1.0, 64.0, now_s)
         self._tries = Bucket(1 / 12, 5.0, now_s)
         self._now_s = now_s
-        self._sessions: dict[str, Session] = {}
+        self._sessions: dict[str, SignedIn] = {}
 
     def login(self, token: str, client: str) -> str | None:
         """A new session's cookie for the right token; empty for a wrong one, None when there were too many tries."""
@@ -81,7 +81,7 @@ class Access:
         while len(self._sessions) >= MOST_SESSIONS:
             self._sessions.pop(next(iter(self._sessions)))
         now_s = self._now_s()
-        self._sessions[_digest(cookie)] = Session(now_s, now_s)
+        self._sessions[_digest(cookie)] = SignedIn(now_s, now_s)
         return cookie
 
     def may_act(self, cookie: str) -> bool:
@@ -99,7 +99,7 @@ class Access:
         """A session goes on from now."""
         session = self._sessions.get(_digest(cookie))
         if session is not None:
-            self._sessions[_digest(cookie)] = Session(session.began_s, self._now_s())
+            self._sessions[_digest(cookie)] = SignedIn(session.began_s, self._now_s())
 
     def logout(self, cookie: str) -> None:
         """End a session."""

@@ -19,7 +19,7 @@ from retuner.decision_page.html import palette
 from retuner.errors import UserError
 from retuner.report.what_if import page_script, panel_style, script_hash
 from retuner.serve import documents
-from retuner.serve.access import LASTS_S, Access
+from retuner.serve.access import LASTS_S, PageAccess
 from retuner.serve.gate import PAGE_POLICY, Gate
 from retuner.serve.hub import Hub
 from retuner.serve.runs import WatchedLoop, WatchedSession
@@ -60,13 +60,13 @@ class NotTakenError(Exception):
         super().__init__(reason)
 
 
-class Page:
+class PageAnswers:
     """The answers.
 
     hub : looks at the runs. access : who may do what.
     """
 
-    def __init__(self, hub: Hub, access: Access) -> None:
+    def __init__(self, hub: Hub, access: PageAccess) -> None:
         self._hub, self._access = hub, access
         self._cookie = access.cookie
         self._drawing = asyncio.Lock()

@@ -29,7 +29,7 @@ def require_page(*, wanted: bool = True) -> None:
         raise UserError(MISSING)
 
 
-class Beside:
+class PageBesideRun:
     """The page beside a run. say : is told what a person should know. server : None where no page is wanted."""
 
     def __init__(self, say: Callable[[str], None], server: "subprocess.Popen[bytes] | None" = None) -> None:
@@ -48,10 +48,10 @@ class Beside:
 
 
 @contextmanager
-def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = True) -> Iterator[Beside]:
+def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = True) -> Iterator[PageBesideRun]:
     """While inside, the page of a session's folder is served; say : is told where. Nothing happens unless wanted."""
     if not wanted:
-        yield Beside(say)
+        yield PageBesideRun(say)
         return
     options, token = ServeOptions(), secrets.token_urlsafe(24)
     with listening(options) as ours:
@@ -73,7 +73,7 @@ def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = Tr
             server.stdin.write(f"{token}\n".encode())
             server.stdin.flush()
     try:
-        yield Beside(say, server)
+        yield PageBesideRun(say, server)
     finally:
         # end the server: it is told so by the end of its input, and is not waited for long
         with suppress(OSError, subprocess.TimeoutExpired):

@@ -18,7 +18,7 @@ from retuner.report.ledger_words import LedgerLine, no_formula
 from retuner.report.what_if import MS_LIMIT, of_region
 from retuner.schedule.gains import PidGains
 from retuner.serve.ledger_tail import Decided, Document, LedgerTail
-from retuner.serve.runs import Runs, WatchedLoop, WatchedSession
+from retuner.serve.runs import RecordedRuns, WatchedLoop, WatchedSession
 from retuner.session.order_queue import SHORT
 from retuner.session.outputs import REPORT, SUMMARY
 
@@ -34,7 +34,7 @@ ROWS = 500
 """Ledger rows in one answer."""
 
 
-def overview(runs: Runs) -> Document:
+def overview(runs: RecordedRuns) -> Document:
     """Every loop of every session with what needs a person."""
     sessions = [
         {

@@ -3,7 +3,7 @@
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
-from retuner.serve.access import Access
+from retuner.serve.access import PageAccess
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -38,7 +38,7 @@ class Gate:
     inner : the application. access : hosts, origins and rates.
     """
 
-    def __init__(self, inner: Application, access: Access) -> None:
+    def __init__(self, inner: Application, access: PageAccess) -> None:
         self._inner, self._access = inner, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Iterable
 from secrets import token_hex
 
 from retuner.live_view.live_file import thinned
-from retuner.serve.runs import Runs, WatchedLoop
+from retuner.serve.runs import RecordedRuns, WatchedLoop
 
 TICK_S = 0.04
 """Time between two looks: a sample waits for half of that on average."""
@@ -53,7 +53,7 @@ class Hub:
     runs : what there is to be seen.
     """
 
-    def __init__(self, runs: Runs) -> None:
+    def __init__(self, runs: RecordedRuns) -> None:
         self.runs = runs
         self.boot = token_hex(4)
         self.watchers = 0

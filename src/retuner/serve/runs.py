@@ -94,7 +94,7 @@ class WatchedSession:
             loop.reader.close()
 
 
-class Runs:
+class RecordedRuns:
     """The sessions under a folder.
 
     root : the folder of a session, or of sessions.

@@ -14,11 +14,11 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from retuner.errors import UserError
-from retuner.serve.access import Access
+from retuner.serve.access import PageAccess
 from retuner.serve.address import ServeOptions, lines, listening, our_names
-from retuner.serve.application import Page
+from retuner.serve.application import PageAnswers
 from retuner.serve.hub import Hub
-from retuner.serve.runs import Runs
+from retuner.serve.runs import RecordedRuns
 
 SILENT_S = 10.0
 """A connection that asks for nothing is closed after this."""
@@ -56,13 +56,13 @@ def serve(
     """
     if (options.certificate is None) != (options.key is None):
         raise UserError("--certificate and --key: TLS needs both files")
-    runs = Runs(root)
+    runs = RecordedRuns(root)
     told = ours is not None
     ours = ours or listening(options)
     port = int(ours.getsockname()[1])
     secure = options.certificate is not None
     names = our_names(options, port)
-    access = Access(names, time.monotonic, secure=secure, read_only=options.read_only, port=port)
+    access = PageAccess(names, time.monotonic, secure=secure, read_only=options.read_only, port=port)
     access.token = token or access.token
     for line in () if told else lines(options, port, access.token):
         say(line)
@@ -72,7 +72,7 @@ def serve(
         wanted = MOST_CONNECTIONS + 500 if most == resource.RLIM_INFINITY else min(MOST_CONNECTIONS + 500, most)
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
     config = uvicorn.Config(
-        Page(Hub(runs), access).application(),
+        PageAnswers(Hub(runs), access).application(),
         http=PatientProtocol,
         ws="none",
         lifespan="on",

@@ -39,7 +39,7 @@ LOOK_EVERY_S = 0.25
 else that is done with the sample."""
 
 
-class Change(NamedTuple):
+class DecidedChange(NamedTuple):
     """What a decision stood for: its region, and the gains before it."""
 
     region: str
@@ -57,7 +57,7 @@ class OrderState:
 
     proposals: dict[str, Proposal] = field(default_factory=dict)
     newest: dict[str, str] = field(default_factory=dict)
-    changes: dict[int, Change] = field(default_factory=dict)
+    changes: dict[int, DecidedChange] = field(default_factory=dict)
     tried: dict[str, str] = field(default_factory=dict)
     waiting: dict[str, str] = field(default_factory=dict)
     in_force: dict[str, PidGains] = field(default_factory=dict)
@@ -130,7 +130,7 @@ def _order(found: OrderState, body: Mapping[str, Any]) -> None:
 def _decision(found: OrderState, body: Mapping[str, Any]) -> None:
     number, region, before = int(body["number"]), str(body["region"]), gains_of(body["gains_before"])
     digest = digest_of(body)
-    found.changes[number] = Change(region, before)
+    found.changes[number] = DecidedChange(region, before)
     found.in_force[region] = before
     if body["action"] == Action.ADVISE and body["gains_after"] is not None:
         found.newest[region] = digest
@@ -286,11 +286,11 @@ class OrderDesk:
             return {"region": change.region, "gains": gains_dict(change.before)}, ""
         return {}, self._closed(order.region) or self._not_at(order.region, TrialPhase.LOCKED)
 
-    def _change(self, number: int, before: Before | None) -> Change | None:
+    def _change(self, number: int, before: Before | None) -> DecidedChange | None:
         """What the decision of this number stood for."""
         if before is not None:
             return before.shown.changes.get(number)
-        found = (Change(d.region, d.gains_before) for d in self._decisions if d.number == number)
+        found = (DecidedChange(d.region, d.gains_before) for d in self._decisions if d.number == number)
         return next(found, None)
 
     def _approved(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:

@@ -10,7 +10,7 @@ the record goes whole into the ledger, and from there into the retuner, live as 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from retuner.adaptive.experiments.phases import AbortCause, Phase
-from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.experiments.plan import Experiment, Plan
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision
 from retuner.adaptive.supervision.retuner import Retuner
@@ -36,7 +36,7 @@ def pretune_plan(config: Config) -> Plan:
     given = config.adaptation.pretune_step_pct
     with user_input("adaptation.pretune_step_pct"):
         return Plan(
-            kind=Kind.STEP,
+            kind=Experiment.STEP,
             amplitude=DEFAULT_SHARE * (loop.co_max_pct - loop.co_min_pct) if given is None else given,
             pv_low=loop.pv_min,
             pv_high=loop.pv_max,

@@ -99,7 +99,7 @@ def _before(folder: Path | None, config: SessionConfig) -> _Before:
         return _Before(folder, {})
 
 
-class _Loop:
+class _RunningLoop:
     """One loop of a run, before and while it is watched.
 
     config : its. run : that it belongs to. folder : of the session, None where nothing is kept. before : the session
@@ -244,7 +244,7 @@ class Run:
         self.stopped_plants: Sequence[str] = ()
         self.ended_by = ""
         earlier = _before(before, self.config)
-        self._loops = [_Loop(one, self, folder, earlier) for one in self.config.loops]
+        self._loops = [_RunningLoop(one, self, folder, earlier) for one in self.config.loops]
 
     def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
         """Pass a sample on to whoever looks on."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.audit.attainable import Foreseen, foreseen
-from retuner.adaptive.audit.verdict import Action, Basis, LoopVerdict, error_share, with_foreseen
+from retuner.adaptive.audit.verdict import AuditAction, LoopVerdict, VerdictBasis, error_share, with_foreseen
 from retuner.adaptive.audit.windows import spread_over
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -93,7 +93,7 @@ def test_parts_stand_for_the_whole_record_and_hold_no_gap() -> None:
     assert spread_over(record.part(slice(0, 5_000)))[0].t_s.shape == (5_000,)
 
 
-SLUGGISH = LoopVerdict(Cause.SLUGGISH, 0.8, Action.RETUNE, "slow", 0.0, 2, 2, 0.9, 0.72, Basis.HARRIS)
+SLUGGISH = LoopVerdict(Cause.SLUGGISH, 0.8, AuditAction.RETUNE, "slow", 0.0, 2, 2, 0.9, 0.72, VerdictBasis.HARRIS)
 
 
 def told(saved: float, least: float, calmer: float) -> Foreseen:
@@ -102,7 +102,7 @@ def told(saved: float, least: float, calmer: float) -> Foreseen:
 
 def test_the_benefit_of_a_retune_is_what_was_foreseen() -> None:
     found = with_foreseen(SLUGGISH, told(0.4, 0.3, -2.0), proposed=True)
-    assert (found.avoidable, found.basis, found.action) == (0.4, Basis.SIMULATED, Action.RETUNE)
+    assert (found.avoidable, found.basis, found.action) == (0.4, VerdictBasis.SIMULATED, AuditAction.RETUNE)
     assert found.rank == pytest.approx(0.8 * 0.4)
     calmer = with_foreseen(SLUGGISH, told(-0.1, -0.2, 0.6), proposed=True)
     assert calmer.avoidable == 0.0
@@ -112,9 +112,9 @@ def test_the_benefit_of_a_retune_is_what_was_foreseen() -> None:
 
 def test_what_is_not_sure_enough_to_be_proposed_counts_by_the_worst_model_and_asks_for_a_step() -> None:
     found = with_foreseen(SLUGGISH, told(0.4, 0.3, 0.9), proposed=False)
-    assert (found.avoidable, found.basis, found.action) == (0.3, Basis.SIMULATED, Action.STEP)
+    assert (found.avoidable, found.basis, found.action) == (0.3, VerdictBasis.SIMULATED, AuditAction.STEP)
     for unknown in (None, told(0.4, -math.inf, 0.9)):
         found = with_foreseen(SLUGGISH, unknown, proposed=False)
-        assert (found.avoidable, found.basis, found.action) == (0.9, Basis.HARRIS, Action.STEP)
+        assert (found.avoidable, found.basis, found.action) == (0.9, VerdictBasis.HARRIS, AuditAction.STEP)
         assert 0 < found.rank < SLUGGISH.rank
     assert error_share(0.75) == pytest.approx(0.5)

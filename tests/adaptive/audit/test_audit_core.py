@@ -13,9 +13,9 @@ from retuner.adaptive.audit.common_swing import Swinging, common_swings
 from retuner.adaptive.audit.loop_screen import DAY_S, harris_index, screen_loop
 from retuner.adaptive.audit.verdict import (
     EFFORT,
-    Action,
-    Basis,
+    AuditAction,
     StretchVerdict,
+    VerdictBasis,
     error_share,
     joined_confidence,
     loop_verdict,
@@ -75,7 +75,7 @@ def test_a_dead_signal_has_no_avoidable_error() -> None:
 
     assert screen.condition == Condition.DEAD_PV
     assert screen.harris == 0.0
-    assert loop_verdict(screen, []).action == Action.SIGNAL
+    assert loop_verdict(screen, []).action == AuditAction.SIGNAL
 
 
 @given(st.integers(1, 6), st.floats(100, 3000), st.integers(0, N - 2))
@@ -122,26 +122,26 @@ def test_the_verdict_tells_since_when_and_how_often() -> None:
     stretches = [seen(Cause.OK, 0.8), seen(Cause.AGGRESSIVE, 0.9, 500), seen(Cause.AGGRESSIVE, 0.95, 900)]
     told = loop_verdict(CALM, stretches)
 
-    assert (told.cause, told.action, told.since_s) == (Cause.AGGRESSIVE, Action.RETUNE, 500)
+    assert (told.cause, told.action, told.since_s) == (Cause.AGGRESSIVE, AuditAction.RETUNE, 500)
     assert (told.seen, told.looked_at) == (2, 3)
     assert told.rank > 0
 
 
 def test_a_loop_in_order_is_not_visited_and_an_unknown_swing_is_looked_at() -> None:
     calm = loop_verdict(CALM, [seen(Cause.OK, 0.9), seen(Cause.NOISE, 0.8)])
-    assert (calm.action, calm.rank) == (Action.NOTHING, 0.0)
+    assert (calm.action, calm.rank) == (AuditAction.NOTHING, 0.0)
     unknown = [seen(Cause.UNKNOWN, 0.5)]
-    assert loop_verdict(CALM, unknown).action == Action.RECORD
+    assert loop_verdict(CALM, unknown).action == AuditAction.RECORD
     swings = loop_verdict(replace(CALM, swinging=1.0, strength=0.8, period_s=60.0), unknown)
-    assert (swings.action, swings.rank > 0) == (Action.LOOK, True)
+    assert (swings.action, swings.rank > 0) == (AuditAction.LOOK, True)
 
 
 def test_a_loop_that_waits_for_its_process_is_sluggish_where_nothing_says_otherwise() -> None:
     waits, noise = replace(CALM, idle=0.45, at_limits=0.0), [seen(Cause.NOISE, 0.8), seen(Cause.UNKNOWN, 0.5)]
     told = loop_verdict(waits, noise)
-    assert (told.cause, told.action) == (Cause.SLUGGISH, Action.RECORD)  # no settings follow from it
+    assert (told.cause, told.action) == (Cause.SLUGGISH, AuditAction.RECORD)  # no settings follow from it
     share = error_share(waits.harris)  # of the error, not of its variance
-    assert (told.avoidable, told.basis) == (share, Basis.HARRIS)
+    assert (told.avoidable, told.basis) == (share, VerdictBasis.HARRIS)
     assert told.rank == pytest.approx(told.confidence * share / EFFORT[told.action])
     assert loop_verdict(replace(waits, idle=0.1), noise).cause != Cause.SLUGGISH
     assert loop_verdict(replace(waits, idle=None), noise).cause != Cause.SLUGGISH

@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.signal import lsim, lti
 
-from retuner.adaptive.fit.dynamics import Clock, Dynamics
+from retuner.adaptive.fit.dynamics import Dynamics, SamplingInstants
 
 MEMBERS = {
     "first": (0.0, 0.1),
@@ -30,7 +30,7 @@ def test_held_input_step_ramp_and_impulse_are_those_of_the_transfer_function(mem
     u -= u[0]
     system = reference(c2, c0)
     held = lsim(system, u, t, interp=False)[1]
-    np.testing.assert_allclose(dynamics.held(Clock.of(t), u, 0.0), held, atol=1e-6 * np.max(np.abs(held)))
+    np.testing.assert_allclose(dynamics.held(SamplingInstants.of(t), u, 0.0), held, atol=1e-6 * np.max(np.abs(held)))
     step = lsim(system, np.ones(400), t, interp=False)[1]
     np.testing.assert_allclose(dynamics.step(t), step, atol=1e-7 * np.max(step))
     ramp = lsim(system, t, t)[1]
@@ -59,8 +59,8 @@ def test_even_and_uneven_sampling_agree(c2: float, c0: float, theta: float, seed
     held = coarse[np.searchsorted(t, uneven, side="right") - 1]
     dynamics = Dynamics(c2, c0)
     on_grid = np.isin(uneven, t)
-    found = dynamics.held(Clock.of(uneven), held, theta)[on_grid]
-    expected = dynamics.held(Clock.of(t), coarse, theta)
+    found = dynamics.held(SamplingInstants.of(uneven), held, theta)[on_grid]
+    expected = dynamics.held(SamplingInstants.of(t), coarse, theta)
     np.testing.assert_allclose(found, expected, atol=1e-6 * (1 + np.max(np.abs(expected))))
 
 
@@ -70,15 +70,17 @@ def test_the_dead_time_may_be_any_real_number(theta: float, tau: float) -> None:
     u = np.where(t >= 5, 1.0, 0.0)
     since = t - 5 - theta
     expected = np.where(since > 0, tau * -np.expm1(-np.maximum(since, 0) / tau), 0.0)
-    np.testing.assert_allclose(Dynamics(0.0, 1 / tau).held(Clock.of(t), u, theta), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        Dynamics(0.0, 1 / tau).held(SamplingInstants.of(t), u, theta), expected, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_long_dead_times_and_short_lags_do_not_overflow() -> None:
     t = np.arange(2000.0)
     u = np.where(t < 5, 0.0, 1.0)
     with np.errstate(over="raise", invalid="raise", divide="raise"):
-        moved = Dynamics(0.0, 1 / 0.3).held(Clock.of(t), u, 1500.0)
-        uneven = Dynamics(0.001, 1 / 0.3).held(Clock(t, None), u, 1500.0)
+        moved = Dynamics(0.0, 1 / 0.3).held(SamplingInstants.of(t), u, 1500.0)
+        uneven = Dynamics(0.001, 1 / 0.3).held(SamplingInstants(t, None), u, 1500.0)
     assert moved[1504] == pytest.approx(0.0)
     assert moved[1600] == pytest.approx(0.3)
     assert uneven[1600] == pytest.approx(0.3)

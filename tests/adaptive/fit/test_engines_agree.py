@@ -16,7 +16,7 @@ from retuner.adaptive.fit.dynamics import told_apart
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Prior, bounds, refine
-from retuner.adaptive.fit.search import Grid, _searched
+from retuner.adaptive.fit.search import SearchGrid, _searched
 from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import judged
 from retuner.adaptive.identification.corners import _ramps
@@ -24,7 +24,7 @@ from retuner.adaptive.identification.loads import linear_gains
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.trial.batch_responses import Loop, Upset, _exponentials, traces
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, _exponentials, traces
 from retuner.adaptive.valve.plateaus import as_steps
 from retuner.adaptive.valve.slips import Co, Slips, _greedy, explained_by
 from retuner.adaptive.valve.valve_fit import Nodes, _grid, _moved, _through, _travel, valve_costs
@@ -147,7 +147,7 @@ def test_the_coarse_search_finds_the_same_nodes() -> None:
         for _ in range(5):
             record = drawn_record(rng)
             misfit = Misfit(record, type_, 1, 0, record.noise_std, 0.3)
-            grid = Grid.of(misfit)
+            grid = SearchGrid.of(misfit)
             expected, found = list(_searched(grid, misfit, 2)), list(compiled.searched(grid, misfit.sigma, 2))
             assert [(n.lag_s, n.theta_s, n.loads) for n in found] == [(n.lag_s, n.theta_s, n.loads) for n in expected]
             assert off(np.array([n.deviance for n in found]), np.array([n.deviance for n in expected])) < CLOSE
@@ -256,7 +256,7 @@ def test_steps_of_a_signal_are_found_alike(seed: int) -> None:
 
 def test_closed_loops_answer_alike() -> None:
     loops = [
-        Loop(LinearProcess(2.0, (10.0, 3.0), theta_s=theta), PidGains(kp, kp / 12, kp / 2), b=0.5)
+        ClosedLoop(LinearProcess(2.0, (10.0, 3.0), theta_s=theta), PidGains(kp, kp / 12, kp / 2), b=0.5)
         for theta in (0.0, 2.0, 5.3)
         for kp in (0.3, 1.0, 8.0)
     ]

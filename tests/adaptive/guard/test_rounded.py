@@ -6,15 +6,15 @@ import pytest
 from guard_cases import GAINS, SETTINGS, request, times
 
 from retuner.adaptive.guard import prove
-from retuner.schedule.vendor_units import Holds, Quantity, VendorGain, VendorUnits
+from retuner.schedule.vendor_units import Quantity, StorableNumbers, VendorGain, VendorUnits
 
 
 def units(step: float, high: float = 255.0) -> VendorUnits:
     """Whole numbers: kp in this step, Tn in seconds."""
     return VendorUnits(
         (
-            VendorGain(Quantity.KP, step, Holds(1.0, high, 1.0)),
-            VendorGain(Quantity.TN, 1.0, Holds(0.0, 10000.0, 1.0), message=1, off=0.0),
+            VendorGain(Quantity.KP, step, StorableNumbers(1.0, high, 1.0)),
+            VendorGain(Quantity.TN, 1.0, StorableNumbers(0.0, 10000.0, 1.0), message=1, off=0.0),
         )
     )
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wood_berry import BLT, DT_S, MINUTE, WOOD_BERRY, column, records
 
-from retuner.adaptive.interaction.answers import Answers, Element
+from retuner.adaptive.interaction.answers import Element, StepAnswers
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.interaction.windows import seen_in
 from retuner.adaptive.loop.margins import margins
@@ -32,8 +32,8 @@ def test_loops_that_do_not_act_on_each_other_have_the_ms_that_they_have_alone(
 ) -> None:
     gains = PidGains.from_ideal(share * tau / (k * 2 * (theta + DT_S)), tau)
     nothing = Element(0.0, tau, 0.0, 0.0)
-    first = Answers((Element(k, tau, 0.0, theta), nothing), 0.0)
-    second = Answers((nothing, Element(-k, 2 * tau, 0.0, theta)), 0.0)
+    first = StepAnswers((Element(k, tau, 0.0, theta), nothing), 0.0)
+    second = StepAnswers((nothing, Element(-k, 2 * tau, 0.0, theta)), 0.0)
     found = together([first, second], [Closed(gains, DT_S), Closed(PidGains(-gains.kp, -gains.ki / 2), DT_S)])
     assert found[0] == pytest.approx(alone(k, tau, theta, gains), rel=0.01)
     assert found[1] == pytest.approx(alone(-k, 2 * tau, theta, PidGains(-gains.kp, -gains.ki / 2)), rel=0.01)
@@ -46,7 +46,8 @@ def test_the_edge_of_stability_is_where_algebra_has_it(own: float, cross: float,
     edge = 1.0 / (cross - own)
     gains = Closed(PidGains(share * edge, 0.0), 1e-6)
     rows = [
-        Answers((Element(x, 1.0, 0.0, 0.0), Element(y, 1.0, 0.0, 0.0)), 0.0) for x, y in ((own, cross), (cross, own))
+        StepAnswers((Element(x, 1.0, 0.0, 0.0), Element(y, 1.0, 0.0, 0.0)), 0.0)
+        for x, y in ((own, cross), (cross, own))
     ]
     assert math.isinf(together(rows, [gains, gains])[0]) == (share > 1.0) or abs(share - 1.0) < 1e-3
 
@@ -65,7 +66,9 @@ def test_wood_and_berrys_column_under_the_gains_published_for_it_and_under_three
 
 def test_loops_whose_pairing_has_a_negative_relative_gain_are_not_stable_together() -> None:
     """Integral action in both, and det G(0) < 0: an odd number of unstable poles (Grosdidier et al. 1985)."""
-    rows = [Answers((Element(x, 10.0, 0.0, 1.0), Element(y, 10.0, 0.0, 1.0)), 0.0) for x, y in ((1.0, 1.5), (1.5, 1.0))]
+    rows = [
+        StepAnswers((Element(x, 10.0, 0.0, 1.0), Element(y, 10.0, 0.0, 1.0)), 0.0) for x, y in ((1.0, 1.5), (1.5, 1.0))
+    ]
     assert together(rows, [Closed(PidGains(0.1, 0.005), 1.0)] * 2) == (math.inf, math.inf)
 
 

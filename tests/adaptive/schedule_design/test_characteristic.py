@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.schedule_design.curves import curves as curves_of
-from retuner.adaptive.schedule_design.stretches import Axis, Characteristic, Shape, cut, signals_of, summed
+from retuner.adaptive.schedule_design.stretches import Characteristic, CurveAxis, CurveShape, cut, signals_of, summed
 from retuner.adaptive.signals.sample import Window
 from retuner.scheduling import silent
 
@@ -41,9 +41,9 @@ def record() -> Window:
 
 def test_without_coefficients_co_acts_as_it_is_and_a_slope_bends_it() -> None:
     co = np.linspace(-20, 120, 15)
-    flat = Characteristic(Axis(0.0, 100.0), Shape.BENT).felt(co, np.zeros((Shape.BENT - 1, 1)))[:, 0]
+    flat = Characteristic(CurveAxis(0.0, 100.0), CurveShape.BENT).felt(co, np.zeros((CurveShape.BENT - 1, 1)))[:, 0]
     assert flat - flat[2] == pytest.approx(co, abs=1e-9)
-    line = Characteristic(Axis(0.0, 100.0), Shape.LINE)
+    line = Characteristic(CurveAxis(0.0, 100.0), CurveShape.LINE)
     felt = line.felt(co, np.array([[1.0, -1.0]]))
     rates = np.diff(felt, axis=0) / 10
     assert np.all(np.diff(rates[2:12, 0]) > 0)
@@ -54,7 +54,7 @@ def test_without_coefficients_co_acts_as_it_is_and_a_slope_bends_it() -> None:
 def test_records_are_summed_once_and_by_their_own_time() -> None:
     window = record()
     stretches = cut(signals_of(window, window.pv, 1))
-    straight = Characteristic(Axis(0.0, 100.0), Shape.LINE)
+    straight = Characteristic(CurveAxis(0.0, 100.0), CurveShape.LINE)
     sums = summed(straight, stretches, np.zeros((1, 1)))
     assert all(one is sums[0] for one in sums)
     assert sums[0][:, 0] == pytest.approx(stretches[0].signals.fired)
@@ -64,9 +64,9 @@ def test_records_are_summed_once_and_by_their_own_time() -> None:
 def test_a_gain_that_follows_the_output_is_told_within_its_band_at_every_place() -> None:
     window = record()
     stretches = cut(signals_of(window, window.pv, 2))
-    curves = curves_of(stretches, Axis(50.0, 180.0), 1, silent)
+    curves = curves_of(stretches, CurveAxis(50.0, 180.0), 1, silent)
     assert curves.form.felt is not None
-    assert curves.form.shapes[2] is Shape.CONSTANT, "the lag waves where the characteristic is left out"
+    assert curves.form.shapes[2] is CurveShape.CONSTANT, "the lag waves where the characteristic is left out"
     for x in (60.0, 90.0, 120.0, 150.0, 175.0):
         ln, covariance = curves.ln(np.array([x]))[0], curves.ln_covariance(x)
         wanted = np.log(gain(x) / LAG_S)

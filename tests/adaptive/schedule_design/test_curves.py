@@ -15,12 +15,12 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.schedule_choice import schedule_from_records as designing
 from retuner.adaptive.schedule_choice.schedule_from_records import _able, _Chosen, _visited, design
-from retuner.adaptive.schedule_choice.scheduling_variables import Candidate, direction
+from retuner.adaptive.schedule_choice.scheduling_variables import SchedulingVariable, direction
 from retuner.adaptive.schedule_design.agreement import agreement
-from retuner.adaptive.schedule_design.joint import At, Form
+from retuner.adaptive.schedule_design.joint import At, CurveForm
 from retuner.adaptive.schedule_design.motion import Batch, Local, response
 from retuner.adaptive.schedule_design.places import SECOND_LAG, DesignLimits, moved
-from retuner.adaptive.schedule_design.stretches import KNOTS, LEVEL_STD, Axis, Shape, cut, signals_of
+from retuner.adaptive.schedule_design.stretches import KNOTS, LEVEL_STD, CurveAxis, CurveShape, cut, signals_of
 from retuner.adaptive.signals.sample import Window
 from retuner.scheduling import ScheduleDesign
 
@@ -42,8 +42,8 @@ def test_the_course_of_the_lag_lies_inside_its_band_and_the_rest_is_constant() -
         ln, std = curves.ln(np.array([x]))[0], np.sqrt(np.diag(curves.ln_covariance(x)))
         wanted = np.log([C, THETA_S, tau_s(x)])
         assert np.all(np.abs(ln[:3] - wanted) < 3 * std + 0.05), x
-    assert curves.form.shapes[2] > Shape.CONSTANT
-    assert curves.form.shapes[:2] == (Shape.CONSTANT, Shape.CONSTANT)
+    assert curves.form.shapes[2] > CurveShape.CONSTANT
+    assert curves.form.shapes[:2] == (CurveShape.CONSTANT, CurveShape.CONSTANT)
     assert curves.evidence > 10
 
 
@@ -60,7 +60,7 @@ def test_every_place_of_the_true_process_is_in_spec_with_the_schedule() -> None:
 @pytest.mark.parametrize("load", [0.0, 15.0])
 def test_a_process_that_is_the_same_everywhere_gets_one_region(load: float) -> None:
     design = found(0.0, load)
-    assert set(design.design.curves.form.shapes) == {Shape.CONSTANT}
+    assert set(design.design.curves.form.shapes) == {CurveShape.CONSTANT}
     assert design.table is not None
     assert len(design.table.gains) == 1
     assert design.model_at(50.0).slope == pytest.approx(C, rel=0.1)
@@ -115,7 +115,7 @@ def test_the_next_experiment_moves_pv_visibly_and_ends() -> None:
 # ---- Stretches that differ by more than their samples explain make the curves through them less sure, and only
 # these
 
-FORM = Form(Axis(0.0, 1.0), (Shape.CONSTANT, Shape.CONSTANT), (0.0, 0.0), 1)
+FORM = CurveForm(CurveAxis(0.0, 1.0), (CurveShape.CONSTANT, CurveShape.CONSTANT), (0.0, 0.0), 1)
 ROWS, STRETCHES = 100, 40
 
 
@@ -177,13 +177,13 @@ def test_a_second_lag_delays_by_itself() -> None:
 
 @given(st.floats(-50, 50), st.floats(0.1, 100))
 def test_bends_hold_no_line_and_shapes_are_nested(low: float, width: float) -> None:
-    axis = Axis(low, low + width)
+    axis = CurveAxis(low, low + width)
     x = axis.grid(KNOTS)
-    bent = axis.columns(x, Shape.BENT)
-    line = axis.columns(x, Shape.LINE)
+    bent = axis.columns(x, CurveShape.BENT)
+    line = axis.columns(x, CurveShape.LINE)
     assert bent[:, :2] == pytest.approx(line)
     assert np.abs(line.T @ bent[:, 2:]).max() < 1e-9
-    assert axis.columns(np.array([low - 9.0]), Shape.BENT)[0] == pytest.approx(bent[0])
+    assert axis.columns(np.array([low - 9.0]), CurveShape.BENT)[0] == pytest.approx(bent[0])
 
 
 def test_stretches_begin_before_setpoint_changes_and_end_with_the_record() -> None:
@@ -228,15 +228,15 @@ def test_what_is_known_well_moves_as_its_logarithm_does() -> None:
 
 # ---- Ends that a person gives are of the places: the fit, and what counts as visited, are of the records
 
-PV = Candidate("pv", (np.linspace(20.0, 80.0, 500),))
-FLOW = Candidate("flow", (np.repeat([1.0, 2.0, 3.0], 200),))
-STILL = Candidate("F", (np.ones(500),))
+PV = SchedulingVariable("pv", (np.linspace(20.0, 80.0, 500),))
+FLOW = SchedulingVariable("flow", (np.repeat([1.0, 2.0, 3.0], 200),))
+STILL = SchedulingVariable("F", (np.ones(500),))
 
 
 def test_the_fit_is_over_all_that_the_records_visit(monkeypatch: pytest.MonkeyPatch) -> None:
     axes = []
 
-    def seen(_windows: object, _candidate: object, axis: Axis, _told: object) -> None:
+    def seen(_windows: object, _candidate: object, axis: CurveAxis, _told: object) -> None:
         axes.append((axis.low, axis.high))
         raise InterruptedError
 
@@ -248,7 +248,7 @@ def test_the_fit_is_over_all_that_the_records_visit(monkeypatch: pytest.MonkeyPa
 
 
 def test_wide_ends_make_nothing_far_off_known() -> None:
-    axis, axis2 = Axis(*PV.span()), SimpleNamespace(axis=Axis(*FLOW.span()))
+    axis, axis2 = CurveAxis(*PV.span()), SimpleNamespace(axis=CurveAxis(*FLOW.span()))
     been = SimpleNamespace(x=np.array([20.0, 50.0, 80.0]), x2=np.array([1.0, 2.0, 3.0]))
     curves = SimpleNamespace(form=SimpleNamespace(axis=axis, second=axis2), joint=SimpleNamespace(stretches=[been] * 2))
     chosen = _Chosen(PV, FLOW, curves)

@@ -7,7 +7,7 @@ import pytest
 
 from retuner.adaptive.schedule_design.curves import Curves, curves
 from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_ways
-from retuner.adaptive.schedule_design.stretches import Axis, cut, signals_of
+from retuner.adaptive.schedule_design.stretches import CurveAxis, cut, signals_of
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.scheduling import silent
 
@@ -35,7 +35,7 @@ def heater() -> tuple[Window, FloatArray]:
 @cache
 def found(*, pushed: bool) -> Curves:
     window, flows = heater()
-    return curves(cut(signals_of(window, flows, 1)), Axis(10.0, 30.0), 1, silent, pushed=pushed)
+    return curves(cut(signals_of(window, flows, 1)), CurveAxis(10.0, 30.0), 1, silent, pushed=pushed)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import retuner
-from retuner.adaptive.schedule_design.stretches import Shape
+from retuner.adaptive.schedule_design.stretches import CurveShape
 from retuner.adaptive.signals.sample import FloatArray, Window
 
 LAG_S, HOLD = 30.0, 130
@@ -49,8 +49,8 @@ def test_both_are_found_and_the_table_has_two_axes() -> None:
     found = retuner.design_schedule(window, ["pv", "flow"], values={"flow": [flow]})
     assert (found.variable, found.second) == ("pv", "flow")
     form = found.design.curves.form
-    assert form.shapes[0] > Shape.CONSTANT, "the slope gain changes with pv"
-    assert form.second_shapes[1] > Shape.CONSTANT, "the dead time changes with the flow"
+    assert form.shapes[0] > CurveShape.CONSTANT, "the slope gain changes with pv"
+    assert form.second_shapes[1] > CurveShape.CONSTANT, "the dead time changes with the flow"
     for y in (35.0, 70.0):
         for w in (10.0, 20.0, 30.0):
             model = found.model_at(y, w)

@@ -13,7 +13,7 @@ from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
-from retuner.adaptive.trial.batch_responses import Loop, Upset, traces
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
 from retuner.adaptive.trial.prediction import Prediction, Spread, predict, predict_without_model
 from retuner.adaptive.trial.response_numbers import peaks_of, shape_of, swing
 from retuner.schedule.gains import PidGains
@@ -48,7 +48,7 @@ def test_peaks_of_a_second_order_decay_have_the_ratio_of_theory() -> None:
     kc, tau_i, slope = 1.0, 1.0, 1.0
     zeta = 0.5 * math.sqrt(slope * kc * tau_i)
     ratio = math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
-    [[load]] = traces([Loop(LinearProcess(slope, integrators=1), PidGains(kc, kc / tau_i))], [Upset(pulse=1.0)])
+    [[load]] = traces([ClosedLoop(LinearProcess(slope, integrators=1), PidGains(kc, kc / tau_i))], [Upset(pulse=1.0)])
     first, second, third = peaks_of(load.e)
     assert abs(third / second) == pytest.approx(ratio, rel=0.05)
     assert first * second < 0 < first * third
@@ -138,5 +138,5 @@ def test_swing(peaks: list[float], expected: tuple[float, float, float]) -> None
 
 
 def test_a_loop_without_integral_action_never_comes_to_rest() -> None:
-    [[step]] = traces([Loop(LinearProcess(1.0, (10.0,), (), 1.0), PidGains(2.0, 0.0))], [Upset(setpoint=1.0)])
+    [[step]] = traces([ClosedLoop(LinearProcess(1.0, (10.0,), (), 1.0), PidGains(2.0, 0.0))], [Upset(setpoint=1.0)])
     assert math.isinf(shape_of(step, 0.0).iae)

@@ -9,7 +9,7 @@ from rig import PROMISE
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.trial.batch_responses import Loop
+from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.diverging_trial import divergence_begin, divergence_step, law_of
 from retuner.adaptive.trial.judge import sigma_of
 from retuner.adaptive.trial.load_variability import BLOCK, FEWEST_BLOCKS, wander_of, wander_there
@@ -78,9 +78,9 @@ def test_noise_is_the_least_of_it_and_it_is_remembered() -> None:
     assert Prediction.from_dict(before).wander == 0.0
 
 
-def integrating(theta_s: float) -> Loop:
+def integrating(theta_s: float) -> ClosedLoop:
     """The same loop at every dead time: its response to a load is theta times as large, and as long."""
-    return Loop(LinearProcess(0.1, (), (), theta_s, 1), PidGains(5.0 / theta_s, 5.0 / theta_s / (8.0 * theta_s)))
+    return ClosedLoop(LinearProcess(0.1, (), (), theta_s, 1), PidGains(5.0 / theta_s, 5.0 / theta_s / (8.0 * theta_s)))
 
 
 def test_a_load_that_walks_moves_another_loop_by_its_own_response() -> None:

@@ -15,7 +15,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import seen_of
-from retuner.adaptive.supervision.pipeline import Stage
+from retuner.adaptive.supervision.pipeline import PipelineStage
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, Question, StageResult
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.decider import Answer
@@ -209,7 +209,10 @@ def test_a_response_of_a_trial_that_another_loop_moved_says_nothing_and_all_samp
         found.verdict, found.basis = change, Basis.ALL_SAMPLES
         found.stop("accepted", "more action")
 
-    stages = (Stage("a response", lambda _: pytest.fail("it is asked")), Stage("all samples", speaks, always=True))
+    stages = (
+        PipelineStage("a response", lambda _: pytest.fail("it is asked")),
+        PipelineStage("all samples", speaks, always=True),
+    )
     monkeypatch.setattr(pipeline, "STAGES", stages)
     asked = replace(question(105, 150), spoilt="two moved")
     found = pipeline.decide(asked)

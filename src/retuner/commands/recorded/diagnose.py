@@ -37,7 +37,7 @@ from retuner.decision_page.shown_units import chosen_units
 from retuner.diagnosing import RecordDiagnosis
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
-from retuner.report.change_of_settings import Change, change_of, change_words, step_words
+from retuner.report.change_of_settings import ShownChange, change_of, change_words, step_words
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 from retuner.tuning import tune, tuning_lines
@@ -61,7 +61,7 @@ class DiagnosedRecord:
     read_off: SettingsInForce | None
     seen: Screening
     loop: LoopScreen
-    change: Change | None
+    change: ShownChange | None
     evidence: dict[str, float]
     notes: tuple[str, ...]
 
