@@ -18,9 +18,9 @@ import numpy as np
 from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.region_model.region_advice import features
 from retuner.adaptive.region_model.region_curves import RegionCurves, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.split_or_merge import features
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.schedule_design.places import LEAST_STD, DesignLimits, iae

@@ -11,7 +11,8 @@ from itertools import combinations, pairwise, product
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.places import CALMER, DesignLimits, Place, mean_of, times
+from retuner.adaptive.schedule_choice.borders_of_one_variable import CALMER, mean_of, times
+from retuner.adaptive.schedule_design.places import DesignLimits, Place
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.table import Lookup

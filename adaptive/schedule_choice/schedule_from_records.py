@@ -10,6 +10,7 @@ from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.first_step import FirstStep, first_step
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.schedule_choice.borders_of_one_variable import Layout, fewest_knots, fewest_steps
 from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells, cells
 from retuner.adaptive.schedule_choice.scheduling_variables import (
     RegionCrossing,
@@ -20,7 +21,7 @@ from retuner.adaptive.schedule_choice.scheduling_variables import (
     curves_over_both,
 )
 from retuner.adaptive.schedule_design.curves import Curves
-from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, knots, place_at, steps
+from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
 from retuner.adaptive.schedule_design.stretches import CurveAxis, CurveShape, tells
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -364,9 +365,9 @@ def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layou
     """The fewest sets; where steps and interpolation need as many, the one with the smaller J in the mean."""
     if places[0].x2 is not None:
         return cells(places, limits, lookup, MOST_SETS)
-    options = [] if lookup == Lookup.INTERPOLATED else [steps(places, limits, MOST_SETS)]
+    options = [] if lookup == Lookup.INTERPOLATED else [fewest_steps(places, limits, MOST_SETS)]
     if lookup != Lookup.HARD:
-        options.append(knots(places, limits, MOST_SETS))
+        options.append(fewest_knots(places, limits, MOST_SETS))
     able = [layout for layout in options if layout is not None]
     return min(able, key=lambda one: (len(one.sets), _mean_j(places, one)), default=None)
 

@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.adaptive.schedule_choice.borders_of_one_variable import mean_of
 from retuner.adaptive.schedule_design.curves import Curves, Progress, curves
 from retuner.adaptive.schedule_design.motion import recursion
-from retuner.adaptive.schedule_design.places import Place, mean_of
+from retuner.adaptive.schedule_design.places import Place
 from retuner.adaptive.schedule_design.stretches import (
     CurveAxis,
     CurveShape,

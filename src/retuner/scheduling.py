@@ -12,6 +12,7 @@ from retuner.adaptive import display_hook
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.indexes.days import at_gaps
 from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.schedule_choice.borders_of_one_variable import Layout
 from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells
 from retuner.adaptive.schedule_choice.schedule_from_records import (
     Design,
@@ -21,7 +22,7 @@ from retuner.adaptive.schedule_choice.schedule_from_records import (
     next_experiment,
 )
 from retuner.adaptive.schedule_choice.scheduling_variables import OWN, SchedulingVariable, follows_loop, silent
-from retuner.adaptive.schedule_design.places import DesignLimits, Layout, Place, model_of
+from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import Record, window_of, within
 from retuner.drivers.historian.time_stamps import Numbers

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from retuner.adaptive.region_model.new_borders import Refinement
-from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
+from retuner.adaptive.region_model.split_or_merge import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.commands.report import scores_of

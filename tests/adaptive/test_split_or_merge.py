@@ -10,14 +10,14 @@ from effort import sized
 
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.region_advice import (
+from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
+from retuner.adaptive.region_model.split_or_merge import (
     AdviceKind,
     AdviceSettings,
     RegionAdvice,
     features,
     region_advice,
 )
-from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
 from retuner.schedule.regions import Axis, Regions
 
 HEAT = Axis("sp", "degC", 0.0, (100.0,), 200.0, 2.0)
