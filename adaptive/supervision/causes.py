@@ -52,34 +52,6 @@ from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.valve.stand_still import stand_still
 from retuner.schedule.table import Lookup
 
-__all__ = [
-    "NOT_CONFIRMED",
-    "NOT_THE_LOOP",
-    "SWINGING",
-    "TOWARDS_SAFETY",
-    "above_noise",
-    "basis_of",
-    "beside_sequences",
-    "by_sequences",
-    "doubt_of",
-    "exempt_from_confirmation",
-    "hidden",
-    "in_danger",
-    "is_known",
-    "joined_step_sequence",
-    "known_of_swing",
-    "known_to_swing",
-    "not_as_modelled",
-    "one_more_other_cause",
-    "records_agree",
-    "stands",
-    "swing_by_other_cause",
-    "swings_between_limits",
-    "unambiguous",
-    "wanted_of",
-    "wrong_way",
-]  # fmt: skip
-
 NOT_THE_LOOP = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
 """Causes that leave nothing in a record from which the process could be learned."""
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.second_opinion import from_rest_to_rest
+from retuner.adaptive.diagnosis.second_opinion import SWINGING, from_rest_to_rest
 from retuner.adaptive.guard import prove
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.region_model.boundary_crossing import (
@@ -32,7 +32,6 @@ from retuner.adaptive.supervision.by_book import by_all_samples, robust_by_book
 from retuner.adaptive.supervision.causes import (
     NOT_CONFIRMED,
     NOT_THE_LOOP,
-    SWINGING,
     above_noise,
     basis_of,
     beside_sequences,
