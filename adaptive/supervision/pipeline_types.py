@@ -36,7 +36,7 @@ from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass, field, replace
+from retuner.schedule.late_dataclass import dataclass, field, fields, replace
 from retuner.schedule.table import GainTable, Lookup
 
 PROCESS_CHANGES_OVER = 0.1
@@ -409,27 +409,8 @@ class Findings:
         """
         if self.end is None:
             raise ValueError("no stage has decided")
-        return StageResult(
-            code=self.end.code,
-            reason=self.end.reason,
-            learned=self.learned,
-            region_model=self.region_model,
-            diagnosis=self.diagnosis,
-            proposal=self.proposal,
-            basis=self.basis,
-            verdict=self.verdict,
-            foreign=self.foreign,
-            excitation=self.excitation,
-            numbers=self.numbers,
-            forget=self.forget,
-            prediction=self.prediction,
-            posterior=self.posterior,
-            walked=self.walked,
-            book=self.book,
-            all_samples=self.all_samples,
-            beside=self.beside,
-            elsewhere=self.elsewhere,
-        )
+        told = {one.name: getattr(self, one.name) for one in fields(StageResult) if one.name not in End._fields}
+        return StageResult(*self.end, **told)
 
 
 def with_outcome(

@@ -141,17 +141,7 @@ def _seen_in(body: Mapping[str, Any] | None) -> DivergenceState | None:
     if body is None:
         return None
     at = {name: math.inf if value is None else float(value) for name, value in body.items()}
-    return DivergenceState(
-        at["sp"],
-        at["extreme"],
-        at["last"],
-        int(at["grown"]),
-        int(at["stayed"]),
-        int(at["limit"]),
-        int(at["swings"]),
-        at["since_s"],
-        at["wave_s"],
-        at["inside_s"],
-        bool(at["joined"]),
-        bool(at.get("held", 0.0)),
-    )
+    return DivergenceState(**{name: kind(at[name]) for name, kind in WATCHED.items() if name in at})
+
+
+WATCHED = DivergenceState.__annotations__
