@@ -28,10 +28,10 @@ class Numbers:
         return found
 
     def joined(self, other: Self) -> Self:
-        """Both of one kind as one; `other` has the last word."""
+        """Two sets of numbers of one kind as one; `other` has the last word."""
         said = {field.name: getattr(other, field.name) for field in fields(other)}
         return replace(self, **{name: value for name, value in said.items() if value is not None})
 
 
 NO_NUMBERS = Numbers()
-"""Nothing was weighed."""
+"""The numbers of a decision that weighed nothing."""

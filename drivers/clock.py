@@ -56,7 +56,7 @@ class SimulatedClock:
         self._now_s = max(self._now_s, t_s)
 
     def left_s(self, t_s: float) -> float:  # noqa: ARG002  simulated time is there as soon as it is wanted
-        """Nothing to wait for."""
+        """No time: there is nothing to wait for."""
         return 0.0
 
     def stamp_s(self) -> float:

@@ -235,7 +235,7 @@ class ControllerUnits:
         return f"{text} ({shown.form})" if shown.derivative and not self.apart else text
 
     def of_region(self, dials: tuple[Dial, Dial, Dial], form: Form) -> "ControllerUnits":
-        """The same controller with other numbers on it."""
+        """The controller with other numbers on it."""
         return replace(self, dials=dials, form=form, controller="")
 
     def _vendor(self, form: Form) -> VendorUnits:

@@ -214,7 +214,7 @@ class SeriesGains:
         check_form("series", self.kc, self.tau_i_s, self.tau_d_s)
 
     def to_parallel(self) -> PidGains:
-        """The same controller in parallel form."""
+        """The controller in parallel form."""
         return PidGains.from_series(self.kc, self.tau_i_s, self.tau_d_s)
 
 
@@ -242,7 +242,7 @@ class IdealGains:
         check_form("ideal", self.kc, self.tau_i_s, self.tau_d_s)
 
     def to_parallel(self) -> PidGains:
-        """The same controller in parallel form."""
+        """The controller in parallel form."""
         return PidGains.from_ideal(self.kc, self.tau_i_s, self.tau_d_s)
 
 

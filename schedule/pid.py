@@ -95,7 +95,7 @@ class PidLaw:
         return PidGains(self.kp, self.ki, self.kd)
 
     def with_gains(self, gains: PidGains) -> "PidLaw":
-        """The same settings with other gains; `change` takes the state across."""
+        """The settings with other gains; `change` takes the state across."""
         return replace(self, kp=gains.kp, ki=gains.ki, kd=gains.kd)
 
 

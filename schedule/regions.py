@@ -190,7 +190,7 @@ class RegionState(NamedTuple):
 
 
 class Border(NamedTuple):
-    """Between two neighbours: axis 0 or 1, and where on it, in that axis' unit."""
+    """The border between two neighbours: axis 0 or 1, and where on it, in that axis' unit."""
 
     axis: int
     value: float
@@ -215,7 +215,7 @@ class RegionLaw:
 
 _LARGEST = sys.float_info.max
 _NO_AXIS = (math.inf, -_LARGEST, _LARGEST)
-"""In place of a second axis: a filter that never moves, and no border."""
+"""What stands for a second axis where there is none: a filter that never moves, and no border."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -431,7 +431,7 @@ _new = tuple.__new__
 
 
 def _place_anew(law: RegionLaw, state: RegionState, x: float, x2: float, t_s: float) -> RegionState:
-    """The same axis by axis: a border is passed, a value is not known, or no time has gone by."""
+    """The place axis by axis: a border is passed, a value is not known, or no time has gone by."""
     region, since_s, since2_s, y, y2, last_s = state
     dt_s = t_s - last_s
     i, j = divmod(region, law.columns)

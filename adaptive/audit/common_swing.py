@@ -21,7 +21,7 @@ from retuner.schedule.late_dataclass import dataclass
 SAME_PERIOD = 0.04
 """Difference of two periods, as a share, below which they are one where nothing else can be compared."""
 LIKE_PERIOD = 0.08
-"""The same where the swings are coherent: periods are told to some per cent."""
+"""LIKE_PERIOD where the swings are coherent: their periods are known to some per cent."""
 COHERENT = 0.5
 """Coherence from which two loops swing together."""
 LOUDER = 1.3

@@ -54,7 +54,7 @@ class SwingTrack:
     parts: dict[int, tuple[int, np.ndarray]]
 
     def to_dict(self) -> dict[str, object]:
-        """As plain JSON: segments without amplitude are null."""
+        """Plain JSON values; a segment without amplitude is null."""
         return {
             str(k): {"first": first, "re": _plain(x.real), "im": _plain(x.imag)} for k, (first, x) in self.parts.items()
         }
@@ -155,7 +155,7 @@ class TrendTrack:
     co: FloatArray
 
     def to_dict(self) -> dict[str, object]:
-        """As plain JSON."""
+        """Plain JSON values; a segment without amplitude is null."""
         return {"every_s": self.every_s, "first": self.first, "sp": _plain(self.sp), "co": _plain(self.co)}
 
     @classmethod

@@ -336,11 +336,11 @@ def _weight_of_steps(cause: Cause, found: DiagnosedRecord, walk: Walk, settings:
 
 
 HALF = 0.5
-"""Of a verdict by stretches, whose fits are not compared."""
+"""Weight of a verdict by stretches, whose fits are not compared."""
 
 
 def _mixed(steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: float, most: float) -> dict[Cause, float]:
-    """Both together; nothing surer than `most`, the rest shared by what else there is."""
+    """Two sets of odds combined; no cause is surer than `most`, the others share the rest."""
     share = weight if steps else 0.0
     every = {cause: share * steps.get(cause, 0.0) + (1 - share) * walk.get(cause, 0.0) for cause in {*steps, *walk}}
     floor = (1.0 - most) / max(len(every) - 1, 1)

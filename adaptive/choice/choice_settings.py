@@ -95,5 +95,5 @@ class ChoiceSettings:
         require_in_range(self, "choice")
 
     def by_loads(self) -> "ChoiceSettings":
-        """The same for models that rest on loads alone."""
+        """These settings for models that rest on loads alone."""
         return replace(self, ms_width=max(self.ms_width, self.ms_width_loads))

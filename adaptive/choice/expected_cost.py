@@ -115,13 +115,13 @@ class Outlook:
 
     @property
     def stable(self) -> bool:
-        """On the most likely model."""
+        """Whether the set is stable on the most likely model."""
         return math.isfinite(self.ms)
 
 
 @dataclass(frozen=True, slots=True)
 class LoopSettings:
-    """Of the controller: sampling time in seconds, setpoint weight, filter time of the derivative in seconds."""
+    """The controller's sampling time in seconds, setpoint weight, filter time of the derivative in seconds."""
 
     sample_time_s: float
     b: float = 1.0
@@ -168,7 +168,7 @@ def _mean(values: Sequence[float], weights: Sequence[float]) -> float:
 def _costs(
     rows: Sequence[Sequence[float]], peaks: Sequence[Sequence[float]], settings: ChoiceSettings
 ) -> list[list[float]]:
-    """Of each set on each model, by its J and Ms. What is unstable there costs more than every set that is not."""
+    """Cost of each set on each model, by its J and Ms. An unstable set costs more there than every stable one."""
     table = [[cost(j, ms, settings) for j, ms in zip(*pair, strict=True)] for pair in zip(rows, peaks, strict=True)]
     ends = [[math.isfinite(j + ms) for j, ms in zip(*pair, strict=True)] for pair in zip(rows, peaks, strict=True)]
     for model in range(len(table[0])):
@@ -180,7 +180,7 @@ def _costs(
 
 
 def without_privilege(found: Sequence[Outlook], settings: ChoiceSettings) -> list[Outlook]:
-    """The same, with what is unstable on the most likely model at no less than every set that is stable there."""
+    """The outlooks; a set that is unstable on the likeliest model costs no less than every stable one there."""
     stable = [one.cost + settings.out for one in found if one.stable]
     return [one if one.stable else replace(one, cost=max([one.cost, *stable])) for one in found]
 
@@ -213,7 +213,7 @@ def _j(now: Sequence[float], rule: Sequence[float]) -> float:
 
 
 def cost(j: float, ms: float, settings: ChoiceSettings) -> float:
-    """Of a set on one model (see the head of this file); of an unstable one the least that it costs."""
+    """Cost of a set on one model (see the head of this file); for an unstable one its least cost."""
     if not math.isfinite(ms) or not math.isfinite(j):
         return settings.most
     late = math.log(j / settings.j_limit)
@@ -341,7 +341,7 @@ def _gain(now: Outlook, then: Outlook, p: float) -> float:
 
 
 def _once_more(seen: ModelEvidence) -> ModelEvidence:
-    """With another record like it."""
+    """The evidence with another record like it."""
     return replace(seen, records=seen.records + 1)
 
 

@@ -234,7 +234,7 @@ def with_second_lag(allowed: Sequence[Plausible], sample_time_s: float) -> list[
 
 
 def over_words(ms: float, limit: float) -> str:
-    """That Ms is over its limit, with as many digits as it takes to see it; of a very large one, what it means."""
+    """Words for an Ms over its limit, with as many digits as it takes to see it; a very large one with its meaning."""
     if ms > EDGE:
         return f"the loop is at the edge of instability, Ms over {EDGE:g}"
     digits = next((digits for digits in (2, 3) if round(ms, digits) > limit), 4)

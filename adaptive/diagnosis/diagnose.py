@@ -121,7 +121,7 @@ def _diagnosed(
     settings: DiagnosisSettings,
     direction: int | None,
 ) -> DiagnosedRecord:
-    """The same with the confidence that a verdict has among those that were weighed."""
+    """The diagnosis with the confidence that a verdict has among those that were weighed."""
     seen = screen(window, gains, *limits, in_auto=settings.in_auto)
     obvious = _switched(window, seen) or _obvious(seen, settings)
     sign = gains.direction if gains else direction

@@ -27,11 +27,11 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
 HARMONICS = 5
-"""Of an outside oscillation: a triangle or a saw is told from its first five to two percent."""
+"""Harmonics of an outside oscillation: five tell a triangle or a saw to two percent."""
 SINUSOID = 1
-"""The same of a plain sinusoid: eight numbers fewer to pay for, which a short record may be too short for."""
+"""Harmonics of a plain sinusoid: eight numbers fewer to pay for, which a short record may be too short for."""
 MORE_HARMONICS = 11
-"""The same where a loop shows its slope instead, as squares with sharp corners."""
+"""Harmonics where a loop shows the oscillation's slope instead, as squares with sharp corners."""
 SHARP = 4
 """Samples in the shortest wave of those, at least."""
 PADDED = 4
@@ -96,7 +96,7 @@ FRESH_LAGS = (2.0, 8.0, 30.0, 120.0)
 FRESH_THETAS = (1.0, 4.0, 16.0)
 """Samples in the lag and dead time that a process beside a tone is looked for with."""
 FRESH_GAINS = (0.1, 0.3, 1.0, 3.0)
-"""Its gain in ranges of pv over ranges of co."""
+"""Gains tried for a process beside a tone, in ranges of pv over ranges of co."""
 
 
 def _afresh(plain: Misfit, w: float) -> tuple[Misfit, FloatArray]:

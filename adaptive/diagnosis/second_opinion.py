@@ -65,7 +65,7 @@ class Excitation:
         )
 
     def of_alternative(self) -> "Excitation":
-        """Of the model that contradicted this one, when it takes over."""
+        """The excitation of the model that contradicted this one, when it takes over."""
         return Excitation(setpoints=self.alternative, clear=self.alternative)
 
 

@@ -135,7 +135,7 @@ def _by_margins(loop: JudgedLoop, found: DiagnosedRecord, oscillates: bool) -> D
 
 
 def _in_order(loop: JudgedLoop, found: DiagnosedRecord) -> DiagnosedRecord:
-    """In order, where the cause stays open but the setpoint responses speak for themselves; else what there was.
+    """The verdict, "in order" where the cause stays open but the setpoint responses speak for themselves.
 
     The loop has followed its setpoint without much overshoot, and without load steps at the setpoint changes the record
     is explained by models on all of which the loop is robust. How fast it could be they do not say.

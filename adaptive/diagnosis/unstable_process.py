@@ -37,9 +37,9 @@ UNEVEN = 0.5
 POLES = (0.1, -0.05, -0.2)
 """First guesses of the pole times the time that pv takes for half a setpoint step."""
 LEAST = 1e-9
-"""Of a pole times a time: below it is none."""
+"""Least product of a pole and a time; a smaller one counts as none."""
 APART = 1e-4
-"""By how much two equal poles are set apart."""
+"""Distance by which two equal poles are set apart."""
 LOST = 10.0
 """Residual, in steps, of a process that the gains would not have held."""
 LONGER = 4
@@ -159,7 +159,7 @@ HALF = 0.5
 DEAD, LAGS, STRENGTHS = (0.3, 0.8), (0.1, 0.5), (0.1, 0.2, 0.4, 0.8, 1.6)
 """First guesses of the dead time and of the lag over that time, and of kp k' times it."""
 STARTS = 3
-"""Of all first guesses so many are refined."""
+"""First guesses that are refined."""
 
 
 def _answer(process: UnstableProcess, law: SampledLaw, n: int) -> FloatArray:
@@ -195,7 +195,7 @@ def _answer(process: UnstableProcess, law: SampledLaw, n: int) -> FloatArray:
 
 
 def _moved(pole: float, dt_s: float, early_s: float) -> tuple[float, float, float]:
-    """Of a pole over an interval: what stays, and what an output adds in its early part, and in the rest."""
+    """A pole over an interval: what stays, and what an output adds in its early part, and in the rest."""
     late_s = dt_s - early_s
     return math.exp(-pole * dt_s), math.exp(-pole * late_s) * _risen(pole, early_s), _risen(pole, late_s)
 
@@ -212,7 +212,7 @@ class _Fit:
         self.pv, self.law, self.sign = pv, law, law.gains.direction
 
     def process(self, x: FloatArray) -> UnstableProcess:
-        """Of a point; its dead time no longer than the record, its pole no faster than a sample."""
+        """The process at a point; its dead time no longer than the record, its pole no faster than a sample."""
         k, theta, tau = (math.exp(min(max(value, -LARGEST_LN_PARAMETER), LARGEST_LN_PARAMETER)) for value in x[:3])
         fastest = 1.0 / self.law.dt_s
         theta = min(theta, len(self.pv) * self.law.dt_s)

@@ -23,9 +23,9 @@ PARTS = 5
 RUNS = 3.0
 """Ratio of the error at the end to that at the beginning from which it has run away."""
 SIGMAS = 6.0
-"""And it stands out of the noise by so many standard deviations."""
+"""Standard deviations by which the growth must stand out of the noise."""
 LEAD = 25.0
-"""By how much the criterion of the other sign must be the smaller one: odds of e^12."""
+"""Lead of the other sign's criterion that is needed: odds of e^12."""
 EXPLAINED = 0.9
 """Share of pv's variance that it must explain."""
 LEAST_SAMPLES = 5 * PARTS
@@ -53,7 +53,7 @@ def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Dia
 
 
 def _lead(window: Window, direction: int, settings: FitSettings) -> float | None:
-    """By how much a process of the other sign explains the record better; None where it is not by far."""
+    """Lead of a process of the other sign in explaining the record; None where it is not by far."""
     other = _best(window, -direction, settings)
     record = other.fit.misfit.record
     explained = 1 - float(np.var(record.pv - other.fit.explained) / np.var(record.pv))

@@ -117,7 +117,7 @@ class _Waves:
 
     @property
     def amplitude(self) -> float:
-        """Their mean."""
+        """Mean of the half waves' amplitudes."""
         return float(np.mean(self.amplitudes))
 
 

@@ -59,7 +59,7 @@ BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 keep Ms under this. A loop at work comes from neither: one that does next to nothing has a co that undoes its load, too.
 """
 SHARES = (1.0, 0.5, 0.25)
-"""Of the gains in force, one of which must hold a process that runs away."""
+"""Shares of the gains in force, one of which must hold a process that runs away."""
 RUNAWAYS = 0.02
 """Odds that a process runs away by itself, before any record: exothermic reactors, some tanks and vehicles."""
 
@@ -87,7 +87,7 @@ class Book:
 
     @classmethod
     def begun(cls, gains: PidGains, dt_s: float, t_s: float) -> "Book":
-        """Before any record. gains : in force. dt_s : interval of the condensed samples."""
+        """The book before any record. gains : in force. dt_s : interval of the condensed samples."""
         known = robustness(gains, dt_s)
         possible = (known.ultimate * BEYOND >= GAINS) & (known.room(MS_OF_ROOM) <= MOST_ROOM)
         unit, count = gain_unit(gains, dt_s), len(shapes())
@@ -104,7 +104,7 @@ class Book:
         return cls(gains.direction, unit, dt_s, t_s, 0, 0, levels, levels, levels)
 
     def weights(self) -> FloatArray:
-        """Of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
+        """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
         return np.asarray(_weights(self.levels).sum(axis=0))
 
     @property
@@ -148,7 +148,7 @@ class Book:
 
 
 def update(book: Book, window: Window, *, grows: bool = False) -> Book:
-    """With a window of all samples since the last one. grows : it will come again, with more samples."""
+    """Take in a window of all samples since the last one. grows : it will come again, with more samples."""
     record = Prepared.at(window, book.dt_s)
     logs = -STEP * _array(book.whole)
     if len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
@@ -166,7 +166,7 @@ def update(book: Book, window: Window, *, grows: bool = False) -> Book:
 
 
 def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
-    """After a time in which the process may have become another one, and a tone may have begun or ended.
+    """Let a time pass in which the process may have become another one, and a tone may have begun or ended.
 
     hazard_s : mean time after which the process has.
     """

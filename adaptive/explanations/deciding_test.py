@@ -193,7 +193,7 @@ def _reaches(energy: float, lead: float) -> float:
 
 
 def _rounded(size: float) -> float:
-    """To two digits, upwards: people set such steps."""
+    """The size to two digits, upwards: people set such steps."""
     if not size > 0:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(size)) - 1)

@@ -27,7 +27,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 RATIOS = (0.2, 0.4, 2.5, 5.0)
 """Gain at the top of pv's range over that at the bottom, where it changes evenly."""
 STEP_RATIOS = (0.3, 3.0)
-"""The same where it changes in the middle of the range."""
+"""Ratios where the gain changes in the middle of the range."""
 TAILS = 0.01
 """Share of the samples at either end that the range of pv leaves out."""
 

@@ -25,7 +25,7 @@ ComplexArray = npt.NDArray[np.complex128]
 LAGS = (0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0, 50.0, 80.0, 130.0, 250.0, math.inf)
 """First lag in samples; without end the process integrates."""
 RUNAWAY_LAGS = (-8.0, -16.0, -33.0, -66.0, -130.0)
-"""Of processes that run away: what is left alone grows by a factor of e in so many samples. The book has them."""
+"""Lags of processes that run away, each growing by a factor of e in so many samples. The book has them."""
 SECOND_SHARES = (0.0, 0.15, 0.4, 0.8)
 """Second lag as a share of the first."""
 SECOND_OF_INTEGRATING = 40.0
@@ -33,7 +33,7 @@ SECOND_OF_INTEGRATING = 40.0
 LEAST_SECOND = 0.6
 """A second lag that is shorter (in samples) cannot be seen."""
 DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 17.0, 25.0, 40.0)
-"""In samples."""
+"""Dead times of the grid, in samples."""
 GAINS = np.logspace(-2.5, 2.5, 61)
 """Loop gains kc K of the grid, a fifth apart; of an integrating process kc K' times INTEGRATING samples."""
 INTEGRATING = 20.0
@@ -100,7 +100,7 @@ def _responses() -> ComplexArray:
 
 @cache
 def _phases() -> FloatArray:
-    """Of these responses, as they fall from that at rest: 0, -90 degrees (integrating), -180 (runs away by itself)."""
+    """Phases of these responses, falling from that at rest: 0, -90 degrees (integrating), -180 (runs away)."""
     phase = np.unwrap(np.angle(_responses()), axis=2)
     return np.asarray(phase - np.where(phase[:, :, :1] > 0.5 * math.pi, 2.0 * math.pi, 0.0))
 

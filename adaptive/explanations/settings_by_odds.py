@@ -68,7 +68,7 @@ class WorthSettings:
 TAU_CS = (1.0, 1.5, 2.5, 4.0)
 """tau_c of the candidates, in effective dead times."""
 SCALES = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
-"""Of all actions of the set in force."""
+"""Factors on all actions of the set in force."""
 CALMER, STILL_BAD = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15), 0.2
 """The same for a loop that is too tight, where no set is good on nearly all processes: the first that is on most, and
 the share of the odds that it may leave too tight."""
@@ -153,7 +153,7 @@ def likely_processes(odds: TuningOdds, most: int) -> LikelyProcesses:
 
 
 NEXT_TO_NONE = 1e-9
-"""Of the likeliest process's odds: what is less likely never counts."""
+"""Share of the likeliest process's odds below which a process never counts."""
 
 
 def process_model(shape: ProcessShape, dead: float, gain: float, direction: int, sample_time_s: float) -> ProcessModel:

@@ -20,7 +20,7 @@ import numpy as np
 from retuner.adaptive.signals.sample import FloatArray
 
 FEWEST_PERIODS, FEWEST_SAMPLES = 1.5, 6
-"""Of a tone within a window, and to its period: others are how a load wanders, or noise."""
+"""Fewest periods of a tone within a window, and samples to a period: others are how a load wanders, or noise."""
 TRACKED = 2.0
 """Periods over which the phase of a drifting tone is a mean; the periods of other loops' cycles are not all alike."""
 FINER = 16

@@ -27,11 +27,11 @@ MOVING = [(Family.KANO, band, jump) for band in (0.08, 0.12, 0.17, 0.24, 0.33, 0
 SLIPPING = [(Family.HE, float(band), 1.0) for band in np.geomspace(0.05, 0.9, 160)]
 """Valves that slip all the way."""
 LIKELIEST = 12
-"""Of those, how many are compared with second lags and under every load."""
+"""Valves out of those that are compared with second lags and under every load."""
 LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
 DEAD_TIMES = (0.0, 1.0, 2.0, 4.0, 7.0, 12.0)
 FREE_DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 12.0)
-"""Of co itself: half a sample that a grid lacks was taken for a valve, where the noise is small."""
+"""Dead times of co itself: half a sample that a grid lacks was taken for a valve, where the noise is small."""
 Loads = Sequence[tuple[float, int]]
 LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 """Bandwidth and order of the loads that are tried."""

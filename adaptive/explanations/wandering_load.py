@@ -66,7 +66,7 @@ TEMPER = 6.0
 T_LOADS, T_SETPOINT = 11.0, 3.5
 """What it should be divided by: where loads alone move a record, and where a setpoint alone does; 3 to 30."""
 LEAST_NOISE = 1e-3
-"""Nothing finer than this share of pv's standard deviation is believed of a record."""
+"""Share of pv's standard deviation below which no noise of a record is believed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def load_model(lag: float, bandwidth: float, order: int, second: float = 0.0) ->
 
 @cache
 def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: float = 0.0) -> tuple[LoadModel, ...]:
-    """The same for several bandwidths: their polynomials are factored in one call."""
+    """Load models for several bandwidths: their polynomials are factored in one call."""
     roots = (1.0,) if order == AT_PV else (_pole(lag), *((_pole(second),) if second else ()), *(1.0,) * order)
     a, degree = np.poly(roots), len(roots)
     tried = np.array([bandwidth for bandwidth in bandwidths if math.isfinite(bandwidth)])
@@ -331,7 +331,7 @@ def likeliest_load(record: Prepared, lag: float) -> tuple[LoadModel, float]:
 
 
 def lead_of_steps(left: float, steps: int, samples: int, record: Prepared, likelihood: FloatArray) -> float:
-    """By how much, ln, a fit whose loads are steps is likelier than every process under a load that wanders.
+    """Lead, ln, of a fit whose loads are steps over every process under a load that wanders.
 
     left : mean square of what the fit leaves of a row of the record, its resolution at least. steps : of load, or
     harmonics of a tone. samples : that were fitted; each number costs half of their logarithm (Schwarz 1978).

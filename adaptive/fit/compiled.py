@@ -30,7 +30,7 @@ TYPES = (
     ProcessType.SOPDT_INVERSE,
     ProcessType.TOPDT,
 )
-"""In the order of their numbers."""
+"""Structures in the order of their numbers."""
 NOTHING = np.zeros(0)
 
 Packed = tuple[FloatArray, FloatArray, FloatArray, "array[float]"]

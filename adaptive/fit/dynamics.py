@@ -33,7 +33,7 @@ SERIES = 1e-4
 STILL = 1e-200
 """A rate below this is none: products with it would lose their digits."""
 LEAST_APART = 1e-5
-"""The same for a load's lag that equals one of the process."""
+"""Least distance of a load's lag from one of the process that it equals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ def moved_mode(clock: SamplingInstants, u: FloatArray, s: complex, theta_s: floa
 
 
 def run_mode(clock: SamplingInstants, u: FloatArray, s: complex) -> Array:
-    """The same at the samples, without dead time."""
+    """A mode at the samples, without dead time."""
     dt = np.float64(clock.dt_s) if clock.dt_s is not None else np.diff(clock.t_s)
     return recursion(np.exp(-s * dt), _held(s, dt) * u[:-1])
 
@@ -220,7 +220,7 @@ class By(IntEnum):
 
 
 def told_apart(dynamics: Dynamics) -> Dynamics:
-    """The same dynamics as derivatives see them."""
+    """The dynamics as derivatives see them."""
     return replace(dynamics, least=LEAST_LAG_DIFFERENCE)
 
 
@@ -235,7 +235,7 @@ class ModeSlope:
     doubled: bool
 
     def summed(self, values: Array) -> FloatArray:
-        """Its share of a real sum."""
+        """The mode's share of a real sum."""
         return np.asarray((2 if self.doubled else 1) * np.real(values), dtype=np.float64)
 
 
@@ -264,7 +264,7 @@ def _held_slopes(s: complex, x: Array | np.float64) -> Array:
 
 
 def _held_slope(s: complex, x: Array | np.float64) -> Array:
-    """Its derivative by s; a rate of zero has none that is asked for."""
+    """Derivative of a held mode by s; a rate of zero has none that is asked for."""
     return np.asarray((x * np.exp(-s * x) - _held_slopes(s, x)) / s if abs(s) >= STILL else np.zeros_like(x))
 
 

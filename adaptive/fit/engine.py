@@ -30,7 +30,7 @@ def compiled() -> ModuleType | None:
 
 
 def prefer(name: str) -> None:
-    """From now on fits are computed by the engine of this name; a wrong name is refused by the first fit."""
+    """Let fits be computed by the engine of this name from now on; the first fit refuses a wrong name."""
     _preferred[0] = name
 
 

@@ -57,7 +57,7 @@ from retuner.schedule.late_dataclass import dataclass
 MOST_ORDER = 4
 """Highest order: a random walk through two lags with white noise on top needs no more."""
 WHITE = 0
-"""The same where causes are compared: a filter would whiten any slow oscillation without naming its cause."""
+"""Filter order where causes are compared: a filter would whiten any slow oscillation without naming its cause."""
 LEAST_SAMPLES = 12
 """Below this many samples colour is not told from white."""
 
@@ -118,7 +118,7 @@ AT_REST = 1e-4
 RAMP_SPREAD = 0.5
 """Prior standard deviation of a drift over the whole record, as a share of pv's range."""
 PARABOLA_SPREAD = 30.0
-"""The same for an integrating process: what a drifting load would do to it is large, for the loop takes it back."""
+"""Spread for an integrating process: what a drifting load would do to it is large, for the loop takes it back."""
 USEFUL = 1e-10
 """A column of which less than this share is its own, against the largest, says nothing."""
 SWING_WEIGHT = 30.0
@@ -375,7 +375,7 @@ def changes_of(misfit: "Misfit", at: "Projection") -> list[FloatArray]:
 
 
 def _by_third(misfit: "Misfit", at: "Projection") -> FloatArray:
-    """By ln d: what a lag takes away is what it would take away once more, -d s / (1 + d s) of what came through."""
+    """Slope by ln d: a lag takes away what it would take away once more, -d s / (1 + d s) of what came through."""
     places = [*range(at.priors - int(misfit.ramp)), *range(at.priors, at.priors + misfit.loads)]
     found = misfit.lagged(at.p, at.moved) - at.moved
     for place in places:
@@ -413,7 +413,7 @@ def _late_by_theta(misfit: "Misfit", dynamics: Dynamics, theta: float) -> Iterat
 
 
 def _by_dynamics(misfit: "Misfit", at: "Projection", dynamics: Dynamics, late: list[LateMode], by: By) -> FloatArray:
-    """By ln T, ln c2 or ln b."""
+    """Slopes by ln T, ln c2 or ln b."""
     moved = misfit.lagged(at.p, held_slope(dynamics, late, by))
     changes = list(_columns_by_dynamics(misfit, at.p, dynamics, by))
     return misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(misfit, at, changes)
@@ -458,7 +458,7 @@ def _load_change(misfit: "Misfit", at: "Projection", dynamics: Dynamics, j: int)
 
 
 def _by_tone(misfit: "Misfit", at: "Projection") -> FloatArray:
-    """By the logarithm of the tones' frequency."""
+    """Slope by the logarithm of the tones' frequency."""
     t, w, place = misfit.record.t_s, math.exp(at.p[-1]), at.priors + misfit.loads
     found = np.zeros(len(t))
     for i in range(1, misfit.harmonics + 1):

@@ -44,9 +44,9 @@ MOST_DAMPING = 1e8
 LEAST_DECREASE = 1e-5
 """A relative decrease below this, twice, is the end of a fit that is only compared with others."""
 EXACT = 1e-10
-"""The same for fits whose estimate is used."""
+"""Accuracy of fits whose estimate is used."""
 SMALLEST_STEP = 1e-9
-"""In units of the longest step."""
+"""Smallest step, in units of the longest one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Prior:
 
     @classmethod
     def of(cls, mean: FloatArray, covariance: FloatArray) -> "Prior":
-        """From a Gaussian: root = L' with P^-1 = L L'."""
+        """The prior of a Gaussian: root = L' with P^-1 = L L'."""
         root = np.linalg.cholesky(np.linalg.inv(covariance)).T
         return cls(root, root @ mean)
 
@@ -111,13 +111,13 @@ class Fit:
 
     @property
     def load_times_s(self) -> tuple[float, ...]:
-        """In record time, ascending."""
+        """Times of the load steps in record time, ascending."""
         d = SIZE[self.misfit.type]
         return tuple(sorted(float(s) for s in self.p[d : d + self.misfit.loads]))
 
     @property
     def ramp_s(self) -> float:
-        """From the first change of the load's slope to the last; 0 where there are no two."""
+        """Time from the first change of the load's slope to the last; 0 where there are no two."""
         d, misfit = SIZE[self.misfit.type], self.misfit
         corners = self.p[d + misfit.loads - misfit.corners : d + misfit.loads]
         return float(np.ptp(corners)) if len(corners) > 1 else 0.0

@@ -275,7 +275,7 @@ def behind_a_lag(smaller: Fit, misfit: Misfit) -> FloatArray:
 
 
 def _sorted(fit: Fit) -> Fit:
-    """The same with the shortest of three real lags as the third, so that records of one process say the same."""
+    """The points with the shortest of three real lags as the third, so that records of one process say the same."""
     type_, x = fit.misfit.type, fit.x
     total, c2, third = (math.exp(x[place[type_]]) for place in (LAG, SECOND, THIRD))
     root = 1 - 4 * c2 / total

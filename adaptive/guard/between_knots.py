@@ -39,7 +39,7 @@ def worst_between(
     sample_time_s: float,
     filter_s: float = 0.0,
 ) -> PlaceBetween | None:
-    """On the best models; None where nothing is known beyond any border.
+    """The worst place by the best models; None where nothing is known beyond any border.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def eased(
     sample_time_s: float,
     filter_s: float = 0.0,
 ) -> PidGains:
-    """As much of the wanted gains as keeps Ms within a limit on the region's part; other arguments as above.
+    """The largest share of the wanted gains that keeps Ms within a limit on the region's part; arguments as above.
 
     Where no share does, the one of least Ms: of an integrating process, less gain at the same tau_I may be less robust.
     """

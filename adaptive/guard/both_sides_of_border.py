@@ -31,7 +31,7 @@ SHARES_HARD = (1.0, 0.5)
 SHARES_MIXED = (0.5, 0.25, 0.75)
 """Weights at which an interpolation is proved: Ms along a mean of two sets has no narrow peaks."""
 SHARES_UNKNOWN = (0.5, 0.25)
-"""Nothing known of the neighbour: the own process stands for it up to half way."""
+"""Shares where nothing is known of the neighbour: the own process stands for it up to half way."""
 
 
 def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> tuple[NeighbourBorder, ...]:
@@ -185,7 +185,7 @@ def _numbers(model: ProcessModel) -> tuple[float, float, float, float]:
 
 
 def _mean(a: float, b: float, share: float) -> float:
-    """Between two numbers, in their logarithms where both have one."""
+    """Mean of two numbers, in their logarithms where both have one."""
     return a ** (1 - share) * b**share if a and b else a * (1 - share) + b * share
 
 

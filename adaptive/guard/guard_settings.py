@@ -130,18 +130,18 @@ class GuardSettings:
                 raise ValueError(f"guard: {least} = {getattr(self, least):g} is above {most} = {getattr(self, most):g}")
 
     def whole_step(self) -> "GuardSettings":
-        """The same without a limit per change: a whole way at once. What may not move at all (factor 1) stays."""
+        """These settings without a limit per change: a whole way at once. What may not move at all (factor 1) stays."""
         general: dict[str, Any] = {name: 1.0 if getattr(self, name) == 1.0 else 100.0 for name in GENERAL}
         own: dict[str, Any] = {name: None for name in OWN if getattr(self, name) != 1.0}
         return replace(self, **general, **own)
 
     def held_to(self, factor: float) -> "GuardSettings":
-        """The same with every limit on the size of one change at this factor at the most."""
+        """These settings with every limit on the size of one change at this factor at the most."""
         limits = {name: getattr(self, name) for name in (*GENERAL, *OWN)}
         return replace(self, **{name: min(limit, factor) for name, limit in limits.items() if limit is not None})
 
     def opened(self, factor: float) -> "GuardSettings":
-        """The same with every limit on the size of a change at one factor, the commissioned set's among them."""
+        """These settings with every limit on the size of a change at one factor, the commissioned set's among them."""
         limits: dict[str, Any] = dict.fromkeys(OWN)
         limits |= dict.fromkeys((*GENERAL, "total_ratio_max", "integral_up_max"), factor)
         return replace(self, **limits)

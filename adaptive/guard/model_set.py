@@ -64,7 +64,7 @@ def _apart(step: FloatArray, extra_variance: float) -> FloatArray:
 
 
 def _corners(log: LogModel, out: float) -> list[ProcessModel]:
-    """Both ends of every principal axis of the covariance, `out` standard deviations out."""
+    """Models at both ends of every principal axis of the covariance, `out` standard deviations out."""
     values, vectors = np.linalg.eigh(log.p)
     axes = out * vectors * np.sqrt(np.maximum(values, 0.0))
     axes = axes * np.minimum(1.0, MOST_LOG_STEP / np.maximum(np.max(np.abs(axes), axis=0), MOST_LOG_STEP))

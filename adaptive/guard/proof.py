@@ -121,7 +121,7 @@ RULE = "simc"
 
 
 def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence[Tuning]:
-    """In order of tau_c, up to tau_c_max_ratio times the (effective) dead time; none for rules without tau_c."""
+    """Settings in order of tau_c, up to tau_c_max_ratio (effective) dead times; none for rules without tau_c."""
     wanted = request.proposal
     if request.slower or wanted.rule != RULE or wanted.tau_c_s is None or not request.models:
         return request.slower
@@ -136,7 +136,7 @@ def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence
 
 
 CALMED = 0.98
-"""Of an Ms over its limit between two knots: a change that leaves more of it does not cure it."""
+"""Share of an Ms over its limit between two knots that a cure may leave; a change that leaves more is none."""
 SHARES = (1.0, 0.5, 0.25)
 """Full, half and quarter step."""
 SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)
@@ -466,7 +466,7 @@ def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Verdict:
 
 
 def _refused(case: _Case, ruling: Ruling, numbers: Numbers, notes: tuple[str, ...] = ()) -> Verdict:
-    """Nothing may be written: Ms as it stays."""
+    """The verdict that nothing may be written: Ms as it stays."""
     request, s, loops = case.request, case.settings, case.loops
     nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
     checks = (*evidence_checks(request, s), *failed_checks(numbers))

@@ -25,7 +25,7 @@ class Parameter(StrEnum):
 MORE_WHEN_LARGER = {Parameter.KC: True, Parameter.TAU_I: False, Parameter.TAU_D: True, Parameter.INTEGRAL: True}
 """Whether a larger value is more action."""
 ROUNDING = 1e-12
-"""By how much a parameter may differ and count as unchanged."""
+"""Difference up to which a parameter counts as unchanged."""
 GAIN_NAMES = ("kp", "ki", "kd")
 
 

@@ -53,19 +53,19 @@ USUAL_LAG, USUAL_SECOND, USUAL_CORNER = 6.0, 0.5, 60.0
 SPREADS = {LAG[TYPE]: 1.5, SECOND[TYPE]: 1.2, CORNER: 2.0}
 """Standard deviations of their logarithms: lags in series, as in usual_dead_time.py, and next to nothing of loads."""
 PRICE = 2.0
-"""Of a parameter of the process, in deviance (Akaike 1974), as in by_setpoint.py."""
+"""Price of a parameter of the process, in deviance (Akaike 1974), as in by_setpoint.py."""
 BENT = 0.1
 """Standard deviation with which more is unusual than the least damping that is fitted."""
 STEP = 1e-3
-"""Of a logarithm, for derivatives."""
+"""Step of a logarithm, for derivatives."""
 LIMITS = Limits(14, 5, 1e-2)
-"""Of a refinement."""
+"""Limits of a refinement."""
 WIDEST = 3.0
 """Standard deviation of a logarithm that is known of any process."""
 STRENGTHS = (0.01, 0.1, 1.0)
 """First guesses of the load: what it moves pv by in a second over what is seen of pv, by the process' slope gain."""
 STARTS = 3
-"""Of all first guesses so many are refined."""
+"""First guesses that are refined."""
 LARGEST_LN_PARAMETER = 40.0
 """Largest logarithm of a parameter."""
 AXES = (1.0, 2.0)
@@ -73,7 +73,7 @@ AXES = (1.0, 2.0)
 
 
 class _Known(NamedTuple):
-    """Of a parameter vector under one set of gains.
+    """What a parameter vector says under one set of gains.
 
     response : to a unit step. ar : the filter. ln_variance : of what it leaves. misfit : that adds so much a sample.
     spectrum : its logarithm.
@@ -117,7 +117,7 @@ class Likely:
 
     @property
     def criterion(self) -> float:
-        """With the price of what tells load and noise (Schwarz 1978)."""
+        """The deviance with the price of what tells load and noise (Schwarz 1978)."""
         return self.deviance + PRICE * N + (len(self.p) - N) * math.log(self.samples)
 
 
@@ -141,7 +141,7 @@ class Likelihood:
 
     @property
     def samples(self) -> int:
-        """That are weighed."""
+        """Samples that are weighed."""
         return sum(self._samples)
 
     def floor(self, law: SampledLaw) -> float:
@@ -149,7 +149,7 @@ class Likelihood:
         return (MISFIT * max(one.largest for one in self._groups[law])) ** 2
 
     def told(self, p: FloatArray) -> RecordsAtParameters:
-        """Of a parameter vector; its deviance is infinite where the loop would run away."""
+        """What the records say at a parameter vector; its deviance is infinite where the loop would run away."""
         dt_s = self.records[-1].dt_s
         if not np.all(np.abs(p) < LARGEST_LN_PARAMETER) or math.exp(p[THETA]) > len(self.records[-1].pv) * dt_s:
             return NOWHERE
@@ -280,7 +280,7 @@ def as_plausible(found: Sequence[tuple[FloatArray, float]], first: int, sign: in
 
 
 AT_MOST = 1.5
-"""Of a setpoint step: what pv of a stable loop comes to late, where it has not been farther before."""
+"""Share of a setpoint step that pv of a stable loop comes to late, where it has not been farther before."""
 
 
 def runs_away(response: FloatArray) -> bool:
@@ -313,7 +313,7 @@ def _z1() -> Spectrum:
 
 @lru_cache(maxsize=4)
 def _cosines(order: int) -> FloatArray:
-    """From a spectrum to autocovariances, shape (points, order + 1)."""
+    """The cosines that make autocovariances of a spectrum, shape (points, order + 1)."""
     w = np.pi * (np.arange(POINTS) + 0.5) / POINTS
     return np.asarray(np.cos(w[:, None] * np.arange(order + 1)), dtype=np.float64)
 

@@ -53,11 +53,11 @@ DEAD = (0.3, 0.8)
 LAGS = (0.3, 1.0, 3.0, 10.0)
 """First guesses of the lag over the integral time."""
 STARTS = 3
-"""Of all first guesses so many are refined."""
+"""First guesses that are refined."""
 LIMITS = Limits(15, 6, 1e-3)
-"""Of a refinement."""
+"""Limits of a refinement."""
 SLOPE_STEP = 1e-3
-"""Of a logarithm, for derivatives."""
+"""Step of a logarithm, for derivatives."""
 PRICE = 2.0
 """Of a parameter, in deviance (Akaike 1974): a lag that is left out because it hardly shows would pass for known, and
 the integral time with it."""
@@ -71,7 +71,7 @@ LARGEST_LN_PARAMETER = 40.0
 HALF_TIMES = 5.0
 """The first setpoint of steps to and fro is held for so many half times (setpoint_bumps): where the guesses begin."""
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)
-"""Of the noise's filter; the information criterion of Schwarz (1978) chooses."""
+"""Orders of the noise's filter; the information criterion of Schwarz (1978) chooses."""
 SAMPLES_A_TERM = 10
 """Samples of loads alone for each term of that filter, at least."""
 MISFIT = 0.1
@@ -115,7 +115,7 @@ class Fitting:
         self.filters = self._filters([np.array(one.pv[: one.first]) for one in records])
 
     def _filters(self, left: Sequence[FloatArray]) -> list[NoiseFilter]:
-        """Of each record's noise, by what was left of all under the same gains."""
+        """Filters of each record's noise, by what was left of all under the same gains."""
         found = {}
         for gains in {one.gains for one in self.records}:
             same = [(one.largest, v) for one, v in zip(self.records, left, strict=True) if one.gains == gains]
@@ -145,7 +145,7 @@ class Fitting:
         return left
 
     def _response(self, type_: ProcessType, x: FloatArray, law: SampledLaw, n: int) -> FloatArray:
-        """Of the loop to a unit step of the setpoint."""
+        """The loop's response to a unit step of the setpoint."""
         since = np.arange(n, dtype=np.float64) * law.dt_s - math.exp(x[THETA])
         held = self.sign * math.exp(x[SLOPE]) * dynamics_at(type_, x).step(since)
         found = setpoint_response(np.asarray(held, dtype=np.float64), law)
@@ -178,7 +178,7 @@ class Fitting:
         return [one for one in map(self.again, found) if one.is_finite]
 
     def criterion(self, best: SetpointFit, likelihood: Likelihood) -> float:
-        """Of a structure with the noise that it leaves (Schwarz 1978), to be held beside that of a likelihood."""
+        """Criterion of a structure with its noise (Schwarz 1978), comparable with that of a likelihood."""
         left, total = self._left(best.type, best.x), PRICE * len(best.x)
         for law in set(self._laws):
             own = [v for v, other in zip(left, self._laws, strict=True) if other == law]
@@ -350,7 +350,7 @@ def integral_spread(around: Sequence[Plausible], dt_s: float) -> float:
 
 
 def _integral_open(around: Sequence[Plausible], dt_s: float, settings: FitSettings) -> str:
-    """That the models still allowed ask for integral actions too far from each other; empty where they agree."""
+    """Words where the models still allowed ask for integral actions too far from each other; empty where they agree."""
     spread = integral_spread(around, dt_s)
     if spread <= settings.gain_std_limit:
         return ""
@@ -390,7 +390,7 @@ def noise_filter(left: Sequence[FloatArray], misfit: float) -> NoiseFilter:
 
 
 def _past(v: FloatArray, most: int) -> FloatArray:
-    """So many samples before each, the latest first, shape (n - most, most)."""
+    """The samples before each one, the latest first, shape (n - most, most)."""
     return np.stack([v[most - k : len(v) - k] for k in range(1, most + 1)], 1) if most else np.zeros((len(v), 0))
 
 

@@ -14,7 +14,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
 SMALLEST_VARIANCE = 1e-12
-"""Of a log-parameter: no record knows a process to a millionth, and rounding makes smaller ones negative."""
+"""Least variance of a log-parameter: no record knows a process to a millionth, rounding makes less negative."""
 STRUCTURE_STD = 0.05
 """Of every logarithm, however long the record: a process has more lags than two, a gain that is not the same everywhere
 and tomorrow. Counted on drawn records of processes in the family and beyond it (benchmarks/identification.py)."""
@@ -249,7 +249,7 @@ class ModelEstimate:
 
     @property
     def log(self) -> LogModel:
-        """Its parameters."""
+        """The estimate's parameters in logarithms."""
         return self.best.log
 
     def unexplained(self, pv_range: float) -> float:

@@ -16,7 +16,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 MOST_AT_ONCE = 3.0
 """Factor on Kc, and on Ki, that one event carries."""
 MOST_OF_A_RECORD = 10.0
-"""And any number of them in one record."""
+"""Most that one record counts for, however many steps are in it."""
 
 
 @dataclass(frozen=True, slots=True)

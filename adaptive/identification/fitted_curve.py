@@ -38,7 +38,7 @@ def fitted_pv(window: Window, estimate: ModelEstimate) -> FloatArray:
 def explained_pv(
     window: Window, model: ProcessModel, load_times_s: Sequence[float], residual_std: float
 ) -> FloatArray | None:
-    """The same for an estimate of which only its numbers were kept; None where they make no model that can be fitted.
+    """The curve of an estimate of which only its numbers were kept; None where they make no model that can be fitted.
 
     Parameters
     ----------

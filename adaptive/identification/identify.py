@@ -84,9 +84,9 @@ class FitSettings:
 
 
 OPEN_LOOP = FitSettings(StructureSettings(seeded_loads=0, most_loads=0, start_spread=0.0))
-"""For an experiment in manual that begins at rest."""
+"""Settings for an experiment in manual that begins at rest."""
 FROM_MOTION = FitSettings(StructureSettings(seeded_loads=0, most_loads=0))
-"""For one that begins in motion, or with its step in the first row."""
+"""Settings for one that begins in motion, or with its step in the first row."""
 START_COST = 2.0
 """Unknowns of a start that was not rest: a step and an impulse before the record."""
 
@@ -113,7 +113,7 @@ WIDEST_STD = 3.0
 """A time constant that a record says nothing of is still known to a factor of e^3: shorter than the record, longer than
 nothing."""
 WIDEST_GAIN_STD = 20.0
-"""The same of the slope gain."""
+"""Widest standard deviation of the slope gain."""
 
 
 def identify_window(
@@ -181,7 +181,7 @@ def fitted(window: Window, signs: tuple[int, ...], settings: FitSettings) -> lis
 
 
 def _samples_that_show(window: Window, best: Candidate, most_samples: int) -> int | None:
-    """With how many samples a row is at most half the dead time; None where the record was not condensed so far."""
+    """Samples with which a row is at most half the dead time; None where the record was not condensed so far."""
     n, dead_s = len(window.t_s), without_second_lag(model_at(best.fit.misfit.type, best.fit.x, 1)).theta_s
     rows = max(int(dead_s / (ROWS_IN_DEAD_TIME * window.sample_time_s)), 1, -(-n // MOST_ROWS))
     short = dead_s < ROWS_IN_DEAD_TIME * best.fit.misfit.record.sample_time_s
@@ -210,14 +210,14 @@ class Fits:
 
     @cached_property
     def barred(self) -> list[Candidate]:
-        """With no load step at a setpoint change, best first."""
+        """Fits with no load step at a setpoint change, best first."""
         if not self._coincident(self._anywhere[0]):
             return self._anywhere
         return candidates(self._window, self._signs, self._settings.choice, self._samples, self._changes_s)
 
     @property
     def _samples(self) -> int:
-        """Of each fit: as many as that of the first, so that they may be compared."""
+        """Samples of each fit: as many as that of the first, so that they may be compared."""
         return max(self._settings.most_samples, len(self._anywhere[0].fit.misfit.record.pv))
 
     @cached_property

@@ -82,14 +82,14 @@ def _moves(at: Candidate, most_loads: int) -> list[Move]:
 
 
 def _whitened(at: Candidate) -> Proposal | None:
-    """The same with the filter and the noise that its remainder asks for."""
+    """The fit with the filter and the noise that its remainder asks for."""
     if at.whitened:
         return None
     return replace(at.fit.misfit, ar=at.colour.ar, sigma=at.colour.std), at.fit.p
 
 
 def _with_ramp(at: Candidate) -> Proposal | None:
-    """With a load that drifts along a ramp."""
+    """The fit with a load that drifts along a ramp."""
     misfit = at.fit.misfit
     if misfit.ramp:
         return None
@@ -101,7 +101,7 @@ def _with_ramp(at: Candidate) -> Proposal | None:
 
 
 def _with_rounding(at: Candidate) -> Proposal | None:
-    """With loads that come through a lag."""
+    """The fit with loads that come through a lag."""
     misfit, p = at.fit.misfit, at.fit.p
     if misfit.rounded or misfit.loads == misfit.corners:
         return None
@@ -116,7 +116,7 @@ def _without_ramp(at: Candidate) -> Proposal | None:
 
 
 def _without_rounding(at: Candidate) -> Proposal | None:
-    """With loads that are steps again; a step comes as much later as the lag was long."""
+    """The fit with loads that are steps again; a step comes as much later as the lag was long."""
     misfit, p, d = at.fit.misfit, at.fit.p, SIZE[at.fit.misfit.type]
     if not misfit.rounded:
         return None

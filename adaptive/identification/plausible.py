@@ -106,7 +106,7 @@ def _apart(one: Candidate, other: Candidate) -> float:
 
 
 def _axes(fit: Fit, covariance: FloatArray, prior: Prior | None, at: float) -> list[tuple[FloatArray, float]]:
-    """Both ways along every axis of the covariance."""
+    """Steps both ways along every axis of the covariance."""
     values, vectors = np.linalg.eigh(covariance)
     jacobian = fit.misfit.jacobian(fit.at)
     limits = bounds(fit.misfit)

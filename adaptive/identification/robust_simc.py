@@ -24,7 +24,7 @@ from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.schedule.late_dataclass import dataclass, replace
 
 BISECTIONS = 8
-"""Of tau_c between its limits: to a few thousandths."""
+"""Bisections for tau_c between its limits: to a few thousandths."""
 SWINGS = 0.85
 """zeta under which a process counts as swinging by itself; over it SIMC's settings for two equal lags are as robust."""
 WALL = (0.9, 1.08)
@@ -32,7 +32,7 @@ WALL = (0.9, 1.08)
 MS_AIM = 1.59
 """Ms of the most integral action: that of SIMC with tau_c = theta (Grimholt & Skogestad 2012)."""
 BEYOND_WALL = 1.5
-"""By what the damping of such a process is taken for less: 0.1, which few processes are below."""
+"""Factor by which the damping of such a process is taken for less: 0.1, which few processes are below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,5 +147,5 @@ def third_lag(model: ProcessModel, share: float) -> ProcessModel | None:
 
 
 def believed(around: Sequence[Plausible], excess: float) -> list[Plausible]:
-    """Those that the record believes to within an excess."""
+    """The models that the record believes to within an excess."""
     return [p for p in around if p.excess <= excess]

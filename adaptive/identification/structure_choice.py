@@ -124,7 +124,7 @@ def candidates(
 
 
 def _on(record: Record, found: Candidate) -> Candidate:
-    """The same on all samples of the record, whitened, to the last digit."""
+    """The fit on all samples of the record, whitened, to the last digit."""
     misfit, p, left = found.fit.misfit, found.fit.p, found.colour
     if len(record.pv) > len(misfit.record.pv):
         again = judged(refine(replace(misfit, record=record, ar=(), sigma=record.noise_std), p))
@@ -173,7 +173,7 @@ def _loads_first(rivals: list[Candidate], most_loads: int) -> list[Candidate]:
 
 
 def _few_loads(rivals: list[Candidate]) -> list[Candidate]:
-    """Those with a single load or a drift at most: two steps that stand for a ramp have bent the process most."""
+    """Fits with a single load or a drift at most: two steps that stand for a ramp have bent the process most."""
     return [c for c in rivals if c.fit.misfit.loads < 2]
 
 

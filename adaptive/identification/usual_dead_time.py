@@ -19,9 +19,9 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
 LEAST_SHARE = 0.5
-"""Of c2: a dead time from here on is nothing unusual (lags in series, fitted by two: 0.4 to 2)."""
+"""Share of c2 from which a dead time is nothing unusual (lags in series, fitted by two: 0.4 to 2)."""
 MOST_TIMES = 2.0
-"""The same for an inverse response: up to so many times c2 it is nothing unusual."""
+"""Times c2 up to which an inverse response is nothing unusual."""
 SPREAD = 1.2
 """Standard deviation of ln theta below it."""
 

@@ -139,7 +139,7 @@ HELD = 0.5
 
 
 def _misses(x: FloatArray, kept: npt.NDArray[np.int64]) -> FloatArray:
-    """By how much the line between its neighbours misses every kept point."""
+    """Distance of every kept point from the line between its neighbours."""
     before, at, after = kept[:-2], kept[1:-1], kept[2:]
     part = (at - before) / (after - before)
     return np.abs(x[at] - x[before] - part * (x[after] - x[before]))

@@ -53,7 +53,7 @@ class Element:
     theta_s: float
 
     def at(self, w: FloatArray) -> ComplexArray:
-        """Its frequency response at w rad/s."""
+        """The element's frequency response at w rad/s."""
         s = 1j * w
         return np.asarray(self.k * np.exp(-s * self.theta_s) / ((1 + s * self.tau1_s) * (1 + s * self.tau2_s)))
 

@@ -119,7 +119,7 @@ class Stepper(ABC):
 
 
 class _DelayStepper(Stepper):
-    """With dead time: one step is one dead time, looked at on fine points."""
+    """The simulation with dead time: one step is one dead time, looked at on fine points."""
 
     def __init__(self, steps: DelaySteps) -> None:
         self.steps, self.step, self.length = steps, steps.step, 1.0

@@ -125,7 +125,7 @@ class BeforeAfter:
 
     @property
     def best(self) -> ReplayedRecord:
-        """On the model that is believed most."""
+        """The replay on the model that is believed most."""
         return self.replays[0]
 
     def band(self, name: str) -> tuple[FloatArray, FloatArray]:
@@ -161,7 +161,7 @@ def before_after(
 
 
 def spread(processes: Sequence[LinearProcess], most: int) -> tuple[LinearProcess, ...]:
-    """At most so many of them, the first and evenly chosen ones of the rest."""
+    """The first models and evenly chosen ones of the rest, at most so many."""
     if len(processes) <= most:
         return tuple(processes)
     return tuple(processes[i] for i in np.linspace(0, len(processes) - 1, most).astype(int))

@@ -105,7 +105,7 @@ class LinearProcess:
             raise ValueError(f"quadratics = {self.quadratics}: a negative coefficient makes the process unstable")
 
     def seen_by_controller(self, sample_time_s: float) -> "LinearProcess":
-        """As a sampled controller sees it: half an interval more dead time (Skogestad 2003, section 2)."""
+        """The process as a sampled controller sees it: half an interval more dead time (Skogestad 2003, section 2)."""
         return replace(self, theta_s=self.theta_s + sample_time_s / 2)
 
     def response(self, w: FloatArray) -> ComplexArray:
@@ -180,11 +180,11 @@ class ProcessModel:
         return self.k / self.tau1_s if self.tau1_s > 0 else self.k
 
     def seen_by_controller(self, sample_time_s: float) -> "ProcessModel":
-        """As a sampled controller sees it: half an interval more dead time (Skogestad 2003, section 2)."""
+        """The process as a sampled controller sees it: half an interval more dead time (Skogestad 2003, section 2)."""
         return replace(self, theta_s=self.theta_s + sample_time_s / 2)
 
     def linear(self) -> LinearProcess:
-        """The same as a general linear process."""
+        """The model as a general linear process."""
         integrators = {ProcessType.INTEGRATING: 1, ProcessType.INTEGRATING_LAG: 1, ProcessType.DOUBLE_INTEGRATING: 2}
         leads, third = (-self.inverse_s,) if self.inverse_s else (), (self.tau3_s,) if self.tau3_s else ()
         if self.zeta < 1:

@@ -255,7 +255,7 @@ def _lags_of_pair(c1: float, c2: float) -> tuple[float, float]:
 
 
 def _iterated(parts: _Parts, order: int, guess_s: float) -> _Half:
-    """From one guess of the effective dead time to one that agrees with itself: more dead time leaves more lag."""
+    """The effective dead time that agrees with itself, from a first guess: more dead time leaves more lag."""
     found = _half(parts, order, guess_s)
     for _ in range(ITERATIONS):
         before, found = found, _half(parts, order, found.theta_s)

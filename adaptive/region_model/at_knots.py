@@ -33,7 +33,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.regions import Regions
 
 Step = tuple[FloatArray, FloatArray]
-"""Of the logarithms from the records to the knot, and its covariance."""
+"""Step of the logarithms from the records to the knot, and its covariance."""
 
 
 def at_knots(

@@ -64,7 +64,7 @@ class Crossing:
 
     @property
     def t_s(self) -> float:
-        """Of its last sample."""
+        """Time of the record's last sample."""
         return float(self.window.t_s[-1])
 
     @property
@@ -188,7 +188,7 @@ def _at_centre(crossing: Crossing, one: InMotion, region: int) -> LogModel:
 
 
 def _alternative(log: LogModel, one: InMotion, samples: int) -> Alternative:
-    """As a measurement of the region: R x = z + unit noise."""
+    """The record as a measurement of the region: R x = z + unit noise."""
     root = np.linalg.cholesky(np.linalg.inv(log.p)).T
     return Alternative(log, one.evidence, root, root @ log.x, samples)
 

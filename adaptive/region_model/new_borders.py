@@ -43,7 +43,7 @@ OVER_OWN = 1.03
 KC_TRIED = 25
 """Gains that are tried of each shape."""
 WIDEST = math.log(8.0)
-"""Of the interval in which a gain keeps its limits, either way from the place's own."""
+"""Widest interval in which a gain keeps its limits, either way from the place's own."""
 BISECTIONS = 12
 J_BISECTIONS = 6
 
@@ -67,7 +67,7 @@ class Spot:
     _asked: dict[float, tuple[float, float, float]] = field(default_factory=dict, repr=False, compare=False)
 
     def ms(self, gains: PidGains) -> float:
-        """By the likeliest process."""
+        """Ms by the likeliest process."""
         return sensitivity_peak(self.process, gains)
 
     def interval(self, tau_i_s: float) -> tuple[float, float, float]:
@@ -79,7 +79,7 @@ class Spot:
         return self._asked[tau_i_s]
 
     def chance(self, ln_kc: float, tau_i_s: float) -> float:
-        """That a set is in spec here."""
+        """The chance that a set is in spec here."""
         low, high, _ = self.interval(tau_i_s)
         return max(_normal((high - ln_kc) / self.ln_std) - _normal((low - ln_kc) / self.ln_std), 0.0)
 
@@ -106,7 +106,7 @@ class Spot:
 
 
 def _border(keeps: Callable[[float], bool], low: float, high: float, times: int) -> float:
-    """Up to where something is kept that is so at low."""
+    """The largest value up to which something is kept that is so at low."""
     for _ in range(times):
         middle = (low + high) / 2
         low, high = (middle, high) if keeps(middle) else (low, middle)
@@ -155,9 +155,9 @@ def _of_shape(spots: Sequence[Spot], tau_i_s: float) -> Best:
 
 
 PLACES = 5
-"""Of a region, from end to end; those between the ends are where a boundary is tried."""
+"""Places of a region, from end to end; those between the ends are where a boundary is tried."""
 LEAST_RECORDS = 3
-"""Of every region."""
+"""Records that every region must have."""
 LEAST_KNOWN = 3
 """Places of a region that must be known; the others demand nothing."""
 TOO_WIDE = 0.6
@@ -305,7 +305,7 @@ def refinement(
 
 
 def _largest_ms(table: GainTable, spots: Mapping[int, Sequence[Spot]]) -> float:
-    """At any known place, by the likeliest process."""
+    """The largest Ms at any known place, by the likeliest process."""
     return max(spot.ms(in_force(table, spot.x)) for row in spots.values() for spot in row)
 
 

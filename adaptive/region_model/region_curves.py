@@ -49,7 +49,7 @@ class RegionCurves:
         return self.centre + rows @ self.z, rows @ self.p @ rows.T
 
     def step(self, here: Place, there: Place) -> tuple[FloatArray, FloatArray]:
-        """By how much the logarithms change from one place to another, and the covariance of that; shapes as `at`."""
+        """The change of the logarithms from one place to another, and the covariance of that; shapes as `at`."""
         rows = _rows(self.axes, there, len(self.centre)) - _rows(self.axes, here, len(self.centre))
         return rows @ self.z, rows @ self.p @ rows.T
 

@@ -13,7 +13,7 @@ from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.schedule.late_dataclass import dataclass, field
 
 POINTS = 12
-"""So many of the last records are remembered by what they said alone."""
+"""Records, the last ones, that are remembered by what they said alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class RegionModel:
         return self.known[0].log
 
     def logs(self) -> dict[ProcessType, LogModel]:
-        """By structure."""
+        """The estimates by structure."""
         return {k.log.type: k.log for k in self.known}
 
 

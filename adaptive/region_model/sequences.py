@@ -17,7 +17,7 @@ from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 WELL_KNOWN = 0.15
 """Standard deviation of ln |C| and of ln ki from which nothing more is asked: settings of that size off are in spec."""
 MOST_SEQUENCES = 6
-"""So many are kept: a process is hardly the same for longer."""
+"""Sequences that are kept: a process is hardly the same for longer."""
 ANOTHER_PROCESS = 16.0
 """By how much what all say may leave more of the newest than it does by itself, sum of squares in standard deviations:
 four parameters at four of them."""

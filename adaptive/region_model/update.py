@@ -60,11 +60,11 @@ from retuner.schedule.late_dataclass import dataclass, replace
 # and a load of its own (fit/misfit.py).
 
 MOST_RECORDS = 3
-"""So many records are fitted as one; what is known goes on from there as a mean that follows the process."""
+"""Records that are fitted as one; what is known goes on from there as a mean that follows the process."""
 MOST_SAMPLES = 750
 """A record is kept in no more samples."""
 GAP_SAMPLES = 6
-"""Between two records stand so many sampling intervals: a gap to the fit."""
+"""Sampling intervals that stand between two records: a gap to the fit."""
 END_SAMPLES = 5
 """Where a record ends and the next one begins is the median of so many."""
 LEAST_SAMPLES = 30
@@ -108,7 +108,7 @@ def joined(windows: Sequence[Window]) -> Window:
 
 
 def _every(window: Window, dt_s: float) -> int:
-    """Of how many samples one is left at such an interval."""
+    """Number of samples of which one is left at such an interval."""
     return max(round(dt_s / window.sample_time_s), 1)
 
 
@@ -152,12 +152,12 @@ class Agreement(StrEnum):
 
     @property
     def code(self) -> str:
-        """Its name in a decision."""
+        """The agreement's name in a decision."""
         return "odd" if self is Agreement.CONTRADICTS else self.name.lower()
 
 
 ANEW = frozenset({Agreement.FIRST, Agreement.OPENED, Agreement.CHANGED})
-"""After these the model rests on nothing that was believed before."""
+"""Agreements after which the model rests on nothing that was believed before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,7 @@ class NewRecord:
 
     @property
     def t_s(self) -> float:
-        """Of its last sample."""
+        """Time of the last sample."""
         return float(self.window.t_s[-1])
 
     def point(self, innovation: float) -> RecordPoint:
@@ -249,7 +249,7 @@ class Posterior:
     rise: float
 
     def region_model(self, records: int, record: NewRecord, points: tuple[RecordPoint, ...]) -> RegionModel:
-        """As the new region model."""
+        """What is known, as the new region model."""
         return _region_model(self.known, records, record.t_s, points, self.estimate)
 
 
@@ -497,7 +497,7 @@ def predicted(region_model: RegionModel, t_s: float, settings: TrackerSettings) 
 
 
 def predicted_all(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> tuple[LogModel, ...]:
-    """The same under every structure, the leading one first."""
+    """The prediction under every structure, the leading one first."""
     return tuple(_predicted(known, t_s - region_model.t_s, settings) for known in region_model.known)
 
 

@@ -163,7 +163,7 @@ def itae_setpoint(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishe
 
 
 def _noted(found: Tuning, r: float) -> Tuning:
-    """With a note when theta/tau is outside the range of the correlation."""
+    """The tuning with a note when theta/tau is outside the range of the correlation."""
     low, high = RATIO_RANGE
     if low <= r <= high:
         return found

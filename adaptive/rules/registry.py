@@ -126,7 +126,7 @@ PREFIXES = {
 }
 """Lines of a formula that are for some structures only."""
 PRODUCT = re.compile(r"(?<=[\d)]) (?=[\d(])")
-"""Between two numbers or brackets, where the formula leaves the sign of multiplication out."""
+"""Place between two numbers or brackets where the formula leaves the sign of multiplication out."""
 SYMBOL = re.compile(r"k''|k'|[A-Za-z]\w*")
 
 

@@ -165,7 +165,7 @@ def _checked(model: ProcessModel, kind: ControllerKind) -> None:
 
 
 def _with_notes(found: Tuning, model: ProcessModel, kind: ControllerKind) -> Tuning:
-    """With what the source says of derivative action here."""
+    """The tuning with what the source says of derivative action here."""
     notes = []
     if kind == PI and derivative_pays(model):
         notes.append(f"tau2 = {model.tau2_s:g} s is more than theta = {model.theta_s:g} s: derivative action would pay")

@@ -42,7 +42,7 @@ class Layout:
         return sum(x >= edge for edge in self.edges[1:-1])
 
     def gains_at(self, x: float) -> PidGains:
-        """In force at x, without hysteresis."""
+        """The gains in force at x, without hysteresis."""
         if self.lookup is Lookup.HARD:
             return self.sets[self.part(x)]
         knots = [(a + b) / 2 for a, b in pairwise(self.edges)]

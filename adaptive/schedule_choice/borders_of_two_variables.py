@@ -41,7 +41,7 @@ class Cells:
         return i * (len(self.edges2) - 1) + sum(x2 is not None and x2 >= edge for edge in self.edges2[1:-1])
 
     def gains_at(self, x: float, x2: float) -> PidGains:
-        """In force there, without hysteresis."""
+        """The gains in force there, without hysteresis."""
         if self.lookup is Lookup.HARD:
             return self.sets[self.part(x, x2)]
         columns = len(self.edges2) - 1

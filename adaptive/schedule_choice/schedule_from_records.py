@@ -238,7 +238,7 @@ NEAR_VISITED_RANGES = 0.25
 
 
 def _places(chosen: _Chosen, ends: Mapping[str, CurveAxis], dt: float, limits: DesignLimits) -> tuple[Place, ...]:
-    """From end to end of one variable or two, row by row; only what the records visit can be known."""
+    """Places from end to end of one variable or two, row by row; only what the records visit can be known."""
     found, two = chosen.curves, chosen.two
     if two is None:
         some = [place_at(found, x, dt, limits) for x in ends[chosen.one.name].grid(PLACES).tolist()]
@@ -316,7 +316,7 @@ SMALL_LOAD = 0.03
 DIFFERS = 0.5
 """Standard deviation of ln p between stretches from which no curve over the variable serves: a factor of 1.6."""
 ASKS = 0.25
-"""The same, from which another variable is tried beside the first."""
+"""Share from which another variable is tried beside the first."""
 TOLD_OF = ("slope gain", "dead time", "lag", "second lag")
 
 

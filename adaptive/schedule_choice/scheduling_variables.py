@@ -91,7 +91,7 @@ def _left(x: FloatArray, y: FloatArray) -> float:
 
 
 def axis_of(candidate: SchedulingVariable, span: tuple[float | None, float | None]) -> CurveAxis:
-    """From end to end of a schedule, those that are given and those that the records visit."""
+    """The axis from end to end of a schedule, by the ends that are given and those that the records visit."""
     own = candidate.span()
     low, high = (given if given is not None else seen for given, seen in zip(span, own, strict=True))
     if not max(low, own[0]) < min(high, own[1]):
@@ -107,7 +107,7 @@ LEAST_RATIO = 2.0
 
 
 def curves_along(windows: Sequence[Window], candidate: SchedulingVariable, axis: CurveAxis, told: Progress) -> Curves:
-    """Over the variable, or over its ratios where these say more."""
+    """Curves over the variable, or over its ratios where these say more."""
     axes = [axis]
     if candidate.outside and axis.low > 0 and axis.high / axis.low >= LEAST_RATIO:
         axes.append(replace(axis, by_ratio=True))
@@ -131,7 +131,7 @@ def silent(stage: str, share: float) -> None:
 def curves_over_both(
     windows: Sequence[Window], both: tuple[SchedulingVariable, SchedulingVariable], alone: Sequence[Curves]
 ) -> Curves:
-    """Over two variables at once: every parameter a product of a curve over each. alone : along either by itself."""
+    """Curves over two variables at once, every parameter a product of one over each. alone : along either by itself."""
     one, two = both
     axes = [found.form.axis for found in alone]
     second = Second(axes[1], (CurveShape.CONSTANT,) * 3, two.outside)
@@ -243,7 +243,7 @@ def crossings(
     largest: float,
     x2: float | None = None,
 ) -> list[RegionCrossing]:
-    """Both ways, for each lookup variable of "sp" and "pv".
+    """Crossings both ways, for each lookup variable of "sp" and "pv".
 
     gains_at : of the schedule. largest : step of the setpoint in the records. x2 : where a second variable stands.
     """

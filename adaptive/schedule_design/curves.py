@@ -84,7 +84,7 @@ class Curves:
         return found
 
     def ln_covariance(self, x: float, x2: float | None = None) -> FloatArray:
-        """Their covariance at one place."""
+        """Covariance of the parameters at one place."""
         rich, felt = self.rich, self.form.felt
         rows = np.zeros((len(rich.shapes), rich.size))
         for i, (place, shape) in enumerate(zip(rich.places, rich.shapes, strict=True)):
@@ -179,7 +179,7 @@ def _bent(fit: Fit) -> tuple[CurveForm, FloatArray]:
 
 
 def _felt(fit: Fit, felt: Characteristic) -> tuple[CurveForm, FloatArray]:
-    """The same with co acting through a characteristic."""
+    """The curves with co acting through a characteristic."""
     _, form, _, now = fit
     return form.with_shapes(form.shapes, now.z, felt, form.second_shapes)
 
@@ -196,7 +196,7 @@ def _settled(joint: Joint, form: CurveForm, z: FloatArray, rounds: int) -> Fit:
 
 
 def _under(noise: Noise, joint: Joint, form: CurveForm, z: FloatArray) -> Fit:
-    """The same under a noise that is given."""
+    """The curves under a noise that is given."""
     now = at(joint, form, z, noise, derivatives=False)
     joint = with_loads(joint, form, now, noise)
     return joint, form, noise, refined(joint, form, z, noise)

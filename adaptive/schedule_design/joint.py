@@ -118,7 +118,7 @@ class CurveForm:
         felt: Characteristic | None = None,
         second: Sequence[CurveShape] = (),
     ) -> tuple["CurveForm", FloatArray]:
-        """The same with other shapes, and z carried over: what is new is zero, what goes is lost.
+        """The form with other shapes, and z carried over: what is new is zero, what goes is lost.
 
         second : shapes over the second variable, where there is one.
         """
@@ -155,7 +155,7 @@ class Joint:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """In the order of the batches."""
+        """The stretches in the order of the batches."""
         return tuple(s for batch in self.batches for s in batch.stretches)
 
 
@@ -377,7 +377,7 @@ def _lags(x: FloatArray, most: int) -> FloatArray:
 NODES = 10
 """Lags and dead times each."""
 MOST_STRETCHES = 40
-"""Those that move most are searched; the refinement uses all."""
+"""Stretches that are searched, those that move most; the refinement uses all."""
 WHITENINGS: tuple[tuple[float, ...], ...] = ((), (0.97,))
 """Whitenings of the search: as measurement noise, and nearly differenced, in which slow loads weigh little. Noise
 beside a controller must not be differenced: its output answers the noise at once, as if there were no dead time."""
@@ -449,7 +449,7 @@ def _node(batch: Batch, moved: FloatArray, beside: FloatArray, ar: Sequence[floa
 COARSE = 6
 """Every so many rows a load step is tried, then every row near the best."""
 MOST_LOADS = 4
-"""In a stretch."""
+"""Load steps in a stretch."""
 LOAD_STEP_PRICE = 12.0
 """Fall of the misfit, beyond 2 ln n, that a load step must bring."""
 

@@ -114,7 +114,7 @@ def response(local: Local, arriving: FloatArray, h_s: FloatArray, start: FloatAr
 
 
 def _filled(several: Sequence[FloatArray], rows: int) -> FloatArray:
-    """Beside each other, each filled up with its last value."""
+    """The arrays beside each other, each filled up with its last value."""
     return np.stack([np.pad(values, (0, rows - len(values)), mode="edge") for values in several], axis=1)
 
 

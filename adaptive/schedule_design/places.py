@@ -138,7 +138,7 @@ def _rounded(gain: float) -> float:
 
 
 def iae(model: ProcessModel, gains: PidGains, sample_time_s: float) -> tuple[float, float]:
-    """For a unit step of setpoint and of load, of a stable loop."""
+    """IAE for a unit step of setpoint and of load, of a stable loop."""
     process = model.seen_by_controller(sample_time_s).linear()
     setpoint = setpoint_variation(process, gains, derivative_on_setpoint=False, with_output=False)
     return setpoint.error, load_variation(process, gains, with_output=False).error

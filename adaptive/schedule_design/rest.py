@@ -25,13 +25,13 @@ class RestCurve:
     std: float
 
     def co(self, x: FloatArray) -> FloatArray:
-        """That holds the process at x; outside of what was visited, that of the end."""
+        """The co that holds the process at x; outside of what was visited, that of the end."""
         inside = np.clip((x - self.middle) / self.half, -1.0, 1.0)
         return np.asarray(np.polyval(self.coefficients, inside), dtype=np.float64)
 
     @classmethod
     def of(cls, stretches: Sequence[Stretch]) -> "RestCurve":
-        """From where each stretch ends."""
+        """The curve of rest from where each stretch ends."""
         x, co = np.array([_end(s) for s in stretches]).T
         middle, half = (float(np.max(x) + np.min(x)) / 2, max(float(np.ptp(x)) / 2, 1e-12))
         order = min(MOST_ORDER, max(len(stretches) // FOR_EACH, 1), len(np.unique(x)) - 1)

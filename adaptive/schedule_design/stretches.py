@@ -169,7 +169,7 @@ def tells(stretch: Stretch) -> bool:
 
 
 def moving(stretches: Sequence[Stretch]) -> list[Stretch]:
-    """Those in which both co and pv move."""
+    """The stretches in which both co and pv move."""
     return [s for s in stretches if np.ptp(s.pv) > 0 and np.ptp(np.diff(s.fired(s.t_s))) > 0]
 
 
@@ -331,7 +331,7 @@ class Characteristic:
 
 
 def over(stretches: Sequence[Stretch], shape: CurveShape = CurveShape.BENT) -> Characteristic | None:
-    """Over what co does in the records; None where it stands still."""
+    """The characteristic over what co does in the records; None where it stands still."""
     rates = [np.diff(s.fired(s.t_s)) / np.diff(s.t_s) for s in stretches]
     low, high = min(float(np.min(r)) for r in rates), max(float(np.max(r)) for r in rates)
     if not high - low > LEAST_TRAVEL * max(abs(low), abs(high)):

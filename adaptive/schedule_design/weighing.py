@@ -88,7 +88,7 @@ def _ranked(
 
 
 def _neighbours(shapes: tuple[CurveShape, ...], allowed: tuple[CurveShape, ...]) -> list[tuple[CurveShape, ...]]:
-    """One of them a step simpler or richer."""
+    """The shapes with one of them a step simpler or richer."""
     found = []
     for i, shape in enumerate(shapes):
         for step in (-1, 1):
@@ -123,7 +123,7 @@ def _covariance(
 
 
 LEAST_WEIGHT = 1e-4
-"""Over that of the likeliest, below which shapes say nothing."""
+"""Share of the likeliest shape's weight below which shapes say nothing."""
 
 
 def _solved(kept: list[int], told: CurvesAgreement) -> tuple[FloatArray, FloatArray]:

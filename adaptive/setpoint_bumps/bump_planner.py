@@ -48,7 +48,7 @@ and 67 % under coloured loads can be known after six such bumps, 73 and 56 % by 
 RESET_SHARE = 0.1
 """Share of the integral time: a loop is hardly faster than that, whatever a load makes of the error."""
 MOST_SAMPLES = 2000
-"""In all that time: as many before it are to be kept beside it."""
+"""Samples of a bump in all; as many before it are to be kept beside it."""
 
 
 class BumpPhase(StrEnum):

@@ -20,7 +20,7 @@ from retuner.adaptive.signals.sample import FloatArray
 MEDIAN_TO_SIGMA = 1.4826 / math.sqrt(6.0)
 QUANTUM_TO_SIGMA = 1.0 / math.sqrt(12.0)
 LAGS = 10
-"""So many lags must fit into a stretch for its noise to be told at that lag."""
+"""Lags that must fit into a stretch for its noise to be told at that lag."""
 COLOURED = 1.25
 """Ratio from which noise is no longer taken for white: estimates of white noise scatter by a tenth."""
 FEW_LEVELS = 0.5

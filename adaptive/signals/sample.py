@@ -127,7 +127,7 @@ class Window:
         return Window(self.t_s[rows], self.sp[rows], self.pv[rows], self.co[rows], self.noise_std)
 
     def condensed(self, most: int) -> "Window":
-        """The same record in at most `most` samples: every n-th pv, and co averaged over the n intervals between.
+        """The record in at most `most` samples: every n-th pv, and co averaged over the n intervals between.
 
         The averaged co moves a process like the real one as long as n intervals are short against its dynamics.
         """

@@ -286,7 +286,7 @@ class _Counted(NamedTuple):
 
 
 def _kept_whole(seen: _JudgedWindow) -> _Counted:
-    """Nothing of it was forgotten before it ended."""
+    """The response is kept whole: nothing of it was forgotten before it ended."""
     if seen.window.t_s[0] <= seen.response.t_start_s and bool(np.any(seen.during)):
         return _Counted(AdmissionNumbers())
     return _Counted(AdmissionNumbers(kept=float(len(seen.samples))), Ground.TOO_LONG)
@@ -376,7 +376,7 @@ def _moved(window: Window, response: Response, settings: AdmissionSettings) -> t
 
 
 def _own_setpoint(seen: _JudgedWindow) -> _Counted:
-    """Not the slave of a cascade: its setpoint is the master's output, so it moves all the time."""
+    """The setpoint is the loop's own: a slave's is its master's output, and moves all the time."""
     numbers, led = _moved(seen.window, seen.response, seen.settings)
     most, most_share = float(seen.settings.moves_most), seen.settings.moving_share
     if not led:
@@ -385,7 +385,7 @@ def _own_setpoint(seen: _JudgedWindow) -> _Counted:
 
 
 def _free_output(seen: _JudgedWindow) -> _Counted:
-    """Not at a limit for longer than the user wants to learn from."""
+    """The output is free: not at a limit for longer than the user wants to learn from."""
     own, limit = seen.own, seen.settings.limited_share
     share = sum(sample.limited != 0 for sample in own) / len(own)
     if share <= limit:

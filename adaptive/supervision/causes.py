@@ -57,7 +57,7 @@ NOT_THE_LOOP = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SAT
 
 
 OTHER_CAUSES = NOT_THE_LOOP - {Cause.NOISE}
-"""Those of them that may be behind a swing: what rises out of the noise is none."""
+"""Causes of these that may be behind a swing: what rises out of the noise is none."""
 TAKEN_SAMPLES = 5
 """Samples after which the recogniser has taken a setpoint step at the latest."""
 SURELY_TO_AND_FRO = 2
@@ -131,7 +131,7 @@ def beside_sequences(found: Findings, learned: Learned) -> Learned:
 
 
 def wrong_way(found: Findings) -> Diagnosis | None:
-    """That the controller acts the wrong way, where the response and what came before it show that; else None.
+    """The diagnosis that the controller acts the wrong way, where the response and what came before it show that.
 
     It is asked before anything else: pv far out of its range, or an output at its limit, is what comes of it.
     """

@@ -103,7 +103,7 @@ def _known_of(found: Findings, region: int, known: Mapping[int, RegionModel]) ->
 
 
 def _as_the_table(found: Findings, region: int, known: Mapping[int, RegionModel], model: RegionModel) -> RegionModel:
-    """The same beside the other hypotheses: that the table's set is as right there as another one is elsewhere."""
+    """The chances with one hypothesis more: the table's set is as right there as another one is elsewhere."""
     record, now_s = found.record, float(found.record.window.t_s[-1])
     more = as_right_as_others(known, region, record.commissioned.gains, now_s, found.settings.tracker)
     return replace(model, plausible=(*model.plausible, *more))
@@ -146,7 +146,7 @@ def _wander(found: Findings, verdict: Verdict) -> float:
 
 
 def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, prediction: Prediction) -> StageResult:
-    """As of a response in that region."""
+    """The change as the result of a response in that region."""
     known = model.reason if not model.records else "known by responses that passed through"
     return StageResult(
         verdict.code,

@@ -251,7 +251,7 @@ def _of_two_sets(why: str, *, crossed: bool) -> str:
 
 
 def without_a_model(found: Findings) -> None:
-    """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
+    """A small step by rules that need no model, where nothing is identified and only the tuning can be behind it."""
     if found.tuning is not None and found.tuning.ready and (_in_use(found).identifiable or above_noise(found)):
         return
     record, learned = found.record, _learned(found)
@@ -369,7 +369,7 @@ NOT_WORTH = "not_worth"
 
 
 def confirmation(found: Findings) -> None:
-    """Before gains change: a case that is not clear is put to the whole diagnosis, unless the change is sure anyway.
+    """A case that is not clear is put to the whole diagnosis before gains change, unless the change is sure anyway.
 
     None is clear where pv stands while the output travels.
     """
@@ -491,4 +491,4 @@ STAGES = (
     PipelineStage("check after a trial", check_after_trial, always=True),
     PipelineStage("elsewhere", elsewhere, always=True),
 )
-"""In their order: what else may be behind the response comes before the tuning, and a proof before any change."""
+"""The stages in their order: what else may be behind the response before the tuning, a proof before any change."""

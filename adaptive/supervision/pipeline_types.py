@@ -202,7 +202,7 @@ NOBODY: Ended = {}
 
 
 class SetpointLed(NamedTuple):
-    """That the setpoint is led: when it was said last, and how many responses were passed over since."""
+    """When it was last said that the setpoint is led, and how many responses were passed over since."""
 
     said_s: float = -math.inf
     passed_over: int = 0
@@ -317,7 +317,7 @@ class Step(NamedTuple):
 
 
 NOTHING = Step()
-"""Of most samples."""
+"""What most samples lead to."""
 
 
 class End(NamedTuple):
@@ -377,7 +377,7 @@ class Findings:
 
     @property
     def settings(self) -> RetunerSettings:
-        """Those in force for this table: the gains of an interpolated one move without anybody changing them."""
+        """Settings in force for this table: the gains of an interpolated one move without anybody changing them."""
         settings = self.question.settings
         if self.record.table.lookup is Lookup.INTERPOLATED:
             return replace(settings, swing=replace(settings.swing, same_gains=False))
@@ -400,7 +400,7 @@ class Findings:
         self.stop("unconfirmed", doubt.reason)
 
     def result(self) -> StageResult:
-        """All of it.
+        """All findings as one result.
 
         Raises
         ------

@@ -96,7 +96,7 @@ def over_limit(
 
 
 def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, settings: RetunerSettings) -> str:
-    """That a step to more action would be over its Ms limit on a model that the records allow; empty where it is not.
+    """Words for a step to more action that exceeds its Ms limit on a model that the records allow; else empty.
 
     What does not carry settings may still say how far not to go.
     """

@@ -356,7 +356,7 @@ class ResponseFinder:
         return self._completed(self._region, response)
 
     def _completed(self, region: RegionState, response: Response) -> Completed:
-        """With the band that its noise has, which may wander or be rounded; one that a person has set stays."""
+        """The response with its noise's band, which may wander or be rounded; one that a person has set stays."""
         wander = max(wander_before(self._samples, response), self._seen_rounding())
         if wander and not self.settings.band:
             response = replace(response, band=max(response.band, self.settings.band_sigmas * wander))

@@ -117,7 +117,7 @@ class Retuner:
 
     @property
     def samples(self) -> list[LoopSample]:
-        """Those that are kept, the newest last."""
+        """The samples that are kept, the newest last."""
         return list(self._finder.samples)
 
     @property
@@ -503,7 +503,7 @@ class Retuner:
         return replace(decision, trial=str(self.trials.phase(region)))
 
     def _forget(self, region: int) -> None:
-        """Nothing is known of a region any more."""
+        """Forget all that is known of a region."""
         self.region_models.pop(region, None)
         self.excitation.pop(region, None)
 

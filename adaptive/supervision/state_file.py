@@ -62,7 +62,7 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
 
 
 def region_model_in(body: Mapping[str, Any]) -> RegionModel:
-    """And back.
+    """What is known of a region, from its plain form.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def _window_out(window: Window) -> dict[str, object]:
 
 
 def _window_in(body: Mapping[str, Any]) -> Window:
-    """And back."""
+    """A record from its plain form."""
     t_s, sp, pv, co = (np.array(body[name], dtype=np.float64) for name in SERIES)
     return Window(t_s, sp, pv, co, float(body["noise_std"]))
 
@@ -105,7 +105,7 @@ def _steps_out(one: SetpointSteps) -> dict[str, object]:
 
 
 def _steps_in(body: Mapping[str, Any]) -> SetpointSteps:
-    """And back."""
+    """Setpoint steps from their plain form."""
     gains = PidGains(*(float(value) for value in body["gains"]))
     steps = tuple(SetpointMove(int(at), float(size)) for at, size in body["steps"])
     pv = tuple(float(value) for value in body["pv"])
@@ -113,12 +113,12 @@ def _steps_in(body: Mapping[str, Any]) -> SetpointSteps:
 
 
 def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:
-    """By structure: parameters with their covariance, and the evidence."""
+    """The structures: parameters with their covariance, and the evidence."""
     return [_log_out(k.log) | {"evidence": k.evidence, "drift": _drift_out(k.drift)} for k in known]
 
 
 def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[StructureModel, ...]:
-    """And back."""
+    """The structures from their plain form."""
     return tuple(
         StructureModel(_log_in(body), float(body["evidence"]), _drift_in(body.get("drift"))) for body in bodies
     )
@@ -130,7 +130,7 @@ def _drift_out(drift: Drift | None) -> dict[str, object] | None:
 
 
 def _drift_in(body: Mapping[str, Any] | None) -> Drift | None:
-    """And back; memories of before have none."""
+    """A drift from its plain form; memories of before have none."""
     return None if body is None else Drift(*(np.array(body[name], dtype=np.float64) for name in ("v", "p", "along")))
 
 
@@ -140,7 +140,7 @@ def _log_out(log: LogModel) -> dict[str, object]:
 
 
 def _log_in(body: Mapping[str, Any]) -> LogModel:
-    """And back."""
+    """An estimate from its plain form."""
     x, p = (np.array(body[name], dtype=np.float64) for name in ("x", "p"))
     return LogModel(x, p, int(body["sign"]), ProcessType(body["type"]))
 
@@ -160,7 +160,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
 
 
 VERSION = 9
-"""Of this layout; any other is refused."""
+"""Version of this layout; any other is refused."""
 STATES = (RegionState, RecogniserState, NoiseState, SetpointLed, LoopSample)
 LAYOUT = {kind.__name__: list(kind._fields) for kind in STATES}
 """What is kept by place: numbers that moved would be read as others. Another layout is refused; memories of before
@@ -268,7 +268,7 @@ def _numbers_out(values: Sequence[Any] | None) -> list[Any] | None:
 
 
 def _numbers_in(values: Sequence[Any]) -> list[Any]:
-    """And back."""
+    """Numbers from their plain form."""
     return [float(v) if isinstance(v, str) else v for v in values]
 
 

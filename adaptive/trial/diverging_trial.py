@@ -34,7 +34,7 @@ MOVED = 0.25
 MOST_GROWTH = 2.0
 """Growth per half wave from which a loop runs away whatever was before."""
 TWICE = 2
-"""So many growing half waves after the first are a runaway."""
+"""Growing half waves after the first that make the trial a diverging one."""
 
 
 class DivergenceLimits(NamedTuple):
@@ -87,7 +87,7 @@ def law_of(prediction: Prediction, settings: TrialSettings, shortest_s: float) -
 
 
 def divergence_begin(sp: float, *, joined: bool = True) -> DivergenceState:
-    """Nothing seen yet. joined : a half wave may be under way, as when a trial begins."""
+    """The watch before anything is seen. joined : a half wave may be under way, as when a trial begins."""
     return DivergenceState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf, joined=joined)
 
 

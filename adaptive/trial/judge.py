@@ -227,7 +227,7 @@ def _not_worse(
 
 
 def _by_posterior(why: str, seen: PosteriorCheck | None, settings: TrialSettings, numbers: TrialNumbers) -> Judgement:
-    """Of a response that cannot speak for the promise: what is known with it of the tried set may be enough."""
+    """The judgement of a response that cannot speak for the promise: what is known of the tried set may be enough."""
     good = in_favour(seen, settings) if seen else ""
     if not good:
         return Judgement(TrialFinding.INCONCLUSIVE, why, numbers)

@@ -56,7 +56,7 @@ def check_posterior(
     b: float = 1.0,
     tau_f_s: float = 0.0,
 ) -> PosteriorCheck:
-    """Both sets on the models that are still allowed.
+    """What the models that are still allowed say of both sets.
 
     allowed : at least one model. sample_time_s : of the controller.
     b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
@@ -76,7 +76,7 @@ def costs(
 
 
 def _costs(processes: Sequence[LinearProcess], old: PidGains, new: PidGains, b: float, tau_f_s: float) -> list[float]:
-    """The same on processes as the controller sees them."""
+    """J on processes as the controller sees them."""
     loops = [ClosedLoop(process, gains, b, tau_f_s) for gains in (new, old) for process in processes]
     iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(processes)
     return [_mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True)]

@@ -32,7 +32,7 @@ SWINGS = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """On the best model, least and greatest over all allowed ones; infinite where a loop never comes to rest.
+    """A number on the best model, its least and greatest over all allowed ones; infinite where a loop never rests.
 
     Raises ValueError: a number is NaN, or best does not lie between low and high.
     """
@@ -56,7 +56,7 @@ class Spread:
 
     @classmethod
     def from_list(cls, values: Sequence[float | None]) -> "Spread":
-        """And back."""
+        """The spread from its plain form."""
         best, low, high = (math.inf if value is None else float(value) for value in values)
         return cls(best, low, high)
 
@@ -83,7 +83,7 @@ class Expected:
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Expected":
-        """And back."""
+        """The numbers from their plain form."""
         return cls(*(Spread.from_list(body[name]) for name in NAMES))
 
 
@@ -140,7 +140,7 @@ class Prediction:
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Prediction":
-        """And back."""
+        """The numbers from their plain form."""
         setpoint, load, setpoint_before, load_before = (
             Expected.from_dict(body[name]) for name in ("setpoint", "load", "setpoint_before", "load_before")
         )
@@ -157,7 +157,7 @@ class Prediction:
         )
 
     def sentence(self) -> str:
-        """For people."""
+        """The prediction in a sentence for people."""
         now, then = self.setpoint, self.setpoint_before
         return (
             f"predicted: overshoot {_percent(now.overshoot)} (was {_percent(then.overshoot)}); half-cycle decay ratio "
@@ -200,7 +200,7 @@ def decay_seen(response: Response | None) -> float | None:
 
 
 def predict_without_model(seen: Response, old: PidGains, new: PidGains) -> Prediction:
-    """For a change that rests on the pattern of a response alone: no worse than what was seen.
+    """The prediction of a change that rests on a response's pattern alone: no worse than what was seen.
 
     The IAE of a load needs no model (1/ki); that of a setpoint step is left open.
     """
@@ -237,12 +237,12 @@ def predict_without_model(seen: Response, old: PidGains, new: PidGains) -> Predi
 
 
 def _setpoint(found: Sequence[Sequence[ResponseNumbers]]) -> Expected:
-    """Over the models, under a setpoint step."""
+    """What is expected over the models under a setpoint step."""
     return Expected.over([row[0] for row in found])
 
 
 def _load(shapes: Sequence[Sequence[ResponseNumbers]]) -> Expected:
-    """Over the models, under a load step; a pulse may swing more."""
+    """What is expected over the models under a load step; a pulse may swing more."""
     found = Expected.over([row[1] for row in shapes])
     pulses = [row[2].decay for row in shapes]
     decay = found.decay

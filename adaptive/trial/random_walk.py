@@ -28,9 +28,9 @@ from retuner.schedule.late_dataclass import dataclass, replace
 LONGEST = 2.5
 """Dead time over that of the first model, up to which models are asked."""
 SAMPLES = 120
-"""Of a stretch, at the most."""
+"""Samples of a stretch, at the most."""
 STRETCHES = 8
-"""At the most, the newest ones."""
+"""Stretches at the most, the newest ones."""
 PER_DEAD_TIME = 4.0
 """Samples to an effective dead time that are kept of faster ones."""
 FEWEST_SAMPLES = 40
@@ -82,7 +82,7 @@ def stretches_of(samples: Sequence[LoopSample], theta_s: float) -> Stretches | N
 
 
 def deviance(process: LinearProcess, seen: Stretches) -> float:
-    """Of the samples on one process with a load that walks; infinite where arithmetic fails."""
+    """Deviance of the samples on one process with a load that walks; infinite where arithmetic fails."""
     n = seen.pv.shape[1]
     late, prompt, free = _responses(process, n, seen.dt_s)
     first = seen.skipped
@@ -104,7 +104,7 @@ def deviance(process: LinearProcess, seen: Stretches) -> float:
 
 
 def _at(ratio: float, values: FloatArray, left: FloatArray, start: FloatArray) -> float:
-    """The same for one size of the walk, in the coordinates of its covariance."""
+    """The deviance for one size of the walk, in the coordinates of its covariance."""
     variance = ratio * values + 1.0
     white = 1 / np.sqrt(variance)
     columns, rows = start * white[:, None], left * white[:, None]
@@ -123,7 +123,7 @@ def _at(ratio: float, values: FloatArray, left: FloatArray, start: FloatArray) -
 
 
 def _responses(process: LinearProcess, n: int, dt_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of pv to a step with the dead time and without, shape (n,), and from each state by itself, (n, states)."""
+    """Responses of pv to a step with the dead time and without, shape (n,), and from each state, (n, states)."""
     space = state_space(process, dt_s)
     m = len(space.b)
     whole = np.zeros((m + 1, m + 1))

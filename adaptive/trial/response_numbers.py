@@ -69,7 +69,7 @@ def three(peaks: list[float], unseen: float) -> tuple[float, float, float]:
 
 
 def shape_of(trace: Trace, ki: float) -> ResponseNumbers:
-    """Of a computed response to a unit upset; iae and settle_s are infinite for a loop that never comes to rest.
+    """Numbers of a computed response to a unit upset; iae and settle_s are infinite where it never comes to rest.
 
     ki : of the loop; what the error's integral still has to do after the last point follows from it.
     """

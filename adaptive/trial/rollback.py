@@ -82,14 +82,14 @@ NOTHING_KNOWN = StillAllowed()
 
 
 class Robustness(NamedTuple):
-    """Of one set. unstable : on so many models. ms : greatest on the others."""
+    """Robustness of one set. unstable : on so many models. ms : greatest on the others."""
 
     unstable: int
     ms: float
 
     @classmethod
     def of(cls, ms: Iterable[float]) -> "Robustness":
-        """From Ms on each model."""
+        """The robustness by Ms on each model."""
         values = tuple(ms)
         finite = [value for value in values if math.isfinite(value)]
         return cls(len(values) - len(finite), max(finite, default=0.0))
@@ -134,20 +134,20 @@ class Rollback(NamedTuple):
 
 
 class SetRecord(NamedTuple):
-    """Of one set: how often it was bad and calm, and the chance that what was seen is not its doing."""
+    """How often one set was bad and calm, and the chance that what was seen is not its doing."""
 
     bad: int = 0
     calm: int = 0
     by_loads: float = BY_LOADS
 
     def likelihood(self, loss: float) -> float:
-        """On a model on which the set has this loss."""
+        """Likelihood of the record on a model on which the set has this loss."""
         bad = self.by_loads + (1.0 - 2.0 * self.by_loads) * loss
         return bad**self.bad * (1.0 - bad) ** self.calm
 
     @property
     def chance(self) -> float:
-        """That it is bad, where no model says: rule of succession."""
+        """The chance that the set is bad, where no model says: rule of succession."""
         return (1.0 + self.bad) / (2.0 + self.bad + self.calm)
 
 
@@ -244,7 +244,7 @@ def expected_losses(
     seen: Mapping[PidGains, SetRecord],
     harmless_ms: float,
 ) -> tuple[dict[PidGains, float], float]:
-    """Of each set, and the probability of something else; see the head of this file.
+    """The expected loss of each set, and the probability of something else; see the head of this file.
 
     ms : of each set on each model. likely : of each model. seen : of those sets of which anything was.
     """

@@ -404,7 +404,7 @@ class TrialSupervisor:
         return base * 2.0 ** min(max(trial.undos - 1, 0), self.settings.cool_down_most)
 
     def _hold_s(self, edits: int) -> float:
-        """For how long a person's gains are held."""
+        """Time for which a person's gains are held."""
         return self.settings.edit_hold_s * 2.0 ** min(max(edits - 1, 0), MOST_EDITS)
 
     @staticmethod

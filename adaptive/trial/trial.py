@@ -46,7 +46,7 @@ class Trial:
 
     @property
     def sets(self) -> SetsThatRan:
-        """Those among which it is decided what is to run.
+        """The sets among which it is decided what is to run.
 
         Raises ValueError: nothing was ever changed here.
         """
@@ -59,7 +59,7 @@ class Trial:
         return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, swings, lost)
 
     def with_earlier(self, gains: PidGains | None) -> "Trial":
-        """The same with one more set that ran here."""
+        """The trial with one more set that ran here."""
         if gains is None:
             return self
         return replace(self, earlier=(gains, *(one for one in self.earlier if one != gains))[:MOST_EARLIER])
@@ -86,7 +86,7 @@ class Trial:
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Trial":
-        """And back.
+        """The trial from its plain form.
 
         Raises KeyError, TypeError, ValueError: something is missing, or no value of its kind.
         """

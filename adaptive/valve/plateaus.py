@@ -125,7 +125,7 @@ class _Responses:
 
     @property
     def to_jump(self) -> FloatArray:
-        """From a jump on, shape (n,)."""
+        """Rows from a jump on, shape (n,)."""
         return self._response(np.arange(self.n))
 
     def _response(self, since: npt.NDArray[np.intp]) -> FloatArray:

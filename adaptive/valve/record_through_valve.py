@@ -80,7 +80,7 @@ class ValveInLoop:
 
     @property
     def sentence(self) -> str:
-        """For people."""
+        """The valve in a sentence for people."""
         return (
             f"co reaches the process through a valve with a stiction band of {self.valve.stick:.3g} of co, "
             f"slip jump {self.valve.jump:.3g}"

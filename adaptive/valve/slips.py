@@ -39,7 +39,7 @@ Rows = npt.NDArray[np.int64]
 MOST_SLIPS = 24
 """More slips than this in one record are a regular cycle, or noise."""
 ROWS_PER_STEP = 4
-"""So many samples a step at least: it has two unknowns, and as many samples must be left to speak against it."""
+"""Samples a step at least: it has two unknowns, and as many samples must be left to speak against it."""
 TURN_SHARE = 0.08
 """co turns where it goes back by this share of its range, and by four times its noise."""
 TURN_NOISE = 4.0
@@ -151,7 +151,7 @@ class Co:
 
 
 def _stops(rises: FloatArray) -> Rows:
-    """For every row, the first one after it at which co no longer goes that way."""
+    """The first row after each one at which co no longer goes that way."""
     n = len(rises) + 1
     still = np.append(np.flatnonzero(rises <= 0) + 1, n)
     return np.asarray(still[np.searchsorted(still, np.arange(n), side="right")] if n else still, dtype=np.int64)
@@ -181,7 +181,7 @@ def slipping(linear: Candidate, most_loads: int) -> Slipping | None:
 
 
 def _with_loads(at: Slipping, most: int) -> Slipping:
-    """The same with load steps, where they pay."""
+    """The explanation with load steps, where they pay."""
     fit = improved(at.fit, most, CandidateList([at.fit]))
     return replace(at, fit=fit, criterion=at.criterion + fit.criterion - at.fit.criterion)
 

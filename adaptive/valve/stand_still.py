@@ -125,7 +125,7 @@ class StandStill:
     criterion: float
 
     def lead_of(self, variance: float, loads: int) -> float:
-        """By how much a linear explanation is the likelier one. variance, loads : what it leaves, and needs."""
+        """Lead of a linear explanation over the plateaus. variance, loads : what it leaves, and needs."""
         return 2 * (self.criterion - price(variance * self.rows, self.rows, self.sigma, loads + STEPS_OF_A_PROCESS))
 
     @property
@@ -135,12 +135,12 @@ class StandStill:
 
     @property
     def dwell(self) -> float:
-        """Of the longest leg, in units of tau_I."""
+        """Length of the longest leg, in units of tau_I."""
         return max((leg.dwell for leg in self.legs), default=0.0)
 
 
 def stand_still(window: Window, gains: PidGains | None, settings: StandStillSettings) -> StandStill | None:
-    """The same with settings that are read off the record, as well as it shows them, where they are not known."""
+    """Stand-still under settings that are read off the record, as well as it shows them, where they are not known."""
     gains = gains or settings_in_force(window, settings=ROUGHLY).gains or summed_law(window)
     return None if gains is None else standing(window, gains, settings)
 
@@ -206,7 +206,7 @@ def _explained(pv: FloatArray, steps: Steps, settings: StandStillSettings) -> bo
 
 
 def _thinned(window: Window) -> Window:
-    """At most MOST_ROWS rows; each the mean of several samples."""
+    """The record in at most MOST_ROWS rows, each the mean of several samples."""
     n = -(-len(window.t_s) // MOST_ROWS)
     if n == 1:
         return window

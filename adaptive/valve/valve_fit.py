@@ -330,7 +330,7 @@ def refined(misfit: Misfit, valve: StuckValve, x: FloatArray) -> Sticking:
 
 
 def with_lag(at: Sticking) -> Sticking:
-    """The same with a second lag, where that pays."""
+    """The explanation with a second lag, where that pays."""
     if at.fit.fit.misfit.type != ProcessType.FOPDT:
         return at
     richer = judged(with_second_lag(at.fit.fit, ProcessType.SOPDT, [], 1))

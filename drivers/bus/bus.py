@@ -444,7 +444,7 @@ class CanLink:
             return -1
 
     def _after_garbage(self, garbage: int) -> can.BusABC | None:
-        """The same when what came is no frame."""
+        """The next frame when what came is none."""
         self.counters.garbage += 1
         self.faults.note(LinkFault.GARBAGE)
         if garbage > self.settings.garbage_limit:

@@ -23,7 +23,7 @@ def plain_text(raw: bytes) -> str:
 
 
 def _decoded(raw: bytes) -> str:
-    """By its mark, else UTF-8 where it is that, else as Windows writes."""
+    """The text by its mark, else as UTF-8 where it is that, else as Windows writes."""
     for mark, name in MARKS:
         if raw.startswith(mark):
             return raw.decode(name, errors="replace")

@@ -187,7 +187,7 @@ class SdoQueue:
 
 
 FRAME_BITS = 135
-"""Of a standard frame of 8 bytes with the most stuff bits (K. Tindell et al., Control Eng. Practice 3, 1995)."""
+"""Bits of a standard frame of 8 bytes with the most stuff bits (K. Tindell et al., Control Eng. Practice 3, 1995)."""
 BIT_RATE = 500e3
 """Bits a second that times are told for: the middle of CiA 301's rates."""
 ANSWER_S = 5e-3

@@ -50,7 +50,7 @@ class _OffLine(canopen.Network):
         )
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> PeriodicMessageTask:
-        """Nothing: an EDS that has a heartbeat (1017) would begin one here; the node's samples send theirs."""
+        """Do nothing: an EDS that has a heartbeat (1017) would begin one here; the node's samples send theirs."""
         return _Unsent(can_id, data, period, self.bus, remote)
 
 

@@ -155,7 +155,7 @@ class Conversation:
         return self.decoded(self.far.heard())
 
     def samples(self, count: int = 1) -> list[Frame]:
-        """So many controller samples pass; what comes meanwhile."""
+        """Let so many controller samples pass; what comes meanwhile."""
         frames: list[Frame] = []
         for _ in range(count):
             frames += self.decoded(self.far.sample())

@@ -125,7 +125,7 @@ def _told(frames_: list[Frame]) -> list[str]:
 
 
 def flipped(data: bytes) -> bytes:
-    """The same with one bit of the last byte changed."""
+    """The frame with one bit of the last byte changed."""
     return data[:-1] + bytes([data[-1] ^ 1])
 
 

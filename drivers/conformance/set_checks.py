@@ -144,7 +144,7 @@ def swapping(found: Examination) -> None:
 def _no_jump(
     found: Examination, after: list[TelemetryPv], old: PidGains, new: PidGains, error: float, dt: float
 ) -> None:
-    """From the sample before the swap to that of the swap co moves by what I and P do, not by the change of P."""
+    """co moves by what I and P do from the sample before the swap to that of the swap, not by the change of P."""
     seen = found.talk.last_before(after[0].counter)
     if seen is None:
         found.left_out.append("the swap in automatic: the sample before it was lost")
@@ -214,7 +214,7 @@ def _refusal(
 
 
 def _raw_refusal(found: Examination, name: str, values: tuple[float, ...], reasons: tuple[Reason, ...]) -> None:
-    """The same with gains that no PidGains can hold."""
+    """The refusal of gains that no PidGains can hold."""
     talk = found.talk
     seq = talk.fresh_seq()
     stage = [Stage(item, talk.owner % 64, values[item], seq) for item in Item]
@@ -334,7 +334,7 @@ def storing(found: Examination) -> None:
 
 
 def codes(found: Examination) -> None:
-    """With a key no set runs without its code, and strangers' codes harm nobody."""
+    """No set runs without its code where there is a key, and strangers' codes harm nobody."""
     talk, good = found.talk, found.other
     challenge = talk.one(Challenge, Page.CHALLENGE)
     found.expect("whether a code is demanded", bool(challenge.demanded), talk.key is not None)

@@ -42,7 +42,7 @@ class SignalPlace:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """The signal as people read it."""
         return f"{self.layout.name}.{self.signal.name}"
 
     def used_as(self, role: str, what: str, key: Key) -> Use:

@@ -18,7 +18,7 @@ class Assumption:
 
 
 def in_a_line(assumed: tuple[Assumption, ...]) -> str:
-    """All of it, short."""
+    """All assumptions in a line, short."""
     return "; ".join(a.what for a in assumed)
 
 

@@ -26,7 +26,7 @@ from retuner.drivers.recorded.recording import RecordingError
 from retuner.schedule.late_dataclass import dataclass
 
 Identifier = tuple[int, bool]
-"""Of a frame, and whether it is an extended one."""
+"""Number of a frame, and whether it is an extended one."""
 TIME = "t [s]"
 
 

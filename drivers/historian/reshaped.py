@@ -94,7 +94,7 @@ def _short(names: Sequence[str]) -> dict[str, str]:
 
 
 def unpaired(table: RawTable) -> RawTable:
-    """The same as a long table, where its columns are pairs of time and value; else as it is."""
+    """The table as a long one, where its columns are pairs of time and value; else as it is."""
     n = len(table.names)
     if n < 4 or n % 2 or not all(_is_time(table, i) == (i % 2 == 0) for i in range(n)):
         return table

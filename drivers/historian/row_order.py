@@ -73,7 +73,7 @@ def _displaced(t_s: FloatArray) -> int:
 
 
 def _distinct(places: np.ndarray, stamps: FloatArray) -> tuple[np.ndarray, FloatArray, list[Assumption]]:
-    """The same with every stamp once: several rows to each are spread over it, single repeats keep the last."""
+    """The signal with every stamp once: several rows to each are spread over it, single repeats keep the last."""
     unique, first, counts = np.unique(stamps, return_index=True, return_counts=True)
     if len(unique) == len(stamps):
         return places, stamps, []

@@ -83,7 +83,7 @@ class Scaling:
         return bool(np.all((raw >= least) & (raw <= most)))
 
     def text(self) -> str:
-        """As it is written."""
+        """The scaling as it is written."""
         return f"{self.raw_low:.15g}..{self.raw_high:.15g}:{self.low:.15g}..{self.high:.15g}"
 
 

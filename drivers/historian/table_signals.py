@@ -37,7 +37,7 @@ OWN_WORDS: Mapping[str, frozenset[str]] = MappingProxyType(
 )
 """What control systems call a signal itself, beside which a read-back or a target may stand."""
 TICKS = MappingProxyType({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9})
-"""Of a second, by the unit that moments are kept in."""
+"""Seconds by the unit that moments are kept in."""
 SILENT = frozenset({"sp", "pv", "co"})
 """Column names that need no telling."""
 
@@ -148,7 +148,7 @@ def _beside(table: RawTable, form: RecordForm) -> dict[str, dict[str, int]]:
 
 
 def _plainest(table: RawTable, role: str, places: Sequence[int], form: RecordForm) -> Sequence[int]:
-    """Of several columns that may be a signal the one that is called by its own letters: PV beside an actual value.
+    """The one of several columns for a signal that is called by its own letters: PV beside an actual value.
 
     Raises
     ------

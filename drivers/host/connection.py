@@ -266,7 +266,7 @@ class CanDevice:
         self._joiner.running = running.seq
 
     def _notice_silence(self, now_s: float) -> None:
-        """Nothing heard for too long, or no bus: nothing is known any more."""
+        """Forget everything when nothing was heard for too long, or there is no bus."""
         reason = self._contact.lost(now_s, self.link.state)
         if self.phase is ConnectPhase.SEARCHING or not reason:
             if self._contact.in_vain(now_s):

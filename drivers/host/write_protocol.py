@@ -286,7 +286,7 @@ class WriteProtocol:
         self._move(WriteInput.EXHAUSTED)
 
     def unknown(self) -> WriteUnknown | None:
-        """That the result is unknown, once, when the device has not answered several times."""
+        """The event that the result is unknown, once, when the device has not answered several times."""
         if self._order is None or self._told_unknown or self._tries < UNKNOWN_AFTER:
             return None
         if self.phase not in {WritePhase.FENCING, WritePhase.READING}:

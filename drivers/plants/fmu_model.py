@@ -58,7 +58,7 @@ class FmuModel:
         self.readings = self._read()
 
     def described(self) -> list[str]:
-        """Its variables with the values that they have at the start here, for a person."""
+        """The model's variables with the values that they have at the start here, for a person."""
         given = {**self._spec.parameters, **dict(zip(self._spec.inputs, self._spec.start, strict=True))}
         lines = [f"FMI {self._about.fmiVersion} {self._interface.replace('_', '-')}, {self._about.modelName}"]
         for what in ("input", "output", "parameter"):
@@ -200,7 +200,7 @@ class _Held:
     """Inputs for FMPy's solver: they are held, so there is nothing to apply."""
 
     def apply(self, t_s: float) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 def _described(spec: ModelSpec) -> tuple[Any, str]:

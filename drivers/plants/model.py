@@ -71,6 +71,6 @@ class PlantModel(Protocol):
 
 
 def missing_name(what: str, name: str, known: Collection[str]) -> str:
-    """That there is none of this name, and which come nearest."""
+    """Words that there is no variable of this name, and which come nearest."""
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.5) or sorted(known)[:8]
     return f'= "{name}": there is no {what} of this name' + (f"; the nearest: {', '.join(near)}" if near else "")

@@ -118,7 +118,7 @@ class PythonModel:
 
 
 def _copied(plant: object) -> Any:  # noqa: ANN401  the user's
-    """The same object once more; None for one that cannot be copied."""
+    """A copy of the object; None for one that cannot be copied."""
     try:
         return copy.deepcopy(plant)
     except Exception:  # noqa: BLE001  a user's class may raise anything there

@@ -40,18 +40,18 @@ class RecordedLoad:
 
 
 class RecordedLoads:
-    """All of a plant."""
+    """All recorded loads of a plant."""
 
     def __init__(self, loads: Sequence[RecordedLoad]) -> None:
         self._inputs = [one for one in loads if not one.at_output]
         self._outputs = [one for one in loads if one.at_output]
 
     def input(self, t_s: float) -> float:
-        """At the input, percent of co."""
+        """The load at the input, percent of co."""
         return sum(one.at(t_s) for one in self._inputs)
 
     def output(self, t_s: float) -> float:
-        """At the output, pv units."""
+        """The load at the output, pv units."""
         return sum(one.at(t_s) for one in self._outputs)
 
 
@@ -80,9 +80,9 @@ class LoadedPlant:
         return pv + self._loads.output(self._t_s)
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
-        """As the plant's."""
+        """The plant's steady co."""
         return self._plant.steady_co(pv, load)
 
     def linearise(self, pv: float, load: float = 0.0) -> LinearProcess:
-        """As the plant's."""
+        """The plant's linear model."""
         return self._plant.linearise(pv, load)

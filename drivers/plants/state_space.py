@@ -74,7 +74,7 @@ class StateSpaceModel:
         return self.readings
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: nothing is held."""
 
 
 class _Copy:
@@ -87,7 +87,7 @@ class _Copy:
         self._known: dict[float, tuple[FloatArray, FloatArray]] = {}
 
     def advance(self, times: Sequence[float], held: Sequence[FloatArray], start_s: float, end_s: float) -> None:
-        """From one time to another. times, held : since when which inputs, the first before all that matters."""
+        """Move from one time to another. times, held : since when which inputs, the first before all that matters."""
         at, end = start_s - self._theta_s, end_s - self._theta_s
         rounding = 10.0**-DIGITS * (end_s - start_s)
         i = max((k for k, since in enumerate(times) if since <= at + rounding), default=0)

@@ -78,7 +78,7 @@ class Access(Protocol):
 
     @property
     def units(self) -> VendorUnits:
-        """Its gains."""
+        """Units of the controller's gains."""
         ...
 
     @property
@@ -88,7 +88,7 @@ class Access(Protocol):
 
     @property
     def on_request(self) -> frozenset[str]:
-        """Those of them that come only when asked for."""
+        """The places that come only when asked for."""
         ...
 
     @property

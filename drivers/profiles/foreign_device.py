@@ -384,7 +384,7 @@ class ForeignDevice:
         return heard and self.link.state is not LinkState.DOWN
 
     def _require_fitting(self, gains: PidGains) -> None:
-        """At the first connection, refuse a controller that runs what nobody knows of and nobody could write over."""
+        """Refuse, at the first connection, a controller that runs what nobody knows of and nobody could write over."""
         if self._contact.made or self._access.units.atomic or self.settings.closed or self.fits(gains):
             return
         shown = f"kp = {gains.kp:.6g}, ki = {gains.ki:.6g}, kd = {gains.kd:.6g}"
@@ -402,7 +402,7 @@ class ForeignDevice:
             raise DeviceMismatchError(f"{self.settings.where}: the configured gains: {error}") from None
 
     def _notice_silence(self, now_s: float) -> None:
-        """Nothing heard for too long, or no bus."""
+        """Notice that nothing was heard for too long, or that there is no bus."""
         reason = self._contact.lost(now_s, self.link.state)
         if not self._up:
             if self._contact.in_vain(now_s):
@@ -548,7 +548,7 @@ class ForeignDevice:
         raise WriteRefusedError(f"{self.settings.where}: retuner cannot store its gains; store them at the device")
 
     def confirm(self, now_s: float) -> bool:
-        """Nothing waits for a confirmation here."""
+        """Do nothing: no set waits for a confirmation here."""
         del now_s
         return True
 

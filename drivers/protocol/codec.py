@@ -377,7 +377,7 @@ def schema_lines() -> list[str]:
 
 
 def schema_of(plans: Mapping[int, _Plan]) -> int:
-    """The same of any plans."""
+    """The schema of any plans."""
     return zlib.crc32(schema_text(plans).encode()) & 0xFFFF
 
 
@@ -399,7 +399,7 @@ class _Encoded(can.Message):
     __slots__ = ()
 
     def __deepcopy__(self, _memo: dict[int, Any] | None) -> can.Message:
-        """The same, without the way through copy.deepcopy for eight bytes and a name: a quarter of the time."""
+        """A copy without the way through copy.deepcopy for eight bytes and a name: a quarter of the time."""
         return can.Message(
             self.timestamp,
             self.arbitration_id,

@@ -58,4 +58,4 @@ class Notes:
         return None if sample is None else AssembledSample(sample, 0)
 
     def contact_lost(self) -> None:
-        """Nothing is carried over from sample to sample here."""
+        """Do nothing: nothing is carried over from sample to sample here."""

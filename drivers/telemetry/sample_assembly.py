@@ -64,7 +64,7 @@ class SampleJoiner:
         self.ordered: int | None = None  # and of the one that is being written
 
     def go_on_after(self, t_s: float | None) -> None:
-        """Before the first sample: an earlier session has seen samples up to this time."""
+        """Begin after a session that has seen samples up to this time; before the first sample."""
         self._after = None if t_s is None else round(t_s / self._sample_time_s)
 
     def set_reference(self, sample: int) -> Said:

@@ -231,7 +231,7 @@ def identify_record(
     co_min: float | None = None,
     co_max: float | None = None,
 ) -> Identification:
-    """The same for a record that is a Window already; see identify."""
+    """The process behind a record that is a Window already; see identify."""
     window = within(window, co_min, co_max)
     sign = gains.direction if gains else None
     if open_loop:

@@ -163,7 +163,7 @@ def diagnose(
 def diagnose_record(
     window: Window, *, gains: PidGains | None = None, co_min: float | None = None, co_max: float | None = None
 ) -> RecordDiagnosis:
-    """The same for a record that is a Window already."""
+    """The diagnosis of a record that is a Window already."""
     return diagnose_windows([window], gains=gains, co_min=co_min, co_max=co_max)
 
 
@@ -174,7 +174,7 @@ def diagnose_windows(
     co_min: float | None = None,
     co_max: float | None = None,
 ) -> RecordDiagnosis:
-    """The same for several records of one loop with one controller: each adds to the odds.
+    """The diagnosis of several records of one loop with one controller: each adds to the odds.
 
     Where no gains are given, those of the newest record that shows any are taken for all.
     """

@@ -210,7 +210,7 @@ class PidController:
 
     @property
     def history(self) -> Frame:
-        """The same as a frame of pandas, or as arrays by name where pandas is not installed."""
+        """The history as a frame of pandas, or as arrays by name where pandas is not installed."""
         return self.trend.frame()
 
     def plot(self) -> "Figure":
@@ -419,7 +419,7 @@ def _remembered(memory: Mapping[str, Any], table: GainTable, settings: RetunerSe
 
 
 def _finite(name: str, value: float | str | None) -> float:
-    """That number; a sensor that failed may give anything, None too.
+    """The number, if it is finite; a sensor that failed may give anything, None too.
 
     Raises
     ------
@@ -467,7 +467,7 @@ def _gains(gains: PidGains) -> PidGains:
 
 
 def _one_region(name: str, gains: PidGains, low: float, high: float) -> GainTable:
-    """The same gains over the whole range of pv."""
+    """A table of one region with these gains over the whole range of pv."""
     return GainTable(name, Regions("pv", "pv", ("all",), low, (), high), (gains,))
 
 
@@ -485,7 +485,7 @@ def _mode(mode: Mode | str) -> Mode:
 
 
 def _begin(law_now: PidLaw, sp: float, pv: float) -> PidState:
-    """Before the first sample: the integral at 0, so that the first output is that of the proportional action.
+    """The state before the first sample: integral at 0, so that the first output is that of the proportional action.
 
     Raises
     ------

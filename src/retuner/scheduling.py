@@ -60,7 +60,7 @@ class RecordedGains:
             raise ValueError("active gains: give finite numbers")
 
     def near(self, x: float, visited: FloatArray) -> PidGains | None:
-        """Those in force when the variable was nearest to x. visited : its value at each of these samples."""
+        """The gains in force when the variable was nearest to x. visited : its value at each of these samples."""
         away = np.abs(visited - x)
         rows = np.argsort(away)[:NEAREST]
         if not len(rows) or away[rows[0]] > NEAR_SHARE * float(np.ptp(visited)):
@@ -107,7 +107,7 @@ class ScheduleDesign:
 
     @property
     def variable(self) -> str:
-        """That the schedule follows."""
+        """The variable that the schedule follows."""
         return self.design.variable
 
     @property
@@ -424,7 +424,7 @@ def at_limits(windows: Sequence[Window], co_range: tuple[float | None, float | N
 
 
 def _region_names(n: int) -> tuple[str, ...]:
-    """As people call them: low, middle, high; numbers where there are more."""
+    """Names as people give them: low, middle, high; numbers where there are more."""
     few = {1: ("all",), 2: ("low", "high"), 3: ("low", "middle", "high")}
     return few.get(n, tuple(f"part {i + 1}" for i in range(n)))
 

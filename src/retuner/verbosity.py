@@ -30,7 +30,7 @@ def quiet() -> bool:
 
 
 def be_normal() -> None:
-    """As a command begins: neither quiet nor verbose, and no handler of an earlier command in this process."""
+    """Set what a command begins with: neither quiet nor verbose, no handler of an earlier command."""
     _quiet[0] = False
     for logger in (LOGGER, logging.getLogger()):
         for handler in [one for one in logger.handlers if isinstance(one, _ErrorStream)]:
@@ -80,7 +80,7 @@ _template = typer.Typer(add_completion=False)
 
 @_template.command()
 def _command(quiet: Quiet = False, verbose: Verbose = 0) -> None:
-    """Its two options are those of every command."""
+    """The two options that every command has."""
 
 
 def with_verbosity(command: Command) -> Command:

@@ -20,7 +20,7 @@ from retuner.drivers.recorded.recording import RecordingError
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
 BEGIN_BYTES = 65_536
-"""As much of a text file tells its form."""
+"""Bytes of a text file that tell its form."""
 ANY_FAULT = (
     ArithmeticError,
     AttributeError,

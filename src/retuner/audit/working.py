@@ -90,7 +90,7 @@ def _quiet() -> None:
 
 
 def on_a_cluster(tasks: Sequence[Task], settings: AuditSettings, address: str) -> Iterator[tuple[Task, list[Row]]]:
-    """The same on a dask cluster, which tries tasks of dead workers again.
+    """The work on a dask cluster, which tries tasks of dead workers again.
 
     Raises UserError: dask.distributed is not installed, or nobody answers at the address.
     """

@@ -58,7 +58,7 @@ from retuner.stopping import stoppable
 from retuner.verbosity import quiet
 
 LARGEST_VALVE_STEP = 5.0
-"""Of a small step, percent of co."""
+"""Largest small step, percent of co."""
 
 
 class ExperimentSignal(NamedTuple):

@@ -28,7 +28,7 @@ from retuner.templates import profiles, starter
 
 OVEN, NATIVE = "oven", "retuner"
 RANGE_MARGIN = 0.25
-"""Of a record's range, on both sides, for the range of the transmitter that the record does not tell."""
+"""Share of a record's range added on both sides for the transmitter's range, which the record does not tell."""
 MOST_STEPS = 40
 """Setpoint changes of a record that a scenario takes over; more are a ramp, and then the first value stays."""
 PERCENT = (-0.5, 100.5)

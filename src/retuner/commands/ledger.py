@@ -94,7 +94,7 @@ def _selected(rows: list[Row], options: ShowOptions) -> list[Row]:
 
 
 def _of_loop(rows: list[Row], options: ShowOptions) -> list[Row]:
-    """Those about the loop, and about all of them; of a decision one has to say of which loop it is."""
+    """Rows about the loop, and about all of them; of a decision one has to say of which loop it is."""
     names = sorted({loop for row in rows if row.kind != "session" and (loop := row.body.get("loop"))})
     if options.loop is None:
         if options.decision is not None and len(names) > 1:
@@ -231,7 +231,7 @@ def _is_step(row: Row) -> bool:
 
 
 def _list(lines: list[LedgerLine]) -> str:
-    """The same for a narrow terminal: a head line a row, and an indented line for each answer."""
+    """The rows for a narrow terminal: a head line a row, and an indented line for each answer."""
     out, several = [], _several(lines)
     for line in lines:
         where = f"{line.loop} {line.region}" if several else line.region

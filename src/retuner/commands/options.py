@@ -52,7 +52,7 @@ def option(default: T, text: str, *names: str, metavar: str | None = None, panel
 
 
 def argument(default: T, text: str, *, metavar: str | None = None) -> T:
-    """As option, for what is given by its place."""
+    """An option that is given by its place."""
     return field(default=default, metadata={"shown": typer.Argument(help=text, metavar=metavar)})
 
 
@@ -147,7 +147,7 @@ def on_bus(config: "Config", interface: str | None, channel: str | None) -> "Con
 
 
 def all_on_bus(session: "SessionConfig", interface: str | None, channel: str | None) -> "SessionConfig":
-    """The same for all loops of a session.
+    """The configuration with the bus options, for all loops of a session.
 
     Raises UserError: they hang on several buses: which one is meant?
     """

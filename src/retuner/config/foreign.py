@@ -36,7 +36,7 @@ class AskConfig(Section):
     )
 
     def ask(self) -> Ask:
-        """As the drivers take it."""
+        """The request as the drivers take it."""
         return Ask(self.message, self.values)
 
 
@@ -58,7 +58,7 @@ class SignalConfig(Section):
     ask: AskConfig | None = _asked()
 
     def place(self) -> SignalOf:
-        """As the drivers take it."""
+        """The place as the drivers take it."""
         ask = self.ask.ask() if self.ask else None
         return SignalOf(self.message, self.signal, self.scale, self.offset, self.on_request or ask is not None, ask)
 
@@ -71,7 +71,7 @@ class ObjectConfig(Section):
     offset: float = _offset()
 
     def place(self) -> ObjectOf:
-        """As the drivers take it."""
+        """The place as the drivers take it."""
         return ObjectOf(self.object, self.scale, self.offset)
 
 
@@ -90,7 +90,7 @@ class SignalStateConfig(_StateSection):
     signal: str = setting("Signal of the message", text=(1, 128), source="the DBC")
 
     def states(self) -> States:
-        """As the drivers take it."""
+        """The states as the drivers take them."""
         return States(SignalOf(self.message, self.signal), self.expected, self.mask, self.reason)
 
 
@@ -100,7 +100,7 @@ class ObjectStateConfig(_StateSection):
     object: str = setting('Object: "6041", "6041:0" or its name', text=(1, 128), source="the EDS")
 
     def states(self) -> States:
-        """As the drivers take it."""
+        """The states as the drivers take them."""
         return States(ObjectOf(self.object), self.expected, self.mask, self.reason)
 
 
@@ -137,7 +137,7 @@ class SignalGainConfig(_GainSection):
     read_ask: AskConfig | None = _asked()
 
     def gain(self, quantity: Quantity, general: float) -> GainAt:
-        """As the drivers take it."""
+        """The gain as the drivers take it."""
         read = None
         if self.read_message:
             ask = self.read_ask.ask() if self.read_ask else None
@@ -152,7 +152,7 @@ class ObjectGainConfig(_GainSection):
     object: str = setting('Object: "6450", "6450:1" or its name', text=(1, 128), source="the EDS")
 
     def gain(self, quantity: Quantity, general: float) -> GainAt:
-        """As the drivers take it."""
+        """The gain as the drivers take it."""
         at = ObjectOf(self.object)
         return GainAt(quantity, at, at, self.factor(quantity, general), self.off)
 
@@ -190,7 +190,7 @@ class _GainsSection(Section):
                 yield Problem((), "has no proportional gain; give kp or xp")
 
     def gains(self) -> tuple[GainAt, ...]:
-        """As the drivers take them."""
+        """The gains as the drivers take them."""
         given = [(quantity, getattr(self, quantity)) for quantities in ACTIONS.values() for quantity in quantities]
         return tuple(one.gain(quantity, self.scale) for quantity, one in given if one is not None)
 
@@ -237,7 +237,7 @@ class ProtectConfig(Section):
     )
 
     def protection(self) -> Protection:
-        """As the drivers take it."""
+        """The protection as the drivers take it."""
         return Protection(self.message, self.counter, self.checksum, self.algorithm, self.data_id)
 
 
@@ -333,7 +333,7 @@ class DbcDeviceConfig(ForeignConfig):
     )
 
     def mapping(self, pv_span: float, co_span: float, by_hand: PidGains) -> DeviceMapping:
-        """As the drivers take it."""
+        """The mapping as the drivers take it."""
         return DeviceMapping(
             **_common(self, pv_span, co_span, by_hand),
             protected=tuple(one.protection() for one in self.protect),
@@ -367,7 +367,7 @@ class CanOpenDeviceConfig(ForeignConfig):
     own_node: int = setting("Number of this host", low=1, high=127, default=127, source="a common choice")
 
     def mapping(self, pv_span: float, co_span: float, by_hand: PidGains) -> DeviceMapping:
-        """As the drivers take it."""
+        """The mapping as the drivers take it."""
         return DeviceMapping(**_common(self, pv_span, co_span, by_hand))
 
 

@@ -145,7 +145,7 @@ def _from_zero(found: StepResponse, until_s: float) -> StepResponse:
 def _spread(
     axes: Axes, models: tuple[LinearProcess, ...], gains: PidGains, until_s: float, scale: float, *, load: bool
 ) -> None:
-    """Between the lowest and the highest response of the other models."""
+    """The band between the lowest and the highest response of the other models."""
     t = np.linspace(0, until_s, 200)
     found = [
         np.interp(t, one.t, one.pv, left=0.0)

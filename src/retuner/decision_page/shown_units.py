@@ -19,13 +19,13 @@ _units: dict[str, ControllerUnits] = {}
 
 
 def show_units_of(session: "SessionConfig") -> None:
-    """From now on gains are shown as these loops have them."""
+    """Show gains from now on as these loops have them."""
     _units.clear()
     _units.update({config.loop.name: config.units for config in session.loops})
 
 
 def show_units_told(told: Mapping[str, object]) -> None:
-    """The same from the configuration in a ledger, beside what is known already; older ledgers name no units."""
+    """Show gains as the configuration in a ledger says, beside what is known already; older ledgers name no units."""
     loops = told.get("loops")
     for one in loops if isinstance(loops, list) else [told]:
         loop = one.get("loop") if isinstance(one, Mapping) else None
@@ -38,7 +38,7 @@ def show_units_told(told: Mapping[str, object]) -> None:
 
 
 def show_units(units: ControllerUnits | None) -> None:
-    """From now on gains are shown so, whichever loop they are of; None for the units that nobody has chosen."""
+    """Show gains so from now on, whichever loop they are of; None for the units that nobody has chosen."""
     _units.clear()
     if units is not None:
         _units[""] = units

@@ -23,7 +23,7 @@ BEFORE, AFTER, MODEL, SETPOINT, FAINT, LIMIT = "#d55e00", "#0072b2", "#d55e00", 
 BANDS = ("#e4eef7", "#f8f0df", "#f5e4ec", "#e2f1ea", "#ecebf5")
 """Behind the time spent in each region."""
 MARK = "#a3261b"
-"""Of a change of gains."""
+"""Colour of a change of gains."""
 TONES = {
     "#000000": "ink",
     "#ffffff": "paper",

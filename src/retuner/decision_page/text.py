@@ -62,7 +62,7 @@ def done(view: DecisionView) -> str:
 
 
 def moves(before: PidGains, after: PidGains, loop: str = "") -> str:
-    """From where to where, each setting that moves by its name and with its factor. loop : its name, if known."""
+    """Each setting that moves, by its name, from where to where and with its factor. loop : its name, if known."""
     units = units_of(loop)
     try:
         old, new = units.numbers(before), units.numbers(after)
@@ -121,7 +121,7 @@ def headline(view: DecisionView) -> str:
 
 
 def footing(view: DecisionView) -> str:
-    """On which model curves and margins rest, where this record does not bear it out; empty where it does."""
+    """The model on which curves and margins rest, where this record does not bear it out; empty where it does."""
     model, shown = view.model, view.of_record
     settled = view.estimate.get("identifiable") is not False
     if model is None or view.before is None or (settled and not view.contradicted):

@@ -123,4 +123,4 @@ TERMS = (
     Term("ledger", "The audit trail: what was seen, decided and written, in a chain of hashes."),
     Term("depends on", "One thing changes with another.", (r"hangs? on",)),
 )
-"""All of them, in the order of the page."""
+"""All terms, in the order of the page."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO
 
 LENGTH = struct.Struct("<Q")
-"""Before each message: its length in bytes."""
+"""Length in bytes that stands before each message."""
 WARM = "warm"
 """The first message to the loop: all that a decision needs is imported."""
 MOST_EXPENDABLE = "1000"

@@ -28,7 +28,7 @@ class OldState(NamedTuple):
 
     @property
     def words(self) -> str:
-        """For a person who has to bring it back by hand."""
+        """The mode and setpoint for a person who has to bring them back by hand."""
         return f"{units_of().text(self.gains)}, sp {self.sp:g}, mode {'auto' if self.mode else 'manual'}"
 
 
@@ -95,7 +95,7 @@ class Helm:
         return self._shows_mode(wanted, sample) and self._shows_sp(wanted, sample) and self._shows_gains(wanted)
 
     def differs(self, wanted: Target, sample: LoopSample) -> str:
-        """In words what mode or setpoint are instead of the target's, empty when they are right."""
+        """Words for mode or setpoint where they are not the target's, empty when they are right."""
         if wanted.mode is not None and sample.mode != wanted.mode:
             return f"it is in {LoopMode(sample.mode).name.lower()}"
         return "" if self._shows_sp(wanted, sample) else f"its setpoint is {sample.sp:.6g}"

@@ -85,7 +85,7 @@ def schedule_into(path: Path, table: GainTable, ran: Config, note: str, ended: G
 
 
 def _differences(config: Config, ran: Config) -> Iterator[str]:
-    """In what a configuration is not that of the session."""
+    """Differences of a configuration from that of the session."""
     for key in SAME:
         here, there = getattr(config.loop, key), getattr(ran.loop, key)
         if here != there:

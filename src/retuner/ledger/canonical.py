@@ -48,7 +48,7 @@ def _check_text(text: str, where: str) -> None:
 
 
 def _plain(value: object) -> object:
-    """The same with plain dicts and lists, which is all that json takes."""
+    """The value with plain dicts and lists, which is all that json takes."""
     if isinstance(value, Mapping):
         return {key: _plain(inner) for key, inner in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):

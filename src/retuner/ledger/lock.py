@@ -41,7 +41,7 @@ class WriterLock:
 
 
 def _nothing() -> None:
-    """Nothing to release any more."""
+    """Do nothing: there is nothing to release any more."""
 
 
 if sys.platform == "win32":

@@ -157,7 +157,7 @@ class LedgerReader:
             raise LedgerError(f"{self.path}: cannot be read: {error}") from None
 
     def rows_after(self, seq: int, most: int) -> list[Row]:
-        """At most so many rows after this one, in order, as they stand in the file; the file is let go of at once."""
+        """The rows after this one, at most so many, in order, as the file has them; it is let go of at once."""
         query = "SELECT seq, clock_s, kind, body, previous, hash FROM ledger WHERE seq > ? ORDER BY seq LIMIT ?"
         try:
             return [Row(*columns) for columns in self._connection.execute(query, (seq, most)).fetchall()]

@@ -117,7 +117,7 @@ class LiveWriter:
 
 
 def _document(document: Mapping[str, object]) -> bytes:
-    """Its bytes with length and check sum; nothing where they do not fit."""
+    """The document's bytes with length and check sum; nothing where they do not fit."""
     raw = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     return DOCUMENT.pack(len(raw), zlib.crc32(raw)) + raw if len(raw) <= SLOT - HEAD - DOCUMENT.size else b""
 
@@ -238,7 +238,7 @@ def _after(finer: FloatArray, table: FloatArray) -> FloatArray:
 
 
 def thinned(table: FloatArray, most: int) -> FloatArray:
-    """At most so many rows (4 or more): the first, the last, and of each stretch those of the least and greatest pv."""
+    """The first row, the last, and of each stretch those of the least and greatest pv: at most so many (4 or more)."""
     if len(table) <= most:
         return table
     stretches = np.array_split(np.arange(len(table)), max(most // 2 - 1, 1))

@@ -38,7 +38,7 @@ from retuner.report.console import COLOURS, KEPT, MOST_CHARACTERS, UNDONE, live_
 
 BARS = "▁▂▃▄▅▆▇█"
 PLAIN = "_.-=*#"
-"""For terminals that show ASCII only."""
+"""Marks for terminals that show ASCII only."""
 
 
 def trace(values: Sequence[float], width: int, marks: str = BARS) -> str:

@@ -40,7 +40,7 @@ IN_PART = "half of a change that was "
 
 
 def half_way(question: Question, refused: PidGains) -> Question:
-    """The same question, where one change may go half the way (of logarithms) to gains that were refused."""
+    """The question where one change may go half the way (of logarithms) to gains that were refused."""
     guard = question.settings.guard.held_to(math.exp(extent(question.record.in_force, refused) / 2))
     return replace(question, settings=replace(question.settings, guard=guard), after=None)
 
@@ -237,7 +237,7 @@ class DecideAmong:
 
 
 def _gains(one: Retuner) -> PidGains:
-    """In force where the loop is, or being written."""
+    """The gains in force where the loop is, or being written."""
     region = one.region or 0
     trial = one.trials.of(region)
     if trial.phase is TrialPhase.WRITING and trial.new is not None:

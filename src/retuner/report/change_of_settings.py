@@ -60,7 +60,7 @@ def step_words(change: ShownChange) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _StepFigures:
-    """Of a setpoint step, in words: overshoot, settling time; and the loop's Ms."""
+    """Figures of a setpoint step in words: overshoot, settling time; and the loop's Ms."""
 
     overshoot: str
     settling: str
@@ -68,7 +68,7 @@ class _StepFigures:
 
     @classmethod
     def of(cls, process: LinearProcess, gains: PidGains, until_s: float) -> Self:
-        """With these settings on a process."""
+        """The figures with these settings on a process."""
         peak = sensitivity_peak(process, gains)
         if math.isinf(peak):
             return cls("without end", "never", "unstable")

@@ -126,7 +126,7 @@ def _marks(panels: Sequence[Axes], marks: Sequence[Mark], start_s: float, scale:
 
 
 def twin_svg(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: str, *, commissioned: bool) -> str:
-    """The same setpoint step with the commissioned gains and with the final ones, as SVG for a page."""
+    """One setpoint step with the commissioned gains and with the final ones, as SVG for a page."""
     with settings(f"twin {name}"):
         # The same setpoint step with the commissioned gains and with the final ones, on one time axis.
         # fixed : the same run with the commissioned gains, where there is one: then the same step of it is drawn;

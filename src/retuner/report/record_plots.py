@@ -27,7 +27,7 @@ WHOLE: dict[str, Any] = {"width_ratios": (2.1, 1), "height_ratios": (2, 1.3, 1),
 CHANGED: dict[str, Any] = {"width_ratios": (2.1, 0.75, 0.75), "height_ratios": (1.6, 1), "wspace": 0.16}
 """Shapes of the two grids of panels."""
 MOST_POINTS = 300
-"""Of pv over co."""
+"""Points of pv over co."""
 LINE_WIDTH, MOST_LINES = 72, 27
 """Characters in a line of the text beside the curves, and lines that fit."""
 

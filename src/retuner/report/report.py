@@ -321,7 +321,7 @@ def _ms_cell(score: RegionScore, limit: float, documents: Sequence[Document]) ->
 
 
 def _twins(data: ReportData) -> str:
-    """The same step before and after, per region."""
+    """One step before and after, per region."""
     names = data.after.regions.names
     images = []
     for twin in twin_steps(data.run, data.events):

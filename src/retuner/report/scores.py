@@ -154,7 +154,7 @@ def iae(columns: Columns, region: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """The same step twice in one region: indexes of the samples [start, end) of its first and its last occurrence."""
+    """One step twice in one region: indexes of the samples [start, end) of its first and its last occurrence."""
 
     region: int
     first: tuple[int, int]
@@ -163,7 +163,7 @@ class Twin:
 
 
 def twin_steps(columns: Columns, events_s: list[float]) -> list[Twin]:
-    """For each region the setpoint step that occurs twice with the longest time between: before and after learning.
+    """The setpoint step of each region that occurs twice with the longest time between: before and after learning.
 
     events_s : times at which something else begins (loads), where a step's response is cut off.
     """

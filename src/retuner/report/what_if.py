@@ -34,7 +34,7 @@ from retuner.schedule.late_dataclass import dataclass
 MOST_SAMPLES, MOST_MODELS, FREQUENCIES, SPEEDS = 800, 4, 240, 25
 """Sizes of what a page carries: some thirty kilobytes a loop."""
 LEAST_SAMPLES = 50
-"""Of a stay in a region, for settings to be tried on it."""
+"""Samples of a stay in a region, for settings to be tried on it."""
 STEPS = 400
 """Samples of a step response, at the controller's interval where that is longer."""
 MS_LIMIT = 1.8

@@ -123,7 +123,7 @@ def experiment_sentence(found: ScheduleDesign) -> str:
 
 
 def push_sentence(found: ScheduleDesign) -> str:
-    """That the variable moves pv by itself, which bands do not count; empty where it is a signal of the loop."""
+    """Words where the variable moves pv by itself, which bands do not count; empty where it is a signal of the loop."""
     form = found.design.curves.form
     pushing = [found.variable] * form.pushed
     if form.second is not None and form.second.pushed:
@@ -272,7 +272,7 @@ def _records(axes: "Axes", found: ScheduleDesign, windows: Sequence[Window]) -> 
 
 
 STYLES = ("-", "--", ":")
-"""Of lines at the low end, the middle and the high end of a second variable."""
+"""Line styles at the low end, the middle and the high end of a second variable."""
 
 
 def _at(found: ScheduleDesign, x2: float | None) -> str:

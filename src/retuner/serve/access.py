@@ -14,7 +14,7 @@ from retuner.schedule.late_dataclass import dataclass
 LASTS_S = 900.0
 """A session ends so long after its last act."""
 LONGEST_S = 8 * 3600.0
-"""And so long after it began: a shift."""
+"""Longest time after it began: a shift."""
 MOST_SESSIONS = 100
 MOST_CLIENTS = 10_000
 """Addresses of which the rate is remembered."""
@@ -43,7 +43,7 @@ class Bucket:
 
 @dataclass(frozen=True, slots=True)
 class SignedIn:
-    """Of a person who has given the token. Times by the monotonic clock."""
+    """A person who has given the token. Times by the monotonic clock."""
 
     began_s: float
     acted_s: float

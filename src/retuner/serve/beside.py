@@ -17,7 +17,7 @@ from retuner.serve.address import ServeOptions, lines, listening
 NEEDED = ("starlette", "uvicorn")
 MISSING = 'the page needs starlette and uvicorn; pip install "retuner[page]"'
 ENDS_WITHIN_S = 3.0
-"""After this a server that was told to end is ended."""
+"""Time after which a server that was told to end is ended."""
 
 
 def require_page(*, wanted: bool = True) -> None:

@@ -20,7 +20,7 @@ PAGE_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'self'; sandbox"
 )
-"""For the page of a decision: it stands in our frame, has its styles inside, and runs no script at all."""
+"""Policy of a decision's page: it stands in our frame, has its styles inside, and runs no script at all."""
 HEADERS = {
     b"x-content-type-options": b"nosniff",
     b"referrer-policy": b"no-referrer",

@@ -38,7 +38,7 @@ class Message:
         self.texts: dict[frozenset[str] | None, bytes] = {}
 
     def text(self, wanted: frozenset[str] | None, boot: str) -> bytes:
-        """As an event of a stream, with the loops that are wanted (None: all); empty where nothing of it is."""
+        """The news as an event of a stream, for the wanted loops (None: all); empty where nothing of it is wanted."""
         if wanted not in self.texts:
             parts = [f'"{key}":{body}' for key, body in self.loops.items() if wanted is None or key in wanted]
             data = f'{{"loops":{{{",".join(parts)}}},"rows":{self.rows}}}'

@@ -31,7 +31,7 @@ class WatchedLoop:
 
     @property
     def name(self) -> str:
-        """As its configuration names it."""
+        """The loop's name in its configuration."""
         return str(self.reader.head.get("loop", ""))
 
     @property

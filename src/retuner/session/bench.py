@@ -64,7 +64,7 @@ class HostBuses:
         self.buses = tuple(buses)
 
     def keep_leases(self, devices: Sequence[Device]) -> None:
-        """Nothing beside the polls keeps the leases here; `LiveBuses` has a timer for them."""
+        """Do nothing: the polls keep the leases here; `LiveBuses` has a timer for them."""
 
     def port(self, loop: int) -> FramePort:
         """Where a loop's host sends and receives."""

@@ -95,7 +95,7 @@ def no_orders(t_s: float) -> Iterable[Decision]:
 
 
 def no_memory(t_s: float) -> None:
-    """Nothing is kept beyond this session."""
+    """Keep nothing beyond this session."""
     del t_s
 
 

@@ -360,7 +360,7 @@ class OrderDesk:
         return f"region {region} is off: nothing is written there" if off else ""
 
     def _no_such(self, region: str) -> str:
-        """That there is no such region, empty when there is."""
+        """Words that there is no such region, empty when there is."""
         names = self._retuner.table.regions.names
         known = region in names
         return "" if known else f"there is no region {region or 'without a name'}; there are {', '.join(names)}"

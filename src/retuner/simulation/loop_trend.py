@@ -71,7 +71,7 @@ class LoopTrend:
 
     @property
     def window(self) -> Window:
-        """The same as a record for a fit; ValueError where it has fewer than three samples."""
+        """The trend as a record for a fit; ValueError where it has fewer than three samples."""
         return Window(self.t_s, self.sp, self.pv, self.co)
 
     def part(self, from_s: float, until_s: float) -> "LoopTrend":

@@ -19,7 +19,7 @@ def other_cause(
 
 
 def contradiction(other: Diagnosis | None) -> list[str]:
-    """That diagnosis sees more in the record than a process, so that nobody takes the settings for a cure."""
+    """Words where diagnosis sees more in the record than a process, so that nobody takes the settings for a cure."""
     if other is None:
         return []
     if other.cause is Cause.UNKNOWN:

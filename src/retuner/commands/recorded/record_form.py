@@ -77,7 +77,7 @@ def read_several(files: Sequence[Path], options: FormOptions) -> list[LoopRecord
 
 
 def days_told(days: int, records: int) -> tuple[Assumption, ...]:
-    """That records were read day by day, where they were."""
+    """Words where records were read day by day."""
     told = f"{days} days, each a record of its own: nights without samples, or with the controller off, left out"
     return (Assumption(told),) if days > records else ()
 
