@@ -8,6 +8,7 @@ Such a value is built where the numbers are found, and handed back; nobody write
 ledger keeps is made here and nowhere else.
 """
 
+from enum import StrEnum
 from typing import Self
 
 from retuner.schedule.late_dataclass import dataclass, fields, replace
@@ -35,3 +36,15 @@ class Numbers:
 
 NO_NUMBERS = Numbers()
 """The numbers of a decision that weighed nothing."""
+
+
+class Basis(StrEnum):
+    """What a proposal rests on."""
+
+    MODEL = "model"
+    SLOW_OSCILLATION = "slow_oscillation"
+    PATTERN = "pattern"
+    BORROWED = "borrowed"
+    PRETUNE = "pretune"
+    RAN = "ran_before"
+    ALL_SAMPLES = "all_samples"

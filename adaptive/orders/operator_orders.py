@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Verdict, change_factor, prove, within_limits
 from retuner.adaptive.guard.step_size import less_of_everything
@@ -21,16 +22,13 @@ from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
-from retuner.adaptive.supervision.guard_request import (
-    KnownProcesses,
-    change_request,
-    known_of,
-    prediction_of,
-    tuning_of,
-)
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.judge_evidence import prediction_of
+from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
 from retuner.adaptive.supervision.pipeline import NOT_KNOWN
 from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.proof_and_choice import change_request
+from retuner.adaptive.supervision.proposal_from_model import tuning_of
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.persons_edit import right_words, turned_words
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase

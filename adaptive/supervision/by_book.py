@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, doubted, move, update
@@ -32,8 +33,8 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.causes import doubt_of, exempt_from_confirmation, is_known
-from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import KnownProcesses, may_follow
+from retuner.adaptive.supervision.judge_evidence import may_follow
+from retuner.adaptive.supervision.known_processes import KnownProcesses
 from retuner.adaptive.supervision.open_loop_unstable import runaway
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, Look, admitted
 from retuner.schedule.gains import PidGains

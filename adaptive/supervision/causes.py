@@ -44,9 +44,8 @@ from retuner.adaptive.signals.growth import lasting
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import setpoint_steps
 from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, step_sequence
-from retuner.adaptive.supervision.guard_request import known_with, tuning_of
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
-from retuner.adaptive.supervision.proposal_from_model import RobustProposal
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal, tuning_of
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.valve.stand_still import stand_still
@@ -225,7 +224,7 @@ def known_of_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionM
 
 def wanted_of(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
     """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
-    return tuning_of(known_with(record, model, settings), record.region, record.in_force)
+    return tuning_of(record.known_with(model, settings), record.region, record.in_force)
 
 
 NOT_CONFIRMED = "by what is known of the region, {wanted}; {doubt}"

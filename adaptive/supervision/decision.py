@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive import display_hook
-from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis, Numbers
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
@@ -60,18 +60,6 @@ class Action(StrEnum):
     ADVISE = "advise"
     COMMIT = "commit"
     RESTORE = "restore"
-
-
-class Basis(StrEnum):
-    """What a proposal rests on."""
-
-    MODEL = "model"
-    SLOW_OSCILLATION = "slow_oscillation"
-    PATTERN = "pattern"
-    BORROWED = "borrowed"
-    PRETUNE = "pretune"
-    RAN = "ran_before"
-    ALL_SAMPLES = "all_samples"
 
 
 class Delay(NamedTuple):

@@ -7,7 +7,7 @@ After one to less action: was it a cure, or does the swing come from outside, so
 import math
 from dataclasses import replace
 
-from retuner.adaptive.decision_numbers import NO_NUMBERS
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import alike_on_both_sides, through_a_change
 from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
@@ -17,9 +17,9 @@ from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import LoopMode, Window
-from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of, unproved_request
+from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
 from retuner.adaptive.supervision.pipeline_types import Findings
+from retuner.adaptive.supervision.proof_and_choice import unproved_request
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.rollback import LOST_WORDS, less_stable
 from retuner.adaptive.trial.trial import Trial

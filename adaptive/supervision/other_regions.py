@@ -16,6 +16,7 @@ Nobody has watched that region. So the gains must be right on what the curves fo
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.identification.plausible import Plausible
@@ -24,10 +25,11 @@ from retuner.adaptive.region_model.prior_from_table import as_right_as_others
 from retuner.adaptive.region_model.region_curves import centre_of, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, predicted
-from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import BETWEEN, KnownProcesses, change_request, prediction_of, tuning_of
+from retuner.adaptive.supervision.judge_evidence import prediction_of
+from retuner.adaptive.supervision.known_processes import KnownProcesses
 from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
-from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit
+from retuner.adaptive.supervision.proof_and_choice import change_request
+from retuner.adaptive.supervision.proposal_from_model import BETWEEN, RobustProposal, over_limit, tuning_of
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.load_variability import wander_of, wander_there
 from retuner.adaptive.trial.posterior_check import costs

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.decision_numbers import NO_NUMBERS
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import SWINGING, from_rest_to_rest
 from retuner.adaptive.guard import prove
@@ -51,15 +51,7 @@ from retuner.adaptive.supervision.causes import (
     wanted_of,
     wrong_way,
 )
-from retuner.adaptive.supervision.choosing import chosen, lost_on_all, proved
-from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import (
-    may_follow,
-    posterior_of,
-    prediction_of_verdict,
-    unproved_request,
-    walked,
-)
+from retuner.adaptive.supervision.judge_evidence import may_follow, posterior_of, prediction_of_verdict, walked
 from retuner.adaptive.supervision.open_loop_unstable import cut_refuted, runaway
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.pipeline_types import (
@@ -71,11 +63,12 @@ from retuner.adaptive.supervision.pipeline_types import (
     admitted,
     not_evaluated,
 )
+from retuner.adaptive.supervision.proof_and_choice import chosen, lost_on_all, proved, unproved_request
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
-from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
+from retuner.adaptive.without_model.proposal_without_model import Proposed, without_model
 
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""

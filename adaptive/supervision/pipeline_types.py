@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis, Numbers
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
@@ -26,7 +26,8 @@ from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.adaptive.signals.step_sequence import step_sequence
 from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region, setpoint_led
-from retuner.adaptive.supervision.decision import WRITES, Action, Basis, Decision, Mode
+from retuner.adaptive.supervision.decision import WRITES, Action, Decision, Mode
+from retuner.adaptive.supervision.known_processes import KnownProcesses
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.response_finder import FinderState, Left
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -117,6 +118,11 @@ class ResponseRecord:
     def in_force(self) -> PidGains:
         """The gains that ran: the region's own, or in an interpolated table the mean at these scheduling values."""
         return self.table.at(self.region, *self.at)
+
+    def known_with(self, model: RegionModel, settings: RetunerSettings) -> KnownProcesses:
+        """What is known at the response, its region's model as it is with it."""
+        models = {**self.region_models, self.region: model}
+        return KnownProcesses(self.table, models, float(self.window.t_s[-1]), settings)
 
 
 @dataclass(frozen=True, slots=True)

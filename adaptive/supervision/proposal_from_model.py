@@ -5,9 +5,11 @@ region whose process is not known well enough gets none, with one exception: a l
 model that is still allowed is given less of everything without waiting for a better record.
 """
 
+import math
 from collections.abc import Sequence
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause, with_second_lag
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause, with_second_lag
+from retuner.adaptive.guard.between_knots import eased, worst_between
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
@@ -17,9 +19,11 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
+from retuner.adaptive.supervision.known_processes import KnownProcesses
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.table import Lookup
 
 LAG_DOMINANT = 8.0
 """tau1 over theta from which SIMC's integral time no longer is tau1 (Skogestad 2003, at tau_c = theta)."""
@@ -105,3 +109,36 @@ def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, 
     models = [p.model.seen_by_controller(settings.sample_time_s) for p in believed(allowed, settings.robust.believed)]
     ms = max((sensitivity_peak(model.linear(), after) for model in models), default=0.0)
     return f"on a plausible model Ms would be {ms:.2f}" if ms > settings.cause.ms_high else ""
+
+
+BEYOND = 1.05
+"""Times the limit of a cause above which a set is one at a border: the neighbour's model moves with its records."""
+BETWEEN = "ms_between"
+"""Evidence that a set is over its limit on the way to a neighbour: the Ms there."""
+
+
+def tuning_of(known: KnownProcesses, region: int, in_force: PidGains) -> RobustProposal:
+    """What the rule gives for a region, eased to what its part of the ways to the neighbours bears, and whether its
+    tuning is a cause (guard/between_knots.py).
+
+    In an interpolated table what ran, in_force, is a mean of several sets: asked is what the region's own does.
+    """
+    settings, hard = known.settings, known.table.lookup is Lookup.HARD
+    dt_s, guard, model = settings.sample_time_s, settings.guard, known.where_gains_run[region]
+    log, own = known.likeliest(region), in_force if hard else known.table.gains_of(region)
+    found, process = propose(model, log, own, settings), log.model()
+    borders = known.borders(region)
+    limit, high = guard.ms_nominal, settings.cause.ms_high * (BEYOND if hard else 1.0)
+    easier = eased(found.tuning.gains, borders, process, limit, dt_s, settings.filter_s)
+    if easier == found.tuning.gains:
+        return found
+    given = (process.seen_by_controller(dt_s), own, easier, log.gain_uncertainty(dt_s), settings.cause)
+    told = tuning_cause(*given, with_second_lag(model.plausible, dt_s))
+    found = replace(found, tuning=replace(found.tuning, gains=easier), diagnosis=told)
+    worst = worst_between(borders, process, own, dt_s, settings.filter_s)
+    if worst is None or worst.ms <= high or abs(easier.ki) >= abs(own.ki):
+        return found
+    seen = "the loop is unstable" if math.isinf(worst.ms) else over_words(worst.ms, high)
+    words = f"{seen} on the way to region {worst.to}"
+    evidence = {**found.diagnosis.evidence, BETWEEN: worst.ms}
+    return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))

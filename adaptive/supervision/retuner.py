@@ -38,7 +38,8 @@ from retuner.adaptive.supervision.decision import (
     restoring,
     staying,
 )
-from retuner.adaptive.supervision.guard_request import KnownProcesses, known_of, prediction_of, seen_of
+from retuner.adaptive.supervision.judge_evidence import prediction_of, seen_of
+from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
     NOBODY,

@@ -14,8 +14,8 @@ from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.signals.growth import GrowthSettings
 from retuner.adaptive.supervision.admission import EVERYWHERE, AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.vendor_units import VendorUnits

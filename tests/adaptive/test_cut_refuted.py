@@ -5,12 +5,13 @@ import math
 import pytest
 from test_online_cause import GOOD, Rig
 
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.oscillation_online import alike_on_both_sides, through_a_change
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision.decision import Action, Basis, Mode
+from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import predict_without_model
 from retuner.adaptive.trial.trial import Trial

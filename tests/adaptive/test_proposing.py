@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard.request import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, Locks
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.proposal_without_model import (
+from retuner.adaptive.without_model.proposal_without_model import (
     Proposed,
     WithoutModelSettings,
     without_model,

@@ -6,7 +6,7 @@ import pytest
 
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
+from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
 from retuner.cli import main
 from retuner.config.loading import load_config, parse_config
 from retuner.session.assembly import retuner_settings

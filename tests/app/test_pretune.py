@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.experiments.phases import AbortCause, Phase
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.decision import Action, Basis, Mode
+from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.cli import main

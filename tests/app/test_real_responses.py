@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.orders.operator_orders import pretune
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision.admission import AdmissionSettings, admit
-from retuner.adaptive.supervision.decision import Action, Basis, Mode
+from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings

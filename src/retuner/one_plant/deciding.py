@@ -12,10 +12,10 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.interaction.windows import OneLoopRecord, seen_in
-from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Question, StageResult
 from retuner.adaptive.supervision.retuner import Retuner

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Locks, change_factor
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings, demanded
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
+from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
 from retuner.config import Config
 from retuner.config.adaptation import AdaptationConfig
 from retuner.config.foreign import UNPROVED_ORDER

@@ -13,7 +13,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.update import Agreement, Learned
 from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.decision import Action, Mode
-from retuner.adaptive.supervision.guard_request import posterior_of
+from retuner.adaptive.supervision.judge_evidence import posterior_of
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings

@@ -8,13 +8,13 @@ import pytest
 from wood_berry import BLT, DT_S, records
 
 from retuner import PidController, PidGains
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.guard import GuardSettings, Verdict
 from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.interaction.together import Closed
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision import pipeline
-from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import seen_of
+from retuner.adaptive.supervision.judge_evidence import seen_of
 from retuner.adaptive.supervision.pipeline import PipelineStage
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, Question, StageResult
 from retuner.adaptive.trial.phase import TrialPhase

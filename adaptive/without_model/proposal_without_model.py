@@ -7,13 +7,12 @@
 Neither proves anything. The guard lets such a proposal through as a small step at the most, and the trial watches it.
 """
 
-from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis, Numbers
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.guard.request import NO_LOCKS, Locks
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
 from retuner.adaptive.without_model.slow_oscillation_step import SlowSettings, slow_oscillation_online
 from retuner.schedule.gains import PidGains

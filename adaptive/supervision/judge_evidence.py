@@ -1,0 +1,153 @@
+"""What the judge is shown of gains on trial: what they were predicted to do, what was seen, what is known by then."""
+
+from collections.abc import Sequence
+from itertools import islice
+
+import numpy as np
+
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.guard import Verdict
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.robust_simc import believed
+from retuner.adaptive.region_model.update import Agreement, Learned
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.admission import Ground
+from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, ResponseRecord, StageResult
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
+from retuner.adaptive.trial.load_variability import wander_of
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
+from retuner.adaptive.trial.prediction import Prediction, decay_seen, predict, predict_without_model
+from retuner.adaptive.trial.random_walk import beside_a_walk
+from retuner.adaptive.trial.rollback import StillAllowed
+from retuner.adaptive.trial.trial import Trial
+from retuner.schedule.late_dataclass import replace
+from retuner.schedule.table import GainTable
+
+OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
+"""Causes behind a response for which the gains on trial are not to blame."""
+NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
+WANDERS = 2.0
+"""Standard deviation of the error before a change over that of the noise, from which a load wanders."""
+AGREED = 2
+"""Records that agree, from which on one that does not identify the process says nothing against what they show."""
+
+
+def may_follow(trial: Trial, settings: RetunerSettings) -> bool:
+    """Whether a change may follow this response: of a region that rests or cools down, or whose trial it may end."""
+    last_one = trial.kept + 1 >= settings.trial.responses
+    return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
+
+
+def prediction_of(
+    verdict: Verdict | None,
+    table: GainTable,
+    region: int,
+    at: tuple[float, float],
+    response: Response | None,
+    settings: RetunerSettings,
+    samples: Sequence[LoopSample] = (),
+) -> Prediction | None:
+    """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
+
+    at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
+    samples : all that are kept, for how much the error moves while nothing happens.
+    """
+    if verdict is None or verdict.gains is None:
+        return None
+    in_force, new = table.at(region, *at), table.with_gains(region, verdict.gains).at(region, *at)
+    if verdict.allowed:
+        prediction = predict(
+            verdict.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+        )
+        prediction = replace(prediction, decay_seen=decay_seen(response))
+    elif response:
+        prediction = predict_without_model(response, in_force, new)
+    else:
+        return None
+    swung = prediction.decay_seen is not None and prediction.decay_seen > settings.trial.harmless_decay
+    return prediction if swung else replace(prediction, wander=wander_of(samples))
+
+
+def prediction_of_verdict(found: Findings, verdict: Verdict) -> Prediction | None:
+    """What the gains of a verdict promise; how pv moved before steps to and fro is what loads do by themselves."""
+    record = found.record
+    at = record.table, record.region, record.at
+    told = prediction_of(verdict, *at, record.pattern, found.settings, record.samples)
+    if told is None or found.steps is None:
+        return told
+    return replace(told, wander=max(told.wander, found.steps.wander))
+
+
+def posterior_of(
+    case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
+) -> PosteriorCheck | None:
+    """None where the record shows nothing of the process, or leaves more than noise unexplained."""
+    if learned is None or trial.old is None or not learned.estimate.plausible:
+        return None
+    if case.crossed:
+        # The same of a response that crossed a border: by all that is known of the region, where it agrees with that
+        known = learned.region_model
+        if known is None or learned.agreement != Agreement.AGREES:
+            return None
+        before = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
+        allowed = believed(known.plausible, settings.guard.believed)
+        found = check_posterior(
+            allowed, before, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+        )
+        return replace(found, settled=known.identifiable)
+    estimate = learned.estimate
+    if (
+        learned.agreement == Agreement.SILENT
+        or _outvoted(learned)
+        or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
+    ):
+        return None
+    old = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
+    allowed = believed(estimate.plausible, settings.guard.believed)
+    found = check_posterior(
+        allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+    )
+    known = learned.region_model
+    agreed = learned.agreement == Agreement.AGREES and known is not None and known.records > AGREED
+    return replace(found, settled=estimate.identifiable, agreed=agreed)
+
+
+def walked(
+    case: ResponseRecord, against: Sequence[Plausible], trial: Trial, settings: RetunerSettings
+) -> StillAllowed | None:
+    """What the loop did lately leaves of its process beside a load that wanders (trial/random_walk.py). Asked where the
+    error was seen to wander before the change, else None.
+    """
+    prediction, noise = trial.prediction, case.response.band / NOISE_RISES
+    if prediction is None or prediction.wander <= WANDERS * noise:
+        return None
+    models = [found.model for found in sorted(against, key=lambda found: found.excess)]
+    limits = (settings.trial.harmless_ms, settings.trial.level)
+    return beside_a_walk(case.samples, models, case.in_force, settings.sample_time_s, settings.filter_s, *limits)
+
+
+def _outvoted(learned: Learned) -> bool:
+    """The record contradicts several that agree, and could not name the process by itself: its load was no step."""
+    known = learned.region_model
+    records = known.records if known is not None else 0
+    alone = learned.agreement == Agreement.CONTRADICTS and not learned.estimate.identifiable
+    return alone and records >= AGREED
+
+
+def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
+    """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
+    what its own record says of the tried set and of the one before.
+    """
+    found, window = outcome.diagnosis, case.window
+    blameless = outcome.code in {OTHER_LOOP, *NOT_ADMITTED} or (found is not None and found.cause in OUTSIDE)
+    recent = islice(reversed(case.samples), len(window.t_s))
+    limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
+    outside = outcome.reason if blameless else ""
+    verdict = outcome.verdict
+    next_due = verdict is not None and verdict.accepted and (verdict.urgent or outcome.basis is Basis.ALL_SAMPLES)
+    told = (outcome.posterior, case.crossed, next_due, outcome.walked)
+    return JudgedResponse(case.response, window, limited, outside, *told)
