@@ -72,6 +72,13 @@ def test_what_a_record_does_not_tell_is_asked_for(tmp_path: Path, capsys: pytest
     file = str(tmp_path / "a.toml")
     assert main(["init", file, "--from", str(record(tmp_path / "raw.csv", co=100.0))]) == 2
     assert "a configuration has percent" in capsys.readouterr().err
+    share = str(record(tmp_path / "share.csv", co=0.01))
+    assert main(["init", file, "--from", share]) == 2
+    assert "a configuration has percent" in capsys.readouterr().err
+    for command in ("identify", "diagnose"):
+        assert main([command, share, "--kc", "3", "--tau-i", "20"]) == 2
+        assert "this gain is for co in percent" in (told := capsys.readouterr().err)
+        assert "give --scale co=0..1:0..100" in told
     still = tmp_path / "still.csv"
     still.write_text("t,sp,pv,co\n" + "\n".join(f"{i},1,1.{i % 2},50" for i in range(60)), encoding="utf-8")
     assert main(["init", file, "--force", "--from", str(still)]) == 2

@@ -18,6 +18,7 @@ from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.api import identify_record
+from retuner.commands.recorded.recorded_loop import SHARE
 from retuner.commands.signatures.init import InitOptions
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.errors import UserError, user_input
@@ -175,7 +176,7 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
     read = read_loop_record([record], in_automatic=True)
     window = read.recording.window()
     low, high = float(window.co.min()), float(window.co.max())
-    if low < PERCENT[0] or high > PERCENT[1]:
+    if low < PERCENT[0] or high > PERCENT[1] or high <= SHARE[1]:
         raise UserError(f"{record}: co runs from {low:g} to {high:g}; a configuration has percent, so convert it first")
     gains = given or settings_in_force(max(days_of(window), key=lambda day: len(day.t_s))).gains
     if gains is None:

@@ -3,7 +3,7 @@
 import json
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -58,7 +58,7 @@ def leave(
 ) -> None:
     """Write everything that the run leaves, and show the result. proposed : another schedule, by loop."""
     left = [
-        _leave_loop(job, ledger, session, i, fixed.loops[i] if fixed else None, proposed[i])
+        _leave_loop(job, ledger, session, i, fixed.loops[i] if fixed else None, proposed[i], screen.say)
         for i, loop in enumerate(session.loops)
         if loop.trend.rows
     ]
@@ -102,14 +102,22 @@ class _Left(NamedTuple):
 
 
 def _leave_loop(
-    job: RunJob, ledger: Ledger, session: Session, i: int, fixed: LoopSession | None, other: Refinement | None
+    job: RunJob,
+    ledger: Ledger,
+    session: Session,
+    i: int,
+    fixed: LoopSession | None,
+    other: Refinement | None,
+    say: Callable[[str], None],
 ) -> _Left:
-    """What the run leaves of one loop, in the folder of the loop. other : the schedule that its records ask for."""
+    """What the run leaves of one loop, in the folder of the loop. other : the schedule that its records ask for. say :
+    takes a line on what stays open.
+    """
     config, loop = job.config.loops[i], session.loops[i]
     folder = loop_folder(job.folder, loop.name if job.config.several else "")
     columns = loop.trend.columns()
     fixed_columns = fixed.trend.columns() if fixed is not None and fixed.trend.rows else None
-    scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns, job.config.loops)
+    scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns, job.config.loops, say)
     job.unwritten.write(folder / GAINS, to_toml(loop.table))
     advice, kind = advice_of(loop, other), config.output.trend
     with job.unwritten.trying():

@@ -3,7 +3,7 @@
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -144,17 +144,20 @@ def scores_of(
     columns: Columns,
     fixed: Columns | None = None,
     bench: Sequence[Config] = (),
+    say: Callable[[str], None] = lambda _: None,
 ) -> list[RegionScore]:
     """Each region before and after, from the columns of a trend; fixed : those of the run with fixed gains.
 
     bench : configurations of all its loops, to step a copy of a plant that is not ours; without them its Ms stay open.
+    say : takes a line on why they stay open all the same.
     """
     known: KnownPlant | SteppedPlant | None = None
     if config.device and config.device.plant:
         known = known_plant(config) or (stepped_plant(config, bench, columns["sp"], columns["co"]) if bench else None)
     try:
         return _scores(config, after, commits, columns, fixed, known)
-    except PlantFaultError:  # a copy that tells nothing takes nothing from the report
+    except PlantFaultError as fault:  # a copy that tells nothing takes nothing from the report
+        say(f"{config.loop.name}: no Ms on the simulated process: {fault}")
         return _scores(config, after, commits, columns, fixed, None)
 
 

@@ -27,7 +27,7 @@ from retuner.commands.recorded.record_form import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import (
     controller,
     read_records_of_loop,
-    require_direction,
+    require_fitting,
     require_length,
 )
 from retuner.commands.signatures.diagnose import DiagnoseOptions
@@ -85,7 +85,7 @@ def diagnose(options: DiagnoseOptions) -> int:
     records = read_records_of_loop(options)
     for read in records:
         require_length(read.recording)
-        require_direction(read.recording, gains)
+        require_fitting(read.recording, gains)
     source = records[0].recording.source
     source = source if len(records) == 1 else f"{source} and {len(records) - 1} more"
     with user_input(source), busy(f"diagnosing {source}"):

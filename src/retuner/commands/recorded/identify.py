@@ -18,7 +18,7 @@ from retuner.commands.recorded.record_form import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import (
     controller,
     read_loop,
-    require_direction,
+    require_fitting,
     require_length,
 )
 from retuner.commands.signatures.identify import IdentifyOptions
@@ -43,7 +43,7 @@ def identify(options: IdentifyOptions) -> int:
     recording = read.recording
     require_excitation(recording)
     require_length(recording)
-    require_direction(recording, gains)
+    require_fitting(recording, gains)
     if options.region_by or options.bounds:
         # identify and show each region by itself; the exit status: 0, or 1 when one of them is not known
         window = recording.window()

@@ -20,6 +20,10 @@ from retuner.schedule.gains import Form, PidGains, from_form
 
 MOST_BEYOND = 0.9
 """Share of co beyond a limit from which the limit is meant in another unit."""
+SHARE = (-0.05, 1.05)
+"""Between these co may be a share of its range."""
+PER_CENT, PER_CENT_WITHIN = 100.0, 2.0
+"""Ratio of a gain for co in percent to one for its share, and the factor within which it is taken for that."""
 FEWEST_SAMPLES = 20
 """Shorter records are refused: a model has four numbers, a load two, and noise must show besides."""
 
@@ -148,10 +152,10 @@ def controller(options: RecordOptions) -> PidGains | None:
         return from_form(options.form, options.kc, options.tau_i, options.tau_d)
 
 
-def require_direction(recording: Recording, gains: PidGains | None) -> None:
-    """Refuse gains that act against what the record shows of the controller that made it.
+def require_fitting(recording: Recording, gains: PidGains | None) -> None:
+    """Refuse gains that are not those of the controller that the record shows.
 
-    Raises UserError: the record shows the controller's law, and it acts the other way.
+    Raises UserError: the record shows the controller's law, and it acts the other way, or has a gain of another unit.
     """
     if gains is None:
         return
@@ -160,4 +164,12 @@ def require_direction(recording: Recording, gains: PidGains | None) -> None:
         raise UserError(
             f"--kc: these gains are {Acting.of(gains)} acting; {recording.source} shows a {Acting.of(found)}-acting "
             "controller: change the sign of --kc, or --action"
+        )
+    # A gain for percent beside co as a share of its range
+    low, high = float(recording.co.min()), float(recording.co.max())
+    times = gains.kp / found.kp if found is not None and found.kp else 1.0
+    if SHARE[0] <= low and high <= SHARE[1] and 1 / PER_CENT_WITHIN < times / PER_CENT < PER_CENT_WITHIN:
+        raise UserError(
+            f"--kc: this gain is for co in percent, {times:.3g} times what {recording.source} shows, where co runs "
+            f"from {low:.3g} to {high:.3g}; give --scale co=0..1:0..100, or the gain for co as it is recorded"
         )
