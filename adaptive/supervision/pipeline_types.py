@@ -309,12 +309,6 @@ OTHER_LOOP = "other_loop"
 """Code: another loop on the same plant moved, a known disturbance that is no verdict on this one."""
 
 
-PASSED_OVER = StageResult(
-    "passed_over", "the previous response was still being evaluated: not used to update the model"
-)
-"""What follows from a response that completes while a question is open."""
-
-
 class Step(NamedTuple):
     """What one sample led to: a decision that needs no fit, a question, both (a trial ended with it) or neither."""
 

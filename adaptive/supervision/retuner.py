@@ -45,7 +45,6 @@ from retuner.adaptive.supervision.pipeline_types import (
     NOBODY,
     NOT_EVALUATED,
     NOTHING,
-    PASSED_OVER,
     Ended,
     Look,
     OpenQuestion,
@@ -238,6 +237,10 @@ class Retuner:
         """The question whose answer has not been entered yet."""
         return self._open.question if self._open else None
 
+    def _waiting_s(self, opened: OpenQuestion) -> float:
+        """How long the answer to a question is waited for, s."""
+        return (self.sample_number - opened.question.sample_number) * self.settings.sample_time_s
+
     def enter(self, question: Question, result: StageResult, sample_number: int) -> Decision:
         """Enter the answer to the open question, after the sample of that number.
 
@@ -258,7 +261,8 @@ class Retuner:
         phase = self.trials.phase(opened.question.record.region)
         overtaken = overtaken_by(opened, self.region, self._finder.samples, self.table, phase)
         if overtaken is not None:
-            refused = StageResult(f"overtaken_{overtaken.name.lower()}", f"the decision came too late: {overtaken}")
+            told = f"the decision came too late, after {self._waiting_s(opened):.3g} s: {overtaken}"
+            refused = StageResult(f"overtaken_{overtaken.name.lower()}", told)
             return self._decision(opened.question.record.region, refused, opened.question)
         return self._learned_from_the_end(opened, result) if opened.ended else self._entered(opened.question, result)
 
@@ -446,7 +450,9 @@ class Retuner:
         if question is None:
             return NOTHING
         if self._open is not None:
-            return NOTHING if ended else Step(self._decision(seen.region, PASSED_OVER, question))
+            told = f"the previous response was still being evaluated after {self._waiting_s(self._open):.3g} s"
+            late = StageResult("passed_over", f"{told}: this one is not used to update the model")
+            return NOTHING if ended else Step(self._decision(seen.region, late, question))
         self._open = OpenQuestion(
             question, self.table, ended, self.region_models.get(region), self.excitation.get(region)
         )

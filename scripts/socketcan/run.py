@@ -98,7 +98,7 @@ def in_user_mode_linux(kernel: str, command: list[str], timeout_s: float) -> int
                 start_new_session=True,
             )
             status = wait(process, timeout_s)
-        return TIMED_OUT if status == TIMED_OUT else told(job)
+        return told(job, timed_out=status == TIMED_OUT)
 
 
 def environment() -> dict[str, str]:
@@ -107,11 +107,13 @@ def environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name in kept or name.startswith(("RETUNER_", "COV"))}
 
 
-def told(job: Path) -> int:
-    """Replay stdout and stderr of the command; its status."""
+def told(job: Path, *, timed_out: bool) -> int:
+    """Replay stdout and stderr of the command, as far as it came; its status."""
     for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
         if (job / name).exists():
             stream.write((job / name).read_text(errors="replace"))
+    if timed_out:
+        return TIMED_OUT
     status = job / "status"
     if not status.exists() or not status.read_text().strip():
         logs = [

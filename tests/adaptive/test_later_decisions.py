@@ -4,6 +4,7 @@ comes too late changes nothing.
 
 import json
 import pickle
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
@@ -177,6 +178,7 @@ def test_a_response_that_completes_meanwhile_is_passed_over() -> None:
     steps = [bench.retuner.step(sample) for sample in chain(found.samples, bench.samples(900, 0.0, 0.0, 10.0))]
     (passed,) = [step.decision for step in steps if step.decision]
     assert (passed.code, passed.action, passed.estimate) == ("passed_over", Action.NONE, None)
+    assert re.search(r"still being evaluated after \d+ s: this one is not used", passed.reason)
     assert all(step.question is None for step in steps)
 
 

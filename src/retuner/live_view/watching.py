@@ -101,6 +101,14 @@ class Publisher:
         self._say(f"{self._path}: {why}; the session continues, but cannot be watched from outside")
 
 
+TOLD_WHEN_LATE = 3
+"""Decisions that came too late, or were left out for one, after which it is told what helps."""
+COME_LATE = (
+    "decisions take longer than the loop's responses: what is late changes nothing, the gains stay; a lower --speed "
+    "(here and at the device), or fewer programs beside this one, lets them come in time"
+)
+
+
 def screen_for(as_json: bool, *, answers_only: bool, detail: bool) -> LiveScreen:
     """The screen of a run: on standard error where its answer is one JSON document. answers_only, detail : see it."""
     return LiveScreen(screen_console(stderr=as_json), quiet=as_json, answers_only=answers_only, detail=detail)
@@ -140,6 +148,7 @@ class Watching(OnScreen):
         self._folder = folder
         self._publishers: dict[str, Publisher] = {}
         self._lost: dict[str, int] = {}
+        self._late = 0
 
     def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
         """See Observer."""
@@ -152,7 +161,11 @@ class Watching(OnScreen):
         """See Observer."""
         name = loop.name if loop is not None and self._config.several else ""
         if kind == "decision" and loop is not None:
-            self._screen.decision(loop.decisions[-1], name)
+            self._screen.decision(made := loop.decisions[-1], name)
+            late = made.code == "passed_over" or made.code.startswith("overtaken")
+            self._late += late
+            if late and self._late == TOLD_WHEN_LATE:
+                self._screen.say(COME_LATE)
         elif told := event_line(kind, body):
             if kind == "lost" and not body.get("reason"):  # told again when their number has doubled
                 before = self._lost.get(name, 0)
