@@ -77,7 +77,7 @@ def answers(windows: Sequence[Moved], dt_s: float) -> StepAnswers:
     data = _Data(windows)
     best: tuple[float, FloatArray] | None = None
     # the best of all combinations of first guesses
-    shapes = [(math.log(lag * longest), 0.2, late * longest) for lag in LAGS for late in LATE]
+    shapes = [(math.log(max(lag * longest, QUICKEST)), 0.2, late * longest) for lag in LAGS for late in LATE]
     columns = np.stack([[data.column(i, *shape) for shape in shapes] for i in range(loops)])
     flat = columns.reshape(loops * len(shapes), -1)
     gram, onto = flat @ flat.T, flat @ data.rest

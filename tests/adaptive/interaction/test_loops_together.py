@@ -2,12 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from wood_berry import BLT, DT_S, MINUTE, WOOD_BERRY, column, records
 
-from retuner.adaptive.interaction.answers import Element, StepAnswers
+from retuner.adaptive.interaction.answers import Element, Moved, StepAnswers, answers
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.interaction.windows import seen_in
 from retuner.adaptive.loop.margins import margins
@@ -82,3 +83,13 @@ def test_moves_of_both_setpoints_show_the_whole_column() -> None:
 
 def test_a_plant_of_which_one_loop_has_not_moved_is_not_known() -> None:
     assert seen_in(records(0.01, (0, 0)), DT_S) is None
+
+
+def test_a_window_of_a_dozen_samples_is_enough_for_a_quick_process() -> None:
+    co = np.zeros((2, 12))
+    co[0, 1:], co[1, 6:] = 1.0, 1.0
+    pv = np.array([2.0 * (1.0 - math.exp(-(n - 1) / 1.5)) * (n > 1) for n in range(12)])
+    pv += np.array([0.5 * (1.0 - math.exp(-(n - 6) / 1.5)) * (n > 6) for n in range(12)])
+    found = answers([Moved(co, pv)], 1.0)
+    assert found.left < 0.01
+    assert found.elements[0].k == pytest.approx(2.0, rel=0.1)
