@@ -35,28 +35,29 @@ class DeviceCounter:
     def __init__(self) -> None:
         self.newest: int | None = None
         self._beats: deque[int] = deque()
+        self._reach = LONGEST_BEAT
         self._leap: int | None = None
 
     def begin(self, sample: int) -> None:
         """The device counts from here: the first that is known of it, or a restart that a read-back has proved."""
         self.newest, self._leap = sample, None
-        self._beats = deque([sample])
+        self._beats, self._reach = deque([sample]), LONGEST_BEAT
 
     def forget(self) -> None:
         """Contact was lost: the next heartbeat may be anywhere."""
         self.newest = None
 
-    def reach(self) -> int:
+    def _rhythm(self) -> int:
         """Samples beyond the newest heartbeat that telemetry may have come to."""
-        beats = list(self._beats)
-        if not beats or beats[-1] - beats[0] < LONGEST_BEAT:
+        beats = self._beats
+        if beats[-1] - beats[0] < LONGEST_BEAT:
             return LONGEST_BEAT
         widest = max(b - a for a, b in pairwise(beats))
         return max(BEATS_LOST * min(widest, LONGEST_BEAT), SHORTEST_REACH)
 
     def beyond(self, sample: int) -> bool:
         """Whether telemetry of this sample is further than the heartbeats have said."""
-        return self.newest is None or sample > self.newest + self.reach()
+        return self.newest is None or sample > self.newest + self._reach
 
     def beat(self, sample: int, last: int | None) -> Said:
         """Take a heartbeat; last : number of the newest whole sample."""
@@ -68,13 +69,14 @@ class DeviceCounter:
         leap, self._leap = self._leap, None
         if sample <= self.newest:
             return Said.CONTRADICTS if leap is not None or sample < self.newest - REMEMBERED // 2 else Said.AGREES
-        if sample > max(self.newest, last or 0) + self.reach() and not self._agrees(leap, sample):
+        if sample > max(self.newest, last or 0) + self._reach and not self._agrees(leap, sample):
             self._leap = sample
             return Said.WAITS
         self.newest = sample
         self._beats.append(sample)
         while sample - self._beats[0] > REMEMBERED:
             self._beats.popleft()
+        self._reach = self._rhythm()
         return Said.CONTRADICTS if leap is not None and leap > sample else Said.AGREES
 
     @staticmethod

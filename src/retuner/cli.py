@@ -7,13 +7,14 @@ problem one line on stderr, and 130 for Ctrl-C. Nobody sees a traceback unless R
 
 import os
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperArgument, TyperGroup, TyperOption
 from typer.main import get_command
 
 from retuner.drivers.recorded.mf4 import hide_library
@@ -57,6 +58,50 @@ SIGNED = frozenset({"approve", "experiment", "init", "ledger", "replay", "report
 def module_of(command: str) -> str:
     """The module that has a command's signature."""
     return f"retuner.commands.{'signatures.' if command in SIGNED else ''}{command}"
+
+
+def _readable(text: str) -> Path:
+    """Raises ValueError: the file may not be read."""
+    path = Path(text)
+    if path.exists() and not os.access(path, os.R_OK):
+        raise ValueError(text)
+    return path
+
+
+READERS: dict[object, Callable[[Any], object]] = {str: str, int: int, float: float, Path: _readable}
+
+
+class _Plain:
+    """How a value of an option or argument is read: text, numbers and paths by themselves, the rest by typer.
+
+    typer has pydantic read every value, which takes as long to load as numpy.
+    """
+
+    def __init__(self, parameter: Any) -> None:  # noqa: ANN401  typer's, which no public type names
+        kind, info = parameter.type_descriptor.annotation, parameter.type_descriptor.parameter_info
+        free = info.min is None and info.max is None
+        self._read = READERS.get(get_args(kind)[0] if get_origin(kind) is list else kind) if free else None
+
+    def coerce(self, value: Any, param: Any, ctx: object) -> object:  # noqa: ANN401
+        """The value, or an error in typer's words."""
+        several = param.multiple or param.nargs == -1
+        if value is None:
+            return () if several else None
+        try:
+            if self._read is not None:
+                return [self._read(one) for one in value] if several else self._read(value)
+        except ValueError:
+            pass
+        return BY_TYPER(param).coerce(value, param=param, ctx=ctx)
+
+
+def _plain(parameter: Any) -> _Plain:  # noqa: ANN401
+    return _Plain(parameter)
+
+
+BY_TYPER: Any = getattr(TyperOption, "get_runtime_param", None)
+if BY_TYPER is not None:  # of the typers that have pydantic
+    TyperOption.get_runtime_param = TyperArgument.get_runtime_param = _plain  # type: ignore[assignment,method-assign]
 
 
 class Commands(TyperGroup):
