@@ -1,8 +1,7 @@
 """`dataclass` for frozen classes with slots: the methods are made when the first object is, not when the class is.
 
-`dataclasses` compiles six methods a class, half a millisecond, at once. Two hundred classes were two thirds of what
-`from retuner import Retuner` cost beside numpy, while most uses make objects of a few dozen. Everything else is that of
-`dataclasses`, which makes the methods here too: same signatures, errors, fields and pickles.
+`dataclasses` compiles six methods a class, half a millisecond: of two hundred classes two thirds of what importing
+Retuner cost beside numpy. It makes them here too, later: same signatures, errors, fields and pickles.
 """
 
 import dataclasses
@@ -12,23 +11,25 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 __all__ = ["InitVar", "asdict", "astuple", "dataclass", "field", "fields", "replace"]
 
-METHODS = ("__setstate__", "__getstate__", "__delattr__", "__setattr__", "__hash__", "__eq__", "__repr__", "__init__")
-ATTRIBUTES = ("__dataclass_fields__", "__dataclass_params__", "__match_args__")
+READ = ["__dataclass_fields__", "__match_args__"]
+USED = [*READ, "__setstate__", "__getstate__", "__delattr__", "__setattr__", "__init__"]
+SHOWN = ["__dataclass_params__", "__hash__", "__eq__", "__repr__"]
+"""What `dataclasses` gives a class: what nearly every object needs, and what few are asked for."""
 
 
 class _WhenRead:
     """An attribute of a class that is there once it is asked for."""
 
-    def __init__(self, name: str, complete: Callable[[], Any]) -> None:
+    def __init__(self, name: str, complete: Callable[[str], Any]) -> None:
         self.name, self.complete = name, complete
 
     def __get__(self, _: object, owner: type) -> object:
-        return getattr(self.complete(), self.name)
+        return getattr(self.complete(self.name), self.name)
 
 
-def _when_called(name: str, complete: Callable[[], Any]) -> Callable[..., Any]:
+def _when_called(name: str, complete: Callable[[str], Any]) -> Callable[..., Any]:
     def method(self: object, *given: object, **named: object) -> object:
-        return getattr(complete(), name)(self, *given, **named)
+        return getattr(complete(name), name)(self, *given, **named)
 
     return method
 
@@ -38,19 +39,21 @@ def _late(defined: type, options: dict[str, bool]) -> Any:  # noqa: ANN401
     body = {name: value for name, value in vars(defined).items() if name not in {"__dict__", "__weakref__"}}
     body |= {"__qualname__": defined.__qualname__, "__doc__": defined.__doc__ or defined.__name__}
 
-    def complete() -> Any:  # noqa: ANN401  a class whose parts no checker knows
-        parts = vars(dataclasses.dataclass(**options)(type(defined)(defined.__name__, defined.__bases__, dict(body))))
+    def complete(name: str) -> Any:  # noqa: ANN401  a class whose parts no checker knows
+        shown = name in SHOWN
+        of = type(defined)(defined.__name__, defined.__bases__, dict(body))
+        parts = vars(dataclasses.dataclass(**options, eq=shown, repr=shown)(of))
         further = parts.keys() - vars(late).keys()  # __replace__, from Python 3.13
-        for name in (*further, *ATTRIBUTES, *(name for name in METHODS if name not in body)):
-            setattr(late, name, parts[name])
+        for each in (*further, *(each for each in (SHOWN if shown else USED) if each not in body)):
+            setattr(late, each, parts[each])
         late.__signature__ = None  # that of __init__, inspect takes this for
         return late
 
     notes = {name: getattr(kind, "__origin__", kind) for name, kind in defined.__annotations__.items()}
     own = [name for name, kind in notes.items() if kind is not ClassVar and type(kind) is not InitVar]
     above = {name for base in defined.__mro__[1:-1] for name in getattr(base, "__slots__", ())}
-    space: dict[str, object] = {name: _when_called(name, complete) for name in METHODS}
-    space |= {name: _WhenRead(name, complete) for name in (*ATTRIBUTES, "__signature__")}
+    space: dict[str, object] = {name: _when_called(name, complete) for name in (*USED[2:], *SHOWN[1:])}
+    space |= {name: _WhenRead(name, complete) for name in (*READ, SHOWN[0], "__signature__")}
     space |= {name: value for name, value in body.items() if name not in own}
     space["__slots__"] = tuple(name for name in own if name not in above)
     late: Any = type(defined)(defined.__name__, defined.__bases__, space)
