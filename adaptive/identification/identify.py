@@ -14,7 +14,7 @@ extended Kalman update (Bell & Cathey 1993); see tracker.py.
 
 import math
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -175,6 +175,16 @@ def fitted(window: Window, signs: tuple[int, ...], settings: FitSettings) -> lis
     for name, values in (("co", window.co), ("pv", window.pv)):
         if np.ptp(values) == 0:
             raise ValueError(f"{name} stays at {values[0]:g} in the whole record: nothing to identify from")
+    signals = (window.t_s, window.sp, window.pv, window.co)
+    record = tuple(np.asarray(values, dtype=np.float64).tobytes() for values in signals)
+    return list(_fitted(record, window.noise_std, signs, settings))
+
+
+@lru_cache(maxsize=1)  # one record's is asked for twice, to identify and to diagnose it
+def _fitted(
+    record: tuple[bytes, ...], noise_std: float, signs: tuple[int, ...], settings: FitSettings
+) -> list[Candidate]:
+    window = Window(*(np.frombuffer(values) for values in record), noise_std)
     found = candidates(window, signs, settings.choice, settings.most_samples)
     most = _samples_that_show(window, found[0], settings.most_samples)
     return found if most is None else candidates(window, signs, settings.choice, most)
