@@ -184,7 +184,8 @@ def fitted(window: Window, signs: tuple[int, ...], settings: FitSettings) -> lis
 def _fitted(
     record: tuple[bytes, ...], noise_std: float, signs: tuple[int, ...], settings: FitSettings
 ) -> list[Candidate]:
-    window = Window(*(np.frombuffer(values) for values in record), noise_std)
+    t_s, sp, pv, co = map(np.frombuffer, record)
+    window = Window(t_s, sp, pv, co, noise_std)
     found = candidates(window, signs, settings.choice, settings.most_samples)
     most = _samples_that_show(window, found[0], settings.most_samples)
     return found if most is None else candidates(window, signs, settings.choice, most)
