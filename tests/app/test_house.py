@@ -42,7 +42,7 @@ and "" is what `import retuner` gives. A package imports only from itself and fr
 # fmt: on
 # fmt: off
 CORE = {
-    "adaptive.supervision.retuner": (31_275, {"adaptive.audit", "adaptive.experiments", "adaptive.schedule_choice"}),
+    "adaptive.supervision.retuner": (31_260, {"adaptive.audit", "adaptive.experiments", "adaptive.schedule_choice"}),
     "commands.run": (48_600, {
         "adaptive.audit", "adaptive.schedule_choice", "api", "audit", "diagnosing", "doctor", "drivers.conformance",
         "drivers.canopen", "drivers.dbc", "drivers.historian", "drivers.plants.fmu_model", "experiment",
