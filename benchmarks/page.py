@@ -24,7 +24,7 @@ from statistics import median
 from retuner.config.loading import load_config
 from retuner.ledger import Ledger
 from retuner.live_view.live_file import LiveWriter
-from retuner.live_view.watching import head_of
+from retuner.live_view.watching_session import head_of
 from retuner.session.outputs import live_file
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -33,7 +33,7 @@ from retuner.adaptive.indexes.condition import (
     escapes,
     runs_by_itself,
 )
-from retuner.adaptive.indexes.limits import runs
+from retuner.adaptive.indexes.output_limits import runs
 from retuner.adaptive.indexes.recording_quality import quantum
 from retuner.adaptive.indexes.setpoint_responses import idle_index
 from retuner.adaptive.signals.noise import noise_sigma

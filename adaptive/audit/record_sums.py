@@ -10,7 +10,7 @@ import numpy as np
 
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.indexes.autocovariance import running_mean
-from retuner.adaptive.indexes.limits import STRETCH, is_limit, runs
+from retuner.adaptive.indexes.output_limits import STRETCH, is_limit, runs
 from retuner.adaptive.indexes.recording_quality import STRAIGHT
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import astuple, dataclass, fields

@@ -17,7 +17,7 @@ import numpy as np
 
 from retuner.adaptive.controller_settings.regression import BoolArray, Regression, Structure, by_increments, by_levels
 from retuner.adaptive.indexes.condition import Condition, record_condition, still_stretches
-from retuner.adaptive.indexes.limits import TOLERANCE, at_limits
+from retuner.adaptive.indexes.output_limits import TOLERANCE, at_limits
 from retuner.adaptive.indexes.recording_quality import quantum, recording_quality
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import Form, PidGains, in_form

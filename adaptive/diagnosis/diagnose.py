@@ -39,7 +39,7 @@ from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.condition import Condition
-from retuner.adaptive.indexes.limits import switches_between
+from retuner.adaptive.indexes.output_limits import switches_between
 from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.process.model import ProcessType

@@ -26,8 +26,8 @@ from retuner.adaptive.guard.checks import (
     limit_checks,
     robustness_checks,
 )
+from retuner.adaptive.guard.goal_within_limits import Goal, calmer, goals, nothing_left, without_short_derivative
 from retuner.adaptive.guard.guard_settings import GuardSettings
-from retuner.adaptive.guard.limits import Goal, calmer, goals, nothing_left, without_short_derivative
 from retuner.adaptive.guard.request import ChangeRequest, NeighbourBorder, Support
 from retuner.adaptive.guard.ruling import (
     BorderNumbers,

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from retuner.adaptive.indexes.limits import at_limits
+from retuner.adaptive.indexes.output_limits import at_limits
 from retuner.adaptive.signals.sample import Window
 
 GAP = 60.0
@@ -36,7 +36,7 @@ def days_of(window: Window, most: int = MOST_DAYS) -> list[Window]:
 def off_in(window: Window) -> npt.NDArray[np.bool_]:
     """In which samples the controller is off, shape (n,): co stands still for long. In none where that is rare.
 
-    co that stands still at a limit is at work: the error pushes it there (limits.py).
+    co that stands still at a limit is at work: the error pushes it there (output_limits.py).
     """
     limits = at_limits(window.co, error=window.sp - window.pv)
     ends = [float(f(window.co)) for share, f in ((limits.low, np.min), (limits.high, np.max)) if share > 0]

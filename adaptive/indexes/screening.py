@@ -40,7 +40,7 @@ from retuner.adaptive.indexes.autocovariance import (
 from retuner.adaptive.indexes.condition import RecordCondition, record_condition
 from retuner.adaptive.indexes.harmonics import half_wave_shape, phase_deg, refined_frequency, tones
 from retuner.adaptive.indexes.jumps import flat_share, jump_share
-from retuner.adaptive.indexes.limits import AtLimits, at_limits
+from retuner.adaptive.indexes.output_limits import AtLimits, at_limits
 from retuner.adaptive.indexes.recording_quality import recording_quality
 from retuner.adaptive.indexes.setpoint_responses import idle_index, setpoint_responses
 from retuner.adaptive.signals.noise import noise_sigma

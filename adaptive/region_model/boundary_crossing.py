@@ -28,7 +28,7 @@ from retuner.adaptive.region_model.update import (
     scattered,
 )
 from retuner.adaptive.region_model.varying_process_fit import InMotion, in_motion
-from retuner.adaptive.schedule_design.stretches import CurveAxis, CurveShape
+from retuner.adaptive.schedule_design.record_stretches import CurveAxis, CurveShape
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace

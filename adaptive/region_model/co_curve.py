@@ -11,7 +11,7 @@ variance of both. Where no curve is to be seen, s goes to zero and costs nothing
 import math
 from collections.abc import Iterable
 
-from retuner.adaptive.schedule_design.stretches import SLOPE_STD
+from retuner.adaptive.schedule_design.record_stretches import SLOPE_STD
 from retuner.schedule.late_dataclass import dataclass
 
 TOO_SURE = 2.0

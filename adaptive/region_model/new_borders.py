@@ -250,7 +250,7 @@ def _ms(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "that of an unstable loop"
 
 
-def refinement(
+def new_borders(
     table: GainTable,
     region_models: Mapping[int, RegionModel],
     t_s: float,
@@ -329,7 +329,7 @@ class _Cut:
     above: Best
 
 
-def _best_cut(row: Sequence[Spot]) -> _Cut:
+def _best_border(row: Sequence[Spot]) -> _Cut:
     """The boundary that serves most places of a region."""
     cuts = []
     for at in range(1, len(row) - 1):
@@ -363,7 +363,7 @@ def _split(
     kept = {region: best.kept for region, best in now.items()}
     for region, name in enumerate(table.regions.names):
         bounds.append(table.regions.span(region)[0])
-        cut = _best_cut(spots[region]) if region in wide else None
+        cut = _best_border(spots[region]) if region in wide else None
         more = cut.below.kept + cut.above.kept - now[region].kept if cut is not None else 0.0
         low, high = table.regions.span(region)  # the boundary leaves the hysteresis its room on both sides
         room = cut is not None and min(cut.x - low, high - cut.x) >= 2 * table.regions.axes[0].hysteresis

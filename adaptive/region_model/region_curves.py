@@ -1,6 +1,6 @@
 """What the regions together say of the process between them: smooth curves over the scheduling variables.
 
-    ln p(x) = c + phi(x) z,   z ~ N(0, I)      phi : level, slope and bends (schedule_design/stretches.py), of both axes
+    ln p(x) = c + phi(x) z,   z ~ N(0, I)      phi : level, slope and bends (record_stretches.py), of both axes
     x_i = ln p(place of region i) + e_i,   e_i ~ N(0, P_i)
 
 Every region with records of its own is one observation of the curves, with its covariance P_i: at its centre, which it
@@ -20,7 +20,7 @@ from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings, predicted_all
-from retuner.adaptive.schedule_design.stretches import CurveAxis, CurveShape
+from retuner.adaptive.schedule_design.record_stretches import CurveAxis, CurveShape
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.regions import Regions

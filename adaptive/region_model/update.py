@@ -39,7 +39,7 @@ from retuner.adaptive.identification.identify import Fits, FitSettings, estimate
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, moved_on, surprise_of, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
-from retuner.adaptive.schedule_design.stretches import SLOPE_STD
+from retuner.adaptive.schedule_design.record_stretches import SLOPE_STD
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.valve.record_through_valve import ValveInLoop, through_valve

@@ -24,8 +24,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
 from retuner.adaptive.schedule_design.curves import inflation
 from retuner.adaptive.schedule_design.joint import CurveForm, Joint, Noise, noise_of, refined
-from retuner.adaptive.schedule_design.rest import RestCurve
-from retuner.adaptive.schedule_design.stretches import (
+from retuner.adaptive.schedule_design.record_stretches import (
     SLOPE_STD,
     Characteristic,
     CurveAxis,
@@ -34,6 +33,7 @@ from retuner.adaptive.schedule_design.stretches import (
     over,
     signals_of,
 )
+from retuner.adaptive.schedule_design.rest_curve import RestCurve
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, replace

@@ -22,7 +22,7 @@ from retuner.adaptive.schedule_choice.scheduling_variables import (
 )
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
-from retuner.adaptive.schedule_design.stretches import CurveAxis, CurveShape, tells
+from retuner.adaptive.schedule_design.record_stretches import CurveAxis, CurveShape, tells
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains

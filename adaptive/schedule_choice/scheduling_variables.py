@@ -10,7 +10,7 @@ from retuner.adaptive.schedule_choice.borders_of_one_variable import mean_of
 from retuner.adaptive.schedule_design.curves import Curves, Progress, curves
 from retuner.adaptive.schedule_design.motion import recursion
 from retuner.adaptive.schedule_design.places import Place
-from retuner.adaptive.schedule_design.stretches import (
+from retuner.adaptive.schedule_design.record_stretches import (
     CurveAxis,
     CurveShape,
     Second,

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from retuner.adaptive.schedule_design.joint import At, CurveForm
-from retuner.adaptive.schedule_design.stretches import LEVEL_STD
+from retuner.adaptive.schedule_design.record_stretches import LEVEL_STD
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 

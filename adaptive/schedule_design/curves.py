@@ -25,8 +25,7 @@ from retuner.adaptive.schedule_design.joint import (
     starts,
     with_loads,
 )
-from retuner.adaptive.schedule_design.rest import RestCurve
-from retuner.adaptive.schedule_design.stretches import (
+from retuner.adaptive.schedule_design.record_stretches import (
     LEVEL_STD,
     Characteristic,
     CurveAxis,
@@ -35,6 +34,7 @@ from retuner.adaptive.schedule_design.stretches import (
     Stretch,
     over,
 )
+from retuner.adaptive.schedule_design.rest_curve import RestCurve
 from retuner.adaptive.schedule_design.weighing import SHAPES, SIMPLER, weighed
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace

@@ -14,7 +14,7 @@ import numpy as np
 
 from retuner.adaptive.fit.damped import Limits, descended
 from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_ways, response
-from retuner.adaptive.schedule_design.stretches import Characteristic, CurveAxis, CurveShape, Second, Stretch
+from retuner.adaptive.schedule_design.record_stretches import Characteristic, CurveAxis, CurveShape, Second, Stretch
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.stretches import Characteristic, Stretch, summed
+from retuner.adaptive.schedule_design.record_stretches import Characteristic, Stretch, summed
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 

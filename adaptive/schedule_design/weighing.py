@@ -17,7 +17,7 @@ import numpy as np
 
 from retuner.adaptive.schedule_design.agreement import CurvesAgreement
 from retuner.adaptive.schedule_design.joint import CurveForm
-from retuner.adaptive.schedule_design.stretches import CurveShape
+from retuner.adaptive.schedule_design.record_stretches import CurveShape
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 

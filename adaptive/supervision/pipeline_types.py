@@ -42,7 +42,7 @@ from retuner.schedule.table import GainTable, Lookup
 
 PROCESS_CHANGES_OVER = 0.1
 """Share of an axis along which a process may be expected to change by twice what records of one place differ by:
-before any record a factor of 4 over the whole is one standard deviation (schedule_design/stretches.py)."""
+before any record a factor of 4 over the whole is one standard deviation (schedule_design/record_stretches.py)."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from retuner.adaptive.signals.noise import (
     noise_step,
     quantum_sigma,
 )
+from retuner.adaptive.signals.noise_at_rest import wander_before
 from retuner.adaptive.signals.recogniser import (
     RecogniserLaw,
     RecogniserPhase,
@@ -35,7 +36,6 @@ from retuner.adaptive.signals.recogniser import (
     taken_over,
 )
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.rest import wander_before
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite, plain
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains

@@ -15,7 +15,7 @@ import canopen
 from canopen.objectdictionary import datatypes
 
 from retuner.drivers.canopen.eds_text import plain_text
-from retuner.drivers.profiles.access import ProfileError
+from retuner.drivers.profiles.controller_access import ProfileError
 from retuner.schedule.vendor_units import SINGLE_MAX, StorableNumbers
 
 Key = tuple[str | int, ...]

@@ -12,7 +12,7 @@ import canopen
 from canopen.network import PeriodicMessageTask
 from canopen.objectdictionary import datatypes
 
-from retuner.drivers.canopen.access import CanOpenAccess
+from retuner.drivers.canopen.canopen_access import CanOpenAccess
 from retuner.drivers.canopen.eds_file import EdsFile, Variable, holds
 from retuner.drivers.profiles.bench_loop import BenchLoop, load_of
 from retuner.drivers.profiles.mapping import DeviceMapping, ObjectOf, States

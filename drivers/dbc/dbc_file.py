@@ -8,7 +8,7 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message as Layout
 from cantools.database.can.signal import Signal
 
-from retuner.drivers.profiles.access import ProfileError
+from retuner.drivers.profiles.controller_access import ProfileError
 from retuner.drivers.profiles.distinct import Use
 from retuner.drivers.protocol.codec import PARSING_ERRORS
 from retuner.schedule.late_dataclass import dataclass

@@ -6,7 +6,7 @@ from cantools.database.can.message import Message as Layout
 from cantools.database.can.signal import Signal
 
 from retuner.drivers.dbc.checksums import ALGORITHMS
-from retuner.drivers.profiles.access import ProfileError
+from retuner.drivers.profiles.controller_access import ProfileError
 from retuner.drivers.profiles.mapping import Protection
 from retuner.schedule.late_dataclass import dataclass
 

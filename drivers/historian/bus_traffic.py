@@ -17,7 +17,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.dbc.dbc_file import read_dbc_file
 from retuner.drivers.device import DeviceError
 from retuner.drivers.historian.assumption import Assumption
-from retuner.drivers.historian.frames import RowNumbers
+from retuner.drivers.historian.data_frames import RowNumbers
 from retuner.drivers.historian.raw_table import RawTable
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.historian.tags import named

@@ -16,7 +16,7 @@ import numpy as np
 from retuner.adaptive import display_hook
 from retuner.adaptive.signals.sample import LARGEST, FloatArray
 from retuner.drivers.historian.assumption import Assumption, in_a_line, quoted
-from retuner.drivers.historian.frames import is_frame, table_of_frame
+from retuner.drivers.historian.data_frames import is_frame, table_of_frame
 from retuner.drivers.historian.parquet_tables import tables_of_parquet
 from retuner.drivers.historian.raw_table import RawTable, decoded, text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm

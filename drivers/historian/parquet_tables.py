@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from retuner.drivers.historian.frames import RowNumbers, column_of
+from retuner.drivers.historian.data_frames import RowNumbers, column_of
 from retuner.drivers.historian.raw_table import RawTable
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.historian.tags import loops, named

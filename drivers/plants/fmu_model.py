@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Sequence
 from typing import Any
 
-from retuner.drivers.plants.model import ModelSpec, PlantFaultError, missing_name
+from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError, missing_name
 
 try:
     import fmpy

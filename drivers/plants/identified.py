@@ -15,8 +15,8 @@ import numpy as np
 
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.drivers.plants.foreign_model import PlantFaultError
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.drivers.plants.model import PlantFaultError
 from retuner.drivers.plants.recorded_load import RecordedLoad
 
 KEYS = {"tau1": "tau1_s", "tau2": "tau2_s", "tau3": "tau3_s", "theta": "theta_s", "inverse": "inverse_s"}

@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from retuner.drivers.plants.model import ModelSpec, PlantFaultError
+from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError
 from retuner.drivers.plants.plant_process import FLOATS, TROUBLE, on_pipe
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from multiprocessing.connection import Connection
 
 from retuner.drivers.clock import Clock, MonotonicClock
-from retuner.drivers.plants.model import ModelSpec, PlantFaultError, StillBusyError
+from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError, StillBusyError
 
 ENDS_S = 2.0
 """How long a process is given to end by itself when it is no longer needed."""

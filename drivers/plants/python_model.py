@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from retuner.drivers.plants.model import ModelSpec, PlantFaultError, missing_name
+from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError, missing_name
 
 MOST_SHOWN = 60
 """Letters that are shown of what is no number."""

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from retuner.drivers.plants.model import PlantFaultError, PlantModel, StillBusyError
+from retuner.drivers.plants.foreign_model import PlantFaultError, PlantModel, StillBusyError
 from retuner.drivers.plants.plant import MeasurementNoise, check_step
 from retuner.drivers.plants.recorded_load import RecordedLoads
 from retuner.schedule.late_dataclass import dataclass

@@ -14,7 +14,7 @@ import numpy as np
 
 from retuner.adaptive.loop.simulate import held_over
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.drivers.plants.model import PlantFaultError
+from retuner.drivers.plants.foreign_model import PlantFaultError
 
 Rows = Sequence[Sequence[float]]
 STEPS_KEPT = 64

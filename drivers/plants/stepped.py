@@ -13,7 +13,7 @@ import numpy as np
 from retuner.adaptive.identification.identify import OPEN_LOOP, identify_window
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.drivers.plants.model import PlantFaultError
+from retuner.drivers.plants.foreign_model import PlantFaultError
 from retuner.drivers.plants.shared_plant import PlantPort
 
 STEP_PCT = 1.0

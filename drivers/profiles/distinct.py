@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from itertools import combinations
 from typing import NamedTuple
 
-from retuner.drivers.profiles.access import ProfileError
+from retuner.drivers.profiles.controller_access import ProfileError
 
 
 class Use(NamedTuple):

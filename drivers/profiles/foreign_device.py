@@ -37,7 +37,8 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
-from retuner.drivers.profiles.access import (
+from retuner.drivers.profiles.bench_loop import load_frame
+from retuner.drivers.profiles.controller_access import (
     Access,
     Acknowledged,
     Denied,
@@ -48,7 +49,6 @@ from retuner.drivers.profiles.access import (
     Stopped,
     Told,
 )
-from retuner.drivers.profiles.bench_loop import load_frame
 from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.gain_course import GainCourse
 from retuner.drivers.recorded.sample_note import note_of

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from retuner.schedule.table import Lookup as Lookup
     from retuner.scheduling import design_schedule as design_schedule
     from retuner.simulation.loop_trend import LoopTrend as LoopTrend
-    from retuner.simulation.simulate import simulate as simulate
+    from retuner.simulation.simulate_loop import simulate as simulate
     from retuner.tuning import TuneResult as TuneResult
     from retuner.tuning import tune as tune
 
@@ -137,7 +137,7 @@ _HOMES = {
     "schedule.table": ("GainTable", "Lookup"),
     "scheduling": ("design_schedule",),
     "simulation.loop_trend": ("LoopTrend",),
-    "simulation.simulate": ("simulate",),
+    "simulation.simulate_loop": ("simulate",),
     "tuning": ("TuneResult", "tune"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

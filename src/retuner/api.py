@@ -23,7 +23,7 @@ from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.stand_still import StandStillSettings, stand_still
-from retuner.drivers.historian.frames import is_frame
+from retuner.drivers.historian.data_frames import is_frame
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.historian.time_stamps import Numbers, Times, seconds

@@ -14,7 +14,7 @@ HOMES = {
     "pretune": "session.pretuning",
     "one plant": "one_plant.joining",
     "page": "serve.beside",
-    "live view": "live_view.watching",
+    "live view": "live_view.watching_session",
     "what a run leaves": "commands.left_by_run",
 }
 """Module of each, below `retuner.`."""

@@ -17,7 +17,7 @@ from retuner.adaptive.region_model.boundary_crossing import (
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
 from retuner.adaptive.region_model.varying_process_fit import in_motion
-from retuner.adaptive.schedule_design.stretches import CurveAxis
+from retuner.adaptive.schedule_design.record_stretches import CurveAxis
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import CurveAxis as TableAxis

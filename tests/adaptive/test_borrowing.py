@@ -12,7 +12,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, borrowed
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings, update_region_model
-from retuner.adaptive.schedule_design.stretches import BEND_STD, SLOPE_STD
+from retuner.adaptive.schedule_design.record_stretches import BEND_STD, SLOPE_STD
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 

@@ -5,7 +5,7 @@ import pytest
 
 from retuner.adaptive.schedule_design.joint import white
 from retuner.adaptive.schedule_design.motion import Batch, Local, response
-from retuner.adaptive.schedule_design.stretches import Stretch, signals_of
+from retuner.adaptive.schedule_design.record_stretches import Stretch, signals_of
 from retuner.adaptive.signals.sample import Window
 
 THETA, TAU, FALL, PARTS = 3.0, 60.0, 0.04, 20

@@ -22,9 +22,9 @@ from retuner.adaptive.region_model import sequences as of_region
 from retuner.adaptive.region_model.sequences import update_by_sequences
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
 from retuner.adaptive.signals.noise import coloured_sigma, noise_sigma, quantum_sigma
+from retuner.adaptive.signals.noise_at_rest import wander_before
 from retuner.adaptive.signals.recogniser import START_BANDS
 from retuner.adaptive.signals.response import Ending, Response
-from retuner.adaptive.signals.rest import wander_before
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import LEAST_LEAD, SetpointSteps, setpoint_steps
 from retuner.adaptive.signals.step_sequence import step_sequence

@@ -34,7 +34,7 @@ from retuner.experiment.runner import ExperimentRunner
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.gains import PidGains
 from retuner.session.assembly import link_settings, virtual_device_settings
-from retuner.session.bench import live, simulated
+from retuner.session.bench_or_buses import live, simulated
 from retuner.session.running import nothing
 
 SERVO = Path(__file__).parents[1] / "data" / "servo" / "relay.csv"

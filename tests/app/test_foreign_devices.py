@@ -181,7 +181,7 @@ def test_another_number_for_an_action_replaces_that_of_the_profile(tmp_path: Pat
 def test_without_the_package_the_line_says_what_to_install(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "retuner.drivers.canopen.access", None)
+    monkeypatch.setitem(sys.modules, "retuner.drivers.canopen.canopen_access", None)
     assert main(["check", str(EXAMPLES / "cia404.toml")]) == 2
     assert 'pip install "retuner[canopen]"' in capsys.readouterr().err
 

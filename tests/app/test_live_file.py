@@ -13,7 +13,7 @@ from retuner.drivers.device import RunningSet
 from retuner.live_view import live_file
 from retuner.live_view.live_file import FIELDS, RING, LiveFileError, LiveReader, LiveWriter, place, thinned
 from retuner.live_view.loop_seen import LoopObserver
-from retuner.live_view.watching import Publisher, head_of
+from retuner.live_view.watching_session import Publisher, head_of
 from retuner.schedule.gains import PidGains
 from retuner.session.assembly import make_retuner
 from retuner.session.outputs import live_file as live_path

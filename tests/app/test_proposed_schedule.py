@@ -48,7 +48,7 @@ def proposal(table: GainTable = OTHER) -> Refinement:
 
 def asking_for(patch: pytest.MonkeyPatch, found: Refinement | None) -> None:
     """What the records of every session ask for."""
-    patch.setattr(new_borders, "refinement", lambda *_: found)
+    patch.setattr(new_borders, "new_borders", lambda *_: found)
 
 
 @pytest.fixture(scope="module")

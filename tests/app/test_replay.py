@@ -24,7 +24,7 @@ from retuner.drivers.bus.bus_opening import log_parts
 from retuner.drivers.recorded.frame_log import read_frames
 from retuner.ledger.chain import Row
 from retuner.replay.replaying import first_difference, recorded_columns
-from retuner.session import bench, outputs
+from retuner.session import bench_or_buses, outputs
 from retuner.session.outputs import read_session
 
 sys.path.append(str(Path(__file__).parent))
@@ -147,9 +147,9 @@ def test_a_changed_bus_log_is_found(session: Path, tmp_path: Path, capsys: pytes
 def in_parts(folder: Path, frames_a_look: int) -> Path:
     """A session whose bus log is put aside at each look at its size."""
     folder.mkdir()
-    small = bench.link_settings
+    small = bench_or_buses.link_settings
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bench, "link_settings", lambda *given: replace(small(*given), log_bytes_max=2.0))
+        patch.setattr(bench_or_buses, "link_settings", lambda *given: replace(small(*given), log_bytes_max=2.0))
         patch.setattr(bus_opening, "LOOK_EVERY", frames_a_look)
         return run_short(folder, "--mode", "auto")
 

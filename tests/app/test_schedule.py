@@ -18,7 +18,7 @@ from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
-from retuner.schedule_report.page import message_sentence, push_sentence, variable_sentence
+from retuner.schedule_report.schedule_page import message_sentence, push_sentence, variable_sentence
 from retuner.scheduling import RecordedGains, ScheduleDesign, at_limits, table_of
 
 Capture = pytest.CaptureFixture[str]

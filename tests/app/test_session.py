@@ -10,7 +10,7 @@ from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import Step
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.config.bench import ScenarioConfig
+from retuner.config.bench_config import ScenarioConfig
 from retuner.drivers.bus.bus import HOLDING, FaultNews, LinkFault
 from retuner.drivers.device import (
     CommandFailed,

@@ -9,13 +9,13 @@ import can
 import pytest
 
 from retuner.adaptive.process.model import LinearProcess
-from retuner.drivers.canopen.access import CanOpenAccess, NodeSettings
+from retuner.drivers.canopen.canopen_access import CanOpenAccess, NodeSettings
 from retuner.drivers.canopen.eds_file import EdsFile, holds, read_eds
 from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.drivers.profiles.access import Acknowledged, Denied, Heard, ProfileError
 from retuner.drivers.profiles.bench_loop import BenchLoop
+from retuner.drivers.profiles.controller_access import Acknowledged, Denied, Heard, ProfileError
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf
 from retuner.schedule.gains import PidGains
 from retuner.schedule.vendor_units import Quantity

@@ -8,7 +8,7 @@ import made_fmu
 import pytest
 
 from retuner.drivers.plants.fmu_model import FmuModel
-from retuner.drivers.plants.model import ModelSpec, PlantFaultError
+from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError
 from retuner.drivers.plants.plant_process import ModelInProcess
 
 LAG = ModelSpec("fmu", "", ("u",), ("y",), (40.0,), {"tau": 20.0, "x": 10.0})

@@ -20,7 +20,7 @@ from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.telemetry.signal_source import plant_message
 from retuner.schedule.gains import PidGains
-from retuner.session.bench import live_buses
+from retuner.session.bench_or_buses import live_buses
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NODES = (1, 5, 63)

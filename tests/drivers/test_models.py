@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.process.model import LinearProcess
+from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError
 from retuner.drivers.plants.identified import alike, load_of, model_of
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.drivers.plants.model import ModelSpec, PlantFaultError
 from retuner.drivers.plants.plant_process import ModelInProcess
 from retuner.drivers.plants.python_model import PythonModel, find_object
 from retuner.drivers.plants.recorded_load import LoadedPlant, RecordedLoad, RecordedLoads

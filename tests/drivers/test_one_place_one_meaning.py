@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from retuner.drivers.canopen.access import CanOpenAccess
+from retuner.drivers.canopen.canopen_access import CanOpenAccess
 from retuner.drivers.canopen.eds_file import EdsFile, read_eds
-from retuner.drivers.dbc.access import DbcAccess
+from retuner.drivers.dbc.dbc_access import DbcAccess
 from retuner.drivers.dbc.dbc_file import DbcFile, bits_of, read_dbc_file
-from retuner.drivers.profiles.access import ProfileError
+from retuner.drivers.profiles.controller_access import ProfileError
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf, Protection, SignalOf, States
 from retuner.schedule.vendor_units import Quantity
 

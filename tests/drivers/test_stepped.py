@@ -8,7 +8,7 @@ import pytest
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.drivers.plants.model import PlantFaultError
+from retuner.drivers.plants.foreign_model import PlantFaultError
 from retuner.drivers.plants.shared_plant import PlantPort, PortSettings, SharedPlant
 from retuner.drivers.plants.state_space import StateSpaceModel
 from retuner.drivers.plants.stepped import SteppedPlant, rests_of

@@ -10,11 +10,11 @@ from retuner.config.loading import load_config
 from retuner.drivers.device import RunningSet
 from retuner.ledger import Ledger
 from retuner.live_view.loop_seen import LoopObserver
-from retuner.live_view.watching import Publisher, head_of
+from retuner.live_view.watching_session import Publisher, head_of
 from retuner.schedule.gains import PidGains
-from retuner.serve.access import PageAccess
 from retuner.serve.application import PageAnswers
 from retuner.serve.hub import Hub
+from retuner.serve.page_access import PageAccess
 from retuner.serve.runs import RecordedRuns
 from retuner.session.assembly import make_retuner
 

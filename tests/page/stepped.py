@@ -13,7 +13,7 @@ from two_regions import two_regions
 from retuner.config.loading import load_session
 from retuner.ledger import Ledger
 from retuner.live_view.live_screen import LiveScreen
-from retuner.live_view.watching import Watching
+from retuner.live_view.watching_session import Watching
 from retuner.schedule.gains import PidGains
 from retuner.session.running import Run
 

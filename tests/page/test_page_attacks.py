@@ -10,8 +10,8 @@ from effort import sized
 from served import ORIGIN, Served, Session
 
 from retuner.cli import main
-from retuner.serve.access import LASTS_S, LONGEST_S, Bucket
 from retuner.serve.address import ServeOptions, is_local, lines, listening, our_names
+from retuner.serve.page_access import LASTS_S, LONGEST_S, Bucket
 
 ORDER = {"loop": "demo/1", "order": "mode", "mode": "off", "by": "Mallory"}
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from retuner.adaptive.interaction.answers import Element, StepAnswers
-from retuner.adaptive.interaction.windows import OneLoopRecord
+from retuner.adaptive.interaction.common_windows import OneLoopRecord
 from retuner.schedule.gains import PidGains
 
 MINUTE = 60.0

@@ -63,7 +63,7 @@ def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
     """The controllers on their buses, until their time is over or somebody stops them."""
     from retuner.drivers.clock import MonotonicClock
     from retuner.drivers.controller.device_process import fresh_epoch, run_devices
-    from retuner.session.bench import far_ends
+    from retuner.session.bench_or_buses import far_ends
     from retuner.stopping import stoppable
 
     clock = MonotonicClock(speed)

@@ -16,7 +16,7 @@ from retuner.adaptive.explanations.proposed_test import TestKind
 from retuner.adaptive.rules.registry import rule_named
 from retuner.commands.options import on_bus
 from retuner.commands.recorded.plot_option import check_plot
-from retuner.commands.recorded.record_form import read_record, tell_assumed
+from retuner.commands.recorded.record_options import read_record, tell_assumed
 from retuner.commands.signatures.experiment import (
     ControllerOptions,
     OnDemandOptions,
@@ -51,7 +51,7 @@ from retuner.experiment.target import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAUL
 from retuner.files import write_whole
 from retuner.ledger import Ledger
 from retuner.report.console import RunScreen, screen_console
-from retuner.session.bench import live, simulated
+from retuner.session.bench_or_buses import live, simulated
 from retuner.session.outputs import BUS_LOG, LEDGER, fresh_folder, give_back
 from retuner.session.running import real_time_speed
 from retuner.stopping import stoppable

@@ -11,11 +11,11 @@ from typing import Any
 from retuner.commands.signatures.report import ReportOptions
 from retuner.config.bench_plants import known_plant, stepped_plant
 from retuner.config.model import Config
+from retuner.decision_page.decision_article import page
 from retuner.decision_page.decision_view import view_of, what_came_of
-from retuner.decision_page.page import page
 from retuner.decision_page.row_values import Document, gains_of, number, part, parts, words
 from retuner.decision_page.shown_units import show_units_of
-from retuner.drivers.plants.model import PlantFaultError
+from retuner.drivers.plants.foreign_model import PlantFaultError
 from retuner.drivers.plants.plant import KnownPlant
 from retuner.drivers.plants.stepped import SteppedPlant
 from retuner.errors import UserError, user_input

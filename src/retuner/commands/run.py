@@ -46,7 +46,7 @@ from retuner.verbosity import quiet
 
 if TYPE_CHECKING:
     from retuner.live_view.live_screen import LiveScreen
-    from retuner.live_view.watching import Watching
+    from retuner.live_view.watching_session import Watching
 
 
 # ---- Everything that is settled before a run begins

@@ -26,9 +26,9 @@ from retuner.config.section import Problem
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.plants.boiler_plant import BoilerPlant
+from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError, PlantModel, missing_name
 from retuner.drivers.plants.identified import alike, load_of, model_of
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.drivers.plants.model import ModelSpec, PlantFaultError, PlantModel, missing_name
 from retuner.drivers.plants.oven_plant import OvenPlant
 from retuner.drivers.plants.plant import KnownPlant, Plant
 from retuner.drivers.plants.plant_process import ModelInProcess

@@ -7,13 +7,13 @@ from retuner.config.model import Config
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.controller.device_process import BusDevice
 from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
-from retuner.drivers.dbc.access import DbcAccess
+from retuner.drivers.dbc.dbc_access import DbcAccess
 from retuner.drivers.dbc.dbc_file import DbcFile, read_dbc_file
-from retuner.drivers.dbc.virtual_device import VirtualDbcDevice
+from retuner.drivers.dbc.dbc_virtual_device import VirtualDbcDevice
 from retuner.drivers.plants.plant import Plant
 from retuner.drivers.plants.shared_plant import PlantPort
-from retuner.drivers.profiles.access import Access, ProfileError
 from retuner.drivers.profiles.bench_loop import BenchLoop
+from retuner.drivers.profiles.controller_access import Access, ProfileError
 from retuner.drivers.profiles.foreign_device import ForeignDevice
 from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.mapping import DeviceMapping
@@ -63,7 +63,7 @@ def _access(config: Config, foreign: Foreign) -> Access:
     if isinstance(foreign, DbcDeviceConfig):
         return DbcAccess(dbc_file(config, foreign), mapping)
     try:
-        from retuner.drivers.canopen.access import CanOpenAccess, NodeSettings  # noqa: PLC0415  an extra
+        from retuner.drivers.canopen.canopen_access import CanOpenAccess, NodeSettings  # noqa: PLC0415  an extra
     except ModuleNotFoundError as missing:
         raise ProfileError(f'needs {missing.name}: pip install "retuner[canopen]"', ("kind",)) from None
     settings = NodeSettings(foreign.start, foreign.heartbeat_s, foreign.own_node)

@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from retuner.config.model import SCHEMA, Config
-from retuner.config.schedule import AxisConfig
+from retuner.config.schedule_config import AxisConfig
 from retuner.config.section import CrossCheckError, Problem, Section
 from retuner.config.session_config import SessionConfig, loop_documents, written_at
 from retuner.config.toml_lines import Path, toml_lines

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Tag
 
 from retuner.config.adaptation import AdaptationConfig
-from retuner.config.bench import CONFIRM_SAMPLES, BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
+from retuner.config.bench_config import CONFIRM_SAMPLES, BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
 from retuner.config.foreign import CanOpenDeviceConfig, DbcDeviceConfig
-from retuner.config.schedule import AxisConfig, RegionConfig, ScheduleConfig
+from retuner.config.schedule_config import AxisConfig, RegionConfig, ScheduleConfig
 from retuner.config.section import Problem, Section, setting
 from retuner.drivers.controller.firmware_settings import SAMPLES_MAX
 from retuner.schedule.controller_units import DEFAULT, Acting, ControllerUnits

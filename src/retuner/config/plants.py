@@ -7,7 +7,7 @@ from pydantic import Field
 
 from retuner.config.section import Many, Problem, Section, holding, setting
 from retuner.drivers.plants.boiler_plant import BoilerSettings
-from retuner.drivers.plants.model import Parameter
+from retuner.drivers.plants.foreign_model import Parameter
 from retuner.drivers.plants.oven_plant import OvenSettings
 
 LARGE = 1e9

@@ -9,7 +9,7 @@ sections that stand at the top of the file. So everything behind the configurati
 import re
 from collections.abc import Iterator, Mapping
 
-from retuner.config.bench import OutputConfig
+from retuner.config.bench_config import OutputConfig
 from retuner.config.model import Config
 from retuner.config.plants import ModelSection
 from retuner.config.section import Problem

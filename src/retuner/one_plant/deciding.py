@@ -14,8 +14,8 @@ from itertools import pairwise
 
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.guard.step_size import extent, less_of_everything
+from retuner.adaptive.interaction.common_windows import OneLoopRecord, seen_in
 from retuner.adaptive.interaction.together import Closed, together
-from retuner.adaptive.interaction.windows import OneLoopRecord, seen_in
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Question, StageResult
 from retuner.adaptive.supervision.retuner import Retuner

@@ -11,6 +11,7 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.supervision.decision import Decision
+from retuner.decision_page.decision_article import article
 from retuner.decision_page.decision_view import DecisionView, view_of, what_came_of, worth_pages
 from retuner.decision_page.explain import (
     cause_text,
@@ -24,7 +25,6 @@ from retuner.decision_page.explain import (
 )
 from retuner.decision_page.html import document as html_document
 from retuner.decision_page.html import escaped, figure, paragraph, table, text_table
-from retuner.decision_page.page import article
 from retuner.decision_page.row_values import Document, decided_on, in_full, number, part, words
 from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import MS_LIMIT, ms_text

@@ -19,9 +19,9 @@ from retuner.decision_page.html import palette
 from retuner.errors import UserError
 from retuner.report.what_if import page_script, panel_style, script_hash
 from retuner.serve import documents
-from retuner.serve.access import LASTS_S, PageAccess
 from retuner.serve.gate import PAGE_POLICY, Gate
 from retuner.serve.hub import Hub
+from retuner.serve.page_access import LASTS_S, PageAccess
 from retuner.serve.runs import WatchedLoop, WatchedSession
 from retuner.session.orders import Order, OrderKind, proposed_gains, put_order
 from retuner.session.outputs import REPORT

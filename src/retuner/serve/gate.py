@@ -3,7 +3,7 @@
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
-from retuner.serve.access import PageAccess
+from retuner.serve.page_access import PageAccess
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]

@@ -14,10 +14,10 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from retuner.errors import UserError
-from retuner.serve.access import PageAccess
 from retuner.serve.address import ServeOptions, lines, listening, our_names
 from retuner.serve.application import PageAnswers
 from retuner.serve.hub import Hub
+from retuner.serve.page_access import PageAccess
 from retuner.serve.runs import RecordedRuns
 
 SILENT_S = 10.0

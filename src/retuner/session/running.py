@@ -2,7 +2,7 @@
 
     configuration of each loop -> device on its bus, retuner (with what it remembers), recorder, orders -> LoopSession
 
-bench.py says what the places are like; here the session is put together there, and driven to its end.
+bench_or_buses.py says what the places are like; here the session is put together there, and driven to its end.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,7 +27,7 @@ from retuner.errors import LedgerError, UserError
 from retuner.ledger import Recorder, Row
 from retuner.products import product
 from retuner.session.assembly import device_settings, make_device, make_retuner, prove_order, retuner_settings
-from retuner.session.bench import POLLS_PER_SAMPLE, HostBuses, VirtualBench, before, live_buses, virtual_bench
+from retuner.session.bench_or_buses import POLLS_PER_SAMPLE, HostBuses, VirtualBench, before, live_buses, virtual_bench
 from retuner.session.ledger_rows import bump_left
 from retuner.session.loop_session import LoopSession
 from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall

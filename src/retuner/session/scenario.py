@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.config.bench import ScenarioConfig, StepConfig
+from retuner.config.bench_config import ScenarioConfig, StepConfig
 
 
 class ScenarioPlayer:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.audit.common_swing import Swinging, common_swings
 from retuner.adaptive.audit.loop_screen import DAY_S, harris_index, screen_loop
+from retuner.adaptive.audit.telling_stretches import stretches_of_interest
 from retuner.adaptive.audit.verdict import (
     EFFORT,
     AuditAction,
@@ -20,7 +21,6 @@ from retuner.adaptive.audit.verdict import (
     joined_confidence,
     loop_verdict,
 )
-from retuner.adaptive.audit.windows import stretches_of_interest
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.indexes.condition import Condition
 from retuner.adaptive.signals.sample import Window

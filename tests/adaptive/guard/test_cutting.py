@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
-from retuner.adaptive.guard.limits import Goal, calmer, goals
+from retuner.adaptive.guard.goal_within_limits import Goal, calmer, goals
 from retuner.adaptive.guard.ruling import LimitNumbers
 from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.identification.plausible import Plausible

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from wood_berry import BLT, DT_S, MINUTE, WOOD_BERRY, column, records
 
 from retuner.adaptive.interaction.answers import Element, Moved, StepAnswers, answers
+from retuner.adaptive.interaction.common_windows import seen_in
 from retuner.adaptive.interaction.together import Closed, together
-from retuner.adaptive.interaction.windows import seen_in
 from retuner.adaptive.loop.margins import margins
 from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.schedule_design.curves import curves as curves_of
-from retuner.adaptive.schedule_design.stretches import Characteristic, CurveAxis, CurveShape, cut, signals_of, summed
+from retuner.adaptive.schedule_design.record_stretches import (
+    Characteristic,
+    CurveAxis,
+    CurveShape,
+    cut,
+    signals_of,
+    summed,
+)
 from retuner.adaptive.signals.sample import Window
 from retuner.scheduling import silent
 

@@ -20,7 +20,7 @@ from retuner.adaptive.schedule_design.agreement import agreement
 from retuner.adaptive.schedule_design.joint import At, CurveForm
 from retuner.adaptive.schedule_design.motion import Batch, Local, response
 from retuner.adaptive.schedule_design.places import SECOND_LAG, DesignLimits, moved
-from retuner.adaptive.schedule_design.stretches import KNOTS, LEVEL_STD, CurveAxis, CurveShape, cut, signals_of
+from retuner.adaptive.schedule_design.record_stretches import KNOTS, LEVEL_STD, CurveAxis, CurveShape, cut, signals_of
 from retuner.adaptive.signals.sample import Window
 from retuner.scheduling import ScheduleDesign
 

@@ -7,7 +7,7 @@ import pytest
 
 from retuner.adaptive.schedule_design.curves import Curves, curves
 from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_ways
-from retuner.adaptive.schedule_design.stretches import CurveAxis, cut, signals_of
+from retuner.adaptive.schedule_design.record_stretches import CurveAxis, cut, signals_of
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.scheduling import silent
 

@@ -13,7 +13,7 @@ from retuner.adaptive.schedule_choice.schedule_from_records import (
     _unexplained,
 )
 from retuner.adaptive.schedule_design.places import DesignLimits, place_at
-from retuner.adaptive.schedule_design.stretches import cut, signals_of, without_gaps
+from retuner.adaptive.schedule_design.record_stretches import cut, signals_of, without_gaps
 from retuner.adaptive.signals.sample import Window
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import retuner
-from retuner.adaptive.schedule_design.stretches import CurveShape
+from retuner.adaptive.schedule_design.record_stretches import CurveShape
 from retuner.adaptive.signals.sample import FloatArray, Window
 
 LAG_S, HOLD = 30.0, 130

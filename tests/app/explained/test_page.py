@@ -26,9 +26,9 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.loop.margins import margins
 from retuner.decision_page import robustness_drawing
+from retuner.decision_page.decision_article import article, ms_limit, page
 from retuner.decision_page.decision_view import DecisionView, what_came_of, worth_pages
 from retuner.decision_page.explain import one_line
-from retuner.decision_page.page import article, ms_limit, page
 from retuner.decision_page.text import headline
 
 VOID = {"meta", "img", "br"}

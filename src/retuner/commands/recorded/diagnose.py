@@ -23,7 +23,7 @@ from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.commands.options import RecordOptions
-from retuner.commands.recorded.record_form import days_told, tell_assumed
+from retuner.commands.recorded.record_options import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import (
     controller,
     read_records_of_loop,

@@ -14,7 +14,7 @@ from retuner.api import (
 )
 from retuner.commands.options import RecordOptions
 from retuner.commands.recorded.other_cause import contradiction, other_cause
-from retuner.commands.recorded.record_form import days_told, tell_assumed
+from retuner.commands.recorded.record_options import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import (
     controller,
     read_loop,

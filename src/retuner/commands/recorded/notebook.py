@@ -17,10 +17,10 @@ from retuner.commands.recorded.diagnose import SHOWN as NAMED
 from retuner.commands.recorded.diagnose import WINNER
 from retuner.commands.recorded.identify import described
 from retuner.commands.recorded.schedule import described as schedule_lines
+from retuner.decision_page.decision_article import article
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.explain import document_of, one_line
 from retuner.decision_page.html import escaped
-from retuner.decision_page.page import article
 from retuner.decision_page.shown_units import chosen_units
 from retuner.decision_page.svg import drawn
 from retuner.diagnosing import RecordDiagnosis
@@ -31,7 +31,7 @@ from retuner.report.loop_plots import trend_figure
 from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure
 from retuner.report.rule_comparison import RuleRow
 from retuner.report.tuning_plots import responses_figure
-from retuner.schedule_report.page import schedule_figure
+from retuner.schedule_report.schedule_page import schedule_figure
 from retuner.scheduling import ScheduleDesign
 from retuner.simulation.loop_trend import LoopTrend
 from retuner.tuning import TuneResult, tuning_lines

@@ -10,7 +10,7 @@ import numpy as np
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.commands.options import RecordOptions, controller_units
 from retuner.commands.recorded.plot_option import check_plot
-from retuner.commands.recorded.record_form import read_record, read_several
+from retuner.commands.recorded.record_options import read_record, read_several
 from retuner.decision_page.shown_units import show_units
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import Recording, require_setpoint

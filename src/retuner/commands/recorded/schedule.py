@@ -13,7 +13,7 @@ from retuner.commands.options import (
     controller_units,
 )
 from retuner.commands.recorded.other_cause import contradiction, other_cause
-from retuner.commands.recorded.record_form import read_record, tell_assumed
+from retuner.commands.recorded.record_options import read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length
 from retuner.commands.signatures.schedule import ScheduleOptions
 from retuner.decision_page.shown_units import chosen_units, show_units
@@ -25,7 +25,7 @@ from retuner.files import write_whole
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import PERCENT, from_toml, to_toml
 from retuner.schedule.table import GainTable
-from retuner.schedule_report.page import (
+from retuner.schedule_report.schedule_page import (
     aim_sentence,
     experiment_sentence,
     limit_sentence,
@@ -135,7 +135,7 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
     if folder is None:
         return []
     from retuner.decision_page.svg import drawn
-    from retuner.schedule_report.page import SHOWS, page, schedule_figure
+    from retuner.schedule_report.schedule_page import SHOWS, page, schedule_figure
 
     name = found.table.loop if found.table is not None else options.files[0].stem
     files: dict[Path, str | bytes] = {

@@ -12,7 +12,7 @@ from canopen.objectdictionary import ObjectDictionaryError, datatypes
 
 from retuner.drivers.canopen.eds_file import TPDO, EdsFile, Key, PdoEntry, Variable, holds, text_of
 from retuner.drivers.canopen.sdo_queue import SdoQueue, pace_s
-from retuner.drivers.profiles.access import (
+from retuner.drivers.profiles.controller_access import (
     Acknowledged,
     Alive,
     Denied,

@@ -8,7 +8,7 @@ from functools import partial
 
 import can
 
-from retuner.drivers.dbc.access import AskFrame, DbcAccess, ask_frame
+from retuner.drivers.dbc.dbc_access import AskFrame, DbcAccess, ask_frame
 from retuner.drivers.dbc.dbc_file import DbcFile, SignalPlace, defaults
 from retuner.drivers.dbc.frame_guard import FrameGuard, guard_of
 from retuner.drivers.profiles.bench_loop import BenchLoop, load_of

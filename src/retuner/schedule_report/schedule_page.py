@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from retuner.adaptive.schedule_choice.scheduling_variables import RegionCrossing
 from retuner.adaptive.schedule_design.places import OUT
-from retuner.adaptive.schedule_design.stretches import CurveShape
+from retuner.adaptive.schedule_design.record_stretches import CurveShape
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.decision_page.html import document, escaped, figure, paragraph, text_table
 from retuner.decision_page.shown_units import chosen_units

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.stretches import LEAD_ROWS, Stretch
+from retuner.adaptive.schedule_design.record_stretches import LEAD_ROWS, Stretch
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
