@@ -1,8 +1,8 @@
 """The PI or PID settings in force, recovered from a closed-loop record that does not come with them.
 
-The law is linear in its gains, so each structure (law_regression.py) is a least-squares fit of the movements of co:
+The law is linear in its gains, so each structure (regression.py) is a least-squares fit of the movements of co:
 with and without integral and derivative, derivative on pv or on the error, its filter, a filter on pv, computed from
-this or the last sample; law_search.py chooses. Left out are samples with co at a limit, long stretches of constant co
+this or the last sample; the search here chooses. Left out are samples with co at a limit, long stretches of constant co
 (manual) and moves that no law made (bumpless transfers, a person's hand).
 
 What a record cannot show, and is not told: whether the controller is built in series, ideal or parallel form (the same

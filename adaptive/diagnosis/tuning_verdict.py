@@ -1,6 +1,6 @@
 """Is it the tuning? The verdict where the loop by itself explains the record best.
 
-The margins of the fitted process with the gains in force decide (tuning_cause.py), weighed over all models that the
+The margins of the fitted process with the gains in force decide (cause.py), weighed over all models that the
 record allows. Before gains may change, doubts are asked for: is the record explained, would a tone from outside do
 better, does the model contradict the record?
 """

@@ -122,7 +122,7 @@ class ChangeRequest:
     ----------
     in_force : gains running now. commissioned : the region's gains as commissioned.
     proposal : what a rule wants; without tau_c there is no slower version of it to try.
-    models : what the records still allow, best first (allowed.py); may be empty for a proposal by the pattern.
+    models : what the records still allow, best first (model_set.py); may be empty for a proposal by the pattern.
     sample_time_s : of the controller; half of it counts as dead time.
     slower : the rule's own settings at larger tau_c, in order of tau_c; the guard finds SIMC's by itself.
     filter_s : filter time of the controller's derivative, s.

@@ -9,7 +9,7 @@ whether settings may follow:
                              record counts as the fewer independent samples that it holds
 
 A model that does not explain a record must not become sure of it. The prior inside the nonlinear fit is the iterated
-extended Kalman update (Bell & Cathey 1993); see tracker.py.
+extended Kalman update (Bell & Cathey 1993); see region_model/update.py.
 """
 
 import math

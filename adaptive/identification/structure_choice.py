@@ -2,7 +2,7 @@
 
     criterion = n ln sigma_e^2 + (unknowns + order of the whitening filter) ln n        (Schwarz 1978)
 
-sigma_e is what remains after the remainder's colour is taken out (remainder.py), so a load step, a second lag and a
+sigma_e is what remains after the remainder's colour is taken out (fit/misfit.py), so a load step, a second lag and a
 drifting disturbance compete on the same footing: a structure that leaves a smooth remainder pays for the filter, and
 fake load steps gain little where a filter explains the same. The winner and its close rivals are refitted with the
 remainder whitened, which is what makes the estimate unbiased in closed loop and its standard deviations true.

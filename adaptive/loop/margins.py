@@ -3,7 +3,7 @@
     L = C G,   S = 1 / (1 + L),   T = L / (1 + L),   Ms = max |S|,   Mt = max |T|
 
 No Pade approximation. Crossovers are found on L's closed-form size and phase (open_loop.py), stability follows from
-them (stability.py). A grid only finds where the peaks of |S| and |T| are; each is then refined. The limits at zero and
+them. A grid only finds where the peaks of |S| and |T| are; each is then refined. The limits at zero and
 infinite frequency count too.
 
 Ms of the common kind of loop in a dozen evaluations of L: what on-line work asks for many models.

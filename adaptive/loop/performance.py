@@ -3,8 +3,8 @@
     IAE = integral |r - y| dt,   TV = integral |du/dt| dt (jumps included),   J = 0.5 (IAE_ys/IAE_ys* + IAE_d/IAE_d*)
 
 (Grimholt & Skogestad 2012, equations 5 and 6; IAE* belongs to the best PI controllers at Ms = 1.59, see optimum.py.)
-The response is exact: collocation over each dead time (delay_steps.py), the matrix exponential without one
-(plain_steps.py). As the error's integral z is a state, IAE is the total variation of z: the sum of |z| from one zero of
+The response is exact: collocation over each dead time, the matrix exponential without one.
+As the error's integral z is a state, IAE is the total variation of z: the sum of |z| from one zero of
 the error to the next. z stands still at these zeros, so they need not be known well for many digits of IAE.
 
 The steps are of size 1, at the setpoint and at the process input; IAE of the load scales with the process gain.

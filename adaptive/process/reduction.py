@@ -8,7 +8,7 @@ An integrator is a lag without bound and takes its half without changing. Numera
 - positive ones not longer than the true dead time are taken from it, e^(-theta s)(T0 s + 1) ~ e^(-(theta - T0) s), as
   the textbooks do (Seborg, Edgar & Mellichamp 2011, section 6.3); leads = "rules" leaves this out. It is the bolder
   choice: the loop tuned for it is the less robust the nearer T0 is to the dead time;
-- all others, the largest first, are set against a lag by rules T1 to T3 (numerator_rules.py). These ask for the
+- all others, the largest first, are set against a lag by rules T1 to T3. These ask for the
   effective dead time that comes out in the end, so it is guessed, and iterated until it agrees with itself. The guess
   is what subtracting would give, at least the true dead time: it leads to the answers printed for E3, E6, E12 and E13,
   where others agree with themselves as well. An answer without any dead time is given only if there is no other.

@@ -1,7 +1,7 @@
 """What the records say of the regions themselves: one that holds two processes should be split, equal ones merged.
 
 Both questions are put to what the models ask of their controller, z = (ln |Kc|, ln tau_I) with covariance C
-(settings_features.py): regions exist for the sake of settings.
+(`features`): regions exist for the sake of settings.
 
 Split. One region: the records by themselves, z_i at (x_i, t_i), scatter about a common mean, z_i ~ N(m, C_i + s^2 I)
 with the scatter s between records that a region may have. Two: a border between two x, a mean on either side. With

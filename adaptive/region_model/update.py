@@ -1,7 +1,7 @@
 """What is known of one region's process, from response to response.
 
 The state before a record is the prior inside the nonlinear fit that gives the record's linearisation, so the filter's
-update (region_filter.py) is the last step of an iterated extended Kalman filter (Bell & Cathey 1993) and its posterior
+update (kalman.py) is the last step of an iterated extended Kalman filter (Bell & Cathey 1993) and its posterior
 is the fit's own. Feeding the filter separately fitted points instead was tried and failed: a record of a load alone has
 a bent ridge of likely parameters, and its Gaussian dragged the gain to a tenth.
 

@@ -2,9 +2,9 @@
 
 A linear model of a long step over a process that changes is a fiction: where the gain falls along the way, pv begins
 fast and ends early, and a shorter lag explains it. So the record is fitted as the schedule's design fits a whole day
-(schedule_design/joint.py, motion.py): every parameter a curve over the scheduling variable, with the prior of
-shapes.py about the linear model of the same record. What that says of any place comes with its covariance: much where
-the response went, less beyond.
+(schedule_design/joint.py, motion.py): every parameter a curve over the scheduling variable, with a prior about the
+linear model of the same record. What that says of any place comes with its covariance: much where the response went,
+less beyond.
 
 Nor does a percent of co act alike everywhere (a valve's curve, burst firing): on the way co is far from where it rests.
 A fit that knows only the place of pv puts that into lags and bends, and Kc of a tank behind an equal-percentage valve

@@ -1,6 +1,6 @@
 """What the rule proposes for what is known of a region, and whether the tuning in force is the cause at all.
 
-The proposal is the robust one (robust_settings.py) on the models that the records still allow, on line as off line. A
+The proposal is the robust one (robust_simc.py) on the models that the records still allow, on line as off line. A
 region whose process is not known well enough gets none, with one exception: a loop that is over its Ms limit on every
 model that is still allowed is given less of everything without waiting for a better record.
 """

@@ -7,8 +7,8 @@ inexactness can do, and is no improvement on the gains before either:
     (IAE - its noise)/unit  >  greatest promised x iae_slack                          and  > before
 
 (before: the old gains, as the response showed them that led to the change, else on the best model; a model that calls
-them unstable without that having been seen says nothing of their IAE. shape.py has the numbers; s from the noise of
-the peaks.) It is WORSE as well when the old gains were surely better on the models that are still allowed, whatever
+them unstable without that having been seen says nothing of their IAE. See response_numbers.py; s from the noise of the
+peaks.) It is WORSE as well when the old gains were surely better on the models that are still allowed, whatever
 the upset was (posterior_check.py). It is not WORSE by its two numbers where a process that explains this and several
 records before it holds the new gains for robust: then more than one upset made the peaks. It is judged only if the
 upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs time but undoes nothing, unless it

@@ -63,7 +63,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """One set of gains under one kind of upset: see shape.py for the numbers and their units."""
+    """One set of gains under one kind of upset: see response_numbers.py for the numbers and their units."""
 
     overshoot: Spread
     damping: Spread

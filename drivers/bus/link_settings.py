@@ -65,7 +65,7 @@ class LinkCounters:
 
 
 class FramePort(Protocol):
-    """Where one controller's host sends and receives: a whole link (bus.py) or a node's port of one (link_share.py)."""
+    """Where one controller's host sends and receives: a whole link (bus.py) or a node's port (shared_link.py)."""
 
     @property
     def settings(self) -> LinkSettings:

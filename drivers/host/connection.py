@@ -1,8 +1,8 @@
 """The host's side of one controller on CAN: everything happens in poll(), nothing blocks, no thread, no clock.
 
 Connecting is SEARCHING (who is there: protocol, frame layout, sample time) -> READING (what runs) -> CONNECTED. What
-runs is known from read-back alone (running_belief.py); when the device falls silent it is unknown until read again.
-Only the host that holds the lease (lease_keeper.py) may change anything; the others watch.
+runs is known from read-back alone (running_set.py); when the device falls silent it is unknown until read again.
+Only the host that holds the lease (requests.py) may change anything; the others watch.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """Everything that a host asks of one controller: the lease, the write of a gain set, its confirmation, commands.
 
 No bus and no clock: frames to send and events to tell come out, acknowledges and read-backs go in. Who is connected
-and what runs is can_device.py's business.
+and what runs is connection.py's business.
 """
 
 import threading

@@ -150,7 +150,7 @@ class Confirm:
 
 @dataclass(frozen=True, slots=True)
 class Auth:
-    """Half of the code (commit_code.py) of the commit that follows; seq is the low 4 bits of the commit's."""
+    """Half of the code (authentication.py) of the commit that follows; seq is the low 4 bits of the commit's."""
 
     part: int
     seq: int

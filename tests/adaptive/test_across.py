@@ -20,7 +20,7 @@ from retuner.adaptive.region_model.varying_process_fit import in_motion
 from retuner.adaptive.schedule_design.record_stretches import CurveAxis
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import CurveAxis as TableAxis
+from retuner.schedule.regions import Axis as TableAxis
 from retuner.schedule.regions import Regions
 
 REGIONS = Regions("pv", "-", ("low", "middle", "high"), 0.0, (40.0, 60.0), 100.0)

@@ -12,13 +12,13 @@ from retuner import api, diagnosing
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.controller_settings.summed_law import summed_law
 from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.sticking_valve import pv_stands_verdict
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import _Responses, as_steps, plateaus, rough_sigma
 from retuner.adaptive.valve.stand_still import (
     Leg,
     StandStillSettings,
     _ends,
-    pv_stands_verdict,
     stand_still,
     standing,
 )

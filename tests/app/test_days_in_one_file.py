@@ -7,7 +7,7 @@ import pytest
 
 from retuner import PidGains, ProcessModel, identify, simulate
 from retuner.adaptive.signals.sample import Window
-from retuner.audit.loop_row import AuditSettings, _Seen
+from retuner.audit.loop_row import AuditSettings, _LoopRecords
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import Recording
 from retuner.scheduling import design_schedule
@@ -58,14 +58,14 @@ def test_an_audit_diagnoses_days(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = several(2)
     record = LoopRecord(Recording("days.csv", whole.t_s, whole.pv, whole.co, whole.sp), ())
     with pytest.raises(StopIteration):
-        _Seen().add(record, AuditSettings())
+        _LoopRecords().add(record, AuditSettings())
     assert len(asked[0].t_s) <= DAY + 1
     assert float(np.min(asked[0].co)) > 5.0
 
 
 def test_an_audit_screens_the_days_alone() -> None:
     """Nights with the valve shut were a loop at its limit."""
-    seen, whole = _Seen(), several(3)
+    seen, whole = _LoopRecords(), several(3)
     seen.add(LoopRecord(Recording("d.csv", whole.t_s, whole.pv, whole.co, whole.sp), ()), AuditSettings(stretches=0))
     assert seen.screens[0].samples == 3 * DAY
     assert seen.screens[0].at_limits == 0.0

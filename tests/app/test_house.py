@@ -370,6 +370,19 @@ def test_pages_name_files_that_are_there() -> None:
     assert [pair for pair in named if not (ROOT / pair[1]).exists()] == []
 
 
+def told_sources(text: str) -> set[str]:
+    """File names of Python that a source tells a reader to look at; those of a user's own stand in a path of theirs."""
+    return set(re.findall(r"(?<![\w/.{-])(?:[a-z_]\w*/)*([a-z]\w*\.py)\b", text)) - {"file.py"}
+
+
+def test_sources_name_files_that_are_there() -> None:
+    folders = (*(ROOT / folder for folder in TOP.values()), ROOT / "scripts", ROOT / "benchmarks", ROOT / "examples")
+    there = {path.name for folder in folders for path in folder.rglob("*.py")}
+    told = {str(path.relative_to(ROOT)): told_sources(path.read_text()) - there for path in files(*TOP)}
+    assert {path: names for path, names in told.items() if names} == {}
+    assert told_sources("see fit/no_such.py, folder/file.py") - there == {"no_such.py"}
+
+
 def test_paths_of_a_page_are_seen() -> None:
     assert list(told_paths("see `drivers/{a,b}.py` and `tests/x/`, not `a/b`")) == [
         "drivers/a.py",

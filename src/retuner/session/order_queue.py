@@ -1,6 +1,6 @@
 """Where a session takes in what people order: looked at, recorded with who and why, then told to the retuner.
 
-Nothing is told that is not in the ledger first, and it is told by the function that a replay uses (retuner_events.py).
+Nothing is told that is not in the ledger first, and it is told by the function that a replay uses (orders.py).
 What a person may refer to is what the session itself has shown: proposals by their hash, decisions by their number;
 and, at the start, the proposals and decisions of the session before it in the same folder.
 """

@@ -2,7 +2,7 @@
 
     step of co, with limits -> old output, mode and gains verified -> first sample of the session: row, model, decision
 
-The step is an experiment on demand (experiment/conductor.py): every way out of it ends in the verified old state, or
+The step is an experiment on demand (experiment/runner.py): every way out of it ends in the verified old state, or
 the run does not begin. It has a link and a log of its own, so that a session begins with the session's first sample;
 the record goes whole into the ledger, and from there into the retuner, live as in a replay.
 """
