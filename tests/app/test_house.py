@@ -376,7 +376,7 @@ def told_sources(text: str) -> set[str]:
 
 
 def test_sources_name_files_that_are_there() -> None:
-    folders = (*(ROOT / folder for folder in TOP.values()), ROOT / "scripts", ROOT / "benchmarks", ROOT / "examples")
+    folders = [ROOT / name for name in (*TOP.values(), "scripts", "benchmarks", "examples", "tests")]
     there = {path.name for folder in folders for path in folder.rglob("*.py")}
     told = {str(path.relative_to(ROOT)): told_sources(path.read_text()) - there for path in files(*TOP)}
     assert {path: names for path, names in told.items() if names} == {}
