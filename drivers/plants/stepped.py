@@ -1,11 +1,12 @@
 """The linear model of somebody else's plant where a loop has worked, from small steps on a copy of it.
 
 Nobody has the equations of an FMU or of a Python class, but a copy of it can be held where the run came to rest, and
-its output stepped by a percent: without noise and loads, the identification of a test in manual finds the process.
-Other loops on the same plant stand still meanwhile, so this is the loop by itself.
+its output stepped by a percent, or by more where that is lost in rounding: without noise and loads, the identification
+of a test in manual finds the process. Other loops on the same plant stand still meanwhile: the loop by itself.
 """
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext, suppress
 from itertools import pairwise
 
 import numpy as np
@@ -16,8 +17,8 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.drivers.plants.foreign_model import PlantFaultError
 from retuner.drivers.plants.shared_plant import PlantPort
 
-STEP_PCT = 1.0
-"""Size of the step of co: small against its range, large against rounding."""
+STEPS_PCT = (1.0, 5.0, 20.0)
+"""Sizes of the step of co that are tried: small against its range, large against rounding and a coarse sensor."""
 CHUNK, MOST_CHUNKS = 40, 100
 """Samples after which it is looked whether pv still moves, and how often at the most."""
 STILL = 0.0005
@@ -71,10 +72,13 @@ class SteppedPlant:
         """
         at = min(self._rests, key=lambda rest: abs(rest - pv))
         if at not in self._known:
-            self._known[at] = self._stepped(self._rests[at])
+            for size in STEPS_PCT:
+                with suppress(PlantFaultError) if size < STEPS_PCT[-1] else nullcontext():
+                    self._known[at] = self._stepped(self._rests[at], size)
+                    break
         return self._known[at]
 
-    def _stepped(self, co: float) -> LinearProcess:
+    def _stepped(self, co: float, size: float) -> LinearProcess:
         port, end = self._begin()
         try:
             if not _held(port, co, self._dt_s)[1]:  # it integrates, or is too slow to wait for: from its start then
@@ -82,7 +86,7 @@ class SteppedPlant:
                 port, end = self._begin()
                 co = port.settings.start_co
             lead = [port.step(co, 0.0, self._dt_s) for _ in range(LEAD)]
-            step = -STEP_PCT if co > 50.0 else STEP_PCT
+            step = -size if co > 50.0 else size
             moved, _ = _held(port, co + step, self._dt_s)
         finally:
             end()

@@ -117,7 +117,11 @@ class SampleGrid:
         half = 2 * self._taken <= self._due
         told, self._told = self._told, half
         every_s = self._sample_time_s * self._due / self._taken
-        how = "their numbers are asked for one by one: map them into a PDO, or " if self._asked else ""
+        how = (
+            "they are asked for one by one: let the device send them by itself (CANopen: in a PDO), or "
+            if self._asked
+            else ""
+        )
         if told or not half:
             return ""
         here = f"sample_time_s is {self._sample_time_s:g} s"

@@ -1,6 +1,6 @@
 """The linear model of somebody else's plant, from steps on a copy of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from retuner.adaptive.rules.simc import simc
 from retuner.drivers.plants.foreign_model import PlantFaultError
 from retuner.drivers.plants.shared_plant import PlantPort, PortSettings, SharedPlant
 from retuner.drivers.plants.state_space import StateSpaceModel
-from retuner.drivers.plants.stepped import SteppedPlant, rests_of
+from retuner.drivers.plants.stepped import STEPS_PCT, SteppedPlant, rests_of
 from retuner.schedule.gains import PidGains
 
 Matrix = list[list[float]]
@@ -67,7 +67,21 @@ def test_a_copy_that_does_not_answer_is_no_process() -> None:
     plant, closed = stepped([[-0.02]], [[0.0]], [[1.0]], 0.0, {50.0: 40.0})
     with pytest.raises(PlantFaultError, match="a step of its copy tells no process"):
         plant.linearise(50.0)
-    assert closed == ["one"]
+    assert closed == ["one"] * len(STEPS_PCT)
+
+
+def test_a_coarse_sensor_is_stepped_by_more() -> None:
+    class Coarse(StateSpaceModel):
+        def step(self, inputs: Sequence[float], dt_s: float) -> list[float]:
+            return [0.32 * round(one / 0.32) for one in super().step(inputs, dt_s)]
+
+    def begin() -> tuple[PlantPort, Callable[[], None]]:
+        plant = SharedPlant(Coarse([[-0.02]], [[0.02]], [[1.5]], [], [[5.0]]), [0.0], lambda _: None)
+        return plant.port(PortSettings("test", input_offset=-40.0, output_offset=50.0, start_co=40.0)), lambda: None
+
+    found = SteppedPlant(begin, {50.0: 40.0}, 1.0).linearise(50.0)
+    assert found.k == pytest.approx(1.5, rel=0.03)
+    assert found.lags_s[0] == pytest.approx(50.0, rel=0.1)
 
 
 def test_a_copy_that_dies_is_a_fault_and_no_traceback() -> None:
