@@ -237,9 +237,10 @@ class Retuner:
         """The question whose answer has not been entered yet."""
         return self._open.question if self._open else None
 
-    def _waiting_s(self, opened: OpenQuestion) -> float:
-        """How long the answer to a question is waited for, s."""
-        return (self.sample_number - opened.question.sample_number) * self.settings.sample_time_s
+    def _waited(self, opened: OpenQuestion) -> str:
+        """How long the answer to a question is waited for, in words."""
+        waited_s = (self.sample_number - opened.question.sample_number) * self.settings.sample_time_s
+        return f"{waited_s:,.0f} s" if waited_s >= 100.0 else f"{waited_s:.3g} s"
 
     def enter(self, question: Question, result: StageResult, sample_number: int) -> Decision:
         """Enter the answer to the open question, after the sample of that number.
@@ -261,7 +262,7 @@ class Retuner:
         phase = self.trials.phase(opened.question.record.region)
         overtaken = overtaken_by(opened, self.region, self._finder.samples, self.table, phase)
         if overtaken is not None:
-            told = f"the decision came too late, after {self._waiting_s(opened):.3g} s: {overtaken}"
+            told = f"the decision came too late, after {self._waited(opened)}: {overtaken}"
             refused = StageResult(f"overtaken_{overtaken.name.lower()}", told)
             return self._decision(opened.question.record.region, refused, opened.question)
         return self._learned_from_the_end(opened, result) if opened.ended else self._entered(opened.question, result)
@@ -450,7 +451,7 @@ class Retuner:
         if question is None:
             return NOTHING
         if self._open is not None:
-            told = f"the previous response was still being evaluated after {self._waiting_s(self._open):.3g} s"
+            told = f"the previous response was still being evaluated after {self._waited(self._open)}"
             late = StageResult("passed_over", f"{told}: this one is not used to update the model")
             return NOTHING if ended else Step(self._decision(seen.region, late, question))
         self._open = OpenQuestion(

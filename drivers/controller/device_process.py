@@ -44,7 +44,7 @@ class DeviceOnBus:
 
     def __init__(self, device: BusDevice, link: CanLink | LinkPort) -> None:
         self.device, self.link = device, link
-        self.samples = 0
+        self.samples = self.overruns = 0
         link.expect_silence()
 
     def sample(self, dt_s: float | None = None) -> None:
@@ -85,7 +85,8 @@ def run_devices(
     """Run devices until the clock reads until_s or stop() says so: samples at their times, answers in between.
 
     The sampling is kept from the first instant on, so small delays do not add up. When the machine falls behind by more
-    than LATE_SAMPLES, the missed instants are skipped and counted: a real controller cannot make up for them either.
+    than LATE_SAMPLES, the missed instants are counted and time stands still for all devices alike: were it for one of
+    them only, a plant that they share would go on between two samples of the others by more than these believe.
     """
     periods_s = [one.device.sample_time_s for one in devices]
     next_s = [clock.now_s() + period_s for period_s in periods_s]
@@ -103,5 +104,6 @@ def run_devices(
         late = (clock.now_s() - next_s[i]) / periods_s[i]
         if late > LATE_SAMPLES:
             overruns += int(late)
-            next_s[i] += int(late) * periods_s[i]
+            devices[i].overruns += int(late)
+            next_s = [at_s + int(late) * periods_s[i] for at_s in next_s]
     return RunReport(samples, overruns)

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from types import SimpleNamespace
 
 import can
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from speaking import CODEC, FIRST, OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
 
 from retuner.drivers.clock import MonotonicClock, SimulatedClock
-from retuner.drivers.controller.device_process import RunReport, run_device
+from retuner.drivers.controller.device_process import RunReport, run_device, run_devices
 from retuner.drivers.controller.gain_memory import Slot
 from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
 from retuner.drivers.protocol.checksum import frame_crc, page_crc, set_crc
@@ -259,6 +260,28 @@ def test_a_machine_that_falls_behind_skips_samples_and_says_so(make_bench) -> No
     report = run_device(bench.on_bus, clock, until_s=60.0)
     assert report.samples + report.overruns == pytest.approx(30, abs=6)
     assert report.overruns > 15
+
+
+def test_devices_of_a_slow_machine_keep_step_as_a_plant_that_they_share_wants() -> None:
+    clock = SimulatedClock()
+
+    class Costs:
+        """A device whose samples cost some time."""
+
+        def __init__(self, cost_s: float) -> None:
+            self.device, self.link = SimpleNamespace(sample_time_s=1.0), clock
+            self.cost_s, self.samples, self.overruns = cost_s, 0, 0
+
+        def answer(self) -> None: ...
+
+        def sample(self) -> None:
+            self.samples += 1
+            clock.advance(self.cost_s)
+
+    quick, slow = Costs(0.0), Costs(5.0)
+    run_devices([quick, slow], clock, until_s=100.0)  # type: ignore[list-item]
+    assert abs(quick.samples - slow.samples) <= 1
+    assert slow.overruns > 3 * slow.samples
 
 
 def test_simulated_time_needs_no_waiting(make_bench) -> None:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
 
 app = typer.Typer(add_completion=False)
 
+MANY_OVERRUNS = 0.02
+"""Overruns for each sample from which it is said that the machine is too slow."""
+
 
 @app.command(epilog="Example: retuner device examples/oven.toml -i udp_multicast -c 239.74.163.2 --speed 50")
 def device(
@@ -79,6 +82,12 @@ def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
             with stoppable():
                 report = run_devices(devices, clock, until_s=until_s)
         except KeyboardInterrupt:
-            sys.stderr.write(f"{sum(one.samples for one in devices)} samples\n")
+            _told(sum(one.samples for one in devices), sum(one.overruns for one in devices), speed)
             raise
-    sys.stderr.write(f"{report.samples} samples, {report.overruns} overruns\n")
+    _told(report.samples, report.overruns, speed)
+
+
+def _told(samples: int, overruns: int, speed: float) -> None:
+    """How many samples the controllers made, and whether the machine was too slow for it."""
+    slow = f": this machine is too slow for --speed {speed:g}" * (overruns > MANY_OVERRUNS * samples)
+    sys.stderr.write(f"{samples} samples, {overruns} overruns{slow}\n")
