@@ -3,7 +3,8 @@
 A process sampled too coarsely shows its gain and its lag, and of its dead time only that it is shorter than the
 sampling interval. That is a bound, where co was moved by itself (a setpoint step, manual): a load whose time is not
 known bounds nothing. With the dead time at the bound the settings are robust on whatever lies below it, and slower than
-they need be: how much is known only by sampling faster.
+they need be: how much is known only by sampling faster. A bound says nothing against the gains in force: the models as
+the record shows them stay allowed beside it, and it is no prior of the next record.
 """
 
 import math
@@ -12,8 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from retuner.adaptive.fit.record import Record
-from retuner.adaptive.fit.structure import THETA
-from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, gain_spread
+from retuner.adaptive.identification.estimate import ModelEstimate, gain_spread, late
 from retuner.adaptive.identification.identify import (
     FEWEST_SAMPLES_IN_THETA,
     WANTED_SAMPLES_IN_THETA,
@@ -21,7 +21,6 @@ from retuner.adaptive.identification.identify import (
     unexplained,
 )
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.sample import Window
 
@@ -51,27 +50,12 @@ def bounded(window: Window, estimate: ModelEstimate, settings: FitSettings) -> M
     explained_std = float(np.std(window.pv)) * math.sqrt(estimate.explained)
     if unexplained(estimate.residual_std, explained_std, Record.of(window), settings):
         return estimate
-    log = _at_bound(estimate.log, limit)
-    around = tuple(Plausible(_late(p.model, limit), p.excess) for p in estimate.plausible)
-    if max(log.gain_uncertainty(dt), gain_spread(around, dt)) > settings.gain_std_limit:
+    around = tuple(Plausible(late(p.model, limit), p.excess) for p in estimate.plausible)
+    found = replace(estimate, bound_s=limit, plausible=(*around, *estimate.plausible))
+    if max(found.log.gain_uncertainty(dt), gain_spread(around, dt)) > settings.gain_std_limit:
         return estimate
     reason = (
-        f"{log.type}; the dead time is too short to be seen: taken as {dt:.3g} s, one sampling interval. For faster "
-        f"settings, sample at least {WANTED_SAMPLES_IN_THETA} times within it"
+        f"{found.log.type}; the dead time is too short to be seen: taken as {dt:.3g} s, one sampling interval. For "
+        f"faster settings, sample at least {WANTED_SAMPLES_IN_THETA} times within it"
     )
-    best = replace(estimate.best, log=log)
-    alternatives = (best, *estimate.alternatives[1:])
-    return replace(estimate, identifiable=True, reason=reason, alternatives=alternatives, plausible=around)
-
-
-def _late(model: ProcessModel, limit_s: float) -> ProcessModel:
-    """The model with an effective dead time of at least the limit."""
-    return replace(model, theta_s=model.theta_s + max(limit_s - without_second_lag(model).theta_s, 0.0))
-
-
-def _at_bound(log: LogModel, limit_s: float) -> LogModel:
-    """The estimate with its dead time at the bound, which is no estimate and has no spread of its own."""
-    x, p = log.x.copy(), log.p.copy()
-    x[THETA] = math.log(_late(log.model(), limit_s).theta_s)
-    p[THETA, :] = p[:, THETA] = 0.0
-    return replace(log, x=x, p=p)
+    return replace(found, identifiable=True, reason=reason)

@@ -5,13 +5,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from retuner.adaptive.fit.structure import LAG, SIZE, model_at
+from retuner.adaptive.fit.structure import LAG, SIZE, THETA, model_at
 from retuner.adaptive.identification.candidate import MODEL_ERROR
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.late_dataclass import dataclass, replace
 
 SMALLEST_VARIANCE = 1e-12
 """Least variance of a log-parameter: no record knows a process to a millionth, rounding makes less negative."""
@@ -105,9 +105,23 @@ class LogModel:
         found = self.covariance_of(lambda model: np.array([log_controller(model, sample_time_s, at)]))
         return math.sqrt(float(found[0, 0]))
 
+    def at_bound(self, bound_s: float) -> "LogModel":
+        """With an effective dead time of at least a bound, which is no estimate and has no spread; 0 for as it is."""
+        if not bound_s or without_second_lag(self.model()).theta_s >= bound_s:
+            return self
+        x, p = self.x.copy(), self.p.copy()
+        x[THETA] = math.log(late(self.model(), bound_s).theta_s)
+        p[THETA, :] = p[:, THETA] = 0.0
+        return replace(self, x=x, p=p)
+
     def lag_uncertainty(self) -> float:
         """Standard deviation of the logarithm of the (sum of the) lags; infinite for an integrating process."""
         return math.sqrt(float(self.p[LAG[self.type], LAG[self.type]])) if self.type in LAG else math.inf
+
+
+def late(model: ProcessModel, bound_s: float) -> ProcessModel:
+    """The model with an effective dead time of at least a bound."""
+    return replace(model, theta_s=model.theta_s + max(bound_s - without_second_lag(model).theta_s, 0.0))
 
 
 def _numbers(model: ProcessModel) -> dict[str, float]:
@@ -228,6 +242,7 @@ class ModelEstimate:
     explained : share of pv's variance that the model explains.
     ramp_s : for how long the load moved, where it came as a ramp; 0 for steps.
     rival : the model without load steps at setpoint changes, where the winner has such.
+    bound_s : dead time that is taken where none is seen (bound.py); 0 where it is seen.
     """
 
     identifiable: bool
@@ -241,6 +256,7 @@ class ModelEstimate:
     explained: float = 1.0
     rival: RivalModel | None = None
     ramp_s: float = 0.0
+    bound_s: float = 0.0
 
     @property
     def best(self) -> Alternative:
@@ -249,8 +265,8 @@ class ModelEstimate:
 
     @property
     def log(self) -> LogModel:
-        """The estimate's parameters in logarithms."""
-        return self.best.log
+        """The estimate's parameters in logarithms, with the dead time at its bound."""
+        return self.best.log.at_bound(self.bound_s)
 
     def unexplained(self, pv_range: float) -> float:
         """What the fit leaves over the noise, or over how inexact any model is where that is larger.

@@ -86,6 +86,7 @@ class RegionModel:
     by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
     windows : the records themselves while they are few, for the next one to be fitted with them (update.py).
     sequences : setpoint steps to and fro that were made here (sequences.py); the newest last.
+    bound_s : dead time that settings rest on where none is seen (identification/bound.py); 0 where it is seen.
     """
 
     known: tuple[StructureModel, ...]
@@ -98,11 +99,12 @@ class RegionModel:
     reason: str = ""
     windows: tuple[Window, ...] = ()
     sequences: tuple[SetpointSteps, ...] = ()
+    bound_s: float = 0.0
 
     @property
     def log(self) -> LogModel:
         """The leading structure's."""
-        return self.known[0].log
+        return self.known[0].log.at_bound(self.bound_s)
 
     def logs(self) -> dict[ProcessType, LogModel]:
         """The estimates by structure."""

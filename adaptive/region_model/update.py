@@ -391,7 +391,8 @@ def _region_model(
     estimate: ModelEstimate,
 ) -> RegionModel:
     """A region model whose last word is an estimate."""
-    return RegionModel(known, records, t_s, None, points, estimate.plausible, estimate.identifiable, estimate.reason)
+    told = estimate.plausible, estimate.identifiable, estimate.reason
+    return RegionModel(known, records, t_s, None, points, *told, bound_s=estimate.bound_s)
 
 
 def _contradicted(
@@ -401,7 +402,7 @@ def _contradicted(
     alone, settings = record.alone, record.settings
     if region_model.alternative is not None:
         posterior = _posterior_of(region_model.alternative, 0.0, record)
-        doubted = surprise_of(scattered(region_model.log, settings), alone)
+        doubted = surprise_of(scattered(region_model.known[0].log, settings), alone)
         predicts = surprise_of(scattered(region_model.alternative[0].log, settings), alone) < doubted
         if predicts and posterior.innovation <= gate(len(region_model.alternative[0].log.x), settings.gate):
             return Learned(
@@ -411,7 +412,8 @@ def _contradicted(
         return Learned(replace(region_model, alternative=None, points=points), alone, Agreement.CONTRADICTS, innovation)
     first = _first(record).region_model
     assert first is not None
-    if sensitivity_peak(alone.log.model().linear(), in_force) > settings.danger_ms:
+    shown = [p.model for p in alone.plausible if not p.excess] or [alone.log.model()]
+    if all(sensitivity_peak(model.linear(), in_force) > settings.danger_ms for model in shown):
         opened = replace(first, alternative=region_model.known, points=points)
         return Learned(opened, alone, Agreement.OPENED, innovation)
     return Learned(
@@ -492,8 +494,8 @@ def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
 
 
 def predicted(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> LogModel:
-    """The process as it may be met at a later time: the prior of the next fit, and what the guard has to prove for."""
-    return _predicted(region_model.known[0], t_s - region_model.t_s, settings)
+    """The process as it may be met at a later time, for which the guard has to prove."""
+    return _predicted(region_model.known[0], t_s - region_model.t_s, settings).at_bound(region_model.bound_s)
 
 
 def predicted_all(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> tuple[LogModel, ...]:

@@ -2,13 +2,22 @@
 
 The proposal is the robust one (robust_simc.py) on the models that the records still allow, on line as off line. A
 region whose process is not known well enough gets none, with one exception: a loop that is over its Ms limit on every
-model that is still allowed is given less of everything without waiting for a better record.
+model that is still allowed is given less of everything without waiting for a better record. Less is asked for where
+all models ask for it that fit as well as the best: a dead time may be too short to be seen (identification/bound.py).
 """
 
 import math
 from collections.abc import Sequence
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause, with_second_lag
+from retuner.adaptive.diagnosis.cause import (
+    Cause,
+    CauseSettings,
+    Diagnosis,
+    over_words,
+    tuning_cause,
+    with_second_lag,
+)
+from retuner.adaptive.diagnosis.second_opinion import SWINGING
 from retuner.adaptive.guard.between_knots import eased, worst_between
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
@@ -52,12 +61,16 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
     cause = settings.cause
     tuning = robust_simc_on(best, region_model.plausible, dt_s, robust).tuning
-    given = (best.seen_by_controller(dt_s), in_force, tuning.gains, log.gain_uncertainty(dt_s))
-    lagged = with_second_lag(region_model.plausible, dt_s)
-    diagnosis = tuning_cause(*given, cause, lagged)
+    given, lagged = (in_force, tuning.gains, log.gain_uncertainty(dt_s)), with_second_lag(region_model.plausible, dt_s)
+    as_well = [best, *(p.model for p in region_model.plausible[1:] if not p.excess)]
+
+    def told(limits: CauseSettings) -> Diagnosis:
+        each = [tuning_cause(model.seen_by_controller(dt_s), *given, limits, lagged) for model in as_well]
+        return next((one for one in each if one.cause not in SWINGING), each[0])
+
+    diagnosis = told(cause)
     if diagnosis.cause == Cause.OK:
-        near = replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal))
-        closer = tuning_cause(*given, near, lagged)
+        closer = told(replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal)))
         diagnosis = closer if closer.cause == Cause.AGGRESSIVE else diagnosis
     ready = region_model.identifiable or (
         diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}

@@ -58,6 +58,7 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
         "reason": region_model.reason,
         "windows": [_window_out(window) for window in region_model.windows],
         "sequences": [_steps_out(one) for one in region_model.sequences],
+        "bound_s": region_model.bound_s,
     }
 
 
@@ -84,6 +85,7 @@ def region_model_in(body: Mapping[str, Any]) -> RegionModel:
         str(body["reason"]),
         tuple(_window_in(window) for window in body.get("windows", ())),
         tuple(_steps_in(one) for one in body.get("sequences", ())),  # averages of before have none
+        float(body.get("bound_s", 0.0)),
     )
 
 

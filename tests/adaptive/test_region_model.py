@@ -331,3 +331,21 @@ def test_loads_are_looked_for_beside_a_known_process(loop: Callable) -> None:
     quiet = loop(sp=1.0, noise=0.02).run(seed=3)
     plain = replace(fitted(quiet, (1,), FIT)[0].fit.misfit, type=ProcessType.FOPDT, loads=0, ramp=False, ar=())
     assert load_times(plain, known, 2) == []
+
+
+def test_a_dead_time_too_short_to_be_seen_stays_at_its_bound_and_is_no_prior() -> None:
+    region_model, gains, rng = None, PidGains(5.5, 1.04), np.random.default_rng(3)
+    for begun_s in (0.0, 400.0):
+        rows, x, integral = [], 0.0, 0.0
+        for i in range(60):
+            sp, pv = (2.0 if i >= 20 else 0.0), x + 0.02 * float(rng.standard_normal())
+            integral += gains.ki * 3.0 * (sp - pv)
+            rows.append((begun_s + 3.0 * i, sp, pv, gains.kp * (sp - pv) + integral))
+            x += (1.0 - np.exp(-3.0 / 49.0)) * (1.73 * rows[-1][3] - x)
+        window = Window(*np.array(rows).T)
+        region_model = update_region_model(region_model, window, gains, SCATTERED, FIT).region_model
+        assert region_model is not None
+        assert region_model.identifiable
+        assert region_model.log.model().theta_s == pytest.approx(region_model.bound_s) == 3.0
+        assert region_model.known[0].log.model().theta_s < 0.3
+        assert region_model_in(json.loads(json.dumps(region_model_out(region_model)))).bound_s == 3.0

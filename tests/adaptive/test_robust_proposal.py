@@ -11,11 +11,13 @@ from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.from_neighbours import spread
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
+from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.proposal_from_model import no_more_action, propose
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -115,3 +117,20 @@ def test_a_process_that_swings_by_itself_gets_settings_that_are_robust_and_not_s
     seen = model.seen_by_controller(1.0).linear()
     pure = next(ki for ki in np.geomspace(1.0, 1e-5, 200) if sensitivity_peak(seen, PidGains(0.0, float(ki))) <= 1.6)
     assert found.tuning.gains.ki > 0.9 * pure
+
+
+def test_a_dead_time_too_short_to_be_seen_bounds_more_action_and_says_nothing_against_gains_in_force() -> None:
+    quick = replace(FIRST, theta_s=0.01)
+    late = replace(quick, theta_s=S.sample_time_s)
+    log = LogModel(parameters_of(quick), 1e-6 * np.eye(3), 1)
+    asked = (StructureModel(log, 0.0),), 2, 0.0, None, ()
+    bound = RegionModel(*asked, (Plausible(late, 0.0), Plausible(quick, 0.0)), bound_s=S.sample_time_s)
+    best = simc(quick.seen_by_controller(S.sample_time_s)).gains
+    assert ms(quick, best) < 1.7
+    assert np.isinf(ms(late, best))
+    gains, cause, _ = of(bound, best)
+    assert cause is Cause.OK
+    assert ms(late, gains) <= S.guard.ms_nominal + 1e-9
+    assert of(replace(bound, plausible=bound.plausible[:1]), best)[1] is Cause.AGGRESSIVE
+    assert predicted(bound, 100.0, S.tracker).model().theta_s == pytest.approx(late.theta_s)
+    assert bound.known[0].log is log
