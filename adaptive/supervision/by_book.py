@@ -44,7 +44,7 @@ LOOKED = "looked"
 """Code: all samples were looked at, without a response."""
 OPEN = frozenset({
     LOOKED, "not_identifiable", "unconfirmed", "unknown", "external", "low_excitation", "contradicted", "one_record",
-    OTHER_LOOP,
+    OTHER_LOOP, "setpoint_led", "too_long",
 })  # fmt: skip
 """Codes with which the pipeline says that it cannot tell."""
 LOOK, WHOLE = 500, 1000
