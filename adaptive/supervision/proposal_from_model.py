@@ -9,14 +9,7 @@ all models ask for it that fit as well as the best: a dead time may be too short
 import math
 from collections.abc import Sequence
 
-from retuner.adaptive.diagnosis.cause import (
-    Cause,
-    CauseSettings,
-    Diagnosis,
-    over_words,
-    tuning_cause,
-    with_second_lag,
-)
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause, with_second_lag
 from retuner.adaptive.diagnosis.second_opinion import SWINGING
 from retuner.adaptive.guard.between_knots import eased, worst_between
 from retuner.adaptive.guard.step_size import less_of_everything
@@ -57,26 +50,25 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
     ----------
     region_model : what is known. log : the same as it may be met now (tracker.predicted). in_force : gains running now.
     """
-    dt_s, best = settings.sample_time_s, log.model()
+    dt_s, best, cause = settings.sample_time_s, log.model(), settings.cause
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
-    cause = settings.cause
     tuning = robust_simc_on(best, region_model.plausible, dt_s, robust).tuning
     given, lagged = (in_force, tuning.gains, log.gain_uncertainty(dt_s)), with_second_lag(region_model.plausible, dt_s)
     as_well = [best, *(p.model for p in region_model.plausible[1:] if not p.excess)]
 
-    def told(limits: CauseSettings) -> Diagnosis:
+    def told(ms_high: float) -> Diagnosis:
+        limits = replace(cause, ms_high=ms_high)
         each = [tuning_cause(model.seen_by_controller(dt_s), *given, limits, lagged) for model in as_well]
         return next((one for one in each if one.cause not in SWINGING), each[0])
 
-    diagnosis = told(cause)
+    diagnosis = told(cause.ms_high)
     if diagnosis.cause == Cause.OK:
-        closer = told(replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal)))
+        closer = told(min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal))
         diagnosis = closer if closer.cause == Cause.AGGRESSIVE else diagnosis
-    ready = region_model.identifiable or (
-        diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}
-        and over_limit(region_model.plausible, in_force, dt_s, robust.believed, cause.ms_high)
-    )
-    if not region_model.identifiable:
+    ready = region_model.identifiable
+    if not ready:
+        danger = over_limit(region_model.plausible, in_force, dt_s, robust.believed, cause.ms_high)
+        ready = danger and diagnosis.cause in SWINGING
         tuning = replace(tuning, gains=no_more_action(tuning.gains, in_force, diagnosis.cause))
     return RobustProposal(tuning, diagnosis, ready)
 
