@@ -111,21 +111,15 @@ class SampleGrid:
         return number * self._sample_time_s, lost
 
     def half_lost(self) -> str:
-        """Why half of all samples are lost, told once; "" while it is fewer, or not known yet."""
-        if self._due < LOOKED_AT:
+        """Why half of all samples are lost, told once until three of four come; "" for fewer, or not known yet."""
+        self._told &= self._due < LOOKED_AT or 4 * self._taken < 3 * self._due
+        if self._told or self._due < LOOKED_AT or 2 * self._taken > self._due:
             return ""
-        half = 2 * self._taken <= self._due
-        told, self._told = self._told, half
+        self._told = True
         every_s = self._sample_time_s * self._due / self._taken
-        how = (
-            "they are asked for one by one: let the device send them by itself (CANopen: in a PDO), or "
-            if self._asked
-            else ""
-        )
-        if told or not half:
-            return ""
-        here = f"sample_time_s is {self._sample_time_s:g} s"
-        return f"half of all samples are lost: one comes every {every_s:.3g} s, {here}; {how}set it to that"
+        asked = "they are asked for one by one: let the device send them by itself (CANopen: in a PDO), or "
+        here = f"sample_time_s is {self._sample_time_s:g} s; {asked if self._asked else ''}set it to that"
+        return f"half of all samples are lost: one comes every {every_s:.3g} s, {here}, or lower --speed on a bench"
 
 
 Numbers = Mapping[str, float]
