@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
+from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
@@ -66,6 +67,7 @@ class Walk:
     they say for a gain that changes along pv.
     record : the longest window as it was compared. of_record : the log-likelihood of that one, tempered as it comes.
     moved : largest share of setpoint or hand in what moves a record (wandering_load.py).
+    swings : probability that a load swings, by process of the grid; period_s : of that swing, nan for none.
     """
 
     log_likelihood: FloatArray
@@ -74,6 +76,8 @@ class Walk:
     record: Prepared
     of_record: FloatArray
     moved: float
+    swings: FloatArray
+    period_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,12 +194,23 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     valve = sum(log_odds_of_valve(r, direction) for r in records)
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
     of_longest = each[longest]
-    shares = [0.0] * len(records)
+    shares, swings, period_s = [0.0] * len(records), np.zeros(()), math.nan
     if gains is not None:
         shares = [_share(*one, likelihood) for one, likelihood in zip(both, each, strict=True)]
-        each = [TEMPER / temper(share) * likelihood for share, likelihood in zip(shares, each, strict=True)]
-    along = gain_along_pv(records, direction, [TEMPER / temper(share) for share in shares])
-    return Walk(np.sum(each, axis=0), valve, along, records[longest], of_longest, max(shares))
+    powers = [TEMPER / temper(share) if gains is not None else 1.0 for share in shares]
+    weighed = [power * alone for power, alone in zip(powers, each, strict=True)]
+    total = np.sum(weighed, axis=0)
+    if max(shares) >= settings.swings_moved:
+        found = {i: w for i, one in enumerate(each) if (w := swing_frequency(*both[i], one)) is not None}
+        if max((shares[i] for i in found), default=0.0) >= settings.swings_moved:
+            swinging = total + math.log(settings.swings)
+            for i, w in found.items():
+                swinging += powers[i] * likelihood_swinging(records[i], direction, unit, w) - weighed[i]
+                period_s = 2.0 * math.pi / w * dt
+            total = np.logaddexp(total + math.log(1.0 - settings.swings), swinging)
+            swings = np.exp(swinging - total)
+    along = gain_along_pv(records, direction, powers)
+    return Walk(total, valve, along, records[longest], of_longest, max(shares), swings, period_s)
 
 
 def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> float:
@@ -241,12 +256,17 @@ def _under_walk(walk: Walk, odds: TuningOdds | None, shapes: float, settings: Od
     if shapes:  # they see valves that are unlike the grid's
         evidence = shapes + max(known, min(walk.valve + UNLIKE, 0.0))
     stiction = settings.stiction / linear * math.exp(min(max(evidence, -50.0), 300.0))
-    seen = walk.moved >= settings.moved  # by a setpoint: loads alone may bend a record as any valve does
-    along = walk.along.log_bayes if seen else min(walk.along.log_bayes, 0.0)
+    # Loads alone may bend a record, and no process that bends has a pv that stands while co travels
+    bends = walk.moved >= settings.moved and shapes < math.log(settings.stands)
+    along = walk.along.log_bayes if bends else min(walk.along.log_bayes, 0.0)
     nonlinear = settings.nonlinear / linear * math.exp(min(max(along, -50.0), 300.0))
     whole = 1.0 + stiction + nonlinear
     rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
     found = {cause: p / whole for cause, p in rest.items()}
+    if odds is not None and np.any(walk.swings):  # a loop in order whose load swings: the cause is outside
+        robust = np.where(odds.robustness.ms <= settings.limits.ms_high, odds.weights, 0.0)
+        outside = float(np.sum(robust * walk.swings)) / max(float(np.sum(robust)), 1e-300)
+        found |= {Cause.OK: found[Cause.OK] * (1.0 - outside), Cause.EXTERNAL: found[Cause.OK] * outside}
     return {Cause.STICTION: stiction / whole, Cause.NONLINEAR: nonlinear / whole, **found}
 
 
@@ -368,7 +388,7 @@ def _verdict(
     shares = {str(c): q for c, q in causes.items()}
     by_steps = weight >= HALF and told.diagnosis.cause == cause
     open_to_odds = sure and not (by_steps and told.tuning is not None)
-    alone = _swings_alone(open_ones) and _less(causes) < settings.loads_less
+    alone = _swings_alone(open_ones) and _less(causes) < settings.loads_odds
     wanted = odds if open_to_odds and not alone else None
     worth = _settings(causes, wanted, walk.moved, settings) if wanted is not None else None
     if wanted is not None and worth is not None and not _calmer(worth, wanted) and _overshoot_seen(open_ones):
@@ -378,7 +398,7 @@ def _verdict(
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
     test = None
     if odds is not None:
-        evidence |= _ms_range(odds)
+        evidence |= _ms_range(odds) | ({} if math.isnan(walk.period_s) else {"swing_s": walk.period_s})
         if p < settings.undecided or (cause in TUNING_CAUSES and worth is None):
             test = _next(causes, odds, walk, open_ones[0][0], settings)
     if cause == Cause.NONLINEAR:
@@ -492,6 +512,7 @@ WORDS = {
 }
 
 
+SWINGS = "a load from outside that swings at about {swing_s:.3g} s explains the record best"
 FOLLOWS = (
     "; a slave of a cascade: pv follows its setpoint {follows_late_s:.3g} s late, error {tracking_error:.0%} of it"
 )
@@ -521,6 +542,9 @@ def _bends(along: GainAlongPv) -> str:
 
 def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float], told: DiagnosedRecord) -> str:
     """The sentence."""
+    swing_s = evidence.get("swing_s", evidence.get("period_s"))
+    if cause == Cause.EXTERNAL and told.diagnosis.cause != cause and swing_s is not None:
+        return SWINGS.format(swing_s=swing_s)
     if cause not in WORDS:
         return told.diagnosis.reason
     if cause == Cause.STICTION or odds is None:

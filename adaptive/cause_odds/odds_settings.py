@@ -32,9 +32,11 @@ class OddsSettings:
     tone_from, tone_to : share of pv's variance in one lasting tone from which, and up to which, a record without a
         setpoint step is taken for that tone; 0.2 to 1, default 0.4 and 0.6 (loops near instability under real loads
         0 to 0.38 in 28 of 29, tones and narrow bands 0.41 to 1).
+    swings : prior that a load swings, where a record does and the setpoint moves it by this share or more
+        (swings_moved; loads alone say nothing of it); 0.02 to 0.2, default 0.05, and 0.1 to 0.8, default 0.3.
     most : no probability is told larger; 0.9 to 0.99, default 0.97: more was never counted.
     more_odds : odds of a cause that asks for more gain from which settings are given; 0.5 to 0.9, default 0.6.
-        less_odds : of one that asks for less; default 0.65. most_valve : of a valve, up to which more gain is given;
+        less_odds : of one that asks for less; default 0.85. most_valve : of a valve, up to which more gain is given;
         0.05 to 0.3, default 0.25.
     moved : share of the setpoint in what moves the records from which settings are given; 0.05 to 0.3, default 0.1.
         loads_odds : with less they are given only where a cause has these odds, which one record never has; default
@@ -62,9 +64,11 @@ class OddsSettings:
     tone_alone: float = 0.6
     tone_from: float = 0.4
     tone_to: float = 0.6
+    swings: float = 0.05
+    swings_moved: float = 0.3
     most: float = 0.97
     more_odds: float = 0.6
-    less_odds: float = 0.65
+    less_odds: float = 0.85
     most_valve: float = 0.25
     moved: float = 0.1
     loads_odds: float = 0.975

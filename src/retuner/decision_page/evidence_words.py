@@ -33,6 +33,7 @@ HYPOTHESES = {
     "slips": Entry("steps of pv from level to level", "count", "", ""),
     "slips_agreed": Entry("steps towards co", "count", "", ""),
     "slip_jump": Entry("slip jump of the valve", "co", "", "Kano et al. 2004"),
+    "swing_s": Entry("period at which a load from outside may swing", "s", "", ""),
     "gain_ratio": Entry("process gain at high pv over that at low pv", "ratio", "2 and more: schedule", ""),
     "follows_late_s": Entry("how late pv follows a setpoint that is led", "s", "", ""),
     "tracking_error": Entry("error over the movement of a setpoint that is led", "share", "", ""),

@@ -1,0 +1,73 @@
+"""A load that swings: found at its frequency, likelier than one that wanders alone, and no reason to cut the gain."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.cause_odds import odds
+from retuner.adaptive.cause_odds.odds import Walk, diagnose_records
+from retuner.adaptive.cause_odds.settings import OddsSettings
+from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.explanations.gain_along_pv import GainAlongPv
+from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
+
+PERIOD, N = 24.0, 480
+SETPOINT = np.repeat([0.0, 20.0, 5.0, 25.0], N // 4)
+GAINS = PidGains(1.6, 0.08)
+"""Ms 1.35 on the loop below."""
+
+
+def swung(*, load: float = 1.0, seed: int = 2) -> Window:
+    """PI on a lag of 20 s with 4 s dead time: three setpoint steps, and a load through a resonance of PERIOD."""
+    rng = np.random.default_rng(seed)
+    w, r = 2.0 * math.pi / PERIOD, math.exp(-0.05 * 2.0 * math.pi / PERIOD)
+    push = np.zeros(N)
+    for i in range(N):
+        before, two = (push[i - k] if i >= k else 0.0 for k in (1, 2))
+        push[i] = 2.0 * r * math.cos(w) * before - r * r * two + load * rng.standard_normal()
+    pole, total, y = math.exp(-1 / 20.0), 0.0, 0.0
+    pv, co = np.zeros(N), np.zeros(N)
+    for i in range(N):
+        y = pole * y + (1 - pole) * ((co[i - 5] if i > 4 else 0.0) + push[i])
+        pv[i] = y + 0.1 * rng.standard_normal()
+        total += GAINS.ki * (SETPOINT[i] - pv[i])
+        co[i] = GAINS.kp * (SETPOINT[i] - pv[i]) + total
+    return Window(np.arange(float(N)), SETPOINT, pv, co)
+
+
+def test_the_frequency_is_found_and_the_swing_is_likelier() -> None:
+    record = Prepared.at(swung(), 1.0)
+    alone = log_likelihood(record, 1, GAINS.kp)
+    w = swing_frequency(record, SETPOINT, alone)
+    assert w is not None
+    assert 2.0 * math.pi / w == pytest.approx(PERIOD, rel=0.1)
+    assert np.max(likelihood_swinging(record, 1, GAINS.kp, w)) > np.max(alone) + 3.0
+
+
+def test_a_load_that_does_not_swing_is_not_taken_for_one() -> None:
+    window = swung(load=0.0)
+    walk = np.cumsum(np.random.default_rng(3).standard_normal(N)) * 0.5
+    record = Prepared.at(replace(window, pv=window.pv + walk), 1.0)
+    assert swing_frequency(record, SETPOINT, log_likelihood(record, 1, GAINS.kp)) is None
+
+
+def test_where_pv_stands_while_co_travels_the_gain_does_not_bend() -> None:
+    settings = OddsSettings()
+    along, record = GainAlongPv(20.0, 5.0, 0.0, 1.0), Prepared(np.zeros(1), np.zeros(1), 0.0, 1.0)
+    walk = Walk(np.zeros(1), -1.0, along, record, np.zeros(1), 0.9, np.zeros(()), math.nan)
+    free, stands = (odds._under_walk(walk, None, math.log(x), settings) for x in (1.0, settings.stands))
+    assert max(free, key=free.__getitem__) == Cause.NONLINEAR
+    assert stands[Cause.STICTION] > stands[Cause.NONLINEAR]
+
+
+@pytest.mark.slow
+def test_a_loop_in_order_under_it_keeps_its_gains() -> None:
+    found = diagnose_records([swung()], GAINS)
+    assert found.found.diagnosis.cause in {Cause.EXTERNAL, Cause.OK}
+    assert found.settings is None
+    assert sum(found.found.diagnosis.causes.values()) == pytest.approx(1.0)
