@@ -89,6 +89,8 @@ FROM_MOTION = FitSettings(StructureSettings(seeded_loads=0, most_loads=0))
 """Settings for one that begins in motion, or with its step in the first row."""
 START_COST = 2.0
 """Unknowns of a start that was not rest: a step and an impulse before the record."""
+START_FOR_NOTHING = 10.0
+"""More of the criterion where no process is identifiable with it and one is from rest (Kass & Raftery 1995)."""
 
 LARGEST_RHO = 0.98
 """Autocorrelations above this are not told apart; a hundred samples then count as one."""
@@ -161,6 +163,8 @@ def identify_manual(window: Window, sign: int | None = None) -> ModelEstimate:
     rest = identify_window(window, sign, settings=OPEN_LOOP)
     moving = identify_window(window, sign, settings=FROM_MOTION)
     price = START_COST * math.log(len(window.t_s))
+    if rest.identifiable and not moving.identifiable:
+        price += START_FOR_NOTHING
     return moving if moving.best.criterion + price < rest.best.criterion else rest
 
 

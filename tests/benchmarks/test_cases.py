@@ -10,6 +10,7 @@ from cases.loop import Controller, Upsets, performance, run
 from cases.plant import FAMILIES, HeldPlant, best_pi, best_pid, draw, half_rule, kc_bound, robustness, sampled, simc_of
 from scipy import signal
 
+from retuner.adaptive.identification.identify import identify_manual
 from retuner.adaptive.loop.margins import margins
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
@@ -223,3 +224,11 @@ def test_pid_only_where_there_is_a_second_lag():
     found = best_pid(LinearProcess(1.0, (3.0, 2.0), (), 1.0), 0.0)
     assert found is not None
     assert found.kd == pytest.approx(1.5 * 2.0)  # kc = 3 / (1 + 1), kd = kc tau_d
+
+
+@pytest.mark.slow
+def test_a_start_in_motion_that_leaves_no_process_does_not_outvote_one_from_rest():
+    record = identification.case(9821, 52, None).record  # the other sign, with a dead time of most of the record
+    found = identify_manual(Window(record.t, record.sp, record.pv, record.co))
+    assert found.identifiable
+    assert found.log.type is ProcessType.INTEGRATING
