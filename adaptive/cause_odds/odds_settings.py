@@ -11,7 +11,7 @@ class OddsSettings:
 
     ok, aggressive, slow_integrating, sluggish : prior of each class of tuning, sum 1; about a third of loops in plants
         are in order, the rest are too tight or too slow in about equal parts (Bialkowski 1993; Desborough & Miller
-        2002).
+        2002); of the tight ones a level loop has too little gain for its integral action more often than too much.
     stiction : prior that a valve which sticks or has play is behind a record; 0.1 to 0.4, default 0.25 (20 to 30 % of
         loops oscillate because of their valve: Jelali & Huang 2010).
     nonlinear : prior that the gain changes along pv by two and more within the record's range; 0.01 to 0.1, default
@@ -48,8 +48,8 @@ class OddsSettings:
     """
 
     ok: float = 0.34
-    aggressive: float = 0.29
-    slow_integrating: float = 0.04
+    aggressive: float = 0.23
+    slow_integrating: float = 0.1
     sluggish: float = 0.33
     stiction: float = 0.25
     nonlinear: float = 0.03

@@ -8,6 +8,7 @@ counts by the mean over its processes and not by their number: how finely a grid
 the mean, processes weigh by how usual they are (UsualProcess): a grid reaches farther than plants do.
 """
 
+import math
 from functools import cache
 
 import numpy as np
@@ -26,7 +27,9 @@ class TuningLimits:
 
     ms_high : Ms above which a loop has too little robustness; 1.7 to 2.5, default 2.0: in the middle between what is
         drawn as good (1.75) and as bad. ms_good : Ms up to which gain may be raised; 1.5 to 1.8, default 1.7.
-    gm_large : gain margin above which a high Ms is the integral's fault; 2 to 6, default 3.
+    gm_large : gain margin above which a high Ms is the integral's fault; 2 to 6, default 3. less : it is, too, where no
+        gain down to so many times less would cure; 3 to 10, default 5: an integrating process under a short integral
+        time swings the more the less gain it has.
     room : how many times as much gain a loop must bear to be sluggish; 1.5 to 5, default 2.5.
     slack : how many times as much integral action than it has SIMC gives one that is; 2 to 10, default 5.
     beyond : loop gains more than so many times beyond the stability limit are left out: no record of a working loop
@@ -36,6 +39,7 @@ class TuningLimits:
     ms_high: float = 2.0
     ms_good: float = 1.7
     gm_large: float = 3.0
+    less: float = 5.0
     room: float = 2.5
     slack: float = 5.0
     beyond: float = 1.25
@@ -148,7 +152,9 @@ def class_of(known: LoopRobustness, gains: PidGains, sample_time_s: float, limit
     high = known.ms > limits.ms_high
     slack = simc_integral(known.scale, gains, sample_time_s)
     weak = ~high & ((known.room(limits.ms_good) > limits.room) | (slack > limits.slack))
-    by_integral = high & (known.gain_margin > limits.gm_large)
+    log_gain = np.log(GAINS)
+    good = np.maximum.accumulate(np.where(high, -np.inf, log_gain), axis=2)  # the largest that is good, up to each
+    by_integral = high & ((known.gain_margin > limits.gm_large) | (log_gain - good > math.log(limits.less)))
     return np.asarray(np.select([by_integral, high, weak], [2, 1, 3], 0), dtype=np.float64)
 
 
