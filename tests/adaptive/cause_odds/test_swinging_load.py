@@ -8,7 +8,7 @@ import pytest
 
 from retuner.adaptive.cause_odds import odds
 from retuner.adaptive.cause_odds.odds import Walk, diagnose_records
-from retuner.adaptive.cause_odds.settings import OddsSettings
+from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv
