@@ -84,24 +84,19 @@ class TuningOdds:
 
 
 def tuning_odds(
-    log_likelihood: FloatArray,
-    gains: PidGains,
-    sample_time_s: float,
-    prior: dict[str, float],
-    limits: TuningLimits,
-    usual: UsualProcess | None = None,
+    log_likelihood: FloatArray, gains: PidGains, sample_time_s: float, prior: dict[str, float], limits: TuningLimits
 ) -> TuningOdds:
     """Weigh the classes.
 
     log_likelihood : of all records of the loop together (wandering_load.py). gains : in force. prior : of each class,
-    sum 1. sample_time_s : of the condensed records. usual : what processes are usual.
+    sum 1. sample_time_s : of the condensed records.
     """
     known = robustness(gains, sample_time_s)
     classes = class_of(known, gains, sample_time_s, limits)
     within = known.ultimate * limits.beyond >= GAINS
     likelihood = np.exp(log_likelihood - float(np.max(log_likelihood[within], initial=-np.inf)))
     likelihood[~within] = 0.0
-    usual_ones = _usual(known, classes, gains, sample_time_s, limits, usual or UsualProcess())
+    usual_ones = _usual(known, classes, gains, sample_time_s, limits)
     weights = np.zeros_like(likelihood)
     for i, name in enumerate(CLASSES):
         of_class = (classes == i) & within
@@ -114,14 +109,10 @@ def tuning_odds(
 
 
 def _usual(
-    known: LoopRobustness,
-    classes: FloatArray,
-    gains: PidGains,
-    sample_time_s: float,
-    limits: TuningLimits,
-    usual: UsualProcess,
+    known: LoopRobustness, classes: FloatArray, gains: PidGains, sample_time_s: float, limits: TuningLimits
 ) -> FloatArray:
     """How usual every process of the grid is within its class, 1 for the most usual."""
+    usual = UsualProcess()
     dead, lag, second = _times()
     far = np.log(dead / usual.dead) ** 2 / usual.dead_std**2
     far = far + np.where(np.isinf(lag), 0.0, np.log(np.minimum(lag, FINITE) / usual.lag)) ** 2 / usual.lag_std**2

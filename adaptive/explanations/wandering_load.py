@@ -34,14 +34,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from retuner.adaptive.explanations.process_grid import (
-    DEAD_TIMES,
-    GAINS,
-    LAGS,
-    ComplexArray,
-    second_lags,
-    units,
-)
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LAGS, ComplexArray, second_lags, units
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import quantum_sigma

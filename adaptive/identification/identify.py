@@ -162,9 +162,8 @@ def identify_manual(window: Window, sign: int | None = None) -> ModelEstimate:
     """
     rest = identify_window(window, sign, settings=OPEN_LOOP)
     moving = identify_window(window, sign, settings=FROM_MOTION)
-    price = START_COST * math.log(len(window.t_s))
-    if rest.identifiable and not moving.identifiable:
-        price += START_FOR_NOTHING
+    for_nothing = rest.identifiable and not moving.identifiable
+    price = START_COST * math.log(len(window.t_s)) + START_FOR_NOTHING * for_nothing
     return moving if moving.best.criterion + price < rest.best.criterion else rest
 
 
