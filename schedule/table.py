@@ -113,6 +113,8 @@ class GainTable:
         ValueError
             There is no such region, or x or x2 is not finite (go on with the gains in force).
         """
+        if self.lookup is Lookup.HARD and 0 <= region < len(self.gains) and math.isfinite(x) and math.isfinite(x2):
+            return self.gains[region]
         found = self.weights(region, x, x2)
         if len(found) == 1:
             return self.gains[found[0][0]]

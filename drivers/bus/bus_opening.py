@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import can
+from can.interfaces.virtual import VirtualBus
 from can.io.generic import SizedMessageWriter
 
 from retuner.drivers.clock import Clock
 from retuner.drivers.device import BusError
 
 BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, NotImplementedError, ImportError)
-SOCKETCAN, UDP_MULTICAST = "socketcan", "udp_multicast"
+SOCKETCAN, UDP_MULTICAST, VIRTUAL = "socketcan", "udp_multicast", "virtual"
 
 # python-can warns about half-opened buses on stderr; what matters is in the BusError.
 logging.getLogger("can").addHandler(logging.NullHandler())
@@ -29,11 +30,27 @@ def open_bus(interface: str, channel: str, hop_limit: int, options: Mapping[str,
     try:
         if interface == UDP_MULTICAST:
             return open_group(channel, hop_limit=hop_limit, **options)
+        if interface == VIRTUAL:
+            return InProcessBus(channel, **options)
         return can.Bus(interface=interface, channel=channel, **options)
     except BUS_ERRORS as error:
         raise BusError(
             f"bus {interface} {channel}: cannot open it: {error}; {_advice(interface, channel, error)}"
         ) from error
+
+
+class InProcessBus(VirtualBus):
+    """python-can's virtual bus, whose frames are taken without a lock: a tenth of a simulated run."""
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """See can.BusABC."""
+        if timeout != 0.0 or self.queue.maxsize or self._filters or not self._open:
+            return super().recv(timeout)
+        try:
+            frame: can.Message = self.queue.queue.popleft()
+        except IndexError:
+            return None
+        return frame
 
 
 def open_group(channel: str, **options: Any) -> can.BusABC:

@@ -7,7 +7,7 @@ behind is written without interruption as well: a second, impatient Ctrl-C waits
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import FrameType
 
 STOPS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -47,19 +47,16 @@ class _StopSignals:
             for number, handler in before.items():
                 signal.signal(number, handler)
 
-    @contextmanager
-    def wait(self) -> Iterator[None]:
+    def __enter__(self) -> None:
         """Inside, signals wait; if one came, KeyboardInterrupt is raised at the end of the outermost wait."""
         self.waiting += 1
-        came = False
-        try:
-            yield
-        finally:
-            self.waiting -= 1
-            if not self.waiting:
-                came, self.came = self.came, False
-        if came:
-            raise KeyboardInterrupt
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.waiting -= 1
+        if not self.waiting:
+            came, self.came = self.came, False
+            if came and kind is None:
+                raise KeyboardInterrupt
 
 
 _SIGNALS = _StopSignals()
@@ -70,13 +67,16 @@ def stoppable() -> AbstractContextManager[None]:
     return _SIGNALS.listen()
 
 
-@contextmanager
-def unstoppable() -> Iterator[None]:
+def unstoppable() -> AbstractContextManager[None]:
     """Inside, SIGINT and STOPS wait; if one came, KeyboardInterrupt is raised at the end. Only the main thread hears
     signals; in another one this does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    with _SIGNALS.listen(), _SIGNALS.wait():
+        return nullcontext()
+    return _SIGNALS if _SIGNALS.listening else _heard()
+
+
+@contextmanager
+def _heard() -> Iterator[None]:
+    with _SIGNALS.listen(), _SIGNALS:
         yield

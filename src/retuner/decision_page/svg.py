@@ -57,6 +57,7 @@ def settings(name: str) -> Iterator[None]:
             "text.parse_math": False,
             "font.size": 9.0,
             "axes.titlesize": 9.5,
+            "axes.titley": 1.0,
             "axes.spines.top": False,
             "axes.spines.right": False,
             "font.family": ["DejaVu Sans", "sans-serif"],

@@ -129,8 +129,9 @@ class OnScreen(NobodyLooks):
 
     def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
         """See Observer."""
-        observer, unit = self.observer(loop), self._config.loops[self._place(loop)].loop.pv_unit
-        self._screen.sample(loop.name, unit, sample.pv, loop.scenario.progress, lambda: observer.look(sample))
+        name, config = loop.name, self._config
+        unit = config.loops[self._place(loop) if config.several else 0].loop.pv_unit
+        self._screen.sample(name, unit, sample.pv, loop.scenario.progress, lambda: self.observer(loop).look(sample))
 
     def _place(self, loop: LoopSession) -> int:
         """Where a loop stands among those of the session."""
@@ -152,9 +153,9 @@ class Watching(OnScreen):
 
     def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
         """See Observer."""
-        if loop.name not in self._publishers:
-            self._publishers[loop.name] = self._publisher(loop)
-        self._publishers[loop.name].sample(sample)
+        if (found := self._publishers.get(loop.name)) is None:
+            found = self._publishers[loop.name] = self._publisher(loop)
+        found.sample(sample)
         super().sampled(loop, sample)
 
     def recorded(self, loop: LoopSession | None, kind: str, t_s: float, body: Mapping[str, object]) -> None:

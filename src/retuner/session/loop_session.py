@@ -86,6 +86,7 @@ COURSE: dict[tuple[SessionPhase, SessionInput], SessionPhase] = {
     **{(phase, event): P.LEFT_OPEN for phase in (P.ENDING, P.FAILING) for event in (S.IMPATIENT, S.TURNED)},
 }
 """Everything that is not here leaves the phase as it is: the first reason to end counts."""
+TO_END, OVER = (P.ENDING, P.FAILING), (P.SETTLED, P.LEFT_OPEN)
 
 
 def no_orders(t_s: float) -> Iterable[Decision]:
@@ -154,7 +155,7 @@ class LoopSession:
     @property
     def finished(self) -> bool:
         """Whether the end has begun, no write is open, and no set is to be restored, or the waiting time is over."""
-        return self.machine.phase in {SessionPhase.SETTLED, SessionPhase.LEFT_OPEN}
+        return self.machine.phase in OVER
 
     @property
     def seen(self) -> bool:
@@ -164,7 +165,7 @@ class LoopSession:
     @property
     def ending(self) -> bool:
         """Whether the end has begun, and something may still be open."""
-        return self.machine.phase in {SessionPhase.ENDING, SessionPhase.FAILING}
+        return self.machine.phase in TO_END
 
     def freeze(self, reason: str) -> None:
         """Begin no write any more: what cannot be recorded must not be done, but the way back to the verified set.
