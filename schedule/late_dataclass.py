@@ -7,31 +7,27 @@ Retuner cost beside numpy. It makes them here too, later: same signatures, error
 import dataclasses
 from collections.abc import Callable
 from dataclasses import InitVar, asdict, astuple, field, fields, replace
+from types import MethodType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 __all__ = ["InitVar", "asdict", "astuple", "dataclass", "field", "fields", "replace"]
 
-READ = ["__dataclass_fields__", "__match_args__"]
-USED = [*READ, "__setstate__", "__getstate__", "__delattr__", "__setattr__", "__init__"]
+USED = ["__dataclass_fields__", "__match_args__", "__setstate__", "__getstate__", "__delattr__", "__setattr__"]
+USED += ["__init__"]
 SHOWN = ["__dataclass_params__", "__hash__", "__eq__", "__repr__"]
+METHODS = {*USED[2:], *SHOWN[1:]}
 """What `dataclasses` gives a class: what nearly every object needs, and what few are asked for."""
 
 
 class _WhenRead:
-    """An attribute of a class that is there once it is asked for."""
+    """A part of a class that is there once it is asked for; a method is bound to whom it is asked of."""
 
     def __init__(self, name: str, complete: Callable[[str], Any]) -> None:
         self.name, self.complete = name, complete
 
-    def __get__(self, _: object, owner: type) -> object:
-        return getattr(self.complete(self.name), self.name)
-
-
-def _when_called(name: str, complete: Callable[[str], Any]) -> Callable[..., Any]:
-    def method(self: object, *given: object, **named: object) -> object:
-        return getattr(complete(name), name)(self, *given, **named)
-
-    return method
+    def __get__(self, of: object, _: type) -> object:
+        found = getattr(self.complete(self.name), self.name)
+        return found if of is None or self.name not in METHODS else MethodType(found, of)
 
 
 def _late(defined: type, options: dict[str, bool]) -> Any:  # noqa: ANN401
@@ -52,8 +48,7 @@ def _late(defined: type, options: dict[str, bool]) -> Any:  # noqa: ANN401
     notes = {name: getattr(kind, "__origin__", kind) for name, kind in defined.__annotations__.items()}
     own = [name for name, kind in notes.items() if kind is not ClassVar and type(kind) is not InitVar]
     above = {name for base in defined.__mro__[1:-1] for name in getattr(base, "__slots__", ())}
-    space: dict[str, object] = {name: _when_called(name, complete) for name in (*USED[2:], *SHOWN[1:])}
-    space |= {name: _WhenRead(name, complete) for name in (*READ, SHOWN[0], "__signature__")}
+    space: dict[str, object] = {name: _WhenRead(name, complete) for name in (*USED, *SHOWN, "__signature__")}
     space |= {name: value for name, value in body.items() if name not in own}
     space["__slots__"] = tuple(name for name in own if name not in above)
     late: Any = type(defined)(defined.__name__, defined.__bases__, space)
