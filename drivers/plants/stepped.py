@@ -15,7 +15,7 @@ from retuner.adaptive.identification.identify import OPEN_LOOP, identify_window
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.drivers.plants.foreign_model import PlantFaultError
-from retuner.drivers.plants.shared_plant import PlantPort
+from retuner.drivers.plants.shared_plant import GOES_ON, PlantPort
 
 STEPS_PCT = (1.0, 5.0, 20.0)
 """Sizes of the step of co that are tried: small against its range, large against rounding and a coarse sensor."""
@@ -30,6 +30,10 @@ FEWEST_AT_SETPOINT = 20
 MOST_RESTS = 5
 EXPLAINED = 0.02
 """What the model may leave of the step response, as a share of its size."""
+
+
+class NoProcessError(PlantFaultError):
+    """A copy went on, and its step tells no process."""
 
 
 def rests_of(sp: FloatArray, co: FloatArray) -> dict[float, float]:
@@ -73,7 +77,7 @@ class SteppedPlant:
         at = min(self._rests, key=lambda rest: abs(rest - pv))
         if at not in self._known:
             for size in STEPS_PCT:
-                with suppress(PlantFaultError) if size < STEPS_PCT[-1] else nullcontext():
+                with suppress(NoProcessError) if size < STEPS_PCT[-1] else nullcontext():
                     self._known[at] = self._stepped(self._rests[at], size)
                     break
         return self._known[at]
@@ -90,6 +94,8 @@ class SteppedPlant:
             moved, _ = _held(port, co + step, self._dt_s)
         finally:
             end()
+        if port.plant.fault:
+            raise PlantFaultError(port.plant.fault.removesuffix(f"; {GOES_ON}"))
         pv = np.array([*lead, *moved], dtype=np.float64)
         given = np.full(len(pv), co, dtype=np.float64)
         given[LEAD - 1 :] += step  # held from the last sample of the lead on
@@ -100,9 +106,9 @@ class SteppedPlant:
             )  # else a tail explains a slow rise, with a gain of nothing
             found = identify_window(window, sign, settings=OPEN_LOOP)
         except ValueError as error:
-            raise PlantFaultError(f"a step of its copy tells no process: {error}") from None
+            raise NoProcessError(f"a step of its copy tells no process: {error}") from None
         if found.residual_std > EXPLAINED * float(np.ptp(pv)):  # gains are not asked for: a dead time may be open
-            raise PlantFaultError("a step of its copy is that of no process of second order")
+            raise NoProcessError("a step of its copy is that of no process of second order")
         return found.log.model().linear()
 
 
