@@ -132,6 +132,8 @@ def test_a_step_is_compared_with_the_commissioned_gains_or_that_is_said() -> Non
     assert not as_commissioned(replace(told, run=run | {"kp": np.where(t < 150, 2.0, 2.5)}), twin)
     assert "There was no run with fixed gains" in render(replace(told, events=[]))
     assert "There was no run with fixed gains" not in render(replace(told, fixed=run))
+    assert "The same step, before and after" in render(replace(told, scores=[score(1.5, 1.0, None, changes=1)]))
+    assert "The same step, before and after" not in render(replace(told, scores=[score(1.5, 1.0, None)]))
 
 
 def test_a_report_fits_a_narrow_screen_and_paper() -> None:

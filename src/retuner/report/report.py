@@ -321,11 +321,14 @@ def _ms_cell(score: RegionScore, limit: float, documents: Sequence[Document]) ->
 
 
 def _twins(data: ReportData) -> str:
-    """One step before and after, per region."""
+    """One step before and after, per region whose gains have changed."""
     names = data.after.regions.names
+    still = {one.region for one in data.scores if not one.changes and one.before == one.after}
     images = []
     for twin in twin_steps(data.run, data.events):
         name = names[twin.region]
+        if name in still:
+            continue
         commissioned = as_commissioned(data, twin)
         images.append(twin_svg(data.run, data.fixed, twin, name, data.unit, commissioned=commissioned))
     if not images:

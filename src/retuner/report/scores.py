@@ -179,7 +179,7 @@ def twin_steps(columns: Columns, events_s: list[float]) -> list[Twin]:
     best: dict[int, Twin] = {}
     for (i, low, high), places in seen.items():
         if len(places) > 1:
-            twin = Twin(i, places[0], places[-1], f"setpoint {low:g} to {high:g}")
+            twin = Twin(i, places[0], places[-1], f"setpoint {low:.4g} to {high:.4g}")
             held = best.get(i)
             if held is None or twin.last[0] - twin.first[0] > held.last[0] - held.first[0]:
                 best[i] = twin
