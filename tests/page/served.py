@@ -37,7 +37,7 @@ class Clock:
 class Session:
     """A session as far as its files go: samples, rows, decisions."""
 
-    def __init__(self, folder: Path, loop: str = "oven", region: str = "low") -> None:
+    def __init__(self, folder: Path, loop: str = "oven", region: str = "low", by_hand: str = "") -> None:
         folder.mkdir()
         text = (ROOT / "examples" / "oven.toml").read_text(encoding="utf-8")
         text = text.replace('name = "oven"', f'name = "{loop}"', 1).replace('name = "low"', f'name = "{region}"', 1)
@@ -48,7 +48,7 @@ class Session:
         self.ledger = Ledger(folder / "ledger.sqlite")
         self.append("session", 0.0, {"config": self.config.summary(), "versions": {}})
         self.running: RunningSet | None = RunningSet(1, GAINS, 0)
-        head = head_of(self.config, self.retuner.table)
+        head = head_of(self.config, self.retuner.table) | {"by_hand": by_hand}
         self.publisher = Publisher(folder, head, LoopObserver(self.retuner, self), print)
         self.t_s = 0.0
 

@@ -49,6 +49,20 @@ def test_the_overview_has_every_loop_and_what_waits_for_a_person(session: Sessio
     assert served.client.get("/api/overview").json()["sessions"][0]["ended"] is True
 
 
+def test_gains_out_of_reach_are_not_to_be_approved(tmp_path: Path) -> None:
+    (tmp_path / "all").mkdir()
+    session = Session(tmp_path / "all" / "watched", by_hand="set them by hand")
+    session.samples(30)
+    session.proposes()
+    served = Served(session.folder.parent)
+    served.look()
+    (waiting,) = served.client.get("/api/overview").json()["sessions"][0]["loops"][0]["waiting"]
+    assert waiting["what"] == "by hand"
+    assert waiting["text"].endswith("-> Kc 0.88 tau_I 248 s; set them by hand")
+    served.close()
+    session.close()
+
+
 def test_a_loop_is_told_with_its_decisions_and_the_page_of_each(session: Session, served: Served) -> None:
     session.proposes()
     served.look()

@@ -13,6 +13,7 @@ from retuner.decision_page.row_values import number
 from retuner.live_view.live_file import FIELDS, LiveWriter
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.loop_seen import LoopObserver
+from retuner.products import product
 from retuner.report.console import screen_console
 from retuner.report.event_words import event_line
 from retuner.schedule.table import GainTable
@@ -38,6 +39,7 @@ def head_of(config: Config, table: GainTable, *, several: bool = False) -> dict[
         "sample_time_s": loop.sample_time_s,
         "ms_limit": config.adaptation.ms_marked,
         "approval_s": config.adaptation.approval_s,
+        "by_hand": product("foreign device").advice_only(config) if config.foreign_device else "",
         "regions": list(regions.names),
         "axes": [{"label": axis.label, "unit": axis.unit, "bounds": list(axis.bounds)} for axis in regions.axes],
         "fields": list(FIELDS),

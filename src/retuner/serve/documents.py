@@ -103,14 +103,15 @@ def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]
     """Proposals that wait, changes that wait for a word, locked regions."""
     shown = session.ledger.shown_of(loop.name)
     approval_s = float(loop.reader.head.get("approval_s", 0.0))
-    regions = set(loop.reader.head.get("regions", ()))
+    regions, by_hand = set(loop.reader.head.get("regions", ())), loop.reader.head.get("by_hand")
     found: list[Document] = [
         {
-            "what": "proposal",
+            "what": "by hand" if by_hand else "proposal",
             "region": one.region,
             "decision": one.number,
             "digest": one.digest,
-            "text": f"{settings_text(one.before, loop.name)} -> {settings_text(one.after, loop.name)}",
+            "text": f"{settings_text(one.before, loop.name)} -> {settings_text(one.after, loop.name)}"
+            + f"; {by_hand}" * bool(by_hand),
         }
         for one in shown.open(approval_s)
         if not shown.successor(one) and one.region in regions

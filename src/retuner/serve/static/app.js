@@ -397,7 +397,7 @@ class Loop {
       el("p", {}, el("b", {}, w.region), w.decision ? `, decision ${w.decision}` : "", `: ${w.text}`),
       el("div", { class: "bar" },
         w.what === "locked" ? act("Unlock", "primary", `Unlock ${w.region}?`, "The retuner may change this region again.", { order: "unlock", region: w.region }) : [
-          act("Approve", "primary", `Approve ${w.region}?`, w.what === "tried" ? "The trial gains stay, and the region continues." : `The controller gets ${w.text}, on trial: rolled back when worse than predicted.`, { order: "approve", digest: w.digest }),
+          w.what === "by hand" ? "" : act("Approve", "primary", `Approve ${w.region}?`, w.what === "tried" ? "The trial gains stay, and the region continues." : `The controller gets ${w.text}, on trial: rolled back when worse than predicted.`, { order: "approve", digest: w.digest }),
           act("Reject", "", `Reject ${w.region}?`, w.what === "tried" ? "The trial gains are rolled back." : "The proposal is closed.", { order: "reject", digest: w.digest }),
           w.decision ? el("button", { type: "button", onclick: () => this.open(w.decision) }, "why?") : ""])))));
   }
