@@ -105,7 +105,7 @@ def by_all_samples(found: Findings) -> None:
     if book is not None and changed:
         book = found.book = doubted(book, settings.changed_odds)
     changes = found.verdict is not None and found.verdict.accepted
-    doubts = not shown or found.end is None or found.end.code in OPEN  # a look by itself has no end yet
+    doubts = not shown or (found.end is not None and found.end.code in OPEN and not found.question.alone)
     if look is not None and not ((look.due and doubts) or changes):
         look = None  # a look is dear
     if look is not None:

@@ -223,7 +223,7 @@ class Retuner:
         from_s = max(self._looked_s, since_s)
         self._alone_s = from_s + PATIENCE * after_s
         known, rests_on = self.region_models.get(region), self.excitation.get(region, Excitation())
-        shown = not self.trials.busy and shown_clearly(known, rests_on, self.foreign.get(region, 0))
+        shown = shown_clearly(known, rests_on, self.foreign.get(region, 0))
         waited = on_trial or self.now_s >= from_s + (PATIENCE if alone else 1.0) * after_s
         if waited:
             self._alone_s = self.now_s + PATIENCE * after_s

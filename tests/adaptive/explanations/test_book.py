@@ -226,6 +226,9 @@ def test_nothing_is_looked_at_where_clear_setpoint_steps_have_shown_the_process(
     monkeypatch.setattr(retuner, "look_of", lambda *given: looks.append(1) or look_of(*given))
     _, pid = watched(controller(2.7), 4, 2200)
     assert not pid.retuner.books
+    pid.retuner.trials.busy = True
+    pid.retuner._looked_s = 0.0
+    assert pid.retuner._look(alone=True) is None, "nor while a set is on trial"
     assert len(looks) < 100  # with responses, not with samples
 
 
@@ -263,7 +266,6 @@ def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to:
 def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
     at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None, settled: bool = True,
-    alone: bool = False,
 ) -> Findings:  # fmt: skip
     """A change that the pipeline accepted, or with a code how it ended without. times : of the good gains, in force.
 
@@ -279,14 +281,13 @@ def put_to_the_book(
     )  # fmt: skip
     look = Look(book, window, grows=True, limited=0.0)
     question: Any = SimpleNamespace(
-        record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0, alone=alone
+        record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0, alone=False
     )
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
     found = Findings(question, verdict=verdict, learned=SimpleNamespace(agreement=agreement, valve=None))  # type: ignore[arg-type]
     found.in_use = SimpleNamespace(identifiable=settled)  # type: ignore[assignment]
-    if code or alone:
-        found.verdict = None
     if code:
+        found.verdict = None
         found.stop(code, "")
     if expected is not None:
         found.numbers = ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8)
@@ -294,12 +295,6 @@ def put_to_the_book(
         patched.setattr(by_book_stage, "_doubt", lambda *_, **__: doubt)
         by_all_samples(found)
     return found
-
-
-def test_all_samples_without_a_response_are_an_answer_also_where_steps_have_shown_the_process() -> None:
-    found = put_to_the_book(1.0, 1.0, None, at_rest=True, alone=True)
-    assert found.end is not None
-    assert found.end.code == by_book_stage.LOOKED
 
 
 @pytest.mark.parametrize(
