@@ -21,6 +21,7 @@ THOUSANDS = MappingProxyType(
 )
 THREE_AFTER = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 """What may be a thousand and some as well as one and some thousandths."""
+PLAIN = re.compile(r"([+-]?[0-9]+(\.[0-9]+)?\n)*+")
 SYSTEM_STATE = re.compile(r"\[-[0-9]+\].*")
 """A state of the historian instead of a value, as in "[-11059] No Good Data"."""
 GOOD_WORDS = frozenset({"good", "ok", "valid", "normal", "g", "true", "good, annotated", "alarm", "unackedalarm"})
@@ -40,7 +41,10 @@ def decimal_mark(table: RawTable, places: Iterable[int], form: RecordForm) -> tu
     """
     if form.decimal:
         return form.decimal, ()
-    fields = [_bare(f.strip()) for p in places for f in _text(table, p)]
+    columns = [_text(table, p) for p in places]
+    if all(map(_plain, columns)):
+        return ".", ()
+    fields = [_bare(f.strip()) for column in columns for f in column]
     commas = [f for f in fields if COMMA.fullmatch(f)]
     if not commas or any("." in f and NUMBER.fullmatch(f) for f in fields):
         return ".", ()
@@ -55,6 +59,12 @@ def _text(table: RawTable, place: int) -> Sequence[str]:
     """A column's fields where they are text."""
     column = table.columns[place]
     return () if isinstance(column, np.ndarray) else column
+
+
+def _plain(column: Sequence[str]) -> bool:
+    """Whether all fields are digits with a decimal point at most: one look at all of them, not several at each."""
+    text = "\n".join((*column, ""))
+    return PLAIN.fullmatch(text) is not None and text.count("\n") == len(column)
 
 
 def _bare(text: str) -> str:
@@ -73,6 +83,8 @@ def unit_beside(table: RawTable, place: int) -> str:
         Values have different units, or only some have one.
     """
     first, where = "", ""
+    if _plain(_text(table, place)):
+        return ""
     for i, field in enumerate(_text(table, place)):
         text = without_status(field)
         with_unit = WITH_UNIT.fullmatch(text)
@@ -101,6 +113,8 @@ def numbers(table: RawTable, place: int, decimal: str, form: RecordForm) -> Floa
         values: FloatArray = column.astype(np.float64, copy=False)
         return values if all_finite(values) else np.where(np.isfinite(values), values, np.nan)
     missing = MISSING | {word.strip().lower() for word in form.bad}
+    if decimal == "." and _plain(column) and missing.isdisjoint(column):
+        return np.fromiter(map(float, column), np.float64, len(column))
     found = np.empty(len(column))
     for i, field in enumerate(column):
         found[i] = _number(table, place, i, field.strip(), decimal, missing)
