@@ -19,6 +19,7 @@ import numpy as np
 
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
+from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
@@ -120,7 +121,9 @@ def diagnose_records(
         The most probable cause first in `found.diagnosis`, all causes in its `causes`, sum 1.
     """
     settings, diagnosis = settings or OddsSettings(), diagnosis or DiagnosisSettings()
-    each = [diagnose_window(w, gains, co_min, co_max, diagnosis, direction=direction) for w in windows]
+    each = [
+        diagnose_window(w, gains, co_min, co_max, diagnosis, direction=direction, rough_law=rough_law) for w in windows
+    ]
     open_ones = [(w, f) for w, f in zip(windows, each, strict=True) if not _final(w, f)]
     if not open_ones:
         return OddsFound(_alone(each[0], settings))

@@ -9,6 +9,7 @@ enough to say that pv stands while co travels, and not enough for settings.
 
 import numpy as np
 
+from retuner.adaptive.controller_settings.read_off import LawSettings, settings_in_force
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -56,3 +57,12 @@ def _fitted(co: FloatArray, columns: FloatArray) -> FloatArray:
     scale = np.linalg.norm(centred, axis=0)
     scale[scale == 0] = 1.0
     return np.asarray(np.linalg.lstsq(centred / scale, co - co.mean(), rcond=None)[0] / scale)
+
+
+ROUGHLY = LawSettings(explained_limit=0.5, std_limit=0.5, disagreement=2.0, slow_disagreement=2.0)
+"""A direction and a rough integral time are enough: a stuck valve hides the settings themselves."""
+
+
+def rough_law(window: Window) -> PidGains | None:
+    """Settings read off a record as well as it shows them: enough where a direction and an integral time are."""
+    return settings_in_force(window, settings=ROUGHLY).gains or summed_law(window)

@@ -16,6 +16,7 @@ change gains must hold on the models that the record allows, weighted by their l
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -56,6 +57,12 @@ NOT_AT_WORK = frozenset(
 """Conditions in which no loop is at work."""
 
 
+def unknown_law(window: Window) -> PidGains | None:
+    """No gains: nobody reads them off a record."""
+    del window
+    return None
+
+
 def diagnose_window(
     window: Window,
     gains: PidGains | None,
@@ -64,6 +71,7 @@ def diagnose_window(
     settings: DiagnosisSettings | None = None,
     *,
     direction: int | None = None,
+    rough_law: Callable[[Window], PidGains | None] = unknown_law,
 ) -> DiagnosedRecord:
     """Name the cause of a loop's behaviour in a record.
 
@@ -71,9 +79,10 @@ def diagnose_window(
     ----------
     window : the record. gains : in force; without them nothing can be said of the tuning.
     co_min, co_max : limits of co where known. direction : sign of the controller's gain where no more is known.
+    rough_law : gains by the record itself, where none are given: whether pv stands is asked with them.
     """
     settings = settings or DiagnosisSettings()
-    found = _as_recorded(window, _diagnosed(window, gains, (co_min, co_max), settings, direction), settings)
+    found = _as_recorded(window, _diagnosed(window, gains, (co_min, co_max), settings, direction, rough_law), settings)
     return replace(found, diagnosis=_with_period(counted(found.diagnosis)))
 
 
@@ -120,6 +129,7 @@ def _diagnosed(
     limits: tuple[float | None, float | None],
     settings: DiagnosisSettings,
     direction: int | None,
+    rough_law: Callable[[Window], PidGains | None],
 ) -> DiagnosedRecord:
     """The diagnosis with the confidence that a verdict has among those that were weighed."""
     seen = screen(window, gains, *limits, in_auto=settings.in_auto)
@@ -132,13 +142,13 @@ def _diagnosed(
         return DiagnosedRecord(obvious)
     parts = stretches(window, seen.period_s, settings.fit.choice.most_samples)
     if parts:
-        each = [_diagnosed(part, gains, limits, settings, direction) for part in parts]
+        each = [_diagnosed(part, gains, limits, settings, direction, rough_law) for part in parts]
         return over_time(parts, each)
     if short := too_few(window):
         return DiagnosedRecord(Diagnosis(Cause.UNKNOWN, 0.9, dict(seen.evidence), short))
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
-    told = _compared(window, gains, found, seen, settings)
+    told = _compared(window, gains, found, seen, settings, rough_law)
     return _in_parts(window, gains, limits, told, settings) or told
 
 
@@ -214,13 +224,18 @@ def _obvious(seen: Screening, settings: DiagnosisSettings) -> Diagnosis | None:
 
 
 def _compared(
-    window: Window, gains: PidGains | None, found: list[Candidate], seen: Screening, settings: DiagnosisSettings
+    window: Window,
+    gains: PidGains | None,
+    found: list[Candidate],
+    seen: Screening,
+    settings: DiagnosisSettings,
+    rough_law: Callable[[Window], PidGains | None],
 ) -> DiagnosedRecord:
     """The linear explanation against its rivals, where they are worth asking."""
     best = found[0]
     evidence = dict(seen.evidence) | {"linear_left": residual(best), "loads": float(best.fit.misfit.loads)}
     fits = {"linear": best}
-    stood = pv_stands(window, gains, best, settings)
+    stood = pv_stands(window, gains or rough_law(window), best, settings)
     loads = best.fit.misfit.loads
     by_loads = loads >= SEVERAL_LOADS or (loads > 0 and not seen.evidence.get("setpoint_steps"))
     if seen.oscillates or by_loads or residual(best) > settings.oscillating_residual:

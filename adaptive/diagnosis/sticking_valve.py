@@ -245,7 +245,7 @@ def pv_stands(
 
     best : the linear explanation; where it is by far the likelier one, plateaus are what a slow loop leaves.
     """
-    found = stand_still(window, gains, settings.standing)
+    found = stand_still(window, gains, settings.standing) if gains is not None else None
     if found is None or not (found.stands or found.dead):
         return None
     record = best.fit.misfit.record

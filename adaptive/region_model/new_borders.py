@@ -266,22 +266,7 @@ def new_borders(
         the controller. limits : of Ms and J, those of a schedule's design where nothing is said.
     """
     wanted = limits or DesignLimits()
-    # Known places from end to end of every region that has records of its own, and its middle among them
-    sign, regions = table.gains[0].direction, table.regions
-    own = {i: model for i, model in lenders(region_models, sign).items() if model.records >= LEAST_RECORDS}
-    through = curves(own, regions, t_s, tracker)
-    if not through or len(regions.axes) > 1 or table.lookup is not Lookup.HARD:
-        spots = {}
-    else:
-        behind = {t: sum(k.evidence for model in own.values() for k in model.known if k.log.type is t) for t in through}
-        type_ = min(behind, key=lambda t: behind[t])
-        found = {}
-        for region in own:
-            xs = np.linspace(*regions.span(region), PLACES).tolist()
-            row = [spot_of(x, _log(through[type_], x, sign, type_), sample_time_s, wanted) for x in xs]
-            known = [spot for spot in row if spot is not None]
-            found.update({region: known} if len(known) >= LEAST_KNOWN and row[PLACES // 2] is not None else {})
-        spots = found
+    spots = _known_spots(table, region_models, t_s, sample_time_s, tracker, wanted)
     now = {region: best_of(row) for region, row in spots.items()}
     wide = [region for region, row in spots.items() if now[region].kept < TOO_WIDE * len(row)]
     if not wide:
@@ -302,6 +287,31 @@ def new_borders(
         return None
     ms = max(spot.ms(now[region].gains) for region, row in spots.items() for spot in row)
     return Refinement(best.table, places, kept, then, ms, _largest_ms(best.table, spots), wanted, told)
+
+
+def _known_spots(
+    table: GainTable,
+    region_models: Mapping[int, RegionModel],
+    t_s: float,
+    sample_time_s: float,
+    tracker: TrackerSettings,
+    limits: DesignLimits,
+) -> dict[int, list[Spot]]:
+    """Known places from end to end of every region that has records of its own, its middle among them."""
+    sign, regions = table.gains[0].direction, table.regions
+    own = {i: model for i, model in lenders(region_models, sign).items() if model.records >= LEAST_RECORDS}
+    through = curves(own, regions, t_s, tracker)
+    if not through or len(regions.axes) > 1 or table.lookup is not Lookup.HARD:
+        return {}
+    behind = {t: sum(k.evidence for model in own.values() for k in model.known if k.log.type is t) for t in through}
+    type_ = min(behind, key=lambda t: behind[t])
+    found = {}
+    for region in own:
+        xs = np.linspace(*regions.span(region), PLACES).tolist()
+        row = [spot_of(x, _log(through[type_], x, sign, type_), sample_time_s, limits) for x in xs]
+        known = [spot for spot in row if spot is not None]
+        found.update({region: known} if len(known) >= LEAST_KNOWN and row[PLACES // 2] is not None else {})
+    return found
 
 
 def _largest_ms(table: GainTable, spots: Mapping[int, Sequence[Spot]]) -> float:

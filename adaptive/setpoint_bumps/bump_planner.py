@@ -193,24 +193,28 @@ class BumpPlanner:
         self._since_s = min(self._since_s, sample.t_s)
         moved = sample.sp != self._sp
         self._sp = sample.sp
-        # Whether a sample is outside the noise band; what the evidence itself has left is passed over
-        assert self._quiet_since_s is not None
-        half_s = self.settings.after_h * SECONDS_PER_HOUR / 2
-        self._rested = self._rested or around.at_rest or sample.t_s - self._quiet_since_s > half_s
-        if self._rested:
-            self._seen += 1
-            self._outside += abs(sample.sp - sample.pv) > around.band
-            self._squares += (sample.sp - sample.pv) ** 2
+        self._count_outside(sample, around)
         if self.phase is BumpPhase.WATCHING:
             if moved:
                 self.evidence(sample.t_s)
-            # Whether nothing has shown the process for long enough
-            assert self._quiet_since_s is not None
-            if not (sample.t_s - self._quiet_since_s >= self.settings.after_h * SECONDS_PER_HOUR):
+            if self._quiet_s(sample) < self.settings.after_h * SECONDS_PER_HOUR:
                 return None
             return self._announced(sample, around) if self._is_due(sample, around) else self._too_small(sample, around)
         cause = self._cause(sample, around)
         return None if cause is None else self._taken(cause, sample.t_s)
+
+    def _quiet_s(self, sample: LoopSample) -> float:
+        """Time since the process was shown last."""
+        return sample.t_s - (self._quiet_since_s if self._quiet_since_s is not None else sample.t_s)
+
+    def _count_outside(self, sample: LoopSample, around: LoopAround) -> None:
+        """Count samples outside the noise band; what the evidence itself has left is passed over."""
+        half_s = self.settings.after_h * SECONDS_PER_HOUR / 2
+        self._rested = self._rested or around.at_rest or self._quiet_s(sample) > half_s
+        if self._rested:
+            self._seen += 1
+            self._outside += abs(sample.sp - sample.pv) > around.band
+            self._squares += (sample.sp - sample.pv) ** 2
 
     def left_out(self, before: float, to: float) -> None:
         """A session before this one ended without putting its setpoint back: that is what comes first."""
@@ -340,21 +344,24 @@ class BumpPlanner:
         if sample.t_s - self.made[-1] > self.settings.longest_s:
             return BumpEvent.TOO_LONG
         if self._holds:
-            # Whether it is time for the other side, or to go back; the first setpoint tells how long each is held
-            if abs(sample.sp - sample.pv) >= self.size / 2:
-                self._near_s = math.inf
-            elif math.isinf(self._near_s):
-                self._near_s = since
-            longest = min(self.settings.longest_s, MOST_SAMPLES * self._dt_s) / sum(HOLDS)
-            if math.isinf(self._half_s) and since - self._near_s >= STAYS_SAMPLES * self._dt_s:
-                half_s = max(self._near_s, self._half[1] if self._half[0] == sample.revision else 0.0)
-                self._half = sample.revision, half_s
-                self._half_s = min(max(half_s, RESET_SHARE * around.reset_s, STAYS_SAMPLES * self._dt_s), longest)
-            hold_s = max(self._holds[0] * min(self._half_s, longest), STANDS * self._dt_s)
-            if since < hold_s - self._dt_s / 2:
-                return None
-            return BumpEvent.NEXT if len(self._holds) > 1 else BumpEvent.AT_REST
+            return self._held_long_enough(sample, around, since)
         return BumpEvent.AT_REST if around.at_rest and since > SHORTEST_SAMPLES * self._dt_s else None
+
+    def _held_long_enough(self, sample: LoopSample, around: LoopAround, since: float) -> BumpEvent | None:
+        """Whether it is time for the other side, or to go back; the first setpoint tells how long each is held."""
+        if abs(sample.sp - sample.pv) >= self.size / 2:
+            self._near_s = math.inf
+        elif math.isinf(self._near_s):
+            self._near_s = since
+        longest = min(self.settings.longest_s, MOST_SAMPLES * self._dt_s) / sum(HOLDS)
+        if math.isinf(self._half_s) and since - self._near_s >= STAYS_SAMPLES * self._dt_s:
+            half_s = max(self._near_s, self._half[1] if self._half[0] == sample.revision else 0.0)
+            self._half = sample.revision, half_s
+            self._half_s = min(max(half_s, RESET_SHARE * around.reset_s, STAYS_SAMPLES * self._dt_s), longest)
+        hold_s = max(self._holds[0] * min(self._half_s, longest), STANDS * self._dt_s)
+        if since < hold_s - self._dt_s / 2:
+            return None
+        return BumpEvent.NEXT if len(self._holds) > 1 else BumpEvent.AT_REST
 
     def _taken(self, cause: BumpEvent, t_s: float) -> BumpNews | None:
         new = COURSE.get((self.phase, cause))

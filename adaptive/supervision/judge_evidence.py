@@ -5,6 +5,7 @@ from itertools import islice
 
 import numpy as np
 
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.plausible import Plausible
@@ -13,7 +14,6 @@ from retuner.adaptive.region_model.update import Agreement, Learned
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, ResponseRecord, StageResult
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
@@ -24,6 +24,7 @@ from retuner.adaptive.trial.prediction import Prediction, decay_seen, predict, p
 from retuner.adaptive.trial.random_walk import beside_a_walk
 from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
+from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import replace
 from retuner.schedule.table import GainTable
 
@@ -85,35 +86,35 @@ def prediction_of_verdict(found: Findings, verdict: Verdict) -> Prediction | Non
 def posterior_of(
     case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
 ) -> PosteriorCheck | None:
-    """None where the record shows nothing of the process, or leaves more than noise unexplained."""
+    """What the record of a trial says of both sets; None where it shows nothing of the process, or leaves more than
+    noise unexplained. A response that crossed a border speaks by all that is known of the region it agrees with.
+    """
     if learned is None or trial.old is None or not learned.estimate.plausible:
         return None
+    known, estimate = learned.region_model, learned.estimate
     if case.crossed:
-        # The same of a response that crossed a border: by all that is known of the region, where it agrees with that
-        known = learned.region_model
         if known is None or learned.agreement != Agreement.AGREES:
             return None
-        before = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
-        allowed = believed(known.plausible, settings.guard.believed)
-        found = check_posterior(
-            allowed, before, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
-        )
-        return replace(found, settled=known.identifiable)
-    estimate = learned.estimate
+        return _both_sets(case, known.plausible, trial.old, settings, known.identifiable)
     if (
         learned.agreement == Agreement.SILENT
         or _outvoted(learned)
         or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
     ):
         return None
-    old = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
-    allowed = believed(estimate.plausible, settings.guard.believed)
-    found = check_posterior(
-        allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
-    )
-    known = learned.region_model
+    found = _both_sets(case, estimate.plausible, trial.old, settings, estimate.identifiable)
     agreed = learned.agreement == Agreement.AGREES and known is not None and known.records > AGREED
-    return replace(found, settled=estimate.identifiable, agreed=agreed)
+    return replace(found, agreed=agreed)
+
+
+def _both_sets(
+    case: ResponseRecord, models: Sequence[Plausible], old: PidGains, settings: RetunerSettings, settled: bool
+) -> PosteriorCheck:
+    """The check of the tried set and the old one on the models that are believed."""
+    before = case.table.with_gains(case.region, old).at(case.region, *case.at)
+    allowed = believed(models, settings.guard.believed)
+    more = (settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
+    return replace(check_posterior(allowed, before, case.in_force, *more), settled=settled)
 
 
 def walked(

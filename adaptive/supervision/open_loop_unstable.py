@@ -18,7 +18,7 @@ from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import LoopMode, Window
 from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
-from retuner.adaptive.supervision.pipeline_types import Findings
+from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.proof_and_choice import unproved_request
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.rollback import LOST_WORDS, less_stable
@@ -41,15 +41,7 @@ def runaway(found: Findings) -> None:
     record, verdict, settings = found.record, found.verdict, found.settings
     if verdict is None or verdict.gains is None or found.steps is not None or record.pattern is None:
         return
-    # From the last setpoint step under these gains to the end of its response, or to the load that came next;
-    # None where none is kept, or co did not follow its law.
-    response, revision = record.response, record.samples[-1].revision
-    end_s = response.t_end_s if response.sp_changed else response.t_start_s
-    kept = [s for s in record.samples if s.t_s <= end_s and s.revision == revision and s.t_s >= record.entered_s]
-    at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
-    own = kept[max(at - BEFORE, 0) :]
-    followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
-    window = Window.of(own) if at and followed and len(own) >= FEWEST_SAMPLES else None
+    window = _last_step(record)
     if window is None:
         return
     law = SampledLaw(record.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
@@ -60,6 +52,20 @@ def runaway(found: Findings) -> None:
     worse = worse_on(shown, law, after, len(window.pv), settings.cause.ms_high)
     if worse is not None:
         found.doubted(_told(shown, *worse))
+
+
+def _last_step(record: ResponseRecord) -> Window | None:
+    """From the last setpoint step under these gains to the end of its response, or to the load that came next.
+
+    None where none is kept, or co did not follow its law.
+    """
+    response, revision = record.response, record.samples[-1].revision
+    end_s = response.t_end_s if response.sp_changed else response.t_start_s
+    kept = [s for s in record.samples if s.t_s <= end_s and s.revision == revision and s.t_s >= record.entered_s]
+    at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
+    own = kept[max(at - BEFORE, 0) :]
+    followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
+    return Window.of(own) if at and followed and len(own) >= FEWEST_SAMPLES else None
 
 
 def _told(shown: UnstableProcess, before: float, after: float) -> Diagnosis:

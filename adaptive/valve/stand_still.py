@@ -21,8 +21,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from retuner.adaptive.controller_settings.read_off import LawSettings, settings_in_force
-from retuner.adaptive.controller_settings.summed_law import summed_law
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.indexes.recording_quality import runs
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -42,8 +40,6 @@ ABOUT = 0.5
 """Share of a stand's length from which plateaus are looked for: on them the error is smoothed a little otherwise."""
 STEPS_OF_A_PROCESS = 1
 """A process, with its gain, lags and dead time, costs as much as so many steps beside the one lag of the plateaus."""
-ROUGHLY = LawSettings(explained_limit=0.5, std_limit=0.5, disagreement=2.0, slow_disagreement=2.0)
-"""A direction and a rough integral time are enough: a stuck valve hides the settings themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,13 +135,7 @@ class StandStill:
         return max((leg.dwell for leg in self.legs), default=0.0)
 
 
-def stand_still(window: Window, gains: PidGains | None, settings: StandStillSettings) -> StandStill | None:
-    """Stand-still under settings that are read off the record, as well as it shows them, where they are not known."""
-    gains = gains or settings_in_force(window, settings=ROUGHLY).gains or summed_law(window)
-    return None if gains is None else standing(window, gains, settings)
-
-
-def standing(window: Window, gains: PidGains, settings: StandStillSettings) -> StandStill | None:
+def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -> StandStill | None:
     """Look for stand-still; None where the controller has no integral action or nothing moves.
 
     window : the record. gains : in force, for the direction of the controller and its integral time.

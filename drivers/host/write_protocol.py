@@ -234,12 +234,7 @@ class WriteProtocol:
         if self.phase is WritePhase.CLAIMING and (owned or (asked and self._claims == 0)):
             self._move(WriteInput.OWNED)
         elif not owned and self._unsent(now_s):
-            # The lease is gone: once more from the beginning, or, after too many times, no commit at all
-            if self._may_begin_anew:
-                self._move(WriteInput.LAPSED)
-            elif self.phase is WritePhase.COMMITTING:
-                self._why = "the lease ran out again and again"
-                self._move(WriteInput.EXHAUSTED)
+            self._lease_gone()
         if self._deadline_s is not None:
             if now_s < self._deadline_s:
                 return []
@@ -247,6 +242,14 @@ class WriteProtocol:
         self._deadline_s = now_s + self._timeout_s
         self._tries += 1
         return self._actions()[self.phase](self._order)
+
+    def _lease_gone(self) -> None:
+        """Begin once more without the lease, or, after too many times, give up: no commit at all."""
+        if self._may_begin_anew:
+            self._move(WriteInput.LAPSED)
+        elif self.phase is WritePhase.COMMITTING:
+            self._why = "the lease ran out again and again"
+            self._move(WriteInput.EXHAUSTED)
 
     def _unsent(self, now_s: float) -> bool:
         """Whether a commit is to be sent now, or gains again: not without the lease."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from retuner.adaptive import display_hook
+from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.one_tone import one_tone
 from retuner.adaptive.diagnosis.sticking_valve import pv_stands_verdict
 from retuner.adaptive.fit.record import setpoint_changes
@@ -323,7 +324,8 @@ def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, o
 def _unless_pv_stands(window: Window, gains: PidGains | None, estimate: ModelEstimate) -> ModelEstimate:
     """The estimate, unless pv stands still while co travels: that shows no process, and diagnosis says so as well."""
     settings = StandStillSettings()
-    found = stand_still(window, gains, settings)
+    law = gains or rough_law(window)
+    found = stand_still(window, law, settings) if law is not None else None
     if found is None or not (found.stands or found.dead):
         return estimate
     if found.lead_of(estimate.residual_std**2, len(estimate.load_times_s)) > settings.likelier:

@@ -10,22 +10,30 @@ from test_coincident_loads import recorded
 
 from retuner import api, diagnosing
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.adaptive.controller_settings.summed_law import summed_law
+from retuner.adaptive.controller_settings.summed_law import rough_law, summed_law
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.sticking_valve import pv_stands_verdict
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import _Responses, as_steps, plateaus, rough_sigma
 from retuner.adaptive.valve.stand_still import (
     Leg,
+    StandStill,
     StandStillSettings,
     _ends,
     stand_still,
-    standing,
 )
 from retuner.schedule.gains import PidGains
 
 GAINS = PidGains(0.2, 0.2 / 5.0)
 SETTINGS = StandStillSettings()
+
+
+def _by_itself(name: str) -> StandStill | None:
+    """A real record with the settings that are read off it."""
+    window = Window(*recorded(name))
+    gains = rough_law(window)
+    assert gains is not None
+    return stand_still(window, gains, SETTINGS)
 
 
 def flow_loop(positions: list[float] | None, sp: np.ndarray, load: np.ndarray, seed: int = 1) -> Window:
@@ -59,7 +67,7 @@ def test_pv_as_steps():
 
 def test_a_valve_that_stands_and_slips_is_named():
     sp = np.repeat([0.0, 6.0, -4.0], 200)
-    found = standing(flow_loop([4.0, 2.4, -3.0, -1.4, 0.5], sp, np.zeros(600)), GAINS, SETTINGS)
+    found = stand_still(flow_loop([4.0, 2.4, -3.0, -1.4, 0.5], sp, np.zeros(600)), GAINS, SETTINGS)
     assert found is not None
     assert found.stands
     assert found.sticks
@@ -72,7 +80,7 @@ def test_a_valve_that_follows_is_not(seed):
     rng = np.random.default_rng(seed)
     load = np.cumsum(rng.standard_normal(600)) * 0.05
     sp = np.repeat(rng.uniform(-5, 5, 6), 100)
-    found = standing(flow_loop(None, sp, load, seed), GAINS, SETTINGS)
+    found = stand_still(flow_loop(None, sp, load, seed), GAINS, SETTINGS)
     assert found is not None
     assert not found.stands
     assert not found.dead
@@ -80,14 +88,14 @@ def test_a_valve_that_follows_is_not(seed):
 
 def test_pv_that_does_not_answer_at_all():
     sp = np.concatenate([np.zeros(100), np.full(400, 1.0)])
-    found = standing(flow_loop([0.0] * 500, sp, np.zeros(500)), GAINS, SETTINGS)
+    found = stand_still(flow_loop([0.0] * 500, sp, np.zeros(500)), GAINS, SETTINGS)
     assert found is not None
     assert found.dead
     assert not found.stands
 
 
 def test_nothing_is_asked_of_a_controller_without_integral_action():
-    assert standing(flow_loop(None, np.zeros(100), np.zeros(100)), PidGains(0.2, 0.0), SETTINGS) is None
+    assert stand_still(flow_loop(None, np.zeros(100), np.zeros(100)), PidGains(0.2, 0.0), SETTINGS) is None
 
 
 def test_a_real_sticking_valve():
@@ -102,7 +110,7 @@ def test_a_real_sticking_valve():
 
 
 def test_a_real_healthy_flow_loop():
-    found = stand_still(Window(*recorded("FIC46002_1102_1.csv")), None, SETTINGS)
+    found = _by_itself("FIC46002_1102_1.csv")
     assert found is not None
     assert not found.stands
 
@@ -118,7 +126,7 @@ def test_a_real_sticking_valve_whose_co_was_stored_in_pieces():
 
 def test_only_steps_that_end_a_stand_are_told_after_it():
     """At 5160 s pv goes a little the other way."""
-    found = stand_still(Window(*recorded("FIC31102_0628_1.csv")), None, SETTINGS)
+    found = _by_itself("FIC31102_0628_1.csv")
     assert found is not None
     assert len(found.slips_s) == 3
     assert "then follows in steps (at 5480, 7350 s)" in pv_stands_verdict(found, {}).reason

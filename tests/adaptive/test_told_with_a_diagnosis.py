@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from test_coincident_loads import recorded
 from test_diagnose import DT, GOOD, loop, times, to_and_fro
 
+from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.stretches import SAMPLES_A_CYCLE, over_time, stretches
@@ -115,7 +116,7 @@ def test_a_real_valve_in_one_long_record_is_named_as_in_each_part_of_it() -> Non
     """Condensed to what a fit takes, its slips and stands were lost: unknown."""
     _, *signals = recorded("FIC20102_1016_12.csv")
     long = [np.tile(x, 6) for x in signals]
-    found = diagnose_window(Window(10.0 * np.arange(len(long[0])), *long), None).diagnosis
+    found = diagnose_window(Window(10.0 * np.arange(len(long[0])), *long), None, rough_law=rough_law).diagnosis
     assert found.cause == Cause.STICTION
     assert "stiction from 0 to" in found.reason
 

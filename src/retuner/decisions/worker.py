@@ -162,14 +162,7 @@ class DecideInWorker:
         try:
             came = self._worker.answers.get_nowait()
         except queue.Empty:
-            # Whether the deadline has passed: the worker is ended then, for it may hang
-            assert self._asked_s is not None
-            if self._clock.now_s() - self._asked_s < self._deadline_s:
-                return None
-            self._end()
-            self._start()
-            trouble = f"no decision within {self._deadline_s:g} s of the machine's time; the worker was started anew"
-            return without_decision(LATE, trouble)
+            return self._too_late()
         if isinstance(came, StageResult):
             return Answer(came)
         if isinstance(came, str):
@@ -177,6 +170,16 @@ class DecideInWorker:
         how = self._end() or "broke off"
         self._start()
         return without_decision(LOST, f"the worker {how} while it made a decision, and was started anew")
+
+    def _too_late(self) -> Answer | None:
+        """No answer once the deadline has passed: the worker is ended then, for it may hang."""
+        assert self._asked_s is not None
+        if self._clock.now_s() - self._asked_s < self._deadline_s:
+            return None
+        self._end()
+        self._start()
+        trouble = f"no decision within {self._deadline_s:g} s of the machine's time; the worker was started anew"
+        return without_decision(LATE, trouble)
 
     def _start(self) -> None:
         """Begin a worker; it imports what it needs meanwhile."""
