@@ -46,8 +46,9 @@ CORE = {
         "adaptive.audit", "adaptive.controller_settings", "adaptive.experiments", "adaptive.schedule_choice",
     }),
     "commands.run": (48_000, {
-        "adaptive.audit", "adaptive.controller_settings", "adaptive.schedule_choice", "api", "audit", "diagnosing", "doctor", "drivers.conformance",
-        "drivers.canopen", "drivers.dbc", "drivers.historian", "drivers.plants.fmu_model", "experiment",
+        "adaptive.audit", "adaptive.controller_settings", "adaptive.schedule_choice", "api", "audit", "diagnosing",
+        "doctor", "drivers.conformance", "drivers.canopen", "drivers.dbc", "drivers.historian",
+        "drivers.plants.fmu_model", "experiment",
         "gain_export", "live_view", "report", "schedule_report", "scheduling", "serve", "session.pretuning",
         "tuning",
     }),
