@@ -253,7 +253,7 @@ def harris_index(error: FloatArray, delay: int) -> float:
 
 
 def _harris(r: FloatArray, delay: int) -> float:
-    """The same of the error's covariances at lags 0 to LAGS."""
+    """The Harris index of the error's covariances at lags 0 to LAGS."""
     if r[0] <= 0:
         return 0.0
     r = np.concatenate([[1 + 1e-9], r[1:] / r[0]])

@@ -122,7 +122,7 @@ def _side(numbers: Iterable[float]) -> AtExtreme:
 
 
 def counted(record: Window, by: Measure) -> RecordSums:
-    """The same by numpy."""
+    """The counts by numpy."""
     sp, pv, co = record.sp, record.pv, record.co
     steps_s, error = np.diff(record.t_s), sp - pv
     held_s = np.append(np.minimum(steps_s, by.longest_s), 0.0)

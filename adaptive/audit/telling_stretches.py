@@ -37,7 +37,7 @@ Stretch = tuple[int, int]
 
 
 def stretches_of_interest(record: Window, period_s: float | None, most: int) -> list[Window]:
-    """At most `most` stretches of a record in the order of time; they do not overlap.
+    """Stretches of a record in the order of time, at most `most`; they do not overlap.
 
     record : of any length. period_s : of its oscillation, None where there is none. none where most is 0.
     """

@@ -422,7 +422,7 @@ def _apart(values: list[float], std: float, ratio: float) -> bool:
 
 
 def _slow(found: Regression, window: Window) -> Regression | None:
-    """The same structure on means of a few samples; None where the record is too short, or all is explained."""
+    """The structure fitted on means of a few samples; None where the record is too short, or all is explained."""
     n = len(window.t_s) // SLOW
     if n < FEWEST_SLOW or not found.structure.proportional or found.explained > ALL_EXPLAINED:
         return None

@@ -28,7 +28,7 @@ BLOCKS = 30
 STRETCH = 0.1
 """Length of a stretch with its own constant in the level equation, as a share of the record."""
 SHORTEST_STRETCH = 64
-"""The same in samples, at least."""
+"""Shortest stretch in samples."""
 MAD_TO_SIGMA = 1.4826
 OUTLIER = 6.0
 """Remainders beyond so many (robust) standard deviations are moves that no law made."""
@@ -64,7 +64,7 @@ class Structure:
         return self.tau_f_s if self.derivative else self.pv_filter_s
 
     def filtering(self, tau_s: float) -> "Structure":
-        """The same with another filter time."""
+        """The regression with another filter time."""
         return replace(self, tau_f_s=tau_s) if self.derivative else replace(self, pv_filter_s=tau_s)
 
     @property

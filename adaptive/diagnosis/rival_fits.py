@@ -82,7 +82,7 @@ def _with_tone(fit: Candidate, harmonics: int) -> Misfit:
 
 
 def sharper(tone: Candidate) -> Candidate:
-    """The same tone with as many harmonics as sharp corners need, where the record shows them and they pay."""
+    """The tone with as many harmonics as sharp corners need, where the record shows them and they pay."""
     record = tone.fit.misfit.record
     period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
     more = replace(tone.fit.misfit, harmonics=MORE_HARMONICS)

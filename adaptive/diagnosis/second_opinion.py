@@ -178,7 +178,7 @@ def _diagnosed(
 
 
 def last_two(samples: list[LoopSample], response: Response, settings: SwingSettings) -> list[LoopSample]:
-    """From the rest before the response before this one; all, where the loop was not at rest in between."""
+    """The samples from the rest before the response before this one; all, where the loop was not at rest in between."""
     needed_s = settings.rest * (response.t_end_s - response.t_start_s)
     rests, after_s = 0, response.t_start_s
     moved = False

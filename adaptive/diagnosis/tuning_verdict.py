@@ -428,7 +428,7 @@ def _not_brought_back(window: Window) -> str:
 
 UNSTABLE = "the fitted process would be unstable with the active gains, but the record does not grow"
 CONTRADICTED = "with load steps at the setpoint changes a model explains pv as well on which the loop would be unstable"
-"""The same, told of a loop that is called stable without such load steps."""
+"""What is told of a loop that is called stable without such load steps."""
 
 
 def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSettings) -> str:

@@ -35,7 +35,7 @@ SURE_STD = 2.0
 TURN_SHARE = 0.02
 """A turn is a move back by this share of the range, or by what noise cannot be."""
 STEP_PART, SWUNG_PART, SMOOTH_PART = 0.33, 0.5, 0.67
-"""That part of a step's response; of a setpoint response that has swung once; and of one that has not, because a peak
+"""Shares of a step's response; of a setpoint response that has swung once; and of one that has not, because a peak
 looks flat from near.
 """
 ENOUGH_OF_BAND = 0.6

@@ -171,7 +171,7 @@ def _stroke(window: Window, holds: list[tuple[int, int]], step: float) -> float 
 
 
 def _half_time(window: Window, before: tuple[int, int], after: tuple[int, int]) -> float | None:
-    """From a move of co to half of pv's answer, s; None where the answer is not clear of what pv did before."""
+    """Time from a move of co to half of pv's answer, s; None where the answer is not clear of what pv did before."""
     old, new = window.pv[slice(*before)], window.pv[slice(*after)]
     start, end = float(np.mean(old[-max(len(old) // 4, 1) :])), float(np.mean(new[-max(len(new) // 4, 1) :]))
     if not abs(end - start) > 4.0 * float(np.std(np.diff(new)) / math.sqrt(2.0) + 1e-12):

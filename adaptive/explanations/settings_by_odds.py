@@ -70,7 +70,7 @@ TAU_CS = (1.0, 1.5, 2.5, 4.0)
 SCALES = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
 """Factors on all actions of the set in force."""
 CALMER, STILL_BAD = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15), 0.2
-"""The same for a loop that is too tight, where no set is good on nearly all processes: the first that is on most, and
+"""Factors for a loop that is too tight, where no set is good on nearly all processes: the first that is on most, and
 the share of the odds that it may leave too tight."""
 TOLD_SHARE, TOLD_MOST = 0.9, 20
 """Share of the odds whose processes are told with settings, and how many at the most."""

@@ -49,8 +49,8 @@ AT_PV, VALUE, SLOPE = 0, 1, 2
 """Orders of a walk: how often it is summed up behind the lags. One at pv goes through none."""
 LOADS = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in BANDWIDTHS)
 FINE = (0.02, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, math.inf)
-"""Of the walk, for the book: between octaves the likelihood of a thousand samples falls by 50, and a process that is
-wrong takes the place of a bandwidth that is missing."""
+"""Bandwidths of the walk, for the book: between octaves the likelihood of a thousand samples falls by 50, and a wrong
+process takes the place of a bandwidth that is missing."""
 BEHIND_LAGS = (*((one, VALUE) for one in FINE), *((one, SLOPE) for one in BANDWIDTHS[1:-1]))
 LOADS_OF_BOOK = (*BEHIND_LAGS, *((bandwidth, AT_PV) for bandwidth in BANDWIDTHS[1:]))
 """Loads that the book has for every process, and all that it has for those that do not run away by themselves."""
@@ -337,7 +337,7 @@ def lead_of_steps(left: float, steps: int, samples: int, record: Prepared, likel
 
 
 OWN_NUMBERS, NUMBERS_OF_STEP = 2.0, 2.0
-"""Of a fit: start and level, as the process is chosen under a walk as well; size and time of each load step."""
+"""Numbers of a fit: start and level, as the process is chosen under a walk as well; size and time of each load step."""
 
 
 def setpoint_share(record: Prepared, setpoint: FloatArray, lag: float) -> float:
@@ -370,7 +370,7 @@ def log_likelihoods(
     record: Prepared, direction: int, gain_unit: float, tones: FloatArray, ends: Sequence[int],
     lags: tuple[float, ...] = LAGS,
 ) -> FloatArray:  # fmt: skip
-    """The same where the load holds so many of these tones besides (under_loads), of any size and phase.
+    """The log-likelihoods where the load holds so many of these tones besides (under_loads), of any size and phase.
 
     Returns shape (ends, shapes, dead times, gains).
     """

@@ -59,8 +59,8 @@ LIMITS = Limits(15, 6, 1e-3)
 SLOPE_STEP = 1e-3
 """Step of a logarithm, for derivatives."""
 PRICE = 2.0
-"""Of a parameter, in deviance (Akaike 1974): a lag that is left out because it hardly shows would pass for known, and
-the integral time with it."""
+"""Price of a parameter, in deviance (Akaike 1974): a lag that is left out because it hardly shows would pass for known,
+and the integral time with it."""
 BELIEVED = 4.0
 """Excess up to which a model counts for the integral action: two standard deviations."""
 UNSETTLED = 0.7

@@ -16,8 +16,9 @@ from retuner.schedule.late_dataclass import dataclass, replace
 SMALLEST_VARIANCE = 1e-12
 """Least variance of a log-parameter: no record knows a process to a millionth, rounding makes less negative."""
 STRUCTURE_STD = 0.05
-"""Of every logarithm, however long the record: a process has more lags than two, a gain that is not the same everywhere
-and tomorrow. Counted on drawn records of processes in the family and beyond it (benchmarks/identification.py)."""
+"""Least deviation of a logarithm, however long the record: a process has more lags than two, a gain that is not the
+same everywhere and tomorrow. Counted on drawn records of processes in the family and beyond it
+(benchmarks/identification.py)."""
 BENT = 1 - 2 / math.pi
 """Variance of |u| for a standard normal u: what moves the same way on both sides, as a lag does at two equal ones."""
 
@@ -106,7 +107,7 @@ class LogModel:
         return math.sqrt(float(found[0, 0]))
 
     def at_bound(self, bound_s: float) -> "LogModel":
-        """With an effective dead time of at least a bound, which is no estimate and has no spread; 0 for as it is."""
+        """The model with an effective dead time of at least a bound, which has no spread; 0 for as it is."""
         if not bound_s or without_second_lag(self.model()).theta_s >= bound_s:
             return self
         x, p = self.x.copy(), self.p.copy()

@@ -214,7 +214,7 @@ class Fits:
 
     @cached_property
     def free(self) -> list[Candidate]:
-        """With load steps wherever they pay, best first.
+        """Fits with load steps wherever they pay, best first.
 
         What was found without load steps at setpoint changes is among it: a search with more freedom may miss it, but
         where it is the better explanation it is the one.

@@ -30,7 +30,7 @@ STILL_SHARE = 0.6
 STILL_STRETCH = 20
 """Samples of constant co that make a long stretch, at least."""
 STILL_LENGTH = 0.1
-"""The same as a share of the record: a rounded co stands still for a while as well."""
+"""Length of a standstill as a share of the record: a rounded co stands still for a while as well."""
 MOVING_SHARE = 0.3
 """Share of samples with a setpoint change from which the setpoint moves all the time."""
 OFFSET_RATIO = 6.0

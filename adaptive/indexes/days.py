@@ -34,7 +34,7 @@ def days_of(window: Window, most: int = MOST_DAYS) -> list[Window]:
 
 
 def off_in(window: Window) -> npt.NDArray[np.bool_]:
-    """In which samples the controller is off, shape (n,): co stands still for long. In none where that is rare.
+    """Samples in which the controller is off, shape (n,): co stands still for long. None where that is rare.
 
     co that stands still at a limit is at work: the error pushes it there (output_limits.py).
     """

@@ -19,7 +19,7 @@ WELL_KNOWN = 0.15
 MOST_SEQUENCES = 6
 """Sequences that are kept: a process is hardly the same for longer."""
 ANOTHER_PROCESS = 16.0
-"""By how much what all say may leave more of the newest than it does by itself, sum of squares in standard deviations:
+"""What all may leave of the newest beyond what it leaves by itself, sum of squares in standard deviations:
 four parameters at four of them."""
 ODD_ONES = 2
 """Sequences one after the other with which what was known does not agree: then they are what is known."""

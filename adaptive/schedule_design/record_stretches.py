@@ -294,7 +294,7 @@ LEAST_TRAVEL = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Characteristic:
-    """Over axis, the range of co in the records. shape : LINE or BENT; CONSTANT is co as it is.
+    """A characteristic of co over axis, its range in the records. shape : LINE or BENT; CONSTANT is co as it is.
 
     slope : of ln phi' per unit of co, as it is known beforehand. doubt : of its coefficients, 1 where nothing is.
     """

@@ -40,7 +40,7 @@ RESTLESS = 0.02
 STAYS_SAMPLES = 5
 """Samples for which the error must have fallen to half of a bump: noise and loads take it there by themselves."""
 HOLDS = (5.0, 1.2, 2.4, 0.6, 3.5, 1.8, 0.9, 5.0, 1.2, 3.0, 0.6, 2.4, 1.2, 1.8)
-"""For how long each setpoint of a bump to and fro is held, in times that the error takes to fall to half of a bump.
+"""Times for which each setpoint of a bump to and fro is held, in times that the error takes to fall to half of a bump.
 
 Long and short ones in turn show slow and fast parts of the process. By the Cramer-Rao bound 86 % of loops under a walk
 and 67 % under coloured loads can be known after six such bumps, 73 and 56 % by five even holds in the same time

@@ -55,7 +55,7 @@ def runaway(found: Findings) -> None:
 
 
 def _last_step(record: ResponseRecord) -> Window | None:
-    """From the last setpoint step under these gains to the end of its response, or to the load that came next.
+    """The last setpoint step under these gains, to the end of its response or to the load that came next.
 
     None where none is kept, or co did not follow its law.
     """

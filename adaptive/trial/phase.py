@@ -120,9 +120,9 @@ UNSURE = (
     E.WRITE_UNKNOWN,
     E.STOPPED,
 )
-"""Of these, those after which the controller may run something else, or may come to."""
+"""Events after which the controller may run something else, or may come to."""
 LASTING = (E.SATURATED, E.MANUAL, E.GAP, E.LOST_TELEMETRY, E.LEFT_INTERPOLATED, E.TIMED_OUT)
-"""Of these, those that every sample or every poll tells anew: once the session ends they ask for nothing more."""
+"""Events that every sample or every poll tells anew: once the session ends they ask for nothing more."""
 UNDECIDED = (P.WRITING, P.TRIAL, P.AWAY, P.PAUSED, P.ENSURING)
 """Phases in which a set that has not passed may run, or would be written again."""
 TO_BE_SEEN = (P.RESTORING, P.ENSURING)

@@ -47,7 +47,7 @@ class Spread:
 
     @classmethod
     def over(cls, values: Sequence[float]) -> "Spread":
-        """Of values, the best model's first."""
+        """The spread of values, the best model's first."""
         return cls(values[0], min(values), max(values))
 
     def to_list(self) -> list[float | None]:
@@ -74,7 +74,7 @@ class Expected:
 
     @classmethod
     def over(cls, shapes: Sequence[ResponseNumbers]) -> "Expected":
-        """Over the allowed models, the best one first."""
+        """What is expected over the allowed models, the best one first."""
         return cls(*(Spread.over([getattr(shape, name) for shape in shapes]) for name in NAMES))
 
     def to_dict(self) -> dict[str, list[float | None]]:

@@ -41,7 +41,7 @@ SWINGS_ON = 0.9
 BY_LOADS = 0.05
 """Chance that loads make a robust loop look bad, or a bad one calm."""
 BY_LOADS_AFTER = {TrialEvent.RUNAWAY: 0.01, TrialEvent.TIMED_OUT: 0.5}
-"""The same of a run of growing half waves, and of responses that decided nothing: every model explains these."""
+"""The probability of a run of growing half waves, and of responses that decided nothing: every model explains these."""
 CHANGED = 0.2
 """Chance that the process is another one than when the set before was calm."""
 SOMETHING_ELSE = 0.1

@@ -100,7 +100,7 @@ def _one_sample(found: Examination, frames: list[Frame], seq: int) -> None:
 
 
 def _bumpless(found: Examination) -> None:
-    """In manual, co stays exactly as it is; the repeated commit gets the same answer."""
+    """co stays exactly as it is in manual; the repeated commit gets the same answer."""
     talk = found.talk
     talk.say(Mode(talk.counter(), LoopMode.MANUAL, _co(talk), talk.owner))
     before = _co(talk)
@@ -117,7 +117,7 @@ def _bumpless(found: Examination) -> None:
 
 
 def swapping(found: Examination) -> None:
-    """In automatic, away from the setpoint, co goes on as the old gains would have led it."""
+    """co goes on as the old gains would have led it, in automatic and away from the setpoint."""
     talk, first = found.talk, found.first
     new = replace(first, kp=1.5 * first.kp) if first.kp else first
     dt = talk.one(Identity, Page.IDENTITY).sample_time

@@ -58,7 +58,7 @@ def mismatch(identity: Identity, sample_time_s: float) -> str:
 
 
 SLOWER_SAMPLES = STAMP_SAMPLES // 4
-"""By so many samples a device may be behind its sample time, over a time in which nobody looked; a stamp that is older
+"""Samples by which a device may be behind its sample time, over a time in which nobody looked; a stamp that is older
 than the device's time by less than STAMP_SAMPLES counts, one that is younger does not."""
 
 

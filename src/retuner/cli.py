@@ -52,7 +52,7 @@ COMMANDS = {
 SIGNED = frozenset({"approve", "experiment", "init", "ledger", "replay", "report", "run"}) | frozenset(
     {"audit", "diagnose", "identify", "reduce", "schedule", "tune"}  # on records and models: commands/recorded/
 )
-"""Those whose signature stands apart, in commands/signatures/: what they load, `--help` does not need."""
+"""Commands whose signature stands apart, in commands/signatures/: what they load, `--help` does not need."""
 
 
 def module_of(command: str) -> str:

@@ -41,7 +41,7 @@ from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError
 
 WAIT_SAMPLES, WAIT_FLOOR_S = 2.0, 0.1
-"""In real time a model's step is waited for so many samples, at least so long, before the controller goes on alone."""
+"""Samples, and least time, that a model's step is waited for in real time before the controller goes on alone."""
 
 SAMPLES_AT_REST, AT_REST = 20, 0.02
 """How long `check` holds a model's start, in samples, and the share of the pv range that pv may move meanwhile."""
@@ -361,7 +361,7 @@ def _loads(loads: Sequence[LoadConfig]) -> RecordedLoads | None:
 
 
 def _load(place: int, load: LoadConfig) -> RecordedLoad:
-    """One of them: its column stands for all signals of a record, so that it is read as one is."""
+    """One load: its column stands for all signals of a record, so that it is read as one is."""
     columns = {**dict.fromkeys(("pv", "sp", "co"), load.column), **({"t": load.time} if load.time else {})}
     try:
         read = read_loop_record([Path(load.file)], RecordForm(columns=columns)).recording

@@ -281,7 +281,7 @@ class ScheduleConfig(Section):
         return tuple(sorted(self.region, key=lambda region: region.cell))
 
     def problems(self) -> Iterator[Problem]:
-        """As many regions as the bounds make, in order, all acting one way."""
+        """Problems of regions: as many as the bounds make, in order, all acting one way."""
         if self.axis:
             # Keys of the simple form beside [[schedule.axis]]
             for key in SIMPLE:

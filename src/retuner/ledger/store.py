@@ -233,7 +233,7 @@ class Ledger(LedgerReader):
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
-        """The same as Ledger(path)."""
+        """A ledger, as Ledger(path) gives it."""
         return cls(path)
 
     def append(self, kind: str, body: Mapping[str, object], clock_s: float) -> Row:

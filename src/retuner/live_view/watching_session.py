@@ -141,7 +141,7 @@ class OnScreen(NobodyLooks):
 
 
 class Watching(OnScreen):
-    """The same, with decisions and what else happens; and a live file for each loop.
+    """The observer of a session with its decisions and what else happens; and a live file for each loop.
 
     folder : of the session.
     """

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from retuner.config.bench_plants import Plants
 
 POLLS_PER_SAMPLE = 4
-"""In real time the host looks at least this often per sample, even when no frame wakes it."""
+"""Looks of the host per sample in real time, at the least, even when no frame wakes it."""
 _channels = itertools.count()
 
 

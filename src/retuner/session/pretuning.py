@@ -24,7 +24,7 @@ from retuner.session.ledger_rows import feed
 from retuner.stopping import unstoppable
 
 OrderTaker = Callable[[float], Iterable[Decision]]
-"""As a session has it: given the time of a sample, the decisions on what was ordered by then."""
+"""What a session has: given the time of a sample, the decisions on what was ordered by then."""
 
 
 def pretune_plan(config: Config) -> Plan:

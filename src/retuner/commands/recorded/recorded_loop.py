@@ -21,7 +21,7 @@ from retuner.schedule.gains import Form, PidGains, from_form
 MOST_BEYOND = 0.9
 """Share of co beyond a limit from which the limit is meant in another unit."""
 SHARE = (-0.05, 1.05)
-"""Between these co may be a share of its range."""
+"""Ends between which co may be a share of its range."""
 PER_CENT, PER_CENT_WITHIN = 100.0, 2.0
 """Ratio of a gain for co in percent to one for its share, and the factor within which it is taken for that."""
 FEWEST_SAMPLES = 20
