@@ -39,7 +39,9 @@ def _late(defined: type, options: dict[str, bool]) -> Any:  # noqa: ANN401
         shown = name in SHOWN
         of = type(defined)(defined.__name__, defined.__bases__, dict(body))
         parts = vars(dataclasses.dataclass(**options, eq=shown, repr=shown)(of))
-        further = parts.keys() - vars(late).keys()  # __replace__, from Python 3.13
+        further = {
+            each for each in parts.keys() - vars(late).keys() if each[:2] == "__"
+        }  # __replace__, from 3.13; no slot
         for each in (*further, *(each for each in (SHOWN if shown else USED) if each not in body)):
             setattr(late, each, parts[each])
         late.__signature__ = None  # that of __init__, inspect takes this for

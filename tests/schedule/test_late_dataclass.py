@@ -150,6 +150,21 @@ def test_threads_that_make_the_first_objects_at_once_get_them_all() -> None:
     assert found == [late(1.0)] * 8
 
 
+def test_fields_of_a_class_without_slots_are_inherited() -> None:
+    @late_dataclass.dataclass(frozen=True, kw_only=True)
+    class Bare:
+        a: int = 1
+
+    @late_dataclass.dataclass(frozen=True, slots=True, kw_only=True)
+    class Slotted(Bare):
+        b: int = 2
+
+    assert repr(Slotted(a=3)).endswith("Slotted(a=3, b=2)")
+    assert dataclasses.replace(Slotted(), a=5).a == 5
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Slotted().a = 4  # type: ignore[misc]
+
+
 def test_other_options_make_the_usual_class() -> None:
     @late_dataclass.dataclass(frozen=True)
     class Plain:
