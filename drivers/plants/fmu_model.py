@@ -59,7 +59,8 @@ class FmuModel:
 
     def described(self) -> list[str]:
         """The model's variables with the values that they have at the start here, for a person."""
-        given = {**self._spec.parameters, **dict(zip(self._spec.inputs, self._spec.start, strict=True))}
+        inputs = zip((one.name for one in self._inputs), self._spec.start, strict=True)
+        given = {**self._spec.parameters, **dict(inputs)}
         lines = [f"FMI {self._about.fmiVersion} {self._interface.replace('_', '-')}, {self._about.modelName}"]
         for what in ("input", "output", "parameter"):
             names = [_shown(one, given.get(one.name)) for one in self._about.modelVariables if one.causality == what]
@@ -231,5 +232,6 @@ def _shown(variable: Any, given: object = None) -> str:  # noqa: ANN401  FMPy's
     """A variable with its start value and unit; given : what it starts with instead."""
     start = variable.start if given is None else f"{given:g}" if isinstance(given, float) else given
     value = f" = {start}" if start is not None else ""
-    instead = f" (the FMU's own: {variable.start})" if given is not None and variable.start is not None else ""
+    own = variable.start if given is not None and str(variable.start) not in {str(given), start} else None
+    instead = f" (the FMU's own: {own})" if own is not None else ""
     return f"{variable.name}{value}" + (f" {variable.unit}" if variable.unit else "") + instead

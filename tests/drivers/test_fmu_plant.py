@@ -52,6 +52,12 @@ def test_model_exchange_settles_on_other_inputs(lag: ModelSpec) -> None:
     model.close()
 
 
+def test_a_model_with_one_input_needs_no_names_and_shows_what_it_begins_with(lag: ModelSpec) -> None:
+    model = FmuModel(replace(lag, inputs=(), outputs=(), start=(12.5,)))
+    assert "u = 12.5" in model.described()[1]
+    model.close()
+
+
 def test_co_simulation_in_a_process_is_the_analytic_response(heater: ModelSpec) -> None:
     model = ModelInProcess(heater, 60.0)
     assert "FMI 2.0 co-simulation, Heater" in model.described[0]

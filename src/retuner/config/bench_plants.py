@@ -368,4 +368,5 @@ def _load(place: int, load: LoadConfig) -> RecordedLoad:
         t_s = np.asarray(read.t_s) - read.t_s[0]
         return RecordedLoad(t_s, np.asarray(read.pv), load.scale, load.at == "output", load.repeat)
     except (RecordingError, ValueError) as error:
-        raise PlantFaultError(f": {error}", "loads", str(place)) from None
+        told = str(error).replace("name it as in --columns sp=NAME", "give one of them as column")
+        raise PlantFaultError(f": {told}", "loads", str(place)) from None
