@@ -17,7 +17,7 @@ from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, ResponseRecord, StageResult
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
-from retuner.adaptive.trial.load_variability import wander_of
+from retuner.adaptive.trial.load_variability import load_variability
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.prediction import Prediction, decay_seen, predict, predict_without_model
@@ -70,7 +70,7 @@ def prediction_of(
     else:
         return None
     swung = prediction.decay_seen is not None and prediction.decay_seen > settings.trial.harmless_decay
-    return prediction if swung else replace(prediction, wander=wander_of(samples))
+    return prediction if swung else replace(prediction, wander=load_variability(samples))
 
 
 def prediction_of_verdict(found: Findings, verdict: Verdict) -> Prediction | None:
@@ -117,7 +117,7 @@ def _both_sets(
     return replace(check_posterior(allowed, before, case.in_force, *more), settled=settled)
 
 
-def walked(
+def beside_walk(
     case: ResponseRecord, against: Sequence[Plausible], trial: Trial, settings: RetunerSettings
 ) -> StillAllowed | None:
     """What the loop did lately leaves of its process beside a load that wanders (trial/random_walk.py). Asked where the
@@ -150,5 +150,5 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     outside = outcome.reason if blameless else ""
     verdict = outcome.verdict
     next_due = verdict is not None and verdict.accepted and (verdict.urgent or outcome.basis is Basis.ALL_SAMPLES)
-    told = (outcome.posterior, case.crossed, next_due, outcome.walked)
+    told = (outcome.posterior, case.crossed, next_due, outcome.beside_walk)
     return JudgedResponse(case.response, window, limited, outside, *told)

@@ -31,7 +31,7 @@ from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
 from retuner.adaptive.supervision.proof_and_choice import change_request
 from retuner.adaptive.supervision.proposal_from_model import BETWEEN, RobustProposal, over_limit, tuning_of
 from retuner.adaptive.trial.batch_responses import ClosedLoop
-from retuner.adaptive.trial.load_variability import wander_of, wander_there
+from retuner.adaptive.trial.load_variability import load_variability, load_variability_there
 from retuner.adaptive.trial.posterior_check import costs
 from retuner.adaptive.trial.prediction import Prediction, decay_seen
 from retuner.schedule.gains import PidGains
@@ -134,7 +134,7 @@ def _far_off(found: Findings, region: int, models: Sequence[Plausible], now: Pid
 def _wander(found: Findings, verdict: Verdict) -> float:
     """How much a load that never rests will move the error there, with the gains that are due."""
     record, settings, model = found.record, found.settings, found.in_use
-    seen = wander_of(record.samples)
+    seen = load_variability(record.samples)
     swung = decay_seen(record.pattern)
     if not seen or model is None or verdict.gains is None or (swung or 0.0) > settings.trial.harmless_decay:
         return 0.0
@@ -144,7 +144,7 @@ def _wander(found: Findings, verdict: Verdict) -> float:
     loops = [
         ClosedLoop(each, gains, *more) for each, gains in zip(sampled, (record.in_force, verdict.gains), strict=True)
     ]
-    return wander_there(seen, record.window.noise_std, loops[0], loops[1])
+    return load_variability_there(seen, record.window.noise_std, loops[0], loops[1])
 
 
 def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, prediction: Prediction) -> StageResult:

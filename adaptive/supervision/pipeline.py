@@ -51,7 +51,7 @@ from retuner.adaptive.supervision.causes import (
     wanted_of,
     wrong_way,
 )
-from retuner.adaptive.supervision.judge_evidence import may_follow, posterior_of, prediction_of_verdict, walked
+from retuner.adaptive.supervision.judge_evidence import beside_walk, may_follow, posterior_of, prediction_of_verdict
 from retuner.adaptive.supervision.open_loop_unstable import cut_refuted, runaway
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.pipeline_types import (
@@ -424,16 +424,16 @@ def check_after_trial(found: Findings) -> None:
     if trial.phase is TrialPhase.TRIAL and found.end is not None and found.end.code != Ground.SATURATED.name.lower():
         found.posterior = posterior_of(found.record, found.learned, trial, found.settings)
     if trial.phase is TrialPhase.TRIAL:
-        found.walked = NOTHING_KNOWN if robust_by_book(found) else _walked(found)
+        found.beside_walk = NOTHING_KNOWN if robust_by_book(found) else _beside_walk(found)
 
 
-def _walked(found: Findings) -> StillAllowed | None:
+def _beside_walk(found: Findings) -> StillAllowed | None:
     """What may speak against the set on trial, beside a load that wanders."""
     record, learned = found.record, found.learned
     model = found.region_model or record.region_models.get(record.region)
     known = model.plausible if model is not None else ()
     against = learned.estimate.plausible if learned is not None and found.posterior is not None else known
-    return walked(record, against or known, found.question.trial, found.settings)
+    return beside_walk(record, against or known, found.question.trial, found.settings)
 
 
 def _learned(found: Findings) -> Learned:

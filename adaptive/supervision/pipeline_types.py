@@ -134,8 +134,8 @@ class StageResult:
     excitation : what the region model rests on.
     prediction : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
-    elsewhere : what is due in a region where the loop is not, by its index; nothing for none. walked : what the loop
-    did lately leaves of its process beside a load that wanders as before the change of a trial; None where none did.
+    elsewhere : what is due in a region where the loop is not, by its index. beside_walk : what the loop did lately
+    leaves of its process beside a load that wanders as before the change of a trial; None where none did.
     book : what all samples have shown of the region by now, None for as before; all_samples : of the gains in force.
     """
 
@@ -155,7 +155,7 @@ class StageResult:
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, "StageResult"] = field(default_factory=dict)
-    walked: StillAllowed | None = None
+    beside_walk: StillAllowed | None = None
     book: Book | None = None
     all_samples: BookNumbers | None = None
 
@@ -364,7 +364,7 @@ class Findings:
     prediction: Prediction | None = None
     expected: str = ""
     posterior: PosteriorCheck | None = None
-    walked: StillAllowed | None = None
+    beside_walk: StillAllowed | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, StageResult] = field(default_factory=dict)
     book: Book | None = None

@@ -522,7 +522,7 @@ class Retuner:
             return None
         if outcome.code in {Ground.SATURATED.name.lower(), NOT_EVALUATED}:
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
-            return self.trials.silent(case.region, silent, self.now_s, walked=outcome.walked)
+            return self.trials.silent(case.region, silent, self.now_s, beside_walk=outcome.beside_walk)
         ask = self._person_decides(case.region)
         return self.trials.judge(case.region, seen_of(case, outcome), case.in_force, self.now_s, ask=ask)
 

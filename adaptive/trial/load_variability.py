@@ -31,7 +31,7 @@ QUIET = 0.25
 """Share of the blocks in which less happens than in the others."""
 
 
-def wander_of(samples: Sequence[LoopSample]) -> float:
+def load_variability(samples: Sequence[LoopSample]) -> float:
     """Standard deviation of the error within the quieter blocks, pv units; 0 where it is not known.
 
     samples : the newest last; those under other gains than the newest one's do not count.
@@ -50,8 +50,8 @@ def wander_of(samples: Sequence[LoopSample]) -> float:
     return float(np.quantile(np.std(left, axis=1), QUIET))
 
 
-def wander_there(seen: float, noise_std: float, here: ClosedLoop, there: ClosedLoop) -> float:
-    """What `seen` (wander_of) under one loop would be under another, pv units. noise_std : of pv."""
+def load_variability_there(seen: float, noise_std: float, here: ClosedLoop, there: ClosedLoop) -> float:
+    """What `seen` (load_variability) under one loop would be under another, pv units. noise_std : of pv."""
     if seen <= noise_std:
         return seen
     rows = traces((here, there), (Upset(load_step=1.0),))

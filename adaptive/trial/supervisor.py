@@ -269,15 +269,21 @@ class TrialSupervisor:
             if kept >= self.settings.responses:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         else:
-            return self.silent(region, found, t_s, enough=seen.next_due and not ask, walked=seen.walked)
+            return self.silent(region, found, t_s, enough=seen.next_due and not ask, beside_walk=seen.beside_walk)
         return found
 
     def silent(
-        self, region: int, found: Judgement, t_s: float, *, enough: bool = False, walked: StillAllowed | None = None
+        self,
+        region: int,
+        found: Judgement,
+        t_s: float,
+        *,
+        enough: bool = False,
+        beside_walk: StillAllowed | None = None,
     ) -> Judgement:
         """A response said nothing for or against: enough of them end the trial. found : why it did not; with that.
 
-        enough : this one does, because a change is due that must not wait for others. walked : what is
+        enough : this one does, because a change is due that must not wait for others. beside_walk : what is
         left of the process beside a load that wanders; it stands for the models where there are none, and where it is
         nothing they say nothing.
         """
@@ -285,7 +291,7 @@ class TrialSupervisor:
         if trial.phase != P.TRIAL:
             return found
         self._trials[region] = replace(trial, silent=trial.silent + 1)
-        known = None if walked and walked.processes and self._known(region).processes else walked
+        known = None if beside_walk and beside_walk.processes and self._known(region).processes else beside_walk
         few = trial.silent + 1 < self.settings.inconclusive and not enough
         if few or not self._end(region, E.TIMED_OUT, t_s, known):
             return found

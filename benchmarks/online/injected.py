@@ -42,7 +42,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.trial.load_variability import wander_of
+from retuner.adaptive.trial.load_variability import load_variability
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import predict
 from retuner.schedule.gains import PidGains
@@ -104,7 +104,7 @@ class OnTrial(Watching):
         """Put a set on trial with the promise that a model makes for the set that it is said to be."""
         old = self.retuner.table.gains_of(0)
         promised = predict([change.believed], old, change.said, self.retuner.settings.sample_time_s)
-        promised = replace(promised, wander=wander_of(self.retuner.state().finder.samples))
+        promised = replace(promised, wander=load_variability(self.retuner.state().finder.samples))
         self.retuner.trials.begin(0, old, change.new, promised, self.t_s)
         self.due = change.new
 

@@ -90,10 +90,10 @@ def test_the_models_word_does_not_count_where_the_walk_explains_it() -> None:
     seen = responses(Rig(STRONG, noise=0.025), 400, load=10.0)[0]
     seen = replace(seen, posterior=check_posterior(TRUE, GOOD, STRONG, DT_S))
     assert judge(seen, PROMISE, STRONG, S).finding is TrialFinding.WORSE
-    assert judge(replace(seen, walked=NOTHING_KNOWN), PROMISE, STRONG, S).finding is not TrialFinding.WORSE
+    assert judge(replace(seen, beside_walk=NOTHING_KNOWN), PROMISE, STRONG, S).finding is not TrialFinding.WORSE
     swings = responses(Rig(STRONG, noise=0.025), 400, sp=5.0)[0]
     assert judge(swings, PROMISE, GOOD, S).finding is TrialFinding.WORSE
-    found = judge(replace(swings, walked=NOTHING_KNOWN), PROMISE, GOOD, S)
+    found = judge(replace(swings, beside_walk=NOTHING_KNOWN), PROMISE, GOOD, S)
     assert found.finding is TrialFinding.INCONCLUSIVE
     assert "a wandering load explains this response equally well" in found.reason
 
@@ -129,6 +129,6 @@ def test_what_a_walk_leaves_decides_a_trial_without_an_answer(
     silent = judge(responses(Rig(GOOD, noise=0.025), 400, load=10.0)[0], replace(PROMISE, wander=100.0), GOOD, S)
     assert silent.finding is TrialFinding.INCONCLUSIVE
     for i in range(S.inconclusive):
-        trials.silent(0, silent, 10.0 + i, walked=walked)
+        trials.silent(0, silent, 10.0 + i, beside_walk=walked)
     assert trials.phase(0) is (TrialPhase.IDLE if stays else TrialPhase.RESTORING)
     assert table == ({} if stays else {0: weak})

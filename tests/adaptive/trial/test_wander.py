@@ -12,7 +12,7 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.diverging_trial import divergence_begin, divergence_step, law_of
 from retuner.adaptive.trial.judge import sigma_of
-from retuner.adaptive.trial.load_variability import BLOCK, FEWEST_BLOCKS, wander_of, wander_there
+from retuner.adaptive.trial.load_variability import BLOCK, FEWEST_BLOCKS, load_variability, load_variability_there
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.trial_settings import TrialSettings
@@ -33,20 +33,20 @@ def walk(n: int, std: float, seed: int = 1) -> list[float]:
 
 
 def test_a_load_that_never_rests_is_measured_and_upsets_that_end_are_not() -> None:
-    assert 0.15 < wander_of(samples(walk(2000, 0.3))) < 0.3
+    assert 0.15 < load_variability(samples(walk(2000, 0.3))) < 0.3
     upset = [0.01 * (-1) ** i for i in range(2000)]
     for at in range(0, 2000, 500):
         upset[at : at + 200] = [math.exp(-i / 40) for i in range(200)]
-    assert wander_of(samples(upset)) == pytest.approx(0.01, rel=0.05)
+    assert load_variability(samples(upset)) == pytest.approx(0.01, rel=0.05)
     slow = [math.exp(-i / 800) + 0.01 * (-1) ** i for i in range(2000)]
-    assert wander_of(samples(slow)) == pytest.approx(0.01, rel=0.1)
+    assert load_variability(samples(slow)) == pytest.approx(0.01, rel=0.1)
 
 
 def test_only_what_ran_under_the_gains_in_force_counts_and_little_says_nothing() -> None:
     calm = samples([0.01 * (-1) ** i for i in range(FEWEST_BLOCKS * BLOCK)], revision=1)
-    assert wander_of(samples([(-1.0) ** i for i in range(3000)]) + calm) == pytest.approx(0.01, rel=1e-3)
-    assert wander_of(calm[1:]) == 0.0
-    assert wander_of([]) == 0.0
+    assert load_variability(samples([(-1.0) ** i for i in range(3000)]) + calm) == pytest.approx(0.01, rel=1e-3)
+    assert load_variability(calm[1:]) == 0.0
+    assert load_variability([]) == 0.0
 
 
 def ran(prediction: Prediction, errors: list[float]) -> int | None:
@@ -85,10 +85,10 @@ def integrating(theta_s: float) -> ClosedLoop:
 
 def test_a_load_that_walks_moves_another_loop_by_its_own_response() -> None:
     here, there = integrating(1.0), integrating(4.0)
-    assert wander_there(0.3, 0.0, here, here) == pytest.approx(0.3)
-    assert wander_there(0.3, 0.0, here, there) == pytest.approx(0.3 * 4.0**1.5, rel=1e-6)
-    assert wander_there(0.5, 0.3, here, there) == pytest.approx(math.hypot(0.3, 0.4 * 4.0**1.5), rel=1e-6)
+    assert load_variability_there(0.3, 0.0, here, here) == pytest.approx(0.3)
+    assert load_variability_there(0.3, 0.0, here, there) == pytest.approx(0.3 * 4.0**1.5, rel=1e-6)
+    assert load_variability_there(0.5, 0.3, here, there) == pytest.approx(math.hypot(0.3, 0.4 * 4.0**1.5), rel=1e-6)
 
 
 def test_what_is_noise_is_the_same_everywhere() -> None:
-    assert wander_there(0.2, 0.3, integrating(1.0), integrating(4.0)) == 0.2
+    assert load_variability_there(0.2, 0.3, integrating(1.0), integrating(4.0)) == 0.2
