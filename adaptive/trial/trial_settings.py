@@ -8,13 +8,13 @@ from retuner.schedule.late_dataclass import dataclass
 class TrialSettings:
     """Settings. Raises ValueError: one is outside its range."""
 
-    responses: int = setting(1, "Responses that must keep the promise", 1, 10)
+    responses: int = setting(1, "Responses that must match the prediction", 1, 10)
     level: float = setting(
-        3.0, "Deviations of noise beyond the promise that speak against it; 3: one false alarm in 700 by noise", 2, 6
+        3.0, "Deviations of noise beyond the prediction that speak against it; 3: one false alarm in 700 by noise", 2, 6
     )
-    decay_slack: float = setting(0.15, "And so much in the ratio of successive peaks: a model is never exact", 0, 0.5)
-    iae_slack: float = setting(1.5, "And this factor in IAE", 1, 4)
-    harmless_decay: float = setting(0.25, "Ratio of successive peaks that is never called worse", 0.1, 0.5)
+    decay_slack: float = setting(0.15, "Margin in half-cycle decay ratio: a model is never exact", 0, 0.5)
+    iae_slack: float = setting(1.5, "Margin in IAE, a factor", 1, 4)
+    harmless_decay: float = setting(0.25, "Half-cycle decay ratio that is never called worse", 0.1, 0.5)
     harmless_ms: float = setting(
         2.1, "Ms on the models left allowed that is never called worse, as the guard's", 1.2, 5
     )
@@ -27,19 +27,23 @@ class TrialSettings:
         None, "No change for so long after an abort; None: cool_down_tau_i times tau_I of the set", 0, 1e300, "s"
     )
     cool_down_tau_i: float = setting(20.0, "Integral times of the restored set without a change", 1, 1000)
-    cool_down_most: int = setting(6, "Doublings of it by undos at the most", 0, 20)
-    lock_out_after: int = setting(3, "Undos in a row after which a region is locked", 1, 20)
+    cool_down_most: int = setting(6, "Doublings of it by rollbacks at the most", 0, 20)
+    lock_out_after: int = setting(3, "Rollbacks in a row after which a region is locked", 1, 20)
     inconclusive: int = setting(5, "Responses that may decide nothing; what nothing speaks against stays then", 1, 100)
     settles: float = setting(
-        50.0, "Promised settling times after which a trial that nothing decides waits for a person, if one is", 1, 1e4
+        50.0, "Predicted settling times after which an undecided trial waits for the operator, where one is", 1, 1e4
     )
     edit_hold_s: float = setting(
-        28800.0, "A person's gains are held for so long, twice as long with each further time; a shift", 0, 1e8, "s"
+        28800.0,
+        "Gains that an operator has set are held for so long, twice as long each further time; a shift",
+        0,
+        1e8,
+        "s",
     )
-    grows: float = setting(1.05, "Ratio of successive peaks from which two in a row diverge", 1, 2)
-    stays: float = setting(0.95, "Ratio from which `stays_for` in a row do", 0.8, 1)
+    grows: float = setting(1.05, "Half-cycle decay ratio from which two in a row diverge", 1, 2)
+    stays: float = setting(0.95, "Half-cycle decay ratio from which `stays_for` in a row do", 0.8, 1)
     stays_for: int = setting(5, "Peaks in a row that hardly fall and diverge", 3, 20)
-    limited_settles: float = setting(2.0, "Promised settling times for which the output may stand at a limit", 1, 20)
+    limited_settles: float = setting(2.0, "Predicted settling times for which the output may stand at a limit", 1, 20)
     limit_swings: int = setting(2, "Ways of the output from limit to limit in one upset that diverge", 2, 10)
 
     def __post_init__(self) -> None:
