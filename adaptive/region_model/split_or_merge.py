@@ -25,6 +25,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel
@@ -76,34 +77,22 @@ class AdviceKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AdviceSettings:
-    """Settings.
+    """Settings. Raises ValueError: one is outside its range."""
 
-    alpha : probability at which one process is taken for two; 1e-6 to 0.05, default 0.001 (a person looks at it).
-    scatter : how much ln Kc and ln tau_I differ from record to record within a region, one standard deviation;
-        default 0.12 (12 %, as the tracker has it).
-    against_time : by how much, in 2 ln of the likelihood, a border must explain better than a change in time; default 6
-        (20 to 1).
-    least_records : on each side of a border, and in each of two equal regions; default 3.
-    split_factor : least factor between the settings of the two sides; default 1.5.
-    merge_factor : largest factor between the settings of equal regions, its uncertainty included; default 1.25.
-    bound_std : how many standard deviations that uncertainty counts; default 1.96 (95 %).
-    """
-
-    alpha: float = 0.001
-    scatter: float = 0.12
-    against_time: float = 6.0
-    least_records: int = 3
-    split_factor: float = 1.5
-    merge_factor: float = 1.25
-    bound_std: float = 1.96
+    alpha: float = setting(0.001, "Probability at which one process is taken for two; it is only advice", 1e-6, 0.05)
+    scatter: float = setting(0.12, "Scatter of ln Kc and ln tau_I from record to record in a region", 0, positive=True)
+    against_time: float = setting(
+        6.0, "Lead of a boundary over a change in time, in 2 ln of the likelihood; 6: odds of 20", 0
+    )
+    least_records: int = setting(3, "Records on each side of a boundary, and in each of two equal regions", 2)
+    split_factor: float = setting(1.5, "Least factor between the settings of the two sides", 1, 1e6, positive=True)
+    merge_factor: float = setting(
+        1.25, "Largest factor between the settings of equal regions, its uncertainty included", 1, 1e6, positive=True
+    )
+    bound_std: float = setting(1.96, "Standard deviations that this uncertainty counts; 1.96: 95 %", 0, positive=True)
 
     def __post_init__(self) -> None:
-        if not 1e-6 <= self.alpha <= 0.05:
-            raise ValueError(f"alpha = {self.alpha}; give 1e-6 to 0.05")
-        if not (self.scatter > 0 and self.against_time >= 0 and self.least_records >= 2 and self.bound_std > 0):
-            raise ValueError("scatter and bound_std must be positive, against_time 0 or more, least_records 2 or more")
-        if not (1 < self.split_factor < math.inf and 1 < self.merge_factor < math.inf):
-            raise ValueError("split_factor and merge_factor must be finite and more than 1")
+        require_in_range(self, "advice")
 
 
 @dataclass(frozen=True, slots=True)
