@@ -23,12 +23,12 @@ from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord
+from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
 from retuner.adaptive.explanations.process_grid import gain_unit, shapes
 from retuner.adaptive.explanations.proposed_test import DecidingTest
-from retuner.adaptive.explanations.setpoint_overshoot import Overshoot, with_overshoot
+from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import (
     Worthwhile,
     halved,
@@ -90,7 +90,7 @@ class OddsFound:
     record : which of the records that is.
     """
 
-    found: DiagnosedRecord
+    found: RecordVerdict
     tuning: TuningOdds | None = None
     settings: Worthwhile | None = None
     record: int = 0
@@ -148,7 +148,7 @@ def diagnose_records(
     return replace(_verdict(told, causes, weight, odds, walk, open_ones, settings, sure=gains is not None), record=at)
 
 
-def _final(window: Window, found: DiagnosedRecord) -> bool:
+def _final(window: Window, found: RecordVerdict) -> bool:
     """Whether a record needs no likelihood: too short, mostly filled gaps, or no loop at work in it that is not led."""
     told = found.diagnosis
     holds = held_together(window.pv, window.co)
@@ -166,7 +166,7 @@ def _in_steps(window: Window) -> bool:
     return bool(np.ptp(window.co) > 0.0 and np.ptp(window.pv) > 0.0)
 
 
-def _alone(found: DiagnosedRecord, settings: OddsSettings) -> DiagnosedRecord:
+def _alone(found: RecordVerdict, settings: OddsSettings) -> RecordVerdict:
     """A verdict that stands by itself; the odds that it leaves open are unknown's."""
     told = found.diagnosis
     p = min(told.confidence, settings.most)
@@ -232,15 +232,15 @@ def _interval_s(window: Window, settings: OddsSettings) -> float:
     return window.sample_time_s * max(fits, min(shown, max(len(window.t_s) // FEWEST_RECORD_SAMPLES, 1)))
 
 
-def _overshoot(window: Window, found: DiagnosedRecord) -> Overshoot | None:
+def _overshoot(window: Window, found: RecordVerdict) -> RecordOvershoot | None:
     """What was read off the setpoint responses, where there are any."""
     evidence = found.diagnosis.evidence
     if not evidence.get("setpoint_steps"):
         return None
-    return Overshoot.of(window.sp - window.pv, evidence["overshoot"], evidence["setpoint_size"])
+    return RecordOvershoot.of(window.sp - window.pv, evidence["overshoot"], evidence["setpoint_size"])
 
 
-def _shapes(found: DiagnosedRecord, settings: OddsSettings) -> float:
+def _shapes(found: RecordVerdict, settings: OddsSettings) -> float:
     """What shapes and plateaus say for a valve, as a logarithm of how many times likelier it makes the record."""
     told = found.diagnosis
     named = told.cause == Cause.STICTION
@@ -278,7 +278,7 @@ UNLIKE = 3.0
 
 
 def _under_steps(
-    open_ones: Sequence[tuple[Window, DiagnosedRecord]],
+    open_ones: Sequence[tuple[Window, RecordVerdict]],
     under_walk: Mapping[Cause, float],
     walk: Walk,
     settings: OddsSettings,
@@ -306,7 +306,7 @@ def _under_steps(
     return {cause: value / sum(odds.values()) for cause, value in odds.items()}, most
 
 
-def _one_tone(window: Window, found: DiagnosedRecord, settings: OddsSettings) -> float:
+def _one_tone(window: Window, found: RecordVerdict, settings: OddsSettings) -> float:
     """How far a record is one lasting tone and nothing else, 0 to 1: one tone identifies no process, whatever fits it.
 
     A setpoint step is something else. A loop near instability under a real load wanders in amplitude and phase.
@@ -317,7 +317,7 @@ def _one_tone(window: Window, found: DiagnosedRecord, settings: OddsSettings) ->
     return min(max((share - settings.tone_from) / (settings.tone_to - settings.tone_from), 0.0), 1.0)
 
 
-def _lasts(found: DiagnosedRecord) -> bool:
+def _lasts(found: RecordVerdict) -> bool:
     """Whether an oscillation lasts."""
     return found.diagnosis.evidence.get("regularity", 0.0) > REGULAR
 
@@ -329,7 +329,7 @@ BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The fit that a verdict rests on; the loop by itself for all others."""
 
 
-def _tone_is_white(found: DiagnosedRecord, settings: OddsSettings) -> bool:
+def _tone_is_white(found: RecordVerdict, settings: OddsSettings) -> bool:
     """Whether a verdict of steps left open what one lasting tone explains to the noise, and likelier than the loop."""
     fit = found.fits.get("external")
     likelier = found.diagnosis.evidence.get("external_lead", 0.0) > 0.0
@@ -342,7 +342,7 @@ def _white(fit: Candidate, settings: OddsSettings) -> bool:
     return fit.colour.std <= settings.noise_left * noise and fit.fit.misfit.loads <= settings.few_loads
 
 
-def _weight_of_steps(cause: Cause, found: DiagnosedRecord, walk: Walk, settings: OddsSettings) -> float:
+def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, settings: OddsSettings) -> float:
     """Probability that loads are the steps, or the tone, that a cause rests on, against a load that wanders."""
     fit = found.fits.get(BEHIND.get(cause, "linear"))
     if fit is None:
@@ -373,12 +373,12 @@ def _mixed(steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: fl
 
 
 def _verdict(
-    told: DiagnosedRecord,
+    told: RecordVerdict,
     causes: Mapping[Cause, float],
     weight: float,
     odds: TuningOdds | None,
     walk: Walk,
-    open_ones: Sequence[tuple[Window, DiagnosedRecord]],
+    open_ones: Sequence[tuple[Window, RecordVerdict]],
     settings: OddsSettings,
     *,
     sure: bool,
@@ -444,12 +444,12 @@ IN_QUESTION = 0.05
 """Odds of a valve from which it is asked for."""
 
 
-def _overshoot_seen(open_ones: Sequence[tuple[Window, DiagnosedRecord]]) -> bool:
+def _overshoot_seen(open_ones: Sequence[tuple[Window, RecordVerdict]]) -> bool:
     """Whether setpoint responses overshoot so far that more action is no answer, whatever a load does beside them."""
     return any(found.diagnosis.evidence.get("overshoot", 0.0) > OVERSHOOTS for _, found in open_ones)
 
 
-def _swings_alone(open_ones: Sequence[tuple[Window, DiagnosedRecord]]) -> bool:
+def _swings_alone(open_ones: Sequence[tuple[Window, RecordVerdict]]) -> bool:
     """Whether an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it."""
     return not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
 
@@ -543,7 +543,7 @@ def _bends(along: GainAlongPv) -> str:
     )
 
 
-def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float], told: DiagnosedRecord) -> str:
+def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float], told: RecordVerdict) -> str:
     """The sentence."""
     swing_s = evidence.get("swing_s", evidence.get("period_s"))
     if cause == Cause.EXTERNAL and told.diagnosis.cause != cause and swing_s is not None:

@@ -34,7 +34,7 @@ from retuner.adaptive.diagnosis.rival_fits import (
 )
 from retuner.adaptive.diagnosis.sticking_valve import outweighs_standing_pv, pv_stands, pv_stands_verdict, valve_or_tone
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
-from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord, linear_verdict
+from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict, linear_verdict
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
@@ -72,7 +72,7 @@ def diagnose_window(
     *,
     direction: int | None = None,
     rough_law: Callable[[Window], PidGains | None] = unknown_law,
-) -> DiagnosedRecord:
+) -> RecordVerdict:
     """Name the cause of a loop's behaviour in a record.
 
     Parameters
@@ -95,7 +95,7 @@ def _with_period(told: Diagnosis) -> Diagnosis:
     return replace(told, reason=f"{told.reason}; it swings at about {float(f'{period_s:.3g}'):g} s")
 
 
-def _as_recorded(window: Window, found: DiagnosedRecord, settings: DiagnosisSettings) -> DiagnosedRecord:
+def _as_recorded(window: Window, found: RecordVerdict, settings: DiagnosisSettings) -> RecordVerdict:
     """Undecided, where a record has too few samples to be called noise, or too much of it was filled with the last
     values for a verdict on the tuning.
     """
@@ -130,7 +130,7 @@ def _diagnosed(
     settings: DiagnosisSettings,
     direction: int | None,
     rough_law: Callable[[Window], PidGains | None],
-) -> DiagnosedRecord:
+) -> RecordVerdict:
     """The diagnosis with the confidence that a verdict has among those that were weighed."""
     seen = screen(window, gains, *limits, in_auto=settings.in_auto)
     obvious = _switched(window, seen) or _obvious(seen, settings)
@@ -139,13 +139,13 @@ def _diagnosed(
         wrong = acts_wrong_way(window, sign, settings.fit)
         obvious = obvious if wrong is None else replace(wrong, evidence=dict(seen.evidence) | wrong.evidence)
     if obvious is not None:
-        return DiagnosedRecord(obvious)
+        return RecordVerdict(obvious)
     parts = stretches(window, seen.period_s, settings.fit.choice.most_samples)
     if parts:
         each = [_diagnosed(part, gains, limits, settings, direction, rough_law) for part in parts]
         return over_time(parts, each)
     if short := too_few(window):
-        return DiagnosedRecord(Diagnosis(Cause.UNKNOWN, 0.9, dict(seen.evidence), short))
+        return RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.9, dict(seen.evidence), short))
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
     told = _compared(window, gains, found, seen, settings, rough_law)
@@ -156,9 +156,9 @@ def _in_parts(
     window: Window,
     gains: PidGains | None,
     limits: tuple[float | None, float | None],
-    whole: DiagnosedRecord,
+    whole: RecordVerdict,
     settings: DiagnosisSettings,
-) -> DiagnosedRecord | None:
+) -> RecordVerdict | None:
     """What parts of a record show that has too many loads as a whole, where it swings as slowly as a level loop does.
 
     Only too little k' Kc tau_I makes so slow a swing. Two parts, each explained to the noise with few loads, must show
@@ -230,7 +230,7 @@ def _compared(
     seen: Screening,
     settings: DiagnosisSettings,
     rough_law: Callable[[Window], PidGains | None],
-) -> DiagnosedRecord:
+) -> RecordVerdict:
     """The linear explanation against its rivals, where they are worth asking."""
     best = found[0]
     evidence = dict(seen.evidence) | {"linear_left": residual(best), "loads": float(best.fit.misfit.loads)}
@@ -240,7 +240,7 @@ def _compared(
     by_loads = loads >= SEVERAL_LOADS or (loads > 0 and not seen.evidence.get("setpoint_steps"))
     if seen.oscillates or by_loads or residual(best) > settings.oscillating_residual:
         if not room_for_a_tone(best):
-            return DiagnosedRecord(
+            return RecordVerdict(
                 Diagnosis(Cause.UNKNOWN, 0.9, evidence, TOO_SHORT.format(samples=len(window.t_s))), fits=fits
             )
         against = valve_or_tone(best, seen, settings, len(setpoint_changes(window)))
@@ -251,15 +251,15 @@ def _compared(
             evidence.pop("external_lead")
             fits.pop("external")
         if verdict is not None and (stood is None or outweighs_standing_pv(verdict, seen, stood, settings)):
-            return DiagnosedRecord(verdict, fits=fits)
+            return RecordVerdict(verdict, fits=fits)
     if stood is not None:
-        return DiagnosedRecord(pv_stands_verdict(stood, evidence), fits=fits)
+        return RecordVerdict(pv_stands_verdict(stood, evidence), fits=fits)
     told = linear_verdict(window, gains, found, evidence, fits, seen.oscillates, settings)
     tone = fits.get("external")
     return told if tone is None else _by_tone(told, tone, settings)
 
 
-def _by_tone(told: DiagnosedRecord, tone: Candidate, settings: DiagnosisSettings) -> DiagnosedRecord:
+def _by_tone(told: RecordVerdict, tone: Candidate, settings: DiagnosisSettings) -> RecordVerdict:
     """External, where the loop by itself leaves the cause open and a tone that goes on explains the record as well."""
     record = tone.fit.misfit.record
     period_s = tone_period_s(tone)

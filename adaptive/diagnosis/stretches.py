@@ -17,7 +17,7 @@ from operator import itemgetter
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
-from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord
+from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.signals.sample import Window
 
@@ -65,7 +65,7 @@ def _by_changes(window: Window) -> list[Window]:
     return [window.part(part) for part in parts] if len(parts) > 1 else []
 
 
-def over_time(parts: list[Window], found: list[DiagnosedRecord]) -> DiagnosedRecord:
+def over_time(parts: list[Window], found: list[RecordVerdict]) -> RecordVerdict:
     """The verdict of a long record from those of its stretches; two of them must agree.
 
     A fault that two stretches show is told, whatever the others leave open; gains are changed only where no stretch
@@ -79,7 +79,7 @@ def over_time(parts: list[Window], found: list[DiagnosedRecord]) -> DiagnosedRec
         cause, count = Counter(causes).most_common(1)[0]
     if count == 1 or (cause in TUNING_CAUSES and len(named) > 1):
         reason = f"the behaviour changes over the record: {told}"
-        return DiagnosedRecord(Diagnosis(Cause.UNKNOWN, 0.5, found[-1].diagnosis.evidence, reason))
+        return RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.5, found[-1].diagnosis.evidence, reason))
     agreeing = [f for f in found if f.diagnosis.cause == cause]
     best = max(agreeing, key=lambda f: (f.tuning is not None, f.diagnosis.confidence))
     nothing_new = set(causes) == {Cause.UNKNOWN}

@@ -45,7 +45,7 @@ from retuner.schedule.late_dataclass import dataclass, field, replace
 
 
 @dataclass(frozen=True, slots=True)
-class DiagnosedRecord:
+class RecordVerdict:
     """A diagnosis with what it rests on.
 
     estimate : the process, where it could be told. tuning : settings that would cure it, for causes of tuning.
@@ -87,27 +87,27 @@ def linear_verdict(
     fits: Mapping[str, Candidate],
     oscillates: bool,
     settings: DiagnosisSettings,
-) -> DiagnosedRecord:
+) -> RecordVerdict:
     """The loop by itself explains the record best: is it the tuning?"""
     estimate = estimate_of(found, float(window.t_s[0]), {}, settings.fit)
     if setpoint_changes(window):  # a load whose time is not known bounds no dead time
         estimate = bounded(window, estimate, settings.fit)
     events = evidence.get("setpoint_steps", 0.0) + evidence["loads"]
     if not events:
-        return DiagnosedRecord(_undisturbed(window, estimate, evidence, oscillates), estimate, fits=fits)
+        return RecordVerdict(_undisturbed(window, estimate, evidence, oscillates), estimate, fits=fits)
     if gains is None:
         reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
-        return DiagnosedRecord(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
+        return RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
     loop = JudgedLoop(
         window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings, fits.get("external")
     )
     reason = estimate.reason + _not_brought_back(window)
-    told = _by_margins(loop, DiagnosedRecord(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate), oscillates)
+    told = _by_margins(loop, RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate), oscillates)
     told = replace(told, fits=fits)
     return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
 
 
-def _by_margins(loop: JudgedLoop, found: DiagnosedRecord, oscillates: bool) -> DiagnosedRecord:
+def _by_margins(loop: JudgedLoop, found: RecordVerdict, oscillates: bool) -> RecordVerdict:
     """The verdict by the margins of the models that the record allows. found : nothing said as yet."""
     window, settings, estimate = loop.window, loop.settings, found.estimate
     assert estimate is not None
@@ -120,21 +120,21 @@ def _by_margins(loop: JudgedLoop, found: DiagnosedRecord, oscillates: bool) -> D
     verdict = replace(verdict, evidence=verdict.evidence | found.diagnosis.evidence)
     if far:
         slow = verdict.cause is Cause.SLOW_INTEGRATING and _doubt(verdict, loop, oscillates) is None
-        return (_slow_oscillation(loop, DiagnosedRecord(verdict, estimate)) if slow else None) or found
+        return (_slow_oscillation(loop, RecordVerdict(verdict, estimate)) if slow else None) or found
     if verdict.cause in TUNING_CAUSES and estimate.explained < settings.fit.explained_limit:
         cause, sure, why = Cause.UNKNOWN, 0.5, estimate.reason
         if verdict.evidence.get("noise_share", 0.0) > NOISY:
             cause, sure, why = Cause.NOISE, 0.8, "only noise moves this loop"
-        return DiagnosedRecord(replace(verdict, cause=cause, confidence=sure, reason=why), estimate)
+        return RecordVerdict(replace(verdict, cause=cause, confidence=sure, reason=why), estimate)
     if verdict.cause not in TUNING_CAUSES:
-        return _if_agreed(loop, DiagnosedRecord(verdict, estimate))
+        return _if_agreed(loop, RecordVerdict(verdict, estimate))
     doubt = _doubt(verdict, loop, oscillates)
     if doubt is not None and (not doubt.may_be_asked or not second_opinion(loop, verdict)):
-        return DiagnosedRecord(replace(verdict, cause=doubt.cause, confidence=0.5, reason=doubt.reason), estimate)
-    return _if_agreed(loop, DiagnosedRecord(verdict, estimate, tuning), asked=doubt is not None)
+        return RecordVerdict(replace(verdict, cause=doubt.cause, confidence=0.5, reason=doubt.reason), estimate)
+    return _if_agreed(loop, RecordVerdict(verdict, estimate, tuning), asked=doubt is not None)
 
 
-def _in_order(loop: JudgedLoop, found: DiagnosedRecord) -> DiagnosedRecord:
+def _in_order(loop: JudgedLoop, found: RecordVerdict) -> RecordVerdict:
     """The verdict, "in order" where the cause stays open but the setpoint responses speak for themselves.
 
     The loop has followed its setpoint without much overshoot, and without load steps at the setpoint changes the record
@@ -170,7 +170,7 @@ RATIOS = frozenset({"ki_ratio", "kp_ratio"})
 """Evidence of how much faster a loop could be."""
 
 
-def _if_agreed(loop: JudgedLoop, found: DiagnosedRecord, *, asked: bool = False) -> DiagnosedRecord:
+def _if_agreed(loop: JudgedLoop, found: RecordVerdict, *, asked: bool = False) -> RecordVerdict:
     """The verdict, unless another model of the record, as good as its own, gives other settings.
 
     asked : identification has confirmed the cause already, with a model of its own.
@@ -192,7 +192,7 @@ def _if_agreed(loop: JudgedLoop, found: DiagnosedRecord, *, asked: bool = False)
     return _with_settings(loop, replace(found, estimate=estimate), asked)
 
 
-def _in_order_with_play(loop: JudgedLoop, found: DiagnosedRecord) -> str:
+def _in_order_with_play(loop: JudgedLoop, found: RecordVerdict) -> str:
     """Why the valve and not the tuning may be the cause, empty when it is not so.
 
     Play in a valve slows the loop and turns its phase, and a linear fit takes it for a longer lag. A valve with play
@@ -217,7 +217,7 @@ def _in_order_with_play(loop: JudgedLoop, found: DiagnosedRecord) -> str:
     )
 
 
-def _with_settings(loop: JudgedLoop, found: DiagnosedRecord, asked: bool) -> DiagnosedRecord:
+def _with_settings(loop: JudgedLoop, found: RecordVerdict, asked: bool) -> RecordVerdict:
     """The settings that would cure it, where identification knows the process as well and means the same."""
     estimate = found.estimate
     assert estimate is not None
@@ -244,7 +244,7 @@ def _with_settings(loop: JudgedLoop, found: DiagnosedRecord, asked: bool) -> Dia
     return _open(found, unsure)
 
 
-def _slow_oscillation(loop: JudgedLoop, found: DiagnosedRecord) -> DiagnosedRecord | None:
+def _slow_oscillation(loop: JudgedLoop, found: RecordVerdict) -> RecordVerdict | None:
     """The cure of a slow swing of an integrating loop, which hangs on k' alone; None where it is none, or k' not known.
 
     The factor on k' Kc tau_I that makes it DAMPED (rules/slow_oscillation.py) is shared by gain and integral time, the
@@ -281,7 +281,7 @@ DAMPED, SLOPE_KNOWN, GAINS_TRIED = 4.0, 0.1, 6
 gains that are tried between the largest and the old."""
 
 
-def _torn(loop: JudgedLoop, found: DiagnosedRecord, other: ProcessModel, why: str) -> DiagnosedRecord:
+def _torn(loop: JudgedLoop, found: RecordVerdict, other: ProcessModel, why: str) -> RecordVerdict:
     """Two models of a record far apart: no settings, and no cause but that the loop is too strong on either."""
     verdict = found.diagnosis
     strong = sensitivity_peak(other.linear(), loop.gains) > loop.settings.cause.ms_high
@@ -290,7 +290,7 @@ def _torn(loop: JudgedLoop, found: DiagnosedRecord, other: ProcessModel, why: st
     return replace(found, diagnosis=replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=why), tuning=None)
 
 
-def _open(found: DiagnosedRecord, why: str) -> DiagnosedRecord:
+def _open(found: RecordVerdict, why: str) -> RecordVerdict:
     """The cause without settings, and without a number that rests on what is not known."""
     slow = found.diagnosis.cause is Cause.SLUGGISH
     told = "loads are rejected more slowly than necessary" if slow else found.diagnosis.reason
@@ -298,7 +298,7 @@ def _open(found: DiagnosedRecord, why: str) -> DiagnosedRecord:
     return replace(found, diagnosis=replace(found.diagnosis, reason=reason, settled=False), tuning=None)
 
 
-def _first_step(loop: JudgedLoop, found: DiagnosedRecord) -> DiagnosedRecord:
+def _first_step(loop: JudgedLoop, found: RecordVerdict) -> RecordVerdict:
     """No farther at once than the record carries."""
     estimate, verdict = found.estimate, found.diagnosis
     assert estimate is not None

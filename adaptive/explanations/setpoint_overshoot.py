@@ -30,20 +30,20 @@ LONGEST = 400
 
 
 @dataclass(frozen=True, slots=True)
-class Overshoot:
+class RecordOvershoot:
     """overshoot : of the setpoint responses of a record, a share of the step. std : of that."""
 
     overshoot: float
     std: float
 
     @classmethod
-    def of(cls, error: FloatArray, overshoot: float, step: float) -> "Overshoot":
+    def of(cls, error: FloatArray, overshoot: float, step: float) -> "RecordOvershoot":
         """error : sp - pv of the record, shape (n,). step : size of its setpoint steps, pv units."""
         usual = 1.4826 * float(np.median(np.abs(error - np.median(error))))
         return cls(overshoot, math.hypot(READING, LOADS * usual / step))
 
 
-def with_overshoot(odds: TuningOdds, seen: Sequence[Overshoot], limits: TuningLimits) -> TuningOdds:
+def with_overshoot(odds: TuningOdds, seen: Sequence[RecordOvershoot], limits: TuningLimits) -> TuningOdds:
     """The odds once the setpoint responses of these records were looked at as well."""
     if not seen or not (odds.gains.kp or odds.gains.ki):
         return odds

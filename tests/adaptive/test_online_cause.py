@@ -21,7 +21,7 @@ from retuner.adaptive.diagnosis.second_opinion import (
     was_at_rest,
 )
 from retuner.adaptive.diagnosis.swing_checks import LimitSwingSettings, at_own_crossover, touches_limits
-from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord
+from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
@@ -163,7 +163,7 @@ def test_a_stretch_begins_where_the_loop_came_to_rest() -> None:
 
 def test_the_whole_diagnosis_must_not_ask_for_the_opposite(monkeypatch: pytest.MonkeyPatch) -> None:
     says = Diagnosis(Cause.SLOW_INTEGRATING, 1.0, {}, "it swings")
-    monkeypatch.setattr(second_opinion, "diagnose_window", lambda *_, **__: DiagnosedRecord(says))
+    monkeypatch.setattr(second_opinion, "diagnose_window", lambda *_, **__: RecordVerdict(says))
     stretch_of = samples([0.0] * 101)
     for cause, peak, agrees in (
         (Cause.SLUGGISH, 1.2, False),

@@ -13,7 +13,7 @@ from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.stretches import SAMPLES_A_CYCLE, over_time, stretches
-from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord
+from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.identification.first_step import MOST_AT_ONCE, first_step
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.indexes.doubtful_units import doubtful_units
@@ -108,7 +108,7 @@ def test_a_long_record_is_parted_between_its_setpoint_changes(n: int, count: int
 def test_the_verdict_over_time(causes: str, cause: Cause) -> None:
     n = len(causes.split())
     parts = [Window(*(10.0 * i + np.arange(3.0) for _ in range(4))) for i in range(n)]
-    found = [DiagnosedRecord(Diagnosis(Cause(c), 0.6, {}, f"reason {i}")) for i, c in enumerate(causes.split())]
+    found = [RecordVerdict(Diagnosis(Cause(c), 0.6, {}, f"reason {i}")) for i, c in enumerate(causes.split())]
     assert over_time(parts, found).diagnosis.cause == cause
 
 

@@ -290,6 +290,11 @@ def test_files_stay_small() -> None:
     assert long == {}
 
 
+def test_a_class_name_stands_once() -> None:
+    classes = [node.name for path in files(*TOP) for node in nodes(path.read_text()) if isinstance(node, ast.ClassDef)]
+    assert {name for name, n in Counter(classes).items() if n > 1} <= {"Mode"}  # of a region, and of a controller
+
+
 def test_functions_stay_small() -> None:
     long = {
         f"{path.relative_to(ROOT)}:{node.name}": lines
