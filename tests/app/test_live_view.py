@@ -3,6 +3,8 @@
 import io
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from rich.cells import cell_len
@@ -13,7 +15,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.cli import main
-from retuner.config.loading import load_config
+from retuner.config.loading import load_config, load_session
 from retuner.drivers.device import RunningSet
 from retuner.ledger import Ledger, LedgerReader
 from retuner.live_view.live_screen import (
@@ -27,11 +29,13 @@ from retuner.live_view.live_screen import (
     trace,
 )
 from retuner.live_view.loop_seen import FOLLOWING, TRIAL_WAITS, LoopObserver, LoopSeen, peaks_so_far
+from retuner.live_view.watching_session import Watching
 from retuner.live_view.what_next import Changed, narrow_scores, what_next
 from retuner.report.console import scores_table
 from retuner.report.scores import RegionScore
 from retuner.schedule.gains import PidGains
 from retuner.session.assembly import make_retuner
+from retuner.session.loop_session import LoopSession
 
 ROOT = Path(__file__).resolve().parents[2]
 WIDTHS = (80, 120, 200)
@@ -201,3 +205,20 @@ def test_every_phase_of_a_trial_says_what_is_waited_for() -> None:
     told = {*TRIAL_WAITS, TrialPhase.IDLE, TrialPhase.TRIAL, TrialPhase.AWAY, TrialPhase.COOLING}
     assert told == set(TrialPhase)
     assert set(FOLLOWING) == set(RecogniserPhase)
+
+
+def test_what_comes_again_and_again_is_told_when_it_has_doubled(tmp_path: Path) -> None:
+    out = io.StringIO()
+    screen = LiveScreen(Console(file=out, width=200))
+    watching = Watching(screen, load_session(ROOT / "examples" / "oven.toml")[0], tmp_path)
+    for t_s in range(20):
+        watching.recorded(None, "lost", float(t_s), {"count": 1})
+    watching.recorded(None, "lost", 20.0, {"count": 1, "reason": "half of all samples are lost"})
+    told = out.getvalue().splitlines()
+    assert [line.split(", ")[-1] for line in told[:-1]] == [told[0], "2 so far", "4 so far", "8 so far", "16 so far"]
+    assert told[-1].endswith("half of all samples are lost")
+    late = replace(decision(reason="late"), code="passed_over")
+    loop = cast("LoopSession", SimpleNamespace(name="oven", decisions=[late]))
+    for _ in range(5):
+        watching.recorded(loop, "decision", 30.0, {})
+    assert out.getvalue().count("decisions take longer than the loop's responses") == 1
