@@ -104,7 +104,7 @@ def test_check_tells_a_start_that_is_not_at_rest_or_out_of_range(tmp_path: Path)
         (LAG + 'input = "u"\noutput = "y"\n', 'device.plant.input = "u": there is no input of this name'),
         (LAG + 'shared = "tanks"\n', "device.plant.shared needs input and output by name, too"),
         (LAG + 'model = "x:y"\n', "device.plant.model or the matrices a, b, c: give one of them"),
-        (LAG + 'loads = [{ file = "nowhere.csv", column = "x" }]\n', "device.plant.loads[1] : nowhere.csv"),
+        (LAG + 'loads = [{ file = "nowhere.csv", column = "x" }]\n', "device.plant.loads[1]: nowhere.csv"),
         ('kind = "python"\nmodel = "nowhere.py:Lag"\n', "device.plant.model = "),
         ('kind = "fmu"\nfile = "nowhere.fmu"\n', 'device.plant.file = "nowhere.fmu": there is no such file'),
     ],
