@@ -24,6 +24,7 @@ class OddsSettings:
         (9 of 25 sticking valves named, 2 of 75 other loops, under real loads). stands_slips : the same where pv stands
         while co travels and then slips; 10 to 100, default 40 (no false alarm on 31 healthy tags and 250 further
         records). stands : where it stands and a drifting load may do so too; 2 to 30, default 10.
+    valve_fits : the same where a fitted valve leaves far less than loop and tone do; 5 to 50, default 20.
     noise_left : what a fit with few_loads load steps or fewer may leave, in times the noise, and be at least as likely
         as not, however well a load that wanders does; 1 to 1.5, default 1.15. few_loads : 0 to 4, default 2.
     tone_alone : probability, at the most, of a tone from outside beside a load that wanders, where it does not leave
@@ -59,6 +60,7 @@ class OddsSettings:
     shapes_say: float = 6.0
     stands_slips: float = 40.0
     stands: float = 10.0
+    valve_fits: float = 20.0
     noise_left: float = 1.15
     few_loads: int = 2
     tone_alone: float = 0.6

@@ -6,12 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retuner.adaptive.cause_odds import odds
-from retuner.adaptive.cause_odds.odds import Walk, diagnose_records
-from retuner.adaptive.cause_odds.odds_settings import OddsSettings
+from retuner.adaptive.cause_odds.odds import diagnose_records
 from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.explanations.gain_along_pv import GainAlongPv
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
@@ -54,15 +51,6 @@ def test_a_load_that_does_not_swing_is_not_taken_for_one() -> None:
     walk = np.cumsum(np.random.default_rng(3).standard_normal(N)) * 0.5
     record = Prepared.at(replace(window, pv=window.pv + walk), 1.0)
     assert swing_frequency(record, SETPOINT, log_likelihood(record, 1, GAINS.kp)) is None
-
-
-def test_where_pv_stands_while_co_travels_the_gain_does_not_bend() -> None:
-    settings = OddsSettings()
-    along, record = GainAlongPv(20.0, 5.0, 0.0, 1.0), Prepared(np.zeros(1), np.zeros(1), 0.0, 1.0)
-    walk = Walk(np.zeros(1), -1.0, along, record, np.zeros(1), 0.9, np.zeros(()), math.nan)
-    free, stands = (odds._under_walk(walk, None, math.log(x), settings) for x in (1.0, settings.stands))
-    assert max(free, key=free.__getitem__) == Cause.NONLINEAR
-    assert stands[Cause.STICTION] > stands[Cause.NONLINEAR]
 
 
 @pytest.mark.slow

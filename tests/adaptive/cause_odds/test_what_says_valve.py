@@ -1,0 +1,32 @@
+"""What outvotes the odds for a valve, and what does not: a gain along pv, and valves unlike the grid's."""
+
+import math
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.cause_odds import odds
+from retuner.adaptive.cause_odds.odds import Walk
+from retuner.adaptive.cause_odds.odds_settings import OddsSettings
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord
+from retuner.adaptive.explanations.gain_along_pv import GainAlongPv
+from retuner.adaptive.explanations.wandering_load import Prepared
+
+
+def test_where_pv_stands_while_co_travels_the_gain_does_not_bend() -> None:
+    settings = OddsSettings()
+    along, record = GainAlongPv(20.0, 5.0, 0.0, 1.0), Prepared(np.zeros(1), np.zeros(1), 0.0, 1.0)
+    walk = Walk(np.zeros(1), -1.0, along, record, np.zeros(1), 0.9, np.zeros(()), math.nan)
+    free, stands = (odds._under_walk(walk, None, math.log(x), False, settings) for x in (1.0, settings.stands))
+    assert max(free, key=free.__getitem__) == Cause.NONLINEAR
+    assert stands[Cause.STICTION] > stands[Cause.NONLINEAR]
+
+
+@pytest.mark.parametrize(("left", "says"), [(1.0, True), (4.0, False)])
+def test_a_fitted_valve_that_leaves_far_less_outvotes_the_valves_of_the_grid(left: float, says: bool) -> None:
+    evidence = {"linear_left": 9.0, "external_left": 5.0, "stuck_left": left}
+    told = DiagnosedRecord(Diagnosis(Cause.STICTION, 0.83, evidence, "a valve"))
+    settings = OddsSettings()
+    assert odds._fits(told) is says
+    assert odds._shapes(told, settings) == math.log(settings.valve_fits if says else settings.shapes_say)
