@@ -251,7 +251,7 @@ def _shapes(found: RecordVerdict, settings: OddsSettings) -> float:
     return math.log(max(times, settings.valve_fits) if _fits(found) else times)
 
 
-def _fits(found: DiagnosedRecord) -> bool:
+def _fits(found: RecordVerdict) -> bool:
     """Whether a fitted valve explains a record where loop and tone with their loads leave far more."""
     told = found.diagnosis
     if told.cause != Cause.STICTION or "stuck_left" not in told.evidence:

@@ -9,7 +9,7 @@ from retuner.adaptive.cause_odds import odds
 from retuner.adaptive.cause_odds.odds import Walk
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.tuning_verdict import DiagnosedRecord
+from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv
 from retuner.adaptive.explanations.wandering_load import Prepared
 
@@ -26,7 +26,7 @@ def test_where_pv_stands_while_co_travels_the_gain_does_not_bend() -> None:
 @pytest.mark.parametrize(("left", "says"), [(1.0, True), (4.0, False)])
 def test_a_fitted_valve_that_leaves_far_less_outvotes_the_valves_of_the_grid(left: float, says: bool) -> None:
     evidence = {"linear_left": 9.0, "external_left": 5.0, "stuck_left": left}
-    told = DiagnosedRecord(Diagnosis(Cause.STICTION, 0.83, evidence, "a valve"))
+    told = RecordVerdict(Diagnosis(Cause.STICTION, 0.83, evidence, "a valve"))
     settings = OddsSettings()
     assert odds._fits(told) is says
     assert odds._shapes(told, settings) == math.log(settings.valve_fits if says else settings.shapes_say)
