@@ -316,7 +316,7 @@ def _under_steps(
         weight = max(_weight_of_steps(told.cause, found, walk, settings), tone)
         shares = {cause: (1 - told.confidence) * p for cause, p in under_walk.items()}  # where steps are silent
         shares[told.cause] = shares.get(told.cause, 0.0) + told.confidence
-        for cause in {*shares, *total}:
+        for cause in dict.fromkeys((*shares, *total)):
             total[cause] = total.get(cause, 0.0) + weight * math.log(max(shares.get(cause, 0.0), 1e-6))
         most = max(most, weight)
     if not total:
@@ -385,7 +385,7 @@ HALF = 0.5
 def _mixed(steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: float, most: float) -> dict[Cause, float]:
     """Two sets of odds combined; no cause is surer than `most`, the others share the rest."""
     share = weight if steps else 0.0
-    every = {cause: share * steps.get(cause, 0.0) + (1 - share) * walk.get(cause, 0.0) for cause in {*steps, *walk}}
+    every = {cause: share * steps.get(cause, 0.0) + (1 - share) * walk.get(cause, 0.0) for cause in (*steps, *walk)}
     floor = (1.0 - most) / max(len(every) - 1, 1)
     every = {cause: max(p, floor) for cause, p in every.items()}
     total = sum(every.values())

@@ -4,11 +4,12 @@ import csv
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from retuner.adaptive.cause_odds.odds import diagnose_records, windows_of
+from retuner.adaptive.cause_odds.odds import _mixed, diagnose_records, windows_of
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -188,3 +189,10 @@ def test_a_slave_of_a_cascade_is_told_how_it_tracks_its_setpoint() -> None:
     assert dead <= found.evidence["follows_late_s"] <= 3 * dead
     assert 0.0 < found.evidence["tracking_error"] < 1.0
     assert "slave of a cascade" in found.reason
+
+
+def test_equal_odds_keep_their_order_in_every_process() -> None:
+    """Sets of words come in another order in each process: so had equal causes, and sums in the last digit."""
+    names: Any = [str(i) for i in range(40)]
+    odds = dict.fromkeys(names, 1 / 40)
+    assert list(_mixed(odds, odds, 0.5, 0.99)) == names
