@@ -4,9 +4,10 @@
 
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
 expectation is over processes drawn from the book, each as likely as the others. On line a change costs more than words:
-it is made where the book is clear, and was at the look before, and where no tone from outside may be what moves the
-loop. Less action, where Ms is probably too high with the gains in force. More, where a set with more is probably
-cheaper, and next to no process makes a bad loop of it: a share of the way, where the whole is not sure.
+it is made where the book is clear, and was after the whole window before, and where no tone from outside may be what
+moves the loop. Less action, where Ms is probably too high with the gains in force. More, where the loop probably has
+room, a set with more is probably cheaper, and next to no process makes a bad loop of it: a share of the way, where the
+whole is not sure.
 No less where a process that runs away by itself is alive and would be held worse, or no longer: it needs gain.
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
@@ -66,7 +67,11 @@ class BookSettings:
         0.7, "How much a change may save or cost on a process", 0.2, 2.5, source="ln 2: it is on trial"
     )
     borne_out: float = setting(
-        2 / 3, "Odds of being better that less action needs", 0.5, 0.9, source="60 changes, seeds 9331 to 9361"
+        2 / 3,
+        "Odds of being better that less action needs, and of room that more does",
+        0.5,
+        0.9,
+        source="60 changes, seeds 9331 to 9361; 14 loops, seed 9831",
     )
     room: float = setting(1.8, "Times as much of all actions that a loop with room bears", 1.5, 3.0)
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68))
@@ -133,8 +138,9 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
     leans, best = 0, _best(drawn, gains, _more(gains, _integral_times(book, drawn), settings), settings, more=True)
-    if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
-        leans = 1  # also where Ms is too high, if more action makes it less
+    bears = max(room, high) >= settings.borne_out  # also where Ms is too high, if more action makes it less
+    if bears and best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
+        leans = 1
     elif high >= settings.less_odds:
         less = (_times(gains, share, longer) for share in LESS for longer in (LONGER if gains.kp else (1.0,)))
         leans, best = -1, _best(drawn, gains, less, settings, more=False)
