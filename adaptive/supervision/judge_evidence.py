@@ -139,7 +139,7 @@ def _outvoted(learned: Learned) -> bool:
     return alone and records >= AGREED
 
 
-def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
+def seen_of(case: ResponseRecord, outcome: StageResult, settings: RetunerSettings) -> JudgedResponse:
     """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
     what its own record says of the tried set and of the one before.
     """
@@ -149,6 +149,9 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
     verdict = outcome.verdict
-    next_due = verdict is not None and verdict.accepted and (verdict.urgent or outcome.basis is Basis.ALL_SAMPLES)
-    told = (outcome.posterior, case.crossed, next_due, outcome.beside_walk)
+    next_due, due_on = verdict is not None and verdict.accepted and verdict.urgent, None
+    if verdict is not None and verdict.accepted and outcome.basis is Basis.ALL_SAMPLES:
+        sampled = (one.model.seen_by_controller(settings.sample_time_s).linear() for one in verdict.allowed)
+        next_due, due_on = True, StillAllowed(tuple(sampled), settings.filter_s, by_loads=True)
+    told = (outcome.posterior, case.crossed, next_due, outcome.beside_walk, due_on)
     return JudgedResponse(case.response, window, limited, outside, *told)

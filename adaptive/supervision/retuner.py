@@ -524,7 +524,7 @@ class Retuner:
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
             return self.trials.silent(case.region, silent, self.now_s, beside_walk=outcome.beside_walk)
         ask = self._person_decides(case.region)
-        return self.trials.judge(case.region, seen_of(case, outcome), case.in_force, self.now_s, ask=ask)
+        return self.trials.judge(case.region, seen_of(case, outcome, self.settings), case.in_force, self.now_s, ask=ask)
 
     def _case(self, seen: Completed) -> ResponseRecord:
         """Everything that the decision depends on."""

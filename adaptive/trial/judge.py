@@ -123,9 +123,9 @@ class JudgedResponse:
     tuning that was found behind the response, empty when none was. crossed : part of it ran in another region, under
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
     say of both sets, None where there are none. next_due : a change is proved that must not wait: by this response the
-    tried set swings, and this one is safer; or it follows from all samples, those of the trial among them.
-    beside_walk : what the loop did lately leaves of its process beside a load that wanders as before the change
-    (random_walk.py); None where none did.
+    tried set swings, and this one is safer; or it follows from all samples, those of the trial among them. due_on :
+    the processes that these leave, else None. beside_walk : what the loop did lately leaves of its process beside a load
+    that wanders as before the change (random_walk.py); None where none did.
     """
 
     response: Response
@@ -136,6 +136,7 @@ class JudgedResponse:
     crossed: bool = False
     next_due: bool = False
     beside_walk: StillAllowed | None = None
+    due_on: StillAllowed | None = None
 
     @property
     def wandering(self) -> bool:

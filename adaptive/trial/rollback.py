@@ -58,12 +58,14 @@ class StillAllowed(NamedTuple):
     filter_s : filter time of the controller's derivative, s.
     between : of an interpolated table, processes between this knot and others, each with what runs there for a set
         that the region stores; each as likely as the likeliest.
+    by_loads : they follow from all samples, under a load that wanders: it explains what swung.
     """
 
     processes: tuple[LinearProcess, ...] = ()
     filter_s: float = 0.0
     between: tuple[tuple[LinearProcess, Callable[[PidGains], PidGains]], ...] = ()
     weights: tuple[float, ...] = ()
+    by_loads: bool = False
 
     def ms(self, stored: PidGains) -> tuple[float, ...]:
         """Ms on each model, infinite where unstable."""
@@ -155,6 +157,7 @@ def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     """Which set is to run after a cause that ends trials; see the head of this file."""
     if ran.tried is None or ran.tried == ran.before:
         return Rollback(ran.before, stays=False)
+    ran = ran._replace(swung=None) if known.by_loads else ran
     if cause is TrialEvent.ORDERED_BACK:
         why = unstable_again(ran, known)
         return Rollback(ran.tried if why else ran.before, bool(why), why)

@@ -269,29 +269,28 @@ class TrialSupervisor:
             if kept >= self.settings.responses:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         else:
-            return self.silent(region, found, t_s, enough=seen.next_due and not ask, beside_walk=seen.beside_walk)
+            enough = seen.next_due and not ask
+            return self.silent(region, found, t_s, enough=enough, beside_walk=seen.beside_walk, due_on=seen.due_on)
         return found
 
     def silent(
-        self,
-        region: int,
-        found: Judgement,
-        t_s: float,
-        *,
-        enough: bool = False,
-        beside_walk: StillAllowed | None = None,
-    ) -> Judgement:
+        self, region: int, found: Judgement, t_s: float, *, enough: bool = False,
+        beside_walk: StillAllowed | None = None, due_on: StillAllowed | None = None,
+    ) -> Judgement:  # fmt: skip
         """A response said nothing for or against: enough of them end the trial. found : why it did not; with that.
 
-        enough : this one does, because a change is due that must not wait for others. beside_walk : what is
-        left of the process beside a load that wanders; it stands for the models where there are none, and where it is
-        nothing they say nothing.
+        enough : this one does, because a change is due that must not wait for others. due_on : the processes on which
+        it follows from all samples, which know more than the region's models. beside_walk : what is left of the process
+        beside a load that wanders; it stands for the models where there are none, and where it is nothing they say
+        nothing.
         """
         trial = self.of(region)
         if trial.phase != P.TRIAL:
             return found
         self._trials[region] = replace(trial, silent=trial.silent + 1)
-        known = None if beside_walk and beside_walk.processes and self._known(region).processes else beside_walk
+        known = due_on or (
+            None if beside_walk and beside_walk.processes and self._known(region).processes else beside_walk
+        )
         few = trial.silent + 1 < self.settings.inconclusive and not enough
         if few or not self._end(region, E.TIMED_OUT, t_s, known):
             return found

@@ -15,7 +15,7 @@ from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, TrialNumbers
 from retuner.adaptive.trial.phase import ABORTS, UNDECIDED, UNDOS, TrialEvent, TrialPhase
-from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN, SetsThatRan, StillAllowed, rollback
 from retuner.adaptive.trial.supervisor import DECIDED, WITH_GAINS, TrialSupervisor
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
@@ -109,6 +109,15 @@ def test_with_nothing_known_responses_that_say_nothing_leave_the_set_that_they_r
     back = bench.trials.of(0).back
     assert back is not None
     assert back.reason == "no response spoke against the trial gains"
+
+
+@pytest.mark.parametrize(("by_loads", "stays"), [(True, True), (False, False)])
+def test_a_swing_that_all_samples_give_to_loads_brings_back_no_earlier_set(by_loads: bool, stays: bool) -> None:
+    earlier = PidGains(0.25 * OLD.kp, 0.25 * OLD.ki)
+    ran = SetsThatRan(OLD, NEW, (earlier,), swung=0.95, swings=0.9)
+    found = rollback(E.TIMED_OUT, ran, KNOWN._replace(by_loads=by_loads), TrialSettings())
+    assert found.stays is stays
+    assert found.gains == (NEW if stays else earlier)
 
 
 @pytest.mark.parametrize(("asks", "phase"), [(False, P.IDLE), (True, P.TRIAL)])
