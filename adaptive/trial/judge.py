@@ -124,8 +124,8 @@ class JudgedResponse:
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
     say of both sets, None where there are none. next_due : a change is proved that must not wait: by this response the
     tried set swings, and this one is safer; or it follows from all samples, those of the trial among them. due_on :
-    the processes that these leave, else None. beside_walk : what the loop did lately leaves of its process beside a load
-    that wanders as before the change (random_walk.py); None where none did.
+    the processes that these leave, else None. beside_walk : what the loop did lately leaves of its process beside a
+    load that wanders as before the change (random_walk.py); None where none did.
     """
 
     response: Response

@@ -155,9 +155,9 @@ class SetRecord(NamedTuple):
 
 def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> Rollback:
     """Which set is to run after a cause that ends trials; see the head of this file."""
+    ran = ran._replace(swung=None) if known.by_loads else ran
     if ran.tried is None or ran.tried == ran.before:
         return Rollback(ran.before, stays=False)
-    ran = ran._replace(swung=None) if known.by_loads else ran
     if cause is TrialEvent.ORDERED_BACK:
         why = unstable_again(ran, known)
         return Rollback(ran.tried if why else ran.before, bool(why), why)
