@@ -6,7 +6,6 @@ of a test in manual finds the process. Other loops on the same plant stand still
 """
 
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
 from itertools import pairwise
 
 import numpy as np
@@ -77,9 +76,12 @@ class SteppedPlant:
         at = min(self._rests, key=lambda rest: abs(rest - pv))
         if at not in self._known:
             for size in STEPS_PCT:
-                with suppress(NoProcessError) if size < STEPS_PCT[-1] else nullcontext():
+                try:
                     self._known[at] = self._stepped(self._rests[at], size)
                     break
+                except NoProcessError:
+                    if size == STEPS_PCT[-1]:
+                        raise
         return self._known[at]
 
     def _stepped(self, co: float, size: float) -> LinearProcess:

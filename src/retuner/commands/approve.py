@@ -83,7 +83,8 @@ class LoopPlace:
     @property
     def by_hand(self) -> str:
         """Why nothing is written to its controller; empty when it is."""
-        return product("foreign device").advice_only(self.config) if self.config.foreign_device else ""
+        told: str = product("foreign device").advice_only(self.config) if self.config.foreign_device else ""
+        return told
 
     @property
     def expires_after_s(self) -> float:
