@@ -69,7 +69,7 @@ class Book:
     """What is known of a process.
 
     direction : sign of its gain. unit, dt_s : what loop gains and times of the grid are counted in. t_s : time up to
-    which samples are entered for good. records : windows entered. leans : what followed after the last whole one, -1
+    which samples are entered for good. records : windows entered. leans : what followed at the last look, -1
     less action, 1 more, 0 nothing. levels : of each process of the grid without and with a tone, how many STEP its
     logarithm of the weight lies under the largest; whole : the same without the window that still grows; prior : before
     any record. One byte each.

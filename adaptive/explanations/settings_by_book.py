@@ -4,10 +4,10 @@
 
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
 expectation is over processes drawn from the book, each as likely as the others. On line a change costs more than words:
-it is made where the book is clear, and was after the whole window before, and where no tone from outside may be what
-moves the loop. Less action, where Ms is probably too high with the gains in force. More, where the loop probably has
-room, a set with more is probably cheaper, and next to no process makes a bad loop of it: a share of the way, where the
-whole is not sure.
+it is made where the book is clear, and was at the look before (for less action after the whole window before), and
+where no tone from outside may be what moves the loop. Less action, where Ms is probably too high with the gains in
+force. More, where the loop probably has room, a set with more is probably cheaper, and next to no process makes a bad
+loop of it: a share of the way, where the whole is not sure.
 No less where a process that runs away by itself is alive and would be held worse, or no longer: it needs gain.
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.

@@ -126,7 +126,8 @@ def by_all_samples(found: Findings) -> None:
         _speak(found, look, book, told, shown=shown)
     found.all_samples = told.numbers
     if look is not None:
-        found.book = book if look.grows else replace(book, leans=told.leans)
+        early = look.grows and told.leans < 0  # half a window calls a good loop too tight now and then
+        found.book = book if early else replace(book, leans=told.leans)
     if found.end is None:
         found.stop(LOOKED, f"no response to judge; {told.words}")
 
