@@ -32,7 +32,12 @@ from retuner.adaptive.diagnosis.rival_fits import (
     room_for_a_tone,
     tone_period_s,
 )
-from retuner.adaptive.diagnosis.sticking_valve import outweighs_standing_pv, pv_stands, pv_stands_verdict, valve_or_tone
+from retuner.adaptive.diagnosis.sticking_valve import (
+    outweighs_standing_pv,
+    pv_stands,
+    pv_stands_verdict,
+    stiction_or_tone,
+)
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict, linear_verdict
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
@@ -148,7 +153,7 @@ def _diagnosed(
         return RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.9, dict(seen.evidence), short))
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
-    told = _compared(window, gains, found, seen, settings, rough_law)
+    told = _loop_or_tone_or_valve(window, gains, found, seen, settings, rough_law)
     return _in_parts(window, gains, limits, told, settings) or told
 
 
@@ -223,7 +228,7 @@ def _obvious(seen: Screening, settings: DiagnosisSettings) -> Diagnosis | None:
     return None
 
 
-def _compared(
+def _loop_or_tone_or_valve(
     window: Window,
     gains: PidGains | None,
     found: list[Candidate],
@@ -243,7 +248,7 @@ def _compared(
             return RecordVerdict(
                 Diagnosis(Cause.UNKNOWN, 0.9, evidence, TOO_SHORT.format(samples=len(window.t_s))), fits=fits
             )
-        against = valve_or_tone(best, seen, settings, len(setpoint_changes(window)))
+        against = stiction_or_tone(best, seen, settings, len(setpoint_changes(window)))
         evidence, fits = against.evidence, against.fits
         verdict = against.verdict
         if _of_setpoint(window, against.fits["external"]):

@@ -17,7 +17,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.rival_fits import linear
-from retuner.adaptive.diagnosis.sticking_valve import valve_or_tone
+from retuner.adaptive.diagnosis.sticking_valve import stiction_or_tone
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.screening import screen
@@ -145,7 +145,7 @@ def hidden_cause(
         return None, False
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
     seen = screen(window, gains, in_auto=settings.in_auto)
-    verdict = valve_or_tone(found[0], seen, settings).verdict
+    verdict = stiction_or_tone(found[0], seen, settings).verdict
     if verdict is not None and verdict.cause == Cause.EXTERNAL and not seen.oscillates:
         return replace(verdict, reason=RANDOM.format(**verdict.evidence)), False
     return verdict, verdict is not None and verdict.cause != Cause.UNKNOWN
@@ -164,7 +164,7 @@ def through_a_change(samples: Sequence[LoopSample], gains: PidGains, settings: D
     if too_few(window):
         return None
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
-    verdict = valve_or_tone(
+    verdict = stiction_or_tone(
         found[0], screen(window, gains, in_auto=settings.in_auto), settings, len(setpoint_changes(window))
     ).verdict
     if verdict is None or verdict.cause is not Cause.EXTERNAL:

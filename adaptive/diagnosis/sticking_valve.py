@@ -50,7 +50,7 @@ class Rivals:
     fits: dict[str, Candidate]
 
 
-def valve_or_tone(best: Candidate, seen: Screening, settings: DiagnosisSettings, changes: int = 0) -> Rivals:
+def stiction_or_tone(best: Candidate, seen: Screening, settings: DiagnosisSettings, changes: int = 0) -> Rivals:
     """Does a tone from outside, or a valve that sticks, explain a record better than the loop by itself?
 
     best : the linear explanation. seen : the record's screening. changes : of the setpoint in it. A record with fewer
@@ -79,17 +79,17 @@ def valve_or_tone(best: Candidate, seen: Screening, settings: DiagnosisSettings,
         "stuck_lead": best.criterion - valve.fit.criterion,
     }
     fits = {"linear": best, "external": tone, "stuck": valve.fit}
-    verdict = valve_or_tone_verdict(best, tone, valve, evidence, settings, changes)
+    verdict = regular_stiction_verdict(best, tone, valve, evidence, settings, changes)
     unexplained = residual(best) > settings.oscillating_residual and residual(tone) > settings.slips_asked
     if (verdict is None or verdict.cause != Cause.STICTION) and unexplained:
         slips = slipping(best, most)
-        told = None if slips is None else slipping_valve_verdict(best, tone, slips, evidence, settings, changes)
+        told = None if slips is None else irregular_stiction_verdict(best, tone, slips, evidence, settings, changes)
         if slips is not None and told is not None:
             return Rivals(told, told.evidence, fits | {"stuck": slips.fit})
     return Rivals(verdict, evidence, fits)
 
 
-def valve_or_tone_verdict(
+def regular_stiction_verdict(
     best: Candidate,
     tone: Candidate,
     valve: Sticking,
@@ -185,7 +185,7 @@ def _with_and_without(tone_left: float, loop_left: float, loads: float) -> str:
     return f"residual {tone_left:.{digits}f} times the noise with it, {loop_left:.{digits}f} without{needed}"
 
 
-def slipping_valve_verdict(
+def irregular_stiction_verdict(
     best: Candidate,
     tone: Candidate,
     slips: Slipping,

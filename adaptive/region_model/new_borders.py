@@ -89,13 +89,15 @@ class Spot:
 
     def _largest(self, tau_i_s: float, ms: float) -> float:
         middle = math.log(abs(self.own.kp))
-        return _border(lambda x: self.ms(self._set(x, tau_i_s)) <= ms, middle - WIDEST, middle + WIDEST, BISECTIONS)
+        return _gain_at_limit(
+            lambda x: self.ms(self._set(x, tau_i_s)) <= ms, middle - WIDEST, middle + WIDEST, BISECTIONS
+        )
 
     def _least(self, tau_i_s: float, high: float) -> float:
         """inf where J is not kept even at the largest gain."""
         if not self._is_fast(high, tau_i_s):
             return math.inf
-        return -_border(lambda x: self._is_fast(-x, tau_i_s), -high, WIDEST - high, J_BISECTIONS)
+        return -_gain_at_limit(lambda x: self._is_fast(-x, tau_i_s), -high, WIDEST - high, J_BISECTIONS)
 
     def _is_fast(self, ln_kc: float, tau_i_s: float) -> bool:
         gains = self._set(ln_kc, tau_i_s)
@@ -105,7 +107,7 @@ class Spot:
         return sum(one / own for one, own in zip(found, self.iae, strict=True)) / 2 <= self.limits.j
 
 
-def _border(keeps: Callable[[float], bool], low: float, high: float, times: int) -> float:
+def _gain_at_limit(keeps: Callable[[float], bool], low: float, high: float, times: int) -> float:
     """The largest value up to which something is kept that is so at low."""
     for _ in range(times):
         middle = (low + high) / 2

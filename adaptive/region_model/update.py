@@ -42,7 +42,7 @@ from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel,
 from retuner.adaptive.schedule_design.record_stretches import SLOPE_STD
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.valve.record_through_valve import ValveInLoop, through_valve
+from retuner.adaptive.valve.record_through_valve import ValveInLoop, valve_believed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -271,7 +271,7 @@ def update_region_model(
     """
     sign = in_force.direction
     fits = Fits(window, (sign,), fit)
-    through = through_valve(window, sign, fits, fit)
+    through = valve_believed(window, sign, fits, fit)
     if through is not None:
         window, fits = through.window, through.fits
     alone = _seen_or_bounded(window, _estimate(fits, in_force, settings, fit), fit)

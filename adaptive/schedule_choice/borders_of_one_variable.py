@@ -60,7 +60,7 @@ def mean_of(one: PidGains, two: PidGains, share: float) -> PidGains:
     return PidGains(a * one.kp + b * two.kp, a * one.ki + b * two.ki, a * one.kd + b * two.kd)
 
 
-def fewest_steps(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
+def borders_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
     """The fewest sets with borders; None when `most` do not suffice."""
     reaches = [
         (*_reach(places, i, gains, limits), gains)
@@ -110,7 +110,7 @@ Knot = tuple[int, PidGains]
 """A place's index, and its set."""
 
 
-def fewest_knots(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
+def knots_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
     """The fewest knots; None when `most` do not suffice."""
     rows = [_row(places, factor, limits) for factor in CALMER]
     reached: dict[Knot, list[Knot]] = {}

@@ -10,7 +10,11 @@ from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.first_step import FirstStep, first_step
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.schedule_choice.borders_of_one_variable import Layout, fewest_knots, fewest_steps
+from retuner.adaptive.schedule_choice.borders_of_one_variable import (
+    Layout,
+    borders_of_fewest_sets,
+    knots_of_fewest_sets,
+)
 from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells, cells
 from retuner.adaptive.schedule_choice.scheduling_variables import (
     RegionCrossing,
@@ -365,9 +369,9 @@ def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layou
     """The fewest sets; where steps and interpolation need as many, the one with the smaller J in the mean."""
     if places[0].x2 is not None:
         return cells(places, limits, lookup, MOST_SETS)
-    options = [] if lookup == Lookup.INTERPOLATED else [fewest_steps(places, limits, MOST_SETS)]
+    options = [] if lookup == Lookup.INTERPOLATED else [borders_of_fewest_sets(places, limits, MOST_SETS)]
     if lookup != Lookup.HARD:
-        options.append(fewest_knots(places, limits, MOST_SETS))
+        options.append(knots_of_fewest_sets(places, limits, MOST_SETS))
     able = [layout for layout in options if layout is not None]
     return min(able, key=lambda one: (len(one.sets), _mean_j(places, one)), default=None)
 

@@ -306,7 +306,7 @@ class BumpPlanner:
             case BumpPhase.ANNOUNCED if not here:
                 return BumpEvent.OTHERS
             case BumpPhase.ANNOUNCED:
-                return self._still_to_come(sample, around, since)
+                return self._begins_or_is_put_off(sample, around, since)
             case BumpPhase.RETURNING if there and self._left:
                 self._left = False  # told, for a session that is killed once more before the setpoint is back
                 return BumpEvent.LEFT_OUT
@@ -323,7 +323,7 @@ class BumpPlanner:
             case _:
                 return BumpEvent.OTHERS
 
-    def _still_to_come(self, sample: LoopSample, around: LoopAround, since: float) -> BumpEvent | None:
+    def _begins_or_is_put_off(self, sample: LoopSample, around: LoopAround, since: float) -> BumpEvent | None:
         if not around.wanted or sample.mode != LoopMode.AUTO or not self.settings.is_time(around.hour):
             return BumpEvent.PUT_OFF
         if since < self.settings.announce_s:

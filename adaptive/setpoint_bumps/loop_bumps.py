@@ -53,7 +53,7 @@ class LoopBumps:
 
     def _around(self, sample: LoopSample, *, free: bool) -> LoopAround:
         retuner = self._retuner
-        wanted = self._wanted() if free and retuner.open_question is None else ""
+        wanted = self._what_a_bump_would_teach() if free and retuner.open_question is None else ""
         low, high = self._room()
         hour = self._hour_of(sample.t_s)
         return LoopAround(retuner.at_rest, wanted, hour, retuner.band, low, high, self._may_write(), self._reset_s())
@@ -69,7 +69,7 @@ class LoopBumps:
         retuner, region = self._retuner, self._retuner.region
         return region is not None and retuner.settings.mode_of(region) in WRITES
 
-    def _wanted(self) -> str:
+    def _what_a_bump_would_teach(self) -> str:
         """Why a bump would teach something here, in words; empty where it would not, or must not be made."""
         retuner, region = self._retuner, self._retuner.region
         if region is None or not self._may_write():

@@ -210,7 +210,7 @@ class TrialSupervisor:
         if event in DECIDED:
             raise ValueError(f"{event.name} is decided here; tell the cause")
         if event in ABORTS and self.phase(region) in UNDECIDED:
-            return self._end(region, event, t_s)
+            return self._stay_or_roll_back(region, event, t_s)
         return self._move(region, event, t_s)
 
     def concerned(self, cause: TrialEvent) -> tuple[int, ...]:
@@ -219,7 +219,7 @@ class TrialSupervisor:
 
     def abort(self, cause: TrialEvent, t_s: float) -> tuple[int, ...]:
         """A cause that ends undecided trials; the regions where it is decided anew what is to run."""
-        return tuple(region for region in self.concerned(cause) if self._end(region, cause, t_s))
+        return tuple(region for region in self.concerned(cause) if self._stay_or_roll_back(region, cause, t_s))
 
     def restored(self, t_s: float) -> tuple[int, ...]:
         """The controller runs the table's set as read back: what was to run does; the regions."""
@@ -246,7 +246,7 @@ class TrialSupervisor:
             elsewhere = not blended and self.phase(at) is P.AWAY and region not in {at, None}  # its set does not run
             of_loop = None if elsewhere else cause
             found = of_loop or self._region_cause(at, sample, region, band, blended=blended)
-            if found is not None and not self._decided(at, found) and self._end(at, found, sample.t_s):
+            if found is not None and not self._decided(at, found) and self._stay_or_roll_back(at, found, sample.t_s):
                 ended[at] = found
         return ended
 
@@ -262,7 +262,7 @@ class TrialSupervisor:
         found = judge(seen, trial.prediction, ran, self.settings)
         event = FINDINGS[found.finding]
         if event in UNDOS:
-            self._end(region, event, t_s)
+            self._stay_or_roll_back(region, event, t_s)
         elif event in KEPT:
             kept = trial.kept + 1
             self._trials[region] = replace(trial, kept=kept)
@@ -292,7 +292,7 @@ class TrialSupervisor:
             None if beside_walk and beside_walk.processes and self._known(region).processes else beside_walk
         )
         few = trial.silent + 1 < self.settings.inconclusive and not enough
-        if few or not self._end(region, E.TIMED_OUT, t_s, known):
+        if few or not self._stay_or_roll_back(region, E.TIMED_OUT, t_s, known):
             return found
         what = AFTER_SILENCE.get(self.phase(region), "stay")
         why = "another change is due" if enough else f"{trial.silent + 1} responses were inconclusive"
@@ -328,7 +328,7 @@ class TrialSupervisor:
         """What is to run after a cause. known : of the process; None for what the region's models say."""
         return rollback(cause, self.of(region).sets, known or self._known(region), self.settings)
 
-    def _end(self, region: int, cause: TrialEvent, t_s: float, known: StillAllowed | None = None) -> bool:
+    def _stay_or_roll_back(self, region: int, cause: TrialEvent, t_s: float, known: StillAllowed | None = None) -> bool:
         """A cause that may end an undecided trial; whether anything was decided by it. known : see _rollback."""
         found = self._rollback(region, cause, known)
         if not found.stays or cause in UNDOS:

@@ -96,7 +96,7 @@ class RecordThroughValve:
     fits: Fits
 
 
-def through_valve(window: Window, sign: int, fits: Fits, settings: FitSettings) -> RecordThroughValve | None:
+def valve_believed(window: Window, sign: int, fits: Fits, settings: FitSettings) -> RecordThroughValve | None:
     """The record as the process sees it, where a valve that sticks or has play explains it clearly better.
 
     Parameters

@@ -21,7 +21,7 @@ RESPONSE = Response(10.0, 59.0, (Peak(20.0, 1.0),), Ending.QUIET, False, 0.1)
 @pytest.mark.parametrize("regular", [True, False])
 def test_only_a_regular_swing_is_asked_for_again(regular: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(oscillation_online, "linear", lambda *_: [None])
-    monkeypatch.setattr(oscillation_online, "valve_or_tone", lambda *_: SimpleNamespace(verdict=TONE))
+    monkeypatch.setattr(oscillation_online, "stiction_or_tone", lambda *_: SimpleNamespace(verdict=TONE))
     seen = SimpleNamespace(oscillates=regular, period_s=12.0)
     monkeypatch.setattr(oscillation_online, "screen", lambda *_, **__: seen)
     found, again = hidden_cause(SAMPLES, RESPONSE, PidGains(1.0, 0.1), SwingSettings(), DiagnosisSettings())

@@ -8,7 +8,7 @@ from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.rival_fits import linear, room_for_a_tone
-from retuner.adaptive.diagnosis.sticking_valve import valve_or_tone
+from retuner.adaptive.diagnosis.sticking_valve import stiction_or_tone
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.signals.sample import Window
@@ -65,7 +65,7 @@ def test_a_record_that_no_tone_fits_into_has_no_rivals(n: int) -> None:
     pv = np.concatenate([[0.0], 0.9 * sp[:-1]]) + 0.01 * rng.standard_normal(n)
     window = Window(t, sp, pv, np.cumsum(sp - pv) * 0.2 + sp - pv)
     best = linear(window, (1,), settings.fit.choice, settings.fit.most_samples)[0]
-    found = valve_or_tone(best, screen(window, PidGains(1.0, 0.2), in_auto=True), settings)
+    found = stiction_or_tone(best, screen(window, PidGains(1.0, 0.2), in_auto=True), settings)
     assert (found.verdict is None) or room_for_a_tone(best)
 
 

@@ -6,7 +6,7 @@ import pytest
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.record_through_valve import RecordThroughValve, _searched, through_valve
+from retuner.adaptive.valve.record_through_valve import RecordThroughValve, _searched, valve_believed
 from retuner.adaptive.valve.valve_fit import Sticking
 from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.drivers.plants.linear_plant import LinearPlant
@@ -48,7 +48,7 @@ def stepped(valve: StuckValve | None, load: float = 0.0, seed: int = 1) -> Windo
 def through(window: Window, sign: int = 1) -> tuple[Fits, RecordThroughValve | None]:
     """The linear fits, and the record through a valve."""
     fits = Fits(window, (sign,), FitSettings())
-    return fits, through_valve(window, sign, fits, FitSettings())
+    return fits, valve_believed(window, sign, fits, FitSettings())
 
 
 @pytest.mark.slow

@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.schedule_choice.borders_of_one_variable import Layout, fewest_knots, fewest_steps, mean_of
+from retuner.adaptive.schedule_choice.borders_of_one_variable import (
+    Layout,
+    borders_of_fewest_sets,
+    knots_of_fewest_sets,
+    mean_of,
+)
 from retuner.adaptive.schedule_choice.schedule_from_records import _within
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, iae
 from retuner.schedule.gains import PidGains
@@ -37,7 +42,7 @@ def kept(places: list[Place], layout: Layout) -> bool:
 
 def test_a_process_that_is_the_same_everywhere_needs_one_set() -> None:
     places = along(1.0)
-    for found in (fewest_steps(places, LIMITS, 8), fewest_knots(places, LIMITS, 8)):
+    for found in (borders_of_fewest_sets(places, LIMITS, 8), knots_of_fewest_sets(places, LIMITS, 8)):
         assert found is not None
         assert len(found.sets) == 1
         assert found.edges == (0.0, 100.0)
@@ -45,7 +50,7 @@ def test_a_process_that_is_the_same_everywhere_needs_one_set() -> None:
 
 @pytest.mark.slow
 @settings(max_examples=examples(15))
-@given(st.floats(1.2, 8.0), st.sampled_from([fewest_steps, fewest_knots]))
+@given(st.floats(1.2, 8.0), st.sampled_from([borders_of_fewest_sets, knots_of_fewest_sets]))
 def test_every_place_is_served_and_no_set_less_would_do(factor: float, cover: object) -> None:
     places = along(factor)
     assert callable(cover)
@@ -58,7 +63,7 @@ def test_every_place_is_served_and_no_set_less_would_do(factor: float, cover: ob
 
 
 def test_knots_lie_in_the_middle_of_their_parts() -> None:
-    found = fewest_knots(along(8.0), LIMITS, 8)
+    found = knots_of_fewest_sets(along(8.0), LIMITS, 8)
     assert found is not None
     assert found.lookup is Lookup.INTERPOLATED
     for gains, (low, high) in zip(found.sets, pairwise(found.edges), strict=True):
@@ -67,13 +72,13 @@ def test_knots_lie_in_the_middle_of_their_parts() -> None:
 
 def test_places_that_are_not_known_demand_nothing_and_give_no_set() -> None:
     places = [place(x, 1.0 if x < 50 else 9.0, known=x < 50) for x in range(0, 101, 10)]
-    found = fewest_steps(places, LIMITS, 8)
+    found = borders_of_fewest_sets(places, LIMITS, 8)
     assert found is not None
     assert len(found.sets) == 1
 
 
 def test_more_sets_than_allowed_is_no_layout() -> None:
-    assert fewest_steps(along(8.0), LIMITS, 2) is None
+    assert borders_of_fewest_sets(along(8.0), LIMITS, 2) is None
 
 
 def test_the_mean_of_two_sets_is_theirs_at_the_ends() -> None:
@@ -90,7 +95,7 @@ def test_limits_outside_their_range_are_refused(name: str, value: float) -> None
 
 
 def test_outer_edges_stand_out_of_the_range_no_more_than_the_knots_ask_for() -> None:
-    found = fewest_knots(along(4.0), LIMITS, 8)
+    found = knots_of_fewest_sets(along(4.0), LIMITS, 8)
     assert found is not None
     low, high = max(-found.edges[0], 0.0), max(found.edges[-1] - 100.0, 0.0)
     width = found.edges[-1] - found.edges[0]
