@@ -23,13 +23,13 @@ FIRST_STEP = """if True:
     PidController(PidGains(2.0, 0.1), dt_s=1.0, pv_range=(0, 100)).step(50.0, 20.0)"""
 IDENTIFY = "retuner identify FILE"
 LIMITS = {
-    "retuner --help": (2.2, NUMPY),  # within 0.3 s where numpy takes 0.125 s; Python itself starts in 10 ms now that
-    "retuner check --help": (2.0, NUMPY),  # an editable install has no import hook: too little to be a measure
-    "retuner run --help": (2.2, NUMPY),  # typer and rich; pydantic no longer
-    "retuner experiment relay --help": (2.9, NUMPY),  # its many options are told one by one
-    IMPORTED: (2.5, NUMPY),  # two hundred dataclasses, whose methods are made when their first objects are
-    LOOP: (3.4, NUMPY),  # within 0.5 s where numpy takes 0.11 s
-    IDENTIFY: (6.6, NUMPY),  # within 0.8 s where numpy takes 0.12 s; half of it is the diagnosis
+    "retuner --help": (1.9, NUMPY),  # within 0.3 s where numpy takes 0.125 s; Python itself starts in 10 ms now that
+    "retuner check --help": (1.8, NUMPY),  # an editable install has no import hook: too little to be a measure
+    "retuner run --help": (1.9, NUMPY),  # typer and rich; pydantic no longer
+    "retuner experiment relay --help": (2.5, NUMPY),  # its many options are told one by one
+    IMPORTED: (2.3, NUMPY),  # two hundred dataclasses, whose methods are made when their first objects are
+    LOOP: (3.0, NUMPY),  # within 0.5 s where numpy takes 0.11 s
+    IDENTIFY: (5.8, NUMPY),  # within 0.8 s where numpy takes 0.12 s; half of it is the diagnosis
 }
 ROUNDS = 9
 RUN = "import sys; from retuner.cli import main; sys.exit(main({}))"
