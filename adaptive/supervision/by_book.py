@@ -28,12 +28,13 @@ from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
 from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.causes import doubt_of, exempt_from_confirmation, is_known
-from retuner.adaptive.supervision.judge_evidence import may_follow
+from retuner.adaptive.supervision.judge_evidence import AGREED, may_follow
 from retuner.adaptive.supervision.known_processes import KnownProcesses
 from retuner.adaptive.supervision.open_loop_unstable import runaway
 from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, Look, admitted
@@ -262,7 +263,9 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
     if valve > (MOST_VALVE if less else 0.0):
         return
-    also = record.region_models[region].plausible if shown and not less else ()
+    model = record.region_models.get(region)
+    agreed = model is not None and model.identifiable and model.records >= AGREED
+    also = model.plausible if model is not None and (shown or agreed) and not less else ()
     known = KnownProcesses(record.table, record.region_models, float(record.window.t_s[-1]), settings)
     request = ChangeRequest(
         record.table.gains_of(region), record.commissioned.gains_of(region), told.tuning,
@@ -273,6 +276,10 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     verdict = prove(request, settings.guard)
     if not verdict.accepted or verdict.gains is None:
         return
+    if agreed and not less and model is not None:  # records that agree say no less than loads do
+        sampled = model.plausible[0].model.seen_by_controller(settings.sample_time_s).linear()
+        if sensitivity_peak(sampled, verdict.gains, settings.filter_s) > settings.book.ms_good:
+            return
     if less and lets_go(book.drawn(settings.book.drawn), record.in_force, verdict.gains, settings.book):
         return
     odds = told.numbers.book_high if less else told.numbers.book_room
