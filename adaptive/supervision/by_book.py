@@ -255,7 +255,9 @@ def shown_clearly(known: RegionModel | None, excitation: Excitation, foreign: in
 
 
 def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool) -> None:
-    """The change that is worth having over the book, proved as any other; on what clear steps have shown besides."""
+    """The change that is worth having over the book, proved as any other. More action is proved besides on what clear
+    steps or records that agree have shown; on the likeliest of the latter Ms is to stay good.
+    """
     record, settings, region = found.record, found.settings, found.record.region
     if told.tuning is None or not told.models:
         return
@@ -263,9 +265,9 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
     if valve > (MOST_VALVE if less else 0.0):
         return
-    model = record.region_models.get(region)
-    agreed = model is not None and model.identifiable and model.records >= AGREED
-    also = model.plausible if model is not None and (shown or agreed) and not less else ()
+    of_responses = record.region_models.get(region)
+    agreed = of_responses is not None and of_responses.identifiable and of_responses.records >= AGREED
+    also = of_responses.plausible if of_responses is not None and (shown or agreed) and not less else ()
     known = KnownProcesses(record.table, record.region_models, float(record.window.t_s[-1]), settings)
     request = ChangeRequest(
         record.table.gains_of(region), record.commissioned.gains_of(region), told.tuning,
@@ -276,8 +278,8 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     verdict = prove(request, settings.guard)
     if not verdict.accepted or verdict.gains is None:
         return
-    if agreed and not less and model is not None:  # records that agree say no less than loads do
-        sampled = model.plausible[0].model.seen_by_controller(settings.sample_time_s).linear()
+    if agreed and also:  # records that agree say no less than loads do
+        sampled = also[0].model.seen_by_controller(settings.sample_time_s).linear()
         if sensitivity_peak(sampled, verdict.gains, settings.filter_s) > settings.book.ms_good:
             return
     if less and lets_go(book.drawn(settings.book.drawn), record.in_force, verdict.gains, settings.book):

@@ -15,11 +15,14 @@ from retuner.adaptive.choice.expected_cost import ChoiceNumbers
 from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.explanations import settings_by_book
 from retuner.adaptive.explanations.book import ODD, RUNAWAYS, Book, doubted, move, update
 from retuner.adaptive.explanations.process_grid import shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings
 from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision import by_book as by_book_stage
@@ -31,7 +34,8 @@ from retuner.adaptive.supervision.retuner_settings import RetunerSettings, deman
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.pid import law, start, step
-from retuner.schedule.table import Lookup
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable, Lookup
 
 K, LAG, DEAD = 2.0, 20.0, 4
 GOOD = PidGains(0.5 * LAG / (K * (DEAD + 0.5)), 0.5 * LAG / (K * (DEAD + 0.5)) / LAG)
@@ -266,6 +270,7 @@ def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to:
 def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
     at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None, settled: bool = True,
+    grows: bool = True, leans: int = 0,
 ) -> Findings:  # fmt: skip
     """A change that the pipeline accepted, or with a code how it ended without. times : of the good gains, in force.
 
@@ -273,13 +278,13 @@ def put_to_the_book(
     """
     now = scaled(times)
     window = recorded(now, 5)
-    book = begun(now) if first else after(now, 3)
+    book = replace(begun(now) if first else after(now, 3), leans=leans)
     record: Any = SimpleNamespace(
         region=0, region_models={0: SimpleNamespace(identifiable=True)}, excitation=Excitation(clear=int(shown)),
         foreign=0, in_force=now, book=book, crossed=True,
         table=SimpleNamespace(lookup=Lookup.HARD), response=SimpleNamespace(band=100.0 if at_rest else 0.1),
     )  # fmt: skip
-    look = Look(book, window, grows=True, limited=0.0)
+    look = Look(book, window, grows=grows, limited=0.0)
     question: Any = SimpleNamespace(
         record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0, alone=False
     )
@@ -371,6 +376,45 @@ def test_on_a_process_that_steps_have_shown_it_speaks_where_the_pipeline_cannot_
     monkeypatch.setattr(by_book_stage, "_speak", lambda *_, shown: asked.append(shown))
     put_to_the_book(0.25, 1.0, None, code=code, at_rest=at_rest)
     assert asked == [True] * speaks
+
+
+@pytest.mark.parametrize(
+    ("records", "k", "changes"), [(1, 4.0 * K, True), (2, 4.0 * K, False), (2, K, True)]
+)  # on 4 K the gains in force are the good ones, and more of them is too much
+def test_more_action_is_proved_on_a_model_on_which_two_records_agree(records: int, k: float, changes: bool) -> None:
+    now = scaled(0.25)
+    book = replace(after(now, 3), leans=1)
+    told = by_book(book, now, SETTINGS)
+    assert told.leans == 1
+    model = Plausible(ProcessModel("fopdt", k, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
+    table = GainTable("loop", Regions("pv", "-", ("whole",), -1e6, (), 1e6, 1.0, 0.0), (now,))
+    record: Any = SimpleNamespace(
+        region=0, region_models={0: SimpleNamespace(identifiable=True, records=records, plausible=(model,))},
+        table=table, commissioned=table, in_force=now, window=SimpleNamespace(t_s=[2000.0]),
+    )  # fmt: skip
+    question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0))
+    found = Findings(question)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(by_book_stage.KnownProcesses, "borders", lambda *_: ())
+        patched.setattr(by_book_stage, "runaway", lambda _: None)
+        by_book_stage._speak(found, Look(book, recorded(now, 5), grows=True, limited=0.0), book, told, shown=False)
+    assert (found.verdict is not None) is changes
+
+
+def test_more_action_needs_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = scaled(0.25)
+    book = replace(after(now, 3), leans=1)
+    assert by_book(book, now, SETTINGS).tuning
+    monkeypatch.setattr(settings_by_book, "shares", lambda *_: (0.1, 0.6))
+    told = by_book(book, now, SETTINGS)
+    assert (told.leans, told.tuning) == (0, None)
+
+
+@pytest.mark.parametrize(("grows", "before", "kept"), [(True, 0, 0), (False, 0, -1)])
+def test_half_a_window_alone_leads_to_no_less_action(grows: bool, before: int, kept: int) -> None:
+    found = put_to_the_book(2.6, 1.0, None, shown=False, code="not_identifiable", grows=grows, leans=before)
+    assert found.book is not None
+    assert found.book.leans == kept
 
 
 def test_where_it_objects_it_says_what_it_would_do_itself(monkeypatch: pytest.MonkeyPatch) -> None:
