@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 __all__ = ["InitVar", "asdict", "astuple", "dataclass", "field", "fields", "replace"]
 
-USED = ["__dataclass_fields__", "__match_args__", "__setstate__", "__getstate__", "__delattr__", "__setattr__"]
-USED += ["__init__"]
-SHOWN = ["__dataclass_params__", "__hash__", "__eq__", "__repr__"]
-METHODS = {*USED[2:], *SHOWN[1:]}
-"""What `dataclasses` gives a class: what nearly every object needs, and what few are asked for."""
+DATA = ("__dataclass_fields__", "__match_args__")
+USED = (*DATA, "__setstate__", "__getstate__", "__delattr__", "__setattr__", "__init__")
+SHOWN = ("__dataclass_params__", "__hash__", "__eq__", "__repr__")
+METHODS = {*USED, *SHOWN} - {*DATA, "__dataclass_params__"}
+"""What `dataclasses` gives a class: what nearly every object needs (__init__ last: who finds it finds all), and what few
+are asked for.
+"""
 
 
 class _WhenRead:
@@ -39,9 +41,8 @@ def _late(defined: type, options: dict[str, bool]) -> Any:  # noqa: ANN401
         shown = name in SHOWN
         of = type(defined)(defined.__name__, defined.__bases__, dict(body))
         parts = vars(dataclasses.dataclass(**options, eq=shown, repr=shown)(of))
-        further = {
-            each for each in parts.keys() - vars(late).keys() if each[:2] == "__"
-        }  # __replace__, from 3.13; no slot
+        # Python 3.13 gives __replace__ besides; a slot has no underscores in front
+        further = {each for each in parts.keys() - vars(late).keys() if each.startswith("__")}
         for each in (*further, *(each for each in (SHOWN if shown else USED) if each not in body)):
             setattr(late, each, parts[each])
         late.__signature__ = None  # that of __init__, inspect takes this for

@@ -100,7 +100,7 @@ def _plain(parameter: Any) -> _Plain:  # noqa: ANN401
 
 
 BY_TYPER: Any = getattr(TyperOption, "get_runtime_param", None)
-if BY_TYPER is not None:  # of the typers that have pydantic
+if BY_TYPER is not None:  # a typer with pydantic; on its classes, for it makes the option --help itself and late
     TyperOption.get_runtime_param = TyperArgument.get_runtime_param = _plain  # type: ignore[assignment,method-assign]
 
 
