@@ -16,8 +16,8 @@ DATA = ("__dataclass_fields__", "__match_args__")
 USED = (*DATA, "__setstate__", "__getstate__", "__delattr__", "__setattr__", "__init__")
 SHOWN = ("__dataclass_params__", "__hash__", "__eq__", "__repr__")
 METHODS = {*USED, *SHOWN} - {*DATA, "__dataclass_params__"}
-"""What `dataclasses` gives a class: what nearly every object needs (__init__ last: who finds it finds all), and what few
-are asked for.
+"""What `dataclasses` gives a class: what nearly every object needs (__init__ last: who finds it finds all), and what
+few are asked for.
 """
 
 
