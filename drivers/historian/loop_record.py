@@ -32,7 +32,7 @@ FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
 TRAFFIC = (".blf", ".asc", ".mf4", ".log")
 """Logs of bus traffic; of a folder they are read where a DBC is given."""
 TAGS_SHOWN = 8
-EMPTY = "no file in the folder; give text (.csv, .txt) or .parquet"
+EMPTY = "{}: no file in the folder; give text (.csv, .txt) or .parquet"
 WHOLE = RecordForm()
 
 
@@ -80,9 +80,10 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
     RecordingError
         A source cannot be read, holds no loop or several, or is ambiguous: one line with the option that answers it.
     """
-    tables = [table for source in sources for table in _tables(source, form)]
+    asked = [*sources]
+    tables = [table for source in asked for table in _tables(source, form)]
     if not tables:
-        raise RecordingError(EMPTY)
+        raise RecordingError(EMPTY.format(_listed(str(one) for one in asked if isinstance(one, str | Path))))
     read = [signals_of(table, own, in_automatic=in_automatic) for table, own in _forms(tables, form)]
     loop = _chosen(_together(read), form, tables)
     return _record(loop, read, form)
@@ -98,13 +99,14 @@ def read_records(
     RecordingError
         As read_loop_record; or the records are of several loops.
     """
-    tables = [_tables(source, form) for source in sources]
+    asked = [*sources]
+    tables = [_tables(source, form) for source in asked]
     own = iter(_forms([*chain(*tables)], form))
     read = [[signals_of(*next(own), in_automatic=in_automatic) for _ in each] for each in tables]
     if not all(any({"pv", "co"} <= roles.keys() for roles in _pieces(each).values()) for each in read):
         tables, read = [list(chain(*tables))], [list(chain(*read))]
     if not all(tables):
-        raise RecordingError(EMPTY)
+        raise RecordingError(EMPTY.format(_listed(str(one) for one in asked if isinstance(one, str | Path))))
     found = [_record(_chosen(_together(each), form, its), each, form) for its, each in zip(tables, read, strict=True)]
     tags = {record.tag for record in found}
     if len(tags) > 1:

@@ -69,6 +69,8 @@ def _readable(text: str) -> Path:
 
 
 READERS: dict[object, Callable[[Any], object]] = {str: str, int: int, float: float, Path: _readable}
+NUMBERS: dict[object, str] = {int: "give a whole number", float: "give a number"}
+"""What to do about a value that is none."""
 
 
 class _Plain:
@@ -80,10 +82,12 @@ class _Plain:
     def __init__(self, parameter: Any) -> None:  # noqa: ANN401  typer's, which no public type names
         kind, info = parameter.type_descriptor.annotation, parameter.type_descriptor.parameter_info
         free = info.min is None and info.max is None
-        self._read = READERS.get(get_args(kind)[0] if get_origin(kind) is list else kind) if free else None
+        one = get_args(kind)[0] if get_origin(kind) is list else kind
+        self._read = READERS.get(one) if free else None
+        self._wanted = NUMBERS.get(one) if free else None
 
     def coerce(self, value: Any, param: Any, ctx: object) -> object:  # noqa: ANN401
-        """The value, or an error in typer's words."""
+        """The value; for what is not a plain one, typer's or its error."""
         several = param.multiple or param.nargs == -1
         if value is None:
             return () if several else None
@@ -91,7 +95,8 @@ class _Plain:
             if self._read is not None:
                 return [self._read(one) for one in value] if several else self._read(value)
         except ValueError:
-            pass
+            if self._wanted is not None:
+                raise typer.BadParameter(f"{value!r}; {self._wanted}", param=param) from None
         return BY_TYPER(param).coerce(value, param=param, ctx=ctx)
 
 
@@ -165,8 +170,8 @@ def main(arguments: list[str] | None = None) -> int:
         return _tell(error.exit_status, *error.lines)
     except WRONG_USE as error:
         path = error.ctx.command_path if error.ctx else "retuner"
-        wrong = error.format_message()  # empty without arguments: the help was shown instead
-        return _tell(2, *([f"{path}: {wrong} `{path} --help` shows how it is used."] if wrong else []))
+        wrong = error.format_message().rstrip(".")  # empty without arguments: the help was shown instead
+        return _tell(2, *([f"{path}: {wrong}. `{path} --help` shows how it is used."] if wrong else []))
     except (KeyboardInterrupt, typer.Abort):
         return _tell(INTERRUPTED, "retuner: interrupted")
     except _driver_errors() as error:

@@ -132,6 +132,7 @@ def test_check_of_a_broken_file(tmp_path: Path) -> None:
         (["check"], "Missing argument 'CONFIG'"),
         (["check", "--jsn", "x"], "No such option:? '?--jsn"),  # click 8.5 quotes it, typer's own does not
         (["check", "a", "b"], "unexpected extra argument"),
+        (["tune", "--k", "x"], "'--k': 'x'; give a number. `retuner tune --help`"),
         (["check", "nowhere.toml"], "nowhere.toml: no such file"),
         (["check", "a\nb\x1b[31m"], r"a\\nb\\x1b\[31m: no such file"),
     ],
@@ -142,6 +143,11 @@ def test_wrong_use_is_one_line_and_status_2(arguments: list[str], told: str) -> 
     assert re.search(told, done.stderr)
     assert done.stderr.count("\n") == 1
     assert done.stderr[:-1].isprintable()
+
+
+def test_an_empty_folder_of_records_is_named(tmp_path: Path) -> None:
+    done = run("diagnose", str(tmp_path))
+    assert (done.returncode, done.stderr.partition("; ")[0]) == (2, f"{tmp_path}: no file in the folder")
 
 
 def failing(error: BaseException) -> object:

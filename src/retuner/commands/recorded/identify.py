@@ -54,7 +54,7 @@ def identify(options: IdentifyOptions) -> int:
             )
         limits = {"co_min": options.co_min, "co_max": options.co_max}
         with user_input(f"{recording.source}, --bounds {options.bounds}"), busy(f"identifying {recording.source}"):
-            bounds = [float(text) for text in options.bounds.split(",")]
+            bounds = _bounds(options.bounds)
             by = signals[options.region_by]
             regions = identify_by_region(window, by, bounds, open_loop=options.open_loop, gains=gains, **limits)
         tell_assumed(read.assumed, options)
@@ -80,6 +80,14 @@ def identify(options: IdentifyOptions) -> int:
     else:
         sys.stdout.write("\n".join([*described(found), *contradiction(other)]) + "\n")
     return 0 if found.estimate.identifiable else 1
+
+
+def _bounds(text: str) -> list[float]:
+    """Borders of regions; raises ValueError: not all are numbers."""
+    try:
+        return [float(one) for one in text.split(",")]
+    except ValueError:
+        raise ValueError("give numbers with commas between them, as in --bounds 40,70") from None
 
 
 def _region_lines(region: RegionIdentification, options: IdentifyOptions) -> list[str]:
