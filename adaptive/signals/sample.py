@@ -108,7 +108,7 @@ class Window:
         for name in ("t_s", "sp", "pv", "co"):
             values: FloatArray = getattr(self, name)
             if values.shape != (n,):
-                raise ValueError(f"{name} has shape {values.shape}, t_s has ({n},)")
+                raise ValueError(f"{name} has shape {values.shape}; give {n} values in one row, as many as t_s has")
             if not (values.min() >= -LARGEST and values.max() <= LARGEST):
                 raise ValueError(_first_bad(name, values))
         later = self.t_s[1:] > self.t_s[:-1]

@@ -22,7 +22,7 @@ from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTu
 from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.valve.stand_still import StandStillSettings, stand_still
 from retuner.drivers.historian.data_frames import is_frame
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
@@ -220,8 +220,17 @@ def window_of(
         return (t if isinstance(t, LoopRecord) else read(t)).recording.window()
     if sp is None or pv is None or co is None:
         raise ValueError("give t, sp, pv and co, or a record of retuner.read")
-    setpoint, value, output = (np.asarray(v, dtype=np.float64) for v in (sp, pv, co))
+    setpoint, value, output = (_reals(name, v) for name, v in (("sp", sp), ("pv", pv), ("co", co)))
     return Window(seconds(cast("Times", t)), setpoint, value, output)
+
+
+def _reals(name: str, values: Numbers) -> FloatArray:
+    """A signal as it is measured: numpy would drop an imaginary part, and keep what stands under a mask."""
+    given = np.asanyarray(values)
+    if np.iscomplexobj(given):
+        raise ValueError(f"{name} is complex; give real numbers, as they were measured")
+    reals = given.astype(np.float64)
+    return np.asarray(reals.filled(np.nan) if isinstance(reals, np.ma.MaskedArray) else reals)
 
 
 def identify_record(

@@ -87,3 +87,14 @@ def test_a_record_is_taken_as_it_was_read() -> None:
         window_of([1.0, 2.0])
     with pytest.raises(TypeError, match="colour"):
         retuner.read(frame, colour="red")
+
+
+def test_what_numpy_would_drop_without_a_word_is_refused() -> None:
+    ones = np.ones(4)
+    masked = np.ma.masked_array(ones, [False, True, False, False])
+    with pytest.raises(ValueError, match=r"pv\[1\] = nan is not a finite number"):
+        window_of(np.arange(4.0), ones, masked, ones)
+    with pytest.raises(ValueError, match="co is complex; give real numbers"):
+        window_of(np.arange(4.0), ones, ones, ones * 1j)
+    with pytest.raises(ValueError, match=r"sp has shape \(2,\); give 4 values in one row"):
+        window_of(np.arange(4.0), ones[:2], ones, ones)
