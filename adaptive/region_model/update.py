@@ -201,7 +201,8 @@ class TrackerSettings:
 class Learned:
     """Outcome of one record: the region's model now, the estimate that the record gave, how it stood to the old one.
 
-    valve : what the record was seen through, where co did not reach the process as it is.
+    valve : what the record was seen through, where co did not reach the process as it is. contested : a model without
+    load steps at setpoint changes explains the record in another way, whatever was made of it.
     """
 
     region_model: RegionModel | None
@@ -209,6 +210,7 @@ class Learned:
     agreement: Agreement
     innovation: float
     valve: ValveInLoop | None = None
+    contested: bool = False
 
 
 SECONDS_PER_DAY = 86400.0
@@ -274,9 +276,10 @@ def update_region_model(
     through = valve_believed(window, sign, fits, fit)
     if through is not None:
         window, fits = through.window, through.fits
-    alone = _seen_or_bounded(window, _estimate(fits, in_force, settings, fit), fit)
+    plain = fits.estimate()
+    alone = _seen_or_bounded(window, _in_danger_on_either(fits, plain, in_force, settings, fit), fit)
     record = NewRecord(window, fits.free, alone, at, settings, fit)
-    learned = _taken_in(region_model, record, in_force)
+    learned = replace(_taken_in(region_model, record, in_force), contested=plain.is_contested(fit.apart_limit))
     return learned if through is None else replace(learned, valve=through.seen)
 
 
@@ -322,12 +325,13 @@ def teaches(alone: ModelEstimate, fit: FitSettings) -> bool:
     return alone.explained >= fit.explained_limit and not alone.is_contested(fit.apart_limit)
 
 
-def _estimate(fits: Fits, in_force: PidGains, settings: TrackerSettings, fit: FitSettings) -> ModelEstimate:
+def _in_danger_on_either(
+    fits: Fits, alone: ModelEstimate, in_force: PidGains, settings: TrackerSettings, fit: FitSettings
+) -> ModelEstimate:
     """What the record says by itself; where two models leave open what, but not that the loop is in danger, the first.
 
     A loop that is in danger on either model may be made safer, and is watched while it is.
     """
-    alone = fits.estimate()
     if alone.rival is None or not alone.is_contested(fit.apart_limit):
         return alone
     both = (alone.log.model(), alone.rival.model)
@@ -353,7 +357,8 @@ def _together(
     if not may_be_joined(windows):
         return None
     whole = joined(windows)
-    found = _estimate(Fits(whole, (in_force.direction,), record.fit), in_force, record.settings, record.fit)
+    fits = Fits(whole, (in_force.direction,), record.fit)
+    found = _in_danger_on_either(fits, fits.estimate(), in_force, record.settings, record.fit)
     alone = record.alone.residual_std / unit_of(record.window)
     if not found.identifiable or found.residual_std > record.fit.hopeless * max(alone, 1.0):
         return None

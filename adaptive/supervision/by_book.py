@@ -181,7 +181,8 @@ def _doubt(found: Findings, book: Book, *, less: bool) -> Diagnosis | None:
 
     Loads may be steps for all that: a clear response (for more action also one that agrees with such) is then likelier
     by its fit than by any process under a load that wanders. Else the whole diagnosis must name the tuning, and no
-    valve be likelier.
+    valve be likelier. Less action waits where load steps explain a setpoint response in two ways: the diagnosis knows
+    no other loads, so that the loop is in danger by both says little.
     """
     record, learned, verdict, look = found.record, found.learned, found.verdict, found.question.look
     assert verdict is not None
@@ -193,6 +194,8 @@ def _doubt(found: Findings, book: Book, *, less: bool) -> Diagnosis | None:
         and exempt_from_confirmation(found, verdict, learned, found.in_use)
     ):
         return None
+    if less and learned is not None and learned.contested:  # both explanations are load steps' ones
+        return Diagnosis(Cause.UNKNOWN, HALF, {}, CONTESTED)
     if learned is not None and (found.clear or (not less and is_known(found, learned))):
         estimate, n, window = learned.estimate, len(record.window.pv), Prepared.at(record.window, book.dt_s)
         left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
@@ -206,6 +209,7 @@ def _doubt(found: Findings, book: Book, *, less: bool) -> Diagnosis | None:
     return Diagnosis(Cause.STICTION, HALF, {}, "a valve that sticks or has play explains all samples better")
 
 
+CONTESTED = "a load step or the process explains what pv does after a setpoint change, and these two models differ"
 HALF, FEWEST_ROWS = 0.5, 16
 """Odds of too high an Ms under which less action is doubted; intervals of a response that a walk can be fitted to."""
 

@@ -11,7 +11,10 @@ from retuner import api, diagnosing
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit.record import apart, near, setpoint_changes
 from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.schedule.gains import PidGains
 
 PLANT = Path(__file__).parents[1] / "data" / "plant"
 
@@ -71,3 +74,7 @@ def test_a_healthy_flow_loop_does_not_become_a_fiction():
     assert diagnosed.cause == Cause.OK
     assert diagnosed.diagnosis.causes["ok"] < 0.8
     assert diagnosed.to_dict()["rival"] is not None
+    t_s, *rest = record
+    settings = RetunerSettings(float(np.median(np.diff(t_s))), 100.0)
+    learned = update_region_model(None, Window(t_s, *rest), PidGains(0.0138, 0.00034), settings.tracker, settings.fit)
+    assert learned.contested

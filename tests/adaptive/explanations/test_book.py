@@ -5,7 +5,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -314,6 +314,27 @@ def test_a_change_whose_cause_the_book_does_not_see_needs_the_whole_diagnosis(
         assert (found.verdict is None) is asked
         assert (found.diagnosis is not None and found.diagnosis.cause is Cause.STICTION) is asked
         assert not asked or (found.end is not None and found.end.reason.endswith("; a valve sticks"))
+
+
+@pytest.mark.parametrize(
+    ("less", "contested", "exempt", "doubted"),
+    [(True, True, False, True), (True, False, False, False), (False, True, False, False), (True, True, True, False)],
+)
+def test_less_action_waits_where_load_steps_explain_a_setpoint_response_in_two_ways(
+    monkeypatch: pytest.MonkeyPatch, *, less: bool, contested: bool, exempt: bool, doubted: bool
+) -> None:
+    """The whole diagnosis knows no other loads: what it confirms then counts nothing beside the book."""
+    monkeypatch.setattr(by_book_stage, "exempt_from_confirmation", lambda *_: exempt)
+    monkeypatch.setattr(by_book_stage, "is_known", lambda *_: False)
+    monkeypatch.setattr(by_book_stage, "doubt_of", lambda *_: None)
+    record = SimpleNamespace(crossed=False)
+    question: Any = SimpleNamespace(record=record, look=None)
+    learned: Any = SimpleNamespace(contested=contested)
+    found = Findings(question, verdict=cast("Any", SimpleNamespace()), learned=learned)
+    found.in_use = cast("Any", SimpleNamespace())
+    doubt = by_book_stage._doubt(found, begun(scaled(1.0)), less=less)
+    assert (doubt is not None) is doubted
+    assert doubt is None or doubt.reason == by_book_stage.CONTESTED
 
 
 @pytest.mark.parametrize(
