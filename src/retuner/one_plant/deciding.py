@@ -46,7 +46,7 @@ def half_way(question: Question, refused: PidGains) -> Question:
 
 
 NO_WORSE = 1.05
-"""An Ms over the limit may grow by this factor: the plant is known no better."""
+"""Another loop's Ms over the limit may grow by this factor: the plant is known no better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Among:
     """A loop among the others on its plant; plain values, so that another process may work it out.
 
     names, closed, records : of all loops. dt_s : of the records. own : index of the loop. ms_most : largest Ms of a
-    loop among the others.
+    loop among the others, that of the guard for the identified process: the answers are one model of the plant.
     """
 
     names: tuple[str, ...]
@@ -90,8 +90,8 @@ class Among:
         then = together(plant, changed)
         told = [
             f"Ms of {name} {_shown(after)}, now {_shown(before)}"
-            for name, before, after in zip(self.names, now, then, strict=True)
-            if after > max(self.ms_most, NO_WORSE * before)
+            for i, (name, before, after) in enumerate(zip(self.names, now, then, strict=True))
+            if after > max(self.ms_most, before * (1.0 if i == self.own else NO_WORSE))
         ]
         if not told:
             return ""
@@ -179,7 +179,7 @@ class OnePlant:
             records,
             self._dt_s,
             0,
-            settings[own].guard.ms_worst,
+            settings[own].guard.ms_nominal,
         )
 
     @property

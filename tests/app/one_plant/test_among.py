@@ -47,10 +47,10 @@ def wanted(gains: PidGains) -> StageResult:
     return StageResult("accepted", "proved", verdict=verdict)
 
 
-def among(moves: tuple[int, ...] = (0, 1, 0, 1)) -> Among:
+def among(moves: tuple[int, ...] = (0, 1, 0, 1), most: float = 1.75) -> Among:
     """The first loop of Wood and Berry's column."""
     closed = tuple(Closed(one, DT_S) for one in BLT)
-    return Among(("top", "bottom"), closed, tuple(records(0.01, moves)), DT_S, 0, 2.1)
+    return Among(("top", "bottom"), closed, tuple(records(0.01, moves)), DT_S, 0, most)
 
 
 def times(factor: float) -> StageResult:
@@ -91,12 +91,31 @@ def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_
     assert found.verdict is None
     assert found.code == NOT_SURVIVED
     assert "bottom on the same plant: Ms of top" in found.reason
-    assert "limit 2.1" in found.reason
+    assert "limit 1.75" in found.reason
 
 
 def test_a_change_that_all_survive_is_made() -> None:
     result = wanted(PidGains(1.3 * BLT[0].kp, 1.3 * BLT[0].ki))
     assert among().answered(question(0, 1), result) is result
+
+
+@pytest.mark.parametrize(
+    ("most", "factor", "made"), [(1.75, 1.5, False), (2.1, 1.5, True), (1.4, 1.02, False), (1.4, 0.9, True)]
+)
+def test_the_loop_itself_holds_the_limit_of_an_identified_process(
+    monkeypatch: pytest.MonkeyPatch, most: float, factor: float, *, made: bool
+) -> None:
+    """Its Ms is 1.48 now; where it is over the limit it does not grow, however little."""
+    monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
+    monkeypatch.setattr(deciding, "decide", lambda _: times(factor))
+    found = among(most=most).answered(question(0, 1), times(factor))
+    assert (found.verdict is not None) == made
+
+
+def test_the_limit_is_that_of_the_guard_for_an_identified_process() -> None:
+    asked = pair(100.0, 5.0).among(0)
+    assert asked is not None
+    assert asked.ms_most == GuardSettings().ms_nominal
 
 
 def test_what_is_not_known_of_the_plant_counts_nothing() -> None:
@@ -131,7 +150,7 @@ def retuner(samples: list[LoopSample], name: str, gains: PidGains = BLT[0]) -> A
         band=0.05,
         region=0,
         scheduled=(0.0, 0.0),
-        settings=SimpleNamespace(sample_time_s=1.0, filter_s=0.0, guard=SimpleNamespace(ms_worst=2.1)),
+        settings=SimpleNamespace(sample_time_s=1.0, filter_s=0.0, guard=SimpleNamespace(ms_nominal=1.75)),
         table=SimpleNamespace(loop=name, at=lambda *_: gains),
         trials=SimpleNamespace(of=lambda _: SimpleNamespace(phase=TrialPhase.IDLE, new=None)),
     )

@@ -11,7 +11,7 @@ from retuner.ledger import LedgerReader
 from retuner.one_plant.deciding import Among
 from retuner.schedule.gains import PidGains
 
-REFUSED = "refused: with two on the same plant: Ms of two 3.00, now 1.50; limit 2.1"
+REFUSED = "refused: with two on the same plant: Ms of two 3.00, now 1.50; limit 1.75"
 PAIR = """
 schema = 1
 schedule = { variable = "sp" }
