@@ -22,13 +22,10 @@ from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.decision import Action, Decision, Mode, Outcome
+from retuner.adaptive.supervision.findings import NOT_KNOWN
 from retuner.adaptive.supervision.judge_evidence import prediction_of
-from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
-from retuner.adaptive.supervision.pipeline import NOT_KNOWN
-from retuner.adaptive.supervision.pipeline_types import StageResult
-from retuner.adaptive.supervision.proof_and_choice import change_request
-from retuner.adaptive.supervision.proposal_from_model import tuning_of
+from retuner.adaptive.supervision.region_proposal import KnownProcesses, change_request, known_of, tuning_of
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.persons_edit import right_words, turned_words
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
@@ -52,9 +49,9 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
     verdict = _proof(retuner, region, proposal.after, t_s)
     short, reason = proposal.digest[:8], _refusal(retuner, region, proposal, verdict)
     if reason:
-        return retuner.ordered(region, StageResult("approval_refused", f"proposal {short} is not written: {reason}"))
+        return retuner.ordered(region, Outcome("approval_refused", f"proposal {short} is not written: {reason}"))
     prediction = Prediction.from_dict(proposal.prediction) if proposal.prediction else None
-    outcome = StageResult(
+    outcome = Outcome(
         "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by an operator", verdict=verdict
     )
     return retuner.ordered(region, outcome, proposal.after, prediction)
@@ -77,11 +74,9 @@ def propose(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decis
         reason = f"only a smaller change is proved now: kp {proved.kp:.4g}, ki {proved.ki:.4g}, kd {proved.kd:.4g}"
     else:
         prediction = prediction_of(verdict, retuner.table, region, retuner.scheduled, None, retuner.settings)
-        told = retuner.ordered(
-            region, StageResult("order_proposed", "an operator proposed these gains", verdict=verdict)
-        )
+        told = retuner.ordered(region, Outcome("order_proposed", "an operator proposed these gains", verdict=verdict))
         return replace(told, action=Action.ADVISE, gains_after=proved, prediction=prediction)
-    return retuner.ordered(region, StageResult("order_refused", f"proposal refused: {reason}", verdict=verdict))
+    return retuner.ordered(region, Outcome("order_refused", f"proposal refused: {reason}", verdict=verdict))
 
 
 def approve_proposal(retuner: Retuner, decision: Decision, expires_after_s: float = 86400.0) -> Decision:
@@ -145,8 +140,8 @@ def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decisi
         return retuner.taken_back(region)
     reason = _no_rollback(retuner, region, gains, t_s)
     if reason:
-        return retuner.ordered(region, StageResult("revert_refused", f"rollback refused: {reason}"))
-    return retuner.ordered(region, StageResult("ordered_back", "an operator requested this rollback"), gains)
+        return retuner.ordered(region, Outcome("revert_refused", f"rollback refused: {reason}"))
+    return retuner.ordered(region, Outcome("ordered_back", "an operator requested this rollback"), gains)
 
 
 def _no_rollback(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> str:
@@ -206,7 +201,7 @@ def found_running(retuner: Retuner, gains: PidGains) -> Decision | None:
     if trial.phase is TrialPhase.WRITING:
         retuner.not_written(region)
     if trial.phase in TO_BE_SEEN and (tried or same_gains(retuner.table.at(*at), gains)):
-        again = retuner.ordered(region, StageResult("restore_again", f"a restart found {trial.phase}"))
+        again = retuner.ordered(region, Outcome("restore_again", f"a restart found {trial.phase}"))
         return replace(again, action=Action.RESTORE, gains_after=retuner.table.gains_of(region))
     return retuner.edited(gains)
 
@@ -228,10 +223,10 @@ def acts(retuner: Retuner, gains: PidGains) -> Decision | None:
         return None
     retuner.turned = turned
     if not turned:
-        return retuner.ordered(region, StageResult("action_right", right_words(gains)))
+        return retuner.ordered(region, Outcome("action_right", right_words(gains)))
     ended = retuner.abort(TrialEvent.ACTION_TURNED)
     words = turned_words(retuner.table.gains_of(region), gains, on_trial=ended is not None)
-    told = ended or retuner.ordered(region, StageResult("action_turned", words))
+    told = ended or retuner.ordered(region, Outcome("action_turned", words))
     return replace(told, action=Action.NONE, code="action_turned", reason=words, gains_after=None)
 
 
@@ -288,7 +283,7 @@ def pretune(retuner: Retuner, region: int, window: Window) -> Decision:
     return retuner.ordered(region, outcome, verdict.gains, prediction)
 
 
-def _outcome(retuner: Retuner, region: int, window: Window) -> StageResult:
+def _outcome(retuner: Retuner, region: int, window: Window) -> Outcome:
     """What the record leads to; the model stays with the retuner."""
     settings, in_force = retuner.settings, retuner.table.gains_of(region)
     t_s = float(window.t_s[-1])
@@ -296,21 +291,21 @@ def _outcome(retuner: Retuner, region: int, window: Window) -> StageResult:
         learned = update_region_model(
             retuner.region_models.get(region), window, in_force, settings.tracker, settings.fit, retuner.scheduled
         )
-    except np.linalg.LinAlgError as error:  # as in the pipeline: one record must not break the supervision
-        return StageResult("fit_failed", f"{WORDS}: the fit failed: {error}")
+    except np.linalg.LinAlgError as error:  # as in decide.py: one record must not break the supervision
+        return Outcome("fit_failed", f"{WORDS}: the fit failed: {error}")
     if learned.region_model is None:
-        return StageResult(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
+        return Outcome(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
     retuner.region_models[region] = learned.region_model
     retuner.excitation[region] = Excitation(setpoints=1, clear=1)  # from rest: the loop's own doing
     known = KnownProcesses(retuner.table, retuner.region_models, t_s, settings)
     wanted = tuning_of(known, region, in_force)
     if not wanted.ready:
-        return StageResult(NOT_KNOWN, f"{WORDS}: {learned.region_model.reason}", learned, diagnosis=wanted.diagnosis)
+        return Outcome(NOT_KNOWN, f"{WORDS}: {learned.region_model.reason}", learned, diagnosis=wanted.diagnosis)
     if not wanted.diagnosis.retune:
         cause = wanted.diagnosis
-        return StageResult(str(cause.cause), f"{WORDS}: {cause.reason}", learned, diagnosis=cause)
+        return Outcome(str(cause.cause), f"{WORDS}: {cause.reason}", learned, diagnosis=cause)
     verdict = prove(change_request(wanted.tuning, region, retuner.commissioned, known, learned), settings.guard)
-    return StageResult(
+    return Outcome(
         verdict.code,
         f"{WORDS}: {wanted.diagnosis.reason if verdict.accepted else verdict.sentence}",
         learned,

@@ -1,10 +1,10 @@
 """All samples, not only those of recognised responses: what the book of a region says, and what follows.
 
     look      so many samples since the last one: a question of its own, or with the response that completes then
-    speak     where the pipeline cannot tell (no response, nothing identifiable, a residual that no load step explains,
+    speak     where the response cannot tell (none, nothing identifiable, a residual that no load step explains,
               a record that contradicts) and the odds are clear: settings worth having over the book, proved, on trial,
               with a sentence; also where clear setpoint steps have shown the process, and its models bear them too
-    object    where the pipeline changes gains, and the book speaks against it; then it may speak itself
+    object    where gains are to change, and the book speaks against it; then it may speak itself
     excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
 
 The book does not speak where the output stands at a limit, and where a valve may not follow: such a case is not the
@@ -13,7 +13,6 @@ book's. Nor where clear steps have shown the process and the loop mostly rests.
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, doubted, move, update
-from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, lets_go, shares
+from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
@@ -33,12 +32,14 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.causes import doubt_of, exempt_from_confirmation, is_known
+from retuner.adaptive.supervision.by_model import doubt_of, exempt_from_confirmation, is_known, runaway
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import AGREED, may_follow
-from retuner.adaptive.supervision.known_processes import KnownProcesses
-from retuner.adaptive.supervision.open_loop_unstable import runaway
-from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, Look, admitted
+from retuner.adaptive.supervision.question import OTHER_LOOP, Look
+from retuner.adaptive.supervision.region_proposal import KnownProcesses
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import Lookup
 
 LOOKED = "looked"
@@ -47,7 +48,7 @@ OPEN = frozenset({
     LOOKED, "not_identifiable", "unconfirmed", "unknown", "external", "low_excitation", "contradicted", "one_record",
     OTHER_LOOP, "setpoint_led", "too_long",
 })  # fmt: skip
-"""Codes with which the pipeline says that it cannot tell."""
+"""Codes of outcomes that cannot tell."""
 LOOK, WHOLE = 500, 1000
 """Samples of the book's interval after which it is looked at, and after which a window is entered for good."""
 PER_TAU_I = 100
@@ -97,69 +98,88 @@ FEWEST_SAMPLES, FEWEST_SAMPLES_ON_TRIAL = 300, 50
 ROUNDED = 0.99
 
 
-def by_all_samples(found: Findings) -> None:
-    """What does the book of the region say, of all samples up to now?"""
+@dataclass(frozen=True, slots=True)
+class AllSamples:
+    """What all samples say beside a response.
+
+    look : those looked at now, None for none. book : the region's, with them; changed : whether it is another one than
+    before. told : what the book says of the gains in force, None where it is not asked. shown : whether clear setpoint
+    steps have shown the process: then the book is silent but for what it is sure of where there is nothing to look at.
+    """
+
+    look: Look | None = None
+    book: Book | None = None
+    changed: bool = False
+    told: ByBook | None = None
+    shown: bool = False
+
+    @property
+    def silent(self) -> bool:
+        """Whether the book says nothing but what it is sure of."""
+        return self.look is None and self.shown
+
+    def entered(self, winner: Outcome) -> Outcome:
+        """The outcome with the book as it is now, and what that says."""
+        book, told = self.book, self.told
+        if book is not None and told is not None and not self.silent:
+            winner = replace(winner, all_samples=told.numbers)
+            if self.look is not None:
+                early = self.look.grows and told.leans < 0  # half a window calls a good loop too tight now and then
+                book = book if early else replace(book, leans=told.leans)
+            if winner.code == LOOKED:
+                winner = replace(winner, reason=f"{winner.reason}; {told.words}")
+        return replace(winner, book=book) if self.changed else winner
+
+
+def all_samples(found: Findings, own: Outcome) -> AllSamples:
+    """What does the book of the region say, of all samples up to now? own : what follows from the response."""
     look, settings, record = found.question.look, found.settings.book, found.record
     book, shown = record.book, shown_clearly(record.region_models.get(record.region), record.excitation, record.foreign)
     gains, dt_s = record.in_force, found.settings.sample_time_s
     changed = found.learned is not None and found.learned.agreement is Agreement.CHANGED
     if book is not None and changed:
-        book = found.book = doubted(book, settings.changed_odds)
-    changes = found.verdict is not None and found.verdict.accepted
-    doubts = not shown or (found.end is not None and found.end.code in OPEN and not found.question.alone)
-    if look is not None and not ((look.due and doubts) or changes):
+        book = doubted(book, settings.changed_odds)
+    doubts = not shown or (own.code in OPEN and not found.question.alone)
+    if look is not None and not ((look.due and doubts) or own.changes):
         look = None  # a look is dear
     if look is not None:
         now_s, first_s = float(look.window.t_s[-1]), float(look.window.t_s[0])
         known = look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)
         known = doubted(known, settings.changed_odds) if changed else move(known, now_s - first_s, settings.hazard_s)
-        book = found.book = update(known, look.window, grows=look.grows)
-    silent = look is None and shown  # but for what it is sure of
-    if book is None or (silent and not changes):
-        return
-    told = by_book(book, gains, settings)
-    if changes:
-        _object(found, book, told, settings, shown=shown)
-    if silent:
-        return
-    dropped = not changes or found.verdict is None
-    if look is not None and dropped and _may_speak(found, look) and not (shown and _rests(found, look)):
-        _speak(found, look, book, told, shown=shown)
-    found.all_samples = told.numbers
-    if look is not None:
-        early = look.grows and told.leans < 0  # half a window calls a good loop too tight now and then
-        found.book = book if early else replace(book, leans=told.leans)
-    if found.end is None:
-        found.stop(LOOKED, f"no response to judge; {told.words}")
+        book = update(known, look.window, grows=look.grows)
+    seen = AllSamples(look, book, book is not record.book, None, shown)
+    asked = book is not None and (own.changes or not seen.silent)
+    return replace(seen, told=by_book(book, gains, settings)) if book is not None and asked else seen
 
 
-def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *, shown: bool) -> None:
-    """The change that the pipeline makes is dropped where the book speaks against it. Less action, which is slower for
-    certain, is to be better on most of the book. Its cause is to be no less likely there than not, unless the change
-    leads back: so diagnose says it of the same samples (cause_odds/). More must do no harm by models and book together:
-    that the loads are steps, and that one wanders, are as likely. Where a loop whose process was shown mostly rests,
-    none wanders, and the book must be sure. A whole window it takes, but not against less action by a model that is not
-    identifiable.
+def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
+    """The outcome without its change, where the book speaks against that; None where it does not.
+
+    Less action, which is slower for certain, is to be better on most of the book. Its cause is to be no less likely
+    there than not, unless the change leads back: so diagnose says it of the same samples (cause_odds/). More must do no
+    harm by models and book together: that the loads are steps, and that one wanders, are as likely. Where a loop whose
+    process was shown mostly rests, none wanders, and the book must be sure. A whole window it takes, but not against
+    less action by a model that is not identifiable.
     """
-    verdict, record, look = found.verdict, found.record, found.question.look
-    assert verdict is not None
-    assert verdict.gains is not None
+    settings, book, told, verdict = found.settings.book, seen.book, seen.told, own.verdict
+    record, look, shown = found.record, seen.look, seen.shown
+    if book is None or told is None or verdict is None or verdict.gains is None:
+        return None
     if record.table.lookup is not Lookup.HARD:
-        return
-    now, new, numbers, drawn = record.in_force, verdict.gains, found.numbers, book.drawn(settings.drawn)
+        return None
+    now, new, numbers, drawn = record.in_force, verdict.gains, own.numbers, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
     away = less and lets_go(drawn, now, new, settings)
     if found.growth is not None and not away:
-        return
+        return None
     rests = shown and (look is None or _rests(found, look))
     told_of, needed = (told.numbers.book_high, HALF) if less else (told.numbers.book_room, settings.more_odds)
-    asked = found.basis is not Basis.RAN and not (shown and look is None)
-    if asked and told_of < needed and (doubt := _doubt(found, book, less=less)):
-        found.doubted(replace(doubt, reason=f"{told.words}; {doubt.reason}"))
-        return
+    asked = own.basis is not Basis.RAN and not seen.silent
+    if asked and told_of < needed and (doubt := _doubt(found, own, seen, less=less)):
+        return found.unconfirmed(own, replace(doubt, reason=f"{told.words}; {doubt.reason}"))
     carries = book.records or (look is not None and less and found.in_use and not found.in_use.identifiable)
     if not away and not carries:
-        return
+        return None
     worth, better = gain(drawn, now, new, settings)
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
     if less:
@@ -168,15 +188,16 @@ def _object(found: Findings, book: Book, told: ByBook, settings: BookSettings, *
         against = False
     else:
         against = by_models + worth < 0.0 or (not shown and shares(drawn, new, settings)[0] >= settings.less_odds)
-    if against:
-        found.verdict = found.basis = found.prediction = None
-        by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
-        if away:
-            by_that = f"the process runs away by itself with {float(drawn.weights @ drawn.runs_away):.0%} probability"
-        found.stop("unconfirmed", f"{told.words}; by that, {by_that}")
+    if not against:
+        return None
+    by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
+    if away:
+        by_that = f"the process runs away by itself with {float(drawn.weights @ drawn.runs_away):.0%} probability"
+    reason = found.words(f"{told.words}; by that, {by_that}")
+    return replace(own, code="unconfirmed", reason=reason, verdict=None, basis=None, prediction=None)
 
 
-def _doubt(found: Findings, book: Book, *, less: bool) -> Diagnosis | None:
+def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Diagnosis | None:
     """Why a change does not stand of which the book says that its cause is not there; None where it does.
 
     Loads may be steps for all that: a clear response (for more action also one that agrees with such) is then likelier
@@ -184,8 +205,9 @@ def _doubt(found: Findings, book: Book, *, less: bool) -> Diagnosis | None:
     valve be likelier. Less action waits where load steps explain a setpoint response in two ways: the diagnosis knows
     no other loads, so that the loop is in danger by both says little.
     """
-    record, learned, verdict, look = found.record, found.learned, found.verdict, found.question.look
+    record, learned, verdict, book = found.record, found.learned, own.verdict, seen.book
     assert verdict is not None
+    assert book is not None
     if record.crossed or found.joined:  # not of this region, or not of one response
         return None
     if (
@@ -202,9 +224,9 @@ def _doubt(found: Findings, book: Book, *, less: bool) -> Diagnosis | None:
         likelihood = log_likelihood(window, book.direction, book.unit)
         if len(window.pv) < FEWEST_ROWS or lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood) > 0.0:
             return None
-    if (doubt := doubt_of(found, found.diagnosis)) is not None:
+    if (doubt := doubt_of(found, own.diagnosis)) is not None:
         return doubt
-    if look is None or log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction) <= MOST_VALVE:
+    if seen.look is None or log_odds_of_valve(Prepared.at(seen.look.window, book.dt_s), book.direction) <= MOST_VALVE:
         return None
     return Diagnosis(Cause.STICTION, HALF, {}, "a valve that sticks or has play explains all samples better")
 
@@ -224,29 +246,29 @@ NEARLY = 0.95
 """Share of an action down to which it is the same."""
 
 
-def _may_speak(found: Findings, look: Look) -> bool:
+def _may_speak(found: Findings, own: Outcome, look: Look) -> bool:
     """Whether the case is the book's."""
-    record, code = found.record, found.end.code if found.end is not None else LOOKED
-    if code not in OPEN or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
+    record = found.record
+    if own.code not in OPEN or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
         return False
     if look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
         return False
-    return not (found.question.alone and admitted(record, found.settings).ground in SPOILT)
+    return not (found.question.alone and record.admission(found.settings).ground in SPOILT)
 
 
 SPOILT = frozenset({
     Ground.MANUAL, Ground.OUT_OF_RANGE, Ground.PV_STUCK, Ground.PV_CLIPPED, Ground.LOST_SAMPLES, Ground.IRREGULAR,
     Ground.REPEATED, Ground.LEFT_REGION, Ground.SATURATED,
 })  # fmt: skip
-"""What is wrong with a record of which nothing follows; of a response the pipeline has said so by then."""
+"""What is wrong with a record of which nothing follows; of a response its admission has said so by then."""
 
 
-def robust_by_book(found: Findings) -> bool:
+def robust_by_book(found: Findings, winner: Outcome) -> bool:
     """Whether the set on trial is robust on next to all processes by all samples, those of its trial among them: then a
     load that wanders explains a response that swings.
     """
-    numbers, settings = found.all_samples, found.settings.book
-    return found.book is not None and numbers is not None and numbers.book_high <= 1.0 - settings.less_odds
+    numbers, settings = winner.all_samples, found.settings.book
+    return winner.book is not None and numbers is not None and numbers.book_high <= 1.0 - settings.less_odds
 
 
 MOST_LIMITED = 0.02
@@ -258,17 +280,28 @@ def shown_clearly(known: RegionModel | None, excitation: Excitation, foreign: in
     return known is not None and known.identifiable and excitation.clear > 0 and not foreign
 
 
-def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool) -> None:
-    """The change that is worth having over the book, proved as any other. More action is proved besides on what clear
-    steps or records that agree have shown; on the likeliest of the latter Ms is to stay good.
+def proposal_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
+    """The change that is worth having over the book, proved as any other; None where the case is not the book's.
+
+    own : what follows from the response, which is no change. More action is proved besides on what clear steps or
+    records that agree have shown; on the likeliest of the latter Ms is to stay good.
     """
+    look = seen.look
+    if look is None or not _may_speak(found, own, look) or (seen.shown and _rests(found, look)):
+        return None
+    return _proved_by_book(found, own, seen)
+
+
+def _proved_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
+    """The change, where there is one and it is proved."""
+    look, book, told, shown = seen.look, seen.book, seen.told, seen.shown
+    if look is None or book is None or told is None or told.tuning is None or not told.models:
+        return None
     record, settings, region = found.record, found.settings, found.record.region
-    if told.tuning is None or not told.models:
-        return
     less = told.leans < 0
     valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
     if valve > (MOST_VALVE if less else 0.0):
-        return
+        return None
     of_responses = record.region_models.get(region)
     agreed = of_responses is not None and of_responses.identifiable and of_responses.records >= AGREED
     also = of_responses.plausible if of_responses is not None and (shown or agreed) and not less else ()
@@ -281,22 +314,24 @@ def _speak(found: Findings, look: Look, book: Book, told: ByBook, *, shown: bool
     )  # fmt: skip
     verdict = prove(request, settings.guard)
     if not verdict.accepted or verdict.gains is None:
-        return
+        return None
     if agreed and also:  # records that agree say no less than loads do
         sampled = also[0].model.seen_by_controller(settings.sample_time_s).linear()
         if sensitivity_peak(sampled, verdict.gains, settings.filter_s) > settings.book.ms_good:
-            return
+            return None
     if less and lets_go(book.drawn(settings.book.drawn), record.in_force, verdict.gains, settings.book):
-        return
+        return None
     odds = told.numbers.book_high if less else told.numbers.book_room
     cause = Cause.AGGRESSIVE if less else Cause.SLUGGISH
     words = f"{told.words}; {'less' if less else 'more'} action is expected to be worth {told.numbers.book_worth:.0%}"
-    if found.end is not None and found.end.code != LOOKED:
-        words = f"{words} (this response by itself: {found.end.reason})"
-    found.diagnosis = Diagnosis(cause, min(odds, MOST_SURE), told.numbers.to_dict(), words)
-    found.proposal, found.verdict, found.basis = told.tuning, verdict, Basis.ALL_SAMPLES
-    found.stop(verdict.ruling.name.lower(), words)
-    runaway(found)
+    if own.code != LOOKED:
+        words = f"{words} (this response by itself: {own.reason})"
+    change = replace(
+        own, code=verdict.code, reason=found.words(words), proposal=told.tuning, verdict=verdict,
+        diagnosis=Diagnosis(cause, min(odds, MOST_SURE), told.numbers.to_dict(), words), basis=Basis.ALL_SAMPLES,
+    )  # fmt: skip
+    doubt = runaway(found, verdict)
+    return change if doubt is None else found.unconfirmed(change, doubt)
 
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97

@@ -1,11 +1,10 @@
-"""The record of a decision: everything that led to it, in plain values.
-
-A ledger keeps it, and a replay is compared with it byte for byte.
+"""What a response leads to, and the record of the decision that is made of it: everything that led to it, in plain
+values. A ledger keeps the record, and a replay is compared with it byte for byte.
 """
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -14,18 +13,24 @@ import numpy as np
 from retuner.adaptive import display_hook
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis, Numbers
 from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.explanations.book import Book
+from retuner.adaptive.explanations.settings_by_book import BookNumbers
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
-from retuner.adaptive.region_model.update import ANEW, Agreement
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, TrackerSettings, predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.trial.judge import Judgement
 from retuner.adaptive.trial.persons_edit import lasting_words
 from retuner.adaptive.trial.phase import UNDOS, TrialPhase
+from retuner.adaptive.trial.posterior_check import PosteriorCheck
 from retuner.adaptive.trial.prediction import Prediction
+from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 
 class Mode(StrEnum):
@@ -60,6 +65,46 @@ class Action(StrEnum):
     ADVISE = "advise"
     COMMIT = "commit"
     RESTORE = "restore"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a response leads to: gains that are proved, or the reason why none; steps that were not reached are None.
+
+    code : name of the reason, for machines. region_model : what is known of the region from now on, None for as before.
+    forget : what was known of the region is refuted. foreign : as in the record, with this response.
+    excitation : what the region model rests on.
+    prediction : what the proved gains promise, worked out where they may be written at all. posterior : what the record
+    says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
+    elsewhere : what is due in a region where the loop is not, by its index. beside_walk : what the loop did lately
+    leaves of its process beside a load that wanders as before the change of a trial; None where none did.
+    book : what all samples have shown of the region by now, None for as before; all_samples : of the gains in force.
+    """
+
+    code: str
+    reason: str
+    learned: Learned | None = None
+    region_model: RegionModel | None = None
+    diagnosis: Diagnosis | None = None
+    proposal: Tuning | None = None
+    basis: Basis | None = None
+    verdict: Verdict | None = None
+    foreign: int | None = None
+    excitation: Excitation | None = None
+    numbers: Numbers = NO_NUMBERS
+    forget: bool = False
+    prediction: Prediction | None = None
+    posterior: PosteriorCheck | None = None
+    beside: Mapping[int, RegionModel] = field(default_factory=dict)
+    elsewhere: Mapping[int, "Outcome"] = field(default_factory=dict)
+    beside_walk: StillAllowed | None = None
+    book: Book | None = None
+    all_samples: BookNumbers | None = None
+
+    @property
+    def changes(self) -> bool:
+        """Whether it has gains that are proved."""
+        return self.verdict is not None and self.verdict.accepted
 
 
 class Delay(NamedTuple):
@@ -195,6 +240,46 @@ def _own(value: object) -> object:
 def gains_dict(gains: PidGains) -> dict[str, float]:
     """Parallel form by name."""
     return {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}
+
+
+def with_outcome(
+    made: Decision, outcome: Outcome, tracker: TrackerSettings, now_s: float, *, accepted: bool
+) -> Decision:
+    """The record of a decision with what the stages found; accepted : gains may be written, as far as proof and trial
+    are concerned.
+    """
+    verdict, learned = outcome.verdict, outcome.learned
+    region_model = learned.region_model if learned else None
+    wanted = Action.COMMIT if made.mode in WRITES else Action.ADVISE
+    return replace(
+        made,
+        action=wanted if accepted else Action.NONE,
+        gains_after=verdict.gains if verdict and accepted else None,
+        numbers=outcome.numbers,
+        estimate=learned.estimate if learned else None,
+        agreement=learned.agreement if learned else None,
+        records=region_model.records if region_model else 0,
+        known=predicted(region_model, now_s, tracker) if region_model else None,
+        diagnosis=outcome.diagnosis,
+        basis=outcome.basis,
+        proposal=outcome.proposal,
+        verdict=verdict,
+        all_samples=outcome.all_samples,
+    )
+
+
+def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
+    """The outcome with the reason why nothing may be changed now, when something was accepted."""
+    if outcome.verdict is None or not outcome.verdict.accepted:
+        return outcome
+    words = str(trial.phase)
+    if trial.phase == TrialPhase.COOLING:
+        words += f" for another {max(trial.until_s - now_s, 0.0):,.0f} s after {trial.cause}"
+    elif trial.phase == TrialPhase.LOCKED:
+        words += f" after {trial.undos} rollbacks; an operator must unlock the region"
+    elif trial.phase == TrialPhase.IDLE:
+        words = "a change in another region is being written"
+    return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"no change now: {words}")
 
 
 def predicted_wrongly(trial: Trial, decision: Decision) -> bool:

@@ -14,7 +14,9 @@ from retuner.adaptive.region_model.update import Agreement, Learned
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, ResponseRecord, StageResult
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.findings import Findings
+from retuner.adaptive.supervision.question import OTHER_LOOP, ResponseRecord
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
 from retuner.adaptive.trial.load_variability import load_variability
@@ -139,7 +141,7 @@ def _outvoted(learned: Learned) -> bool:
     return alone and records >= AGREED
 
 
-def seen_of(case: ResponseRecord, outcome: StageResult, settings: RetunerSettings) -> JudgedResponse:
+def seen_of(case: ResponseRecord, outcome: Outcome, settings: RetunerSettings) -> JudgedResponse:
     """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
     what its own record says of the tried set and of the one before.
     """

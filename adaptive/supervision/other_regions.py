@@ -25,11 +25,17 @@ from retuner.adaptive.region_model.prior_from_table import as_right_as_others
 from retuner.adaptive.region_model.region_curves import centre_of, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, predicted
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import prediction_of
-from retuner.adaptive.supervision.known_processes import KnownProcesses
-from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
-from retuner.adaptive.supervision.proof_and_choice import change_request
-from retuner.adaptive.supervision.proposal_from_model import BETWEEN, RobustProposal, over_limit, tuning_of
+from retuner.adaptive.supervision.region_proposal import (
+    BETWEEN,
+    KnownProcesses,
+    RobustProposal,
+    change_request,
+    over_limit,
+    tuning_of,
+)
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.load_variability import load_variability, load_variability_there
 from retuner.adaptive.trial.posterior_check import costs
@@ -43,31 +49,25 @@ LEAST_LENDERS = 2
 """Regions that must know their process before one that was never entered gets gains: one shows no trend."""
 
 
-def elsewhere(found: Findings) -> None:
-    """What is due in the nearest of the other regions whose gains are far from right."""
+def elsewhere(found: Findings, winner: Outcome) -> Mapping[int, Outcome]:
+    """What is due in the nearest of the other regions whose gains are far from right. winner : what follows here."""
     record, learned = found.record, found.learned
-    if not found.settings.borrowing.far_off:
-        return
-    if record.table.lookup is not Lookup.HARD or learned is None or found.in_use is None or _stands(found):
-        return
-    if learned.agreement not in {Agreement.FIRST, Agreement.AGREES} or found.tuning is None or not found.tuning.ready:
-        return
+    if not found.settings.borrowing.far_off or winner.changes or winner.code in DOUBTFUL:
+        return {}
+    if record.table.lookup is not Lookup.HARD or learned is None or found.in_use is None:
+        return {}
+    if learned.agreement not in {Agreement.FIRST, Agreement.AGREES} or found.wanted is None or not found.wanted.ready:
+        return {}
     known = {**record.region_models, **found.beside, record.region: found.in_use}
     asked = (*found.question.free, *found.question.away)
     for region in sorted(asked, key=lambda at: record.table.regions.distance(record.region, at)):
         due = _due(found, region, known)
         if due is not None:
-            found.elsewhere = {region: due}
-            return
+            return {region: due}
+    return {}
 
 
-def _stands(found: Findings) -> bool:
-    """Whether the response has enough to do where it was: a change there, or a doubt."""
-    changes = found.verdict is not None and found.verdict.accepted
-    return changes or found.end is None or found.end.code in DOUBTFUL
-
-
-def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> StageResult | None:
+def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Outcome | None:
     """The change that is due in a region by what is known of all; None where its gains are nearly right, or nobody can
     say.
     """
@@ -147,10 +147,10 @@ def _wander(found: Findings, verdict: Verdict) -> float:
     return load_variability_there(seen, record.window.noise_std, loops[0], loops[1])
 
 
-def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, prediction: Prediction) -> StageResult:
+def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, prediction: Prediction) -> Outcome:
     """The change as the result of a response in that region."""
     known = model.reason if not model.records else "known by responses that passed through"
-    return StageResult(
+    return Outcome(
         verdict.code,
         f"{known}; {wanted.diagnosis.reason}",
         diagnosis=wanted.diagnosis,

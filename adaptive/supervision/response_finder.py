@@ -3,7 +3,7 @@
     sample -> region -> noise band -> recogniser -> response with its samples
 
 `step` is the per-sample path; at rest it returns after a handful of comparisons. What a response means is not its
-business: see pipeline.py. While a scheduling variable is not known (a signal on the bus is stale), the region stays and
+business: see decide.py. While a scheduling variable is not known (a signal on the bus is stale), the region stays and
 no response is taken: nobody could say where it belongs.
 """
 

@@ -1,11 +1,11 @@
 """The retuner: one sample in, now and then one decision out.
 
-    sample -> finder -> completed response -> pipeline -> decision -> trial -> the verified set is restored
+    sample -> finder -> completed response -> decide -> decision -> trial -> the verified set is restored
 
 The object is a thin shell round pure steps. It hands out decisions, and learns by `committed` what is then in force.
 A decision may take longer than a sample. `observe` makes it on the spot; whoever cannot wait takes its three steps:
     step(sample)                    a decision that needs no fit, or a Question, or nothing
-    decide(question)                the answer: a pure function of plain values, anywhere (pipeline.py)
+    decide(question)                the answer: a pure function of plain values, anywhere (decide.py)
     enter(question, result, n)      the decision, entered at the n-th sample
 
 Between the first and the last samples go on; a response that completes is passed over, a late answer refused.
@@ -27,21 +27,23 @@ from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.by_book import look_after_s, look_of, shown_clearly
+from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import (
     WRITES,
     Action,
     Decision,
     Delay,
     Mode,
+    Outcome,
+    held,
     predicted_wrongly,
     proposing,
     restoring,
     staying,
+    with_outcome,
 )
 from retuner.adaptive.supervision.judge_evidence import prediction_of, seen_of
-from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
-from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import (
+from retuner.adaptive.supervision.question import (
     NOBODY,
     NOT_EVALUATED,
     NOTHING,
@@ -52,16 +54,14 @@ from retuner.adaptive.supervision.pipeline_types import (
     ResponseRecord,
     RetunerState,
     SetpointLed,
-    StageResult,
     Step,
-    held,
     left,
     not_evaluated,
     overtaken_by,
     passed_over,
     said,
-    with_outcome,
 )
+from retuner.adaptive.supervision.region_proposal import KnownProcesses, known_of
 from retuner.adaptive.supervision.response_finder import Completed, Left, ResponseFinder
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import Judgement, TrialFinding
@@ -101,7 +101,7 @@ class Retuner:
         self._decisions, self._led = 0, SetpointLed()
         self._looked_s = self._alone_s = -math.inf  # when all samples were looked at, and are to be without a response
         self._open: OpenQuestion | None = None
-        self._due: Mapping[int, StageResult] = {}
+        self._due: Mapping[int, Outcome] = {}
         self.sample_number = 0  # samples observed so far
         self.turned = False  # whether the controller acts in the other direction: see operator_orders.acts
 
@@ -178,7 +178,7 @@ class Retuner:
             return Step(self._made_elsewhere(region, outcome))
         return step
 
-    def _made_elsewhere(self, region: int, outcome: StageResult) -> Decision:
+    def _made_elsewhere(self, region: int, outcome: Outcome) -> Decision:
         """A change that is due where the loop is not; a trial that waits there ends first, as one without a word."""
         ended = self.trials.away(region) and self.trials.event(region, TrialEvent.TIMED_OUT, self.now_s)
         if ended and self.trials.phase(region) is TrialPhase.RESTORING:
@@ -242,7 +242,7 @@ class Retuner:
         waited_s = (self.sample_number - opened.question.sample_number) * self.settings.sample_time_s
         return f"{waited_s:,.0f} s" if waited_s >= 100.0 else f"{waited_s:.3g} s"
 
-    def enter(self, question: Question, result: StageResult, sample_number: int) -> Decision:
+    def enter(self, question: Question, result: Outcome, sample_number: int) -> Decision:
         """Enter the answer to the open question, after the sample of that number.
 
         An answer that was overtaken (see Overtaken) teaches and changes nothing. Where a trial ended with the sample
@@ -263,7 +263,7 @@ class Retuner:
         overtaken = overtaken_by(opened, self.region, self._finder.samples, self.table, phase)
         if overtaken is not None:
             told = f"the decision came too late, after {self._waited(opened)}: {overtaken}"
-            refused = StageResult(f"overtaken_{overtaken.name.lower()}", told)
+            refused = Outcome(f"overtaken_{overtaken.name.lower()}", told)
             return self._decision(opened.question.record.region, refused, opened.question)
         return self._learned_from_the_end(opened, result) if opened.ended else self._entered(opened.question, result)
 
@@ -304,20 +304,20 @@ class Retuner:
             return None
         stored = self.table.stored_for(region, gains, *at)
         if stored is None:
-            return self._decision(region, StageResult("edit_not_taken", NOT_TAKEN))
+            return self._decision(region, Outcome("edit_not_taken", NOT_TAKEN))
         on_trial = self.trials.phase(region) in UNDECIDED
         self._change(region, stored)
         self.trials.edited(region, stored, ours, self.now_s)
         hold_s = self.trials.of(region).until_s - self.now_s
         words = edit_words(ours, stored, self._still_allowed(region), hold_s, on_trial=on_trial)
-        return replace(self._decision(region, StageResult("edited", words)), gains_before=ours, gains_after=None)
+        return replace(self._decision(region, Outcome("edited", words)), gains_before=ours, gains_after=None)
 
     def restored(self) -> tuple[int, ...]:
         """Take note that the controller runs the table's gains, as read back; the regions where that was awaited."""
         return self.trials.restored(self.now_s)
 
     def ordered(
-        self, region: int, outcome: StageResult, gains: PidGains | None = None, prediction: Prediction | None = None
+        self, region: int, outcome: Outcome, gains: PidGains | None = None, prediction: Prediction | None = None
     ) -> Decision:
         """The decision on an order (see operator_orders.py): gains to be written, None when it is not done.
 
@@ -329,7 +329,7 @@ class Retuner:
         free = free or (unpromised and phase in {TrialPhase.LOCKED, TrialPhase.HELD})
         if gains is not None and (self.turned or not free):
             why = TrialEvent.ACTION_TURNED if self.turned else phase
-            gains, outcome = None, StageResult(f"held_{why.name.lower()}", f"no change now: {why}")
+            gains, outcome = None, Outcome(f"held_{why.name.lower()}", f"no change now: {why}")
         decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, prediction=None)
         if gains is None:
             return decision
@@ -341,7 +341,7 @@ class Retuner:
     def taken_back(self, region: int) -> Decision | None:
         """A person wants the change back that is undecided, or waits for approval; None when there is none."""
         if reason := self.trials.no_rollback(region):
-            return self.ordered(region, StageResult("revert_refused", f"rollback refused: {reason}"))
+            return self.ordered(region, Outcome("revert_refused", f"rollback refused: {reason}"))
         back = self.trials.event(region, TrialEvent.ORDERED_BACK, self.now_s)
         return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None
 
@@ -397,7 +397,7 @@ class Retuner:
         step = self._seen(seen, ended) if seen is not None else NOTHING
         return Step(self._give_up(ended, step.decision), step.question)
 
-    def _learned_from_the_end(self, opened: OpenQuestion, result: StageResult) -> Decision:
+    def _learned_from_the_end(self, opened: OpenQuestion, result: Outcome) -> Decision:
         """The answer on a response with which a trial ended: what was forgotten comes back, and is judged with it."""
         ended, same = opened.ended, opened.question.sample_number == self.sample_number
         region = next(iter(ended))
@@ -418,7 +418,7 @@ class Retuner:
         back = [region for region in ended if self.trials.phase(region) is TrialPhase.RESTORING]
         names = [self.table.regions.names[region] for region in back or ended]
         region = next(iter(back or ended))
-        decision = learned or self._decision(region, StageResult("undo", ""))
+        decision = learned or self._decision(region, Outcome("undo", ""))
         if back:
             return self._restoring(region, decision, names[1:])
         return staying(decision, names[0], self.trials.of(region), names[1:])
@@ -452,7 +452,7 @@ class Retuner:
             return NOTHING
         if self._open is not None:
             told = f"the previous response was still being evaluated after {self._waited(self._open)}"
-            late = StageResult("passed_over", f"{told}: this one is not used to update the model")
+            late = Outcome("passed_over", f"{told}: this one is not used to update the model")
             return NOTHING if ended else Step(self._decision(seen.region, late, question))
         self._open = OpenQuestion(
             question, self.table, ended, self.region_models.get(region), self.excitation.get(region)
@@ -478,7 +478,7 @@ class Retuner:
         self._looked_s = self._looked_s if look is None or not look.due else self.now_s
         return Question(case, self.settings, self.sample_number, trial, free, away, look, alone is not None)
 
-    def _entered(self, question: Question, outcome: StageResult) -> Decision:
+    def _entered(self, question: Question, outcome: Outcome) -> Decision:
         """What the answer teaches is kept, a trial judged, and the decision made."""
         case, region = question.record, question.record.region
         self._led = said(self._led, case, outcome.code)
@@ -515,7 +515,7 @@ class Retuner:
         self.region_models.pop(region, None)
         self.excitation.pop(region, None)
 
-    def _judge(self, case: ResponseRecord, outcome: StageResult) -> Judgement | None:
+    def _judge(self, case: ResponseRecord, outcome: Outcome) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""
         trial = self.trials.of(case.region)
         if trial.phase != TrialPhase.TRIAL or (case.crossed and outcome.posterior is None):
@@ -546,7 +546,7 @@ class Retuner:
         )
 
     def _decision(
-        self, region: int, outcome: StageResult, question: Question | None = None, judgement: Judgement | None = None
+        self, region: int, outcome: Outcome, question: Question | None = None, judgement: Judgement | None = None
     ) -> Decision:
         """Put the record together. question : that this answers, if any."""
         now_s, urgent = self.now_s, bool(outcome.verdict and outcome.verdict.urgent)
@@ -571,7 +571,7 @@ class Retuner:
     def _recorded(
         self,
         region: int,
-        outcome: StageResult,
+        outcome: Outcome,
         response: Response | None,
         judgement: Judgement | None,
         prediction: Prediction | None,

@@ -25,7 +25,7 @@ from retuner.adaptive.signals.recogniser import RecogniserPhase, RecogniserState
 from retuner.adaptive.signals.sample import LoopSample, Window, finite
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.adaptive.signals.step_sequence import SetpointMove
-from retuner.adaptive.supervision.pipeline_types import RetunerState, SetpointLed
+from retuner.adaptive.supervision.question import RetunerState, SetpointLed
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings

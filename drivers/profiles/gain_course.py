@@ -85,7 +85,7 @@ class Sending(NamedTuple):
     read: bool
 
 
-class Outcome(NamedTuple):
+class CourseEnd(NamedTuple):
     """The end of a write. done : the new set runs. numbers : what was read (or, without read-back, believed)."""
 
     done: bool
@@ -110,7 +110,7 @@ class GainCourse:
         self._deadline_s: float | None = None
         self._told = False
         self.reason = ""
-        self.outcome: Outcome | None = None
+        self.outcome: CourseEnd | None = None
 
     @property
     def busy(self) -> bool:
@@ -124,7 +124,7 @@ class GainCourse:
         if steps:
             self._move(CourseInput.BEGIN)
         else:
-            self.outcome = Outcome(True, self._new, "")
+            self.outcome = CourseEnd(True, self._new, "")
 
     def due(self, now_s: float) -> Sending | None:
         """What is to be sent now, if anything."""
@@ -176,7 +176,7 @@ class GainCourse:
         else:
             self._move(CourseInput.TAKEN)
             self._move(CourseInput.LAST)
-            self.outcome = Outcome(True, self._new, "")
+            self.outcome = CourseEnd(True, self._new, "")
 
     def on_acknowledged(self, name: str) -> None:
         """A number was taken."""
@@ -215,7 +215,7 @@ class GainCourse:
         elif phase is CoursePhase.READING and self._tries > 0:
             self._move(CourseInput.READ)
             done = all(numbers[name] == self._new[name] for name in self._new)
-            self.outcome = Outcome(done, dict(numbers), self.reason or "no answer")
+            self.outcome = CourseEnd(done, dict(numbers), self.reason or "no answer")
 
     def _check(self, numbers: Numbers) -> None:
         """The message just written, as it was read back; whatever else was proved has to stand as well."""
@@ -233,7 +233,7 @@ class GainCourse:
             self._move(CourseInput.NEXT)
         else:
             self._move(CourseInput.LAST)
-            self.outcome = Outcome(True, dict(numbers), "")
+            self.outcome = CourseEnd(True, dict(numbers), "")
 
     def unknown(self) -> str:
         """Why what runs is not known, once, when nobody has answered for a while; else nothing."""

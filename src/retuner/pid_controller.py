@@ -18,7 +18,7 @@ from retuner.adaptive import display_hook
 from retuner.adaptive.orders import operator_orders
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import NOT_EVALUATED
+from retuner.adaptive.supervision.question import NOT_EVALUATED
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore

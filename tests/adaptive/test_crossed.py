@@ -11,8 +11,9 @@ import pytest
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision import pipeline
-from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord
+from retuner.adaptive.supervision import findings
+from retuner.adaptive.supervision.findings import Findings
+from retuner.adaptive.supervision.question import Question, ResponseRecord
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
@@ -72,9 +73,10 @@ def test_where_the_fit_in_motion_does_not_agree_it_is_judged_as_any_other(
 ) -> None:
     known: Any = SimpleNamespace(identifiable=settles)
     in_motion: Any = SimpleNamespace(region_model=known, agreement=agreement)
-    monkeypatch.setattr(pipeline, "_across", lambda *_: in_motion)
-    monkeypatch.setattr(pipeline, "update_region_model", lambda *_: "linear")
-    monkeypatch.setattr(pipeline, "as_wide_as_known", lambda learned: learned)
+    monkeypatch.setattr(findings, "_from_neighbours", lambda *_: None)
+    monkeypatch.setattr(findings, "_across", lambda *_: (in_motion, {}))
+    monkeypatch.setattr(findings, "update_region_model", lambda *_: "linear")
+    monkeypatch.setattr(findings, "as_wide_as_known", lambda learned: learned)
     asked = Question(record("pv", (55.0, 70.0), -math.inf), RetunerSettings(1.0, 100.0), 1, Trial())
-    found = pipeline._inside(Findings(asked), None)
+    found, _ = findings._by_itself(Findings(asked))
     assert found == ("linear" if expected == "linear" else in_motion)

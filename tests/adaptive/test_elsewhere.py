@@ -1,6 +1,7 @@
 """Regions where the loop is not: what is known of them by now leads to gains, proved, and on trial when it comes."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -19,11 +20,12 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.decision import Action, Mode
-from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
+from retuner.adaptive.supervision.decide import decide
+from retuner.adaptive.supervision.decision import Action, Mode, Outcome
+from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.other_regions import elsewhere
-from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import End, Findings, Question, ResponseRecord
+from retuner.adaptive.supervision.question import Question, ResponseRecord
+from retuner.adaptive.supervision.region_proposal import KnownProcesses, known_of
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.adaptive.trial.phase import TrialPhase
@@ -51,7 +53,7 @@ def times(gains: PidGains, factor: float) -> PidGains:
     return PidGains(gains.kp * factor, gains.ki * factor)
 
 
-def asked(*, there: PidGains, settings: RetunerSettings = OPENED, **about: Any) -> Findings:
+def asked(*, there: PidGains, settings: RetunerSettings = OPENED, **about: Any) -> Mapping[int, Outcome]:
     """A response in region a after which nothing changes; b is known too. there : gains of c.
 
     first : the sets of a and b before they were tuned; as wrong as that of c where it is not said.
@@ -63,18 +65,16 @@ def asked(*, there: PidGains, settings: RetunerSettings = OPENED, **about: Any) 
     response = Response(10.0, 59.0, (Peak(12.0, 5.0),), Ending.QUIET, sp_changed=True, band=0.1)
     models = about.get("models", {0: known(1.0), 1: known(1.0)})
     record = ResponseRecord(0, response, Window.of(samples), samples, table, commissioned, models)
-    found = Findings(Question(record, settings, 1, Trial(), about.get("free", (1, 2)), about.get("away", ())))
+    question = Question(record, settings, 1, Trial(), about.get("free", (1, 2)), about.get("away", ()))
     learned: Any = SimpleNamespace(agreement=about.get("agreement", Agreement.AGREES))
     ready: Any = SimpleNamespace(ready=True)
-    found.learned, found.tuning = learned, ready
-    found.in_use, found.end = models[0], End(about.get("code", "ok"), "")
-    elsewhere(found)
-    return found
+    found = Findings(question, learned=learned, wanted=ready, in_use=models[0])
+    return elsewhere(found, Outcome(about.get("code", "ok"), ""))
 
 
 @pytest.mark.parametrize("factor", [0.25, 6.0])
 def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: float) -> None:
-    due = asked(there=times(right(1.0), factor)).elsewhere
+    due = asked(there=times(right(1.0), factor))
     assert list(due) == [2]
     verdict = due[2].verdict
     assert verdict is not None
@@ -103,14 +103,14 @@ def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: floa
     ],
 )
 def test_what_is_nearly_right_or_not_known_stays(about: dict[str, Any]) -> None:
-    assert asked(**{"there": times(right(1.0), 0.25), **about}).elsewhere == {}
+    assert asked(**{"there": times(right(1.0), 0.25), **about}) == {}
 
 
 def test_a_set_that_is_too_much_at_its_border_is_eased_though_it_is_right_in_the_middle() -> None:
     """The neighbour's process was not known when it was tuned; also while it is on trial and the loop is away."""
     models = {0: known(4.0), 1: known(4.0), 2: known(1.0)}
     for about in ({}, {"free": (), "away": (2,)}):
-        due = asked(there=right(1.0), models=models, **about).elsewhere
+        due = asked(there=right(1.0), models=models, **about)
         assert list(due) == [2]
         assert "on the way to region b" in due[2].reason
         verdict = due[2].verdict
@@ -118,8 +118,8 @@ def test_a_set_that_is_too_much_at_its_border_is_eased_though_it_is_right_in_the
         assert verdict.gains is not None
         assert verdict.gains.kp < 0.9 * right(1.0).kp
     alike = {region: known(1.0) for region in range(3)}
-    assert asked(there=right(1.0), models=alike).elsewhere == {}
-    assert asked(there=times(right(1.0), 0.25), models=alike, free=(), away=(2,)).elsewhere == {}, "its trial goes on"
+    assert asked(there=right(1.0), models=alike) == {}
+    assert asked(there=times(right(1.0), 0.25), models=alike, free=(), away=(2,)) == {}, "its trial goes on"
 
 
 def test_a_trial_that_waits_for_the_loop_ends_before_a_safer_change_there() -> None:
@@ -194,7 +194,7 @@ def test_what_is_due_and_was_not_made_before_a_restart_is_found_again() -> None:
     before = {0: known(1.0), 1: known(1.0)}
     after = {region: region_model_in(json.loads(json.dumps(region_model_out(m)))) for region, m in before.items()}
     there = times(right(1.0), 0.25)
-    one, other = (asked(there=there, models=models).elsewhere[2] for models in (before, after))
+    one, other = (asked(there=there, models=models)[2] for models in (before, after))
     assert one.verdict is not None
     assert other.verdict is not None
     assert one.verdict.gains == other.verdict.gains

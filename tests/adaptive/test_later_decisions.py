@@ -14,9 +14,9 @@ import pytest
 from loop_bench import Bench, made, scaled
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision.decision import Action, Decision, Delay, Mode
-from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import Question, StageResult
+from retuner.adaptive.supervision.decide import decide
+from retuner.adaptive.supervision.decision import Action, Decision, Delay, Mode, Outcome
+from retuner.adaptive.supervision.question import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.schedule.table import GainTable
@@ -29,7 +29,7 @@ class Asked(NamedTuple):
     """A question with its answer, and the samples that come next."""
 
     question: Question
-    result: StageResult
+    result: Outcome
     samples: Iterator[LoopSample]
 
 
@@ -53,7 +53,7 @@ def next_question(bench: Bench, samples: Iterator[LoopSample]) -> Asked:
             sent = travelled(step.question)
             assert isinstance(sent, Question)
             back = travelled(decide(sent))
-            assert isinstance(back, StageResult)
+            assert isinstance(back, Outcome)
             return Asked(step.question, back, samples)
     raise AssertionError("nothing was asked")
 
@@ -211,7 +211,7 @@ def test_in_a_region_that_is_off_nothing_is_asked() -> None:
 def test_a_worker_that_fails_is_answered_for() -> None:
     bench = made(scaled(2.4, 2.4))
     found = asked(bench)
-    failed = StageResult("fit_failed", "the worker died")
+    failed = Outcome("fit_failed", "the worker died")
     decision = bench.retuner.enter(found.question, failed, bench.retuner.sample_number)
     assert (decision.code, decision.reason, decision.action) == ("fit_failed", "the worker died", Action.NONE)
 

@@ -11,9 +11,9 @@ from retuner.adaptive.signals.noise import MEDIAN_TO_SIGMA, NoiseState, noise_at
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.signals.step_sequence import step_sequence
 from retuner.adaptive.supervision.admission import AdmissionSettings, Ground
+from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import Decision, Mode
-from retuner.adaptive.supervision.pipeline import admission, decide
-from retuner.adaptive.supervision.pipeline_types import Findings
+from retuner.adaptive.supervision.findings import Findings, admission
 from retuner.adaptive.supervision.response_finder import ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -65,9 +65,7 @@ def told(retuner: Retuner, seen: list[LoopSample]) -> list[Decision]:
         if step.question is None:
             made.append(step.decision)
             continue
-        found = Findings(step.question)
-        admission(found)
-        result = found.result() if found.end else decide(step.question)
+        result = admission(Findings(step.question)).ended or decide(step.question)
         made.append(retuner.enter(step.question, result, retuner.sample_number))
     return [decision for decision in made if decision is not None]
 

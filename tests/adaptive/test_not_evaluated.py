@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from loop_bench import Bench, scaled, table
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision import pipeline
+from retuner.adaptive.supervision import by_model, decide, findings
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline import STAGES, PipelineStage
-from retuner.adaptive.supervision.pipeline_types import NOT_EVALUATED, Findings
+from retuner.adaptive.supervision.question import NOT_EVALUATED
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
@@ -37,14 +36,18 @@ ERRORS = (
 )
 
 
-def breaking(error: BaseException, at: str) -> tuple[PipelineStage, ...]:
-    """The stages, of which one raises."""
+def break_at(monkeypatch: pytest.MonkeyPatch, error: BaseException, at: str) -> None:
+    """Have a step raise."""
 
-    def broken(found: Findings) -> None:
-        del found
+    def broken(*_: object) -> None:
         raise error
 
-    return tuple(stage._replace(run=broken) if stage.name == at else stage for stage in STAGES)
+    broken.__code__ = broken.__code__.replace(co_name=at)
+    if hasattr(findings, at):
+        steps = tuple(broken if step.__name__ == at else step for step in findings.STEPS)
+        monkeypatch.setattr(findings, "STEPS", steps)
+    else:
+        monkeypatch.setattr(by_model if hasattr(by_model, at) else decide, at, broken)
 
 
 @pytest.mark.slow
@@ -53,7 +56,7 @@ def test_what_a_stage_raises_is_the_reason_of_a_decision_and_the_next_response_i
     error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = Bench(Retuner(table(scaled(0.4, 0.4)), USUAL), seed=2)
-    monkeypatch.setattr(pipeline, "STAGES", breaking(error, "identification"))
+    break_at(monkeypatch, error, "identification")
     bench.run(400)
     (told,) = bench.run(500, 1.0)
     assert (told.code, told.action, told.gains_after, told.known) == (NOT_EVALUATED, Action.NONE, None, None)
@@ -70,11 +73,11 @@ def test_what_a_stage_raises_is_the_reason_of_a_decision_and_the_next_response_i
 @pytest.mark.parametrize("at", ["action", "admission", "worth", "expectation", "elsewhere"])
 def test_any_stage_may_raise_and_nothing_changes(at: str, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(Retuner(table(scaled(0.4, 0.4)), USUAL), seed=2)
-    monkeypatch.setattr(pipeline, "STAGES", breaking(ValueError("for a test"), at))
+    break_at(monkeypatch, ValueError("for a test"), at)
     told = bench.exercise(3)
     broken = [d for d in told if d.code == NOT_EVALUATED]
     assert broken
-    assert all(f"stage {at!r} failed" in d.reason for d in broken)
+    assert all(f"{at!r} failed" in d.reason for d in broken)
     assert bench.retuner.table.gains_of(0) == scaled(0.4, 0.4)
 
 
@@ -83,7 +86,7 @@ def test_a_response_of_a_trial_that_is_not_evaluated_decides_nothing(monkeypatch
     bench.run(400)
     made = next(d for _ in range(2000) for d in bench.run(1, 1.0) if d.action is Action.COMMIT)
     assert bench.retuner.trials.phase(0) is TrialPhase.TRIAL
-    monkeypatch.setattr(pipeline, "STAGES", breaking(ValueError("for a test"), "identification"))
+    break_at(monkeypatch, ValueError("for a test"), "identification")
     told = bench.run(500, 0.0)
     assert told[0].code == NOT_EVALUATED
     assert told[0].judgement is not None
@@ -93,7 +96,7 @@ def test_a_response_of_a_trial_that_is_not_evaluated_decides_nothing(monkeypatch
 
 def test_ctrl_c_in_a_decision_leaves_a_controller_that_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     pid = PidController(PidGains(12.0, 0.3), dt_s=1.0, pv_range=(0.0, 10.0), mode="auto")
-    monkeypatch.setattr(pipeline, "STAGES", breaking(KeyboardInterrupt(), "identification"))
+    break_at(monkeypatch, KeyboardInterrupt(), "identification")
     codes, broken, y, past = [], 0, 0.0, [0.0] * 5
     noise = np.random.default_rng(1)
     for t in range(1800):
@@ -114,7 +117,7 @@ def test_a_response_that_is_not_evaluated_is_a_warning_in_the_log(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pid = PidController(PidGains(12.0, 0.3), dt_s=1.0, pv_range=(0.0, 10.0), mode="auto")
-    monkeypatch.setattr(pipeline, "STAGES", breaking(ValueError("co stays at 66.223"), "identification"))
+    break_at(monkeypatch, ValueError("co stays at 66.223"), "identification")
     y, past = 0.0, [0.0] * 5
     with caplog.at_level(logging.INFO, logger="retuner"):
         for t in range(1200):

@@ -26,8 +26,8 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision import causes
-from retuner.adaptive.supervision.causes import is_known
+from retuner.adaptive.supervision import by_model, findings
+from retuner.adaptive.supervision.by_model import is_known
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -128,7 +128,7 @@ def test_a_record_that_puts_another_structure_in_the_lead_is_known_only_where_a_
 ) -> None:
     """One record turned a loop that five held for robust into an integrator with an Ms of 10."""
     before = SimpleNamespace(diagnosis=SimpleNamespace(retune=due))
-    monkeypatch.setattr(causes, "wanted_of", lambda *_: before)
+    monkeypatch.setattr(by_model, "wanted_of", lambda *_: before)
     clear = Excitation(setpoints=1, clear=1)
     assert known(clear, Agreement.AGREES, ProcessType.SOPDT, ProcessType.INTEGRATING) is due
 
@@ -273,7 +273,7 @@ def test_a_load_response_from_rest_to_rest_speaks_against_a_tone_without_being_a
     rig = Rig(GOOD)
     rig.run(300)
     rig.retuner.foreign = {0: 2}
-    monkeypatch.setattr(causes, "whole_cause", lambda *_: pytest.fail("a stretch was asked for"))
+    monkeypatch.setattr(findings, "whole_cause", lambda *_: pytest.fail("a stretch was asked for"))
     told = [*rig.run(25, amplitude=2.0, period_s=50.0), *rig.run(400)]
     assert rig.retuner.foreign == {0: 1}
     assert "still needed" in told[-1].reason

@@ -19,7 +19,7 @@ from retuner.adaptive.region_model.from_neighbours import spread
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.supervision.proposal_from_model import no_more_action, propose
+from retuner.adaptive.supervision.region_proposal import no_more_action, propose
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 

@@ -12,7 +12,7 @@ from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstabl
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample, Window
-from retuner.adaptive.supervision.open_loop_unstable import runaway
+from retuner.adaptive.supervision.by_model import runaway
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
@@ -79,13 +79,6 @@ def test_less_gain_lets_it_go_and_more_may_hold_it_better() -> None:
     assert more[0] < more[1]
 
 
-class Doubted(SimpleNamespace):
-    """What a stage is given; it keeps the doubt."""
-
-    def doubted(self, doubt: Any) -> None:
-        self.doubt = doubt
-
-
 def asked(window: Window, gains: PidGains, *, setpoint: bool = True, limited: bool = False) -> Any:
     """The stage on a record, with a proved change to these gains."""
     rows = zip(*(part.tolist() for part in (window.t_s, window.sp, window.pv, window.co)), strict=True)
@@ -97,10 +90,9 @@ def asked(window: Window, gains: PidGains, *, setpoint: bool = True, limited: bo
         response=response, samples=samples, pattern=response, entered_s=-math.inf, in_force=LAW.gains, table=table,
         region=0, at=(0.0, 0.0),
     )  # fmt: skip
-    verdict, settings = SimpleNamespace(gains=gains), RetunerSettings(DT, 100.0)
-    found: Any = Doubted(record=record, verdict=verdict, settings=settings, steps=None, doubt=None)
-    runaway(found)
-    return found.doubt
+    verdict: Any = SimpleNamespace(gains=gains)
+    found: Any = SimpleNamespace(record=record, settings=RetunerSettings(DT, 100.0), steps=None)
+    return runaway(found, verdict)
 
 
 LESS = PidGains(0.05, 0.001)

@@ -12,8 +12,10 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending
-from retuner.adaptive.supervision import causes, pipeline
-from retuner.adaptive.supervision.pipeline_types import Findings, Question, StageResult
+from retuner.adaptive.supervision import by_model, findings
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.findings import Findings
+from retuner.adaptive.supervision.question import Question
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.table import Lookup
@@ -32,19 +34,26 @@ def weighed(
     clear: bool = False,
     ready: bool = True,
     setpoint: bool | None = None,
-) -> StageResult:
-    """The pipeline's last stages on one response, with what comes before them given. setpoint : as clear."""
+) -> Outcome:
+    """What follows from one response, with what comes before them given. setpoint : as clear."""
     verdict: Any = SimpleNamespace(
-        accepted=True, ruling=Ruling.ACCEPTED, allowed=(), urgent=True, ms_before=2.0, gains=None
+        accepted=True,
+        ruling=Ruling.ACCEPTED,
+        allowed=(),
+        urgent=True,
+        ms_before=2.0,
+        gains=None,
+        sentence="",
+        code="accepted",
     )
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "unambiguous": lambda *_: clear,
         "prediction_of_verdict": lambda *_: None,
         "wanted_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
-        "proved": lambda *_: verdict,
-        "chosen": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),
-        "not_as_modelled": lambda *_: None,
+        "proof": lambda *_: verdict,
+        "worth": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),
+        "refutation": lambda *_: None,
         "stands": lambda *_: False,
         "exempt_from_confirmation": lambda *_: False,
         "is_known": lambda *_: False,
@@ -52,7 +61,9 @@ def weighed(
         "doubt_of": lambda *_: Diagnosis(doubt, 0.9, {}, "") if doubt else None,
     }
     for name, value in given.items():
-        monkeypatch.setattr(pipeline, name, value)
+        for module in (findings, by_model):
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, value)
     record: Any = SimpleNamespace(
         excitation=BEFORE,
         foreign=1,
@@ -72,12 +83,8 @@ def weighed(
     learned: Any = SimpleNamespace(
         region_model=NEW, agreement=agreement, estimate=SimpleNamespace(load_times_s=()), valve=None
     )
-    found = Findings(Question(record, SETTINGS, 1, Trial()), learned=learned, unexplained=1.0)
-    names = [stage.name for stage in pipeline.STAGES]
-    for stage in pipeline.STAGES[names.index("region model") : names.index("expectation")]:
-        if found.end is None:
-            stage.run(found)
-    return found.result()
+    found = findings.region_model(Findings(Question(record, SETTINGS, 1, Trial()), learned=learned, unexplained=1.0))
+    return by_model.without_a_model(found) or by_model.by_model(found)
 
 
 def test_a_rival_that_takes_over_brings_what_it_rests_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,12 +148,10 @@ def test_ok_is_not_said_over_a_response_that_contradicts_the_model(agreement: Ag
     learned: Any = SimpleNamespace(agreement=agreement, valve=None)
     tuning: Any = SimpleNamespace(diagnosis=Diagnosis(Cause.OK, 0.9, {}, "Ms 1.67"))
     asked: Any = SimpleNamespace(settings=SETTINGS)
-    found = Findings(asked, learned=learned, tuning=tuning)
-    pipeline.cause(found)
-    assert found.end is not None
-    assert found.end.code == code
-    assert "Ms 1.67" in found.end.reason
-    assert (str(Agreement.CONTRADICTS) in found.end.reason) is (code != "ok")
+    outcome = by_model.by_model(Findings(asked, learned=learned, in_use=NEW, wanted=tuning))
+    assert outcome.code == code
+    assert "Ms 1.67" in outcome.reason
+    assert (str(Agreement.CONTRADICTS) in outcome.reason) is (code != "ok")
 
 
 @pytest.mark.parametrize(("agreement", "since"), [(Agreement.CHANGED, 41.0), (Agreement.AGREES, 0.0)])
@@ -154,7 +159,7 @@ def test_a_change_of_the_process_is_confirmed_by_what_came_after_it(
     monkeypatch: pytest.MonkeyPatch, agreement: Agreement, since: float
 ) -> None:
     seen: list[Any] = []
-    monkeypatch.setattr(causes, "unconfirmed", lambda samples, *_: seen.extend(samples))
+    monkeypatch.setattr(by_model, "unconfirmed", lambda samples, *_: seen.extend(samples))
     samples = [SimpleNamespace(t_s=float(t)) for t in range(100)]
     points = tuple(SimpleNamespace(t_s=t_s) for t_s in (20.0, 40.0, 70.0))  # the last one contradicted
     record: Any = SimpleNamespace(
@@ -166,6 +171,6 @@ def test_a_change_of_the_process_is_confirmed_by_what_came_after_it(
         table=SimpleNamespace(lookup=Lookup.HARD),
     )
     learned: Any = SimpleNamespace(agreement=agreement)
-    causes.doubt_of(Findings(Question(record, SETTINGS, 1, Trial()), learned=learned))
+    by_model.doubt_of(Findings(Question(record, SETTINGS, 1, Trial()), learned=learned))
     assert seen[0].t_s == since
     assert seen[-1].t_s == 99.0

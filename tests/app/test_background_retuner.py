@@ -7,7 +7,7 @@ import pytest
 
 from retuner import BackgroundRetuner, GainTable, LoopSample, PidGains, Retuner, RetunerSettings
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import Question
+from retuner.adaptive.supervision.question import Question
 from retuner.decisions import background
 from retuner.decisions.decider import LOST, Answer, DecideHere, without_decision
 from retuner.schedule.regions import Regions

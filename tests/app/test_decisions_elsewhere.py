@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import Question
+from retuner.adaptive.supervision.decide import decide
+from retuner.adaptive.supervision.question import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.cli import main
 from retuner.commands import left_by_run

@@ -7,7 +7,7 @@ import pytest
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import Step
+from retuner.adaptive.supervision.question import Step
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.config.bench_config import ScenarioConfig

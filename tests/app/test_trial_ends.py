@@ -7,7 +7,7 @@ import pytest
 from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry, wires
 
 from retuner.adaptive.orders.operator_orders import revert
-from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.frames import Ack, GainBox, Kind, Reason
@@ -131,7 +131,7 @@ def test_a_change_decided_while_an_order_is_written_does_not_take_its_place(make
     wire.asked.append(revert(ours, 0, ordered, wire.clock.now_s()))
     wire.run(1)
     assert wire.session.writer.open
-    wire.session._decided(ours.ordered(0, StageResult("injected", "for a test"), NEW, PROMISE))
+    wire.session._decided(ours.ordered(0, Outcome("injected", "for a test"), NEW, PROMISE))
     wire.run(20)
     assert wire.trials.phase(0) is P.IDLE
     assert dict(wire.rows)["dropped"]["reason"] == "another change is in progress"

@@ -10,8 +10,7 @@ import pytest
 from wire import GOOD, PROMISE, Wire
 
 from retuner.adaptive.orders.pending_proposal import Proposal
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.decision import Action, Decision, Mode, Outcome
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
@@ -32,7 +31,7 @@ class Desk(NamedTuple):
         """A change is written and on trial; its decision."""
         session = self.wire.session
         gains = PidGains(factor * GOOD.kp, factor * GOOD.ki)
-        session._decided(session.retuner.ordered(0, StageResult("injected", "for a test"), gains, PROMISE))
+        session._decided(session.retuner.ordered(0, Outcome("injected", "for a test"), gains, PROMISE))
         self.wire.until(P.TRIAL)
         return next(d for d in reversed(session.decisions) if d.action is Action.COMMIT)
 
@@ -163,7 +162,7 @@ def proposed(desk: Desk) -> Decision:
     """The session proposes a change; its decision."""
     session = desk.wire.session
     gains = PidGains(1.2 * GOOD.kp, 1.2 * GOOD.ki)
-    made = session.retuner.ordered(0, StageResult("injected", "for a test"), gains, PROMISE)
+    made = session.retuner.ordered(0, Outcome("injected", "for a test"), gains, PROMISE)
     desk.happens(TrialEvent.NOT_WRITTEN)
     proposal = replace(made, action=Action.ADVISE)
     session.decisions.append(proposal)

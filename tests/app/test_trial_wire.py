@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wire import FOREIGN, GOOD, OTHER, PROMISE, Wire, is_telemetry, wires
 
-from retuner.adaptive.supervision.decision import Action, Mode
-from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.decision import Action, Mode, Outcome
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
@@ -401,7 +400,7 @@ def test_nobody_orders_a_change_while_the_action_is_turned(make_wire: Callable[.
     wire = make_wire()
     turn(wire, P.IDLE)
     wire.run(5)
-    retuner, outcome = wire.session.retuner, StageResult("injected", "for a test")
+    retuner, outcome = wire.session.retuner, Outcome("injected", "for a test")
     made = retuner.ordered(0, outcome, NEW, PROMISE if order == "ask" else None)
     assert made.code == "held_action_turned"
     assert made.gains_after is None

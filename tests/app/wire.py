@@ -13,8 +13,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.supervision.decision import Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.decision import Decision, Mode, Outcome
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
@@ -126,7 +125,7 @@ class Wire:
 
     def ask(self, gains: PidGains, region: int = 0) -> None:
         """A change with a promise that it may not keep."""
-        made = self.session.retuner.ordered(region, StageResult("injected", "for a test"), gains, PROMISE)
+        made = self.session.retuner.ordered(region, Outcome("injected", "for a test"), gains, PROMISE)
         assert made.gains_after is not None, made.reason
         self.asked.append(made)
 

@@ -7,14 +7,15 @@ In real time it is the first one after the worker has answered, or after its dea
 
 from typing import NamedTuple, Protocol
 
-from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import Question, StageResult
+from retuner.adaptive.supervision.decide import decide
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.question import Question
 
 
 class Answer(NamedTuple):
     """What has become of a question. trouble : why there is no decision, in a sentence; empty when there is one."""
 
-    result: StageResult
+    result: Outcome
     trouble: str = ""
 
 
@@ -24,7 +25,7 @@ LATE, LOST = "decision_late", "decision_lost"
 
 def without_decision(code: str, trouble: str) -> Answer:
     """The answer to a question that nobody has answered: the loop stays as it is."""
-    return Answer(StageResult(code, f"{trouble}; the loop stays as it is"), trouble)
+    return Answer(Outcome(code, f"{trouble}; the loop stays as it is"), trouble)
 
 
 class Decider(Protocol):

@@ -18,7 +18,8 @@ from collections import deque
 from types import TracebackType
 from typing import NamedTuple
 
-from retuner.adaptive.supervision.pipeline_types import Question, StageResult
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.question import Question
 from retuner.decisions.decider import LATE, LOST, Answer, without_decision
 from retuner.decisions.worker_process import receive, send
 from retuner.drivers.clock import Clock, MonotonicClock
@@ -163,7 +164,7 @@ class DecideInWorker:
             came = self._worker.answers.get_nowait()
         except queue.Empty:
             return self._too_late()
-        if isinstance(came, StageResult):
+        if isinstance(came, Outcome):
             return Answer(came)
         if isinstance(came, str):
             return without_decision(LOST, f"no decision was made: {came}")

@@ -61,8 +61,8 @@ def main(nice: int, memory_bytes: int) -> None:
         Path("/proc/self/oom_score_adj").write_text(MOST_EXPENDABLE, encoding="ascii")
     questions, answers = sys.stdin.buffer, sys.stdout.buffer
     sys.stdout = sys.stderr  # nothing else may get among the answers
-    from retuner.adaptive.supervision.pipeline import decide  # noqa: PLC0415  a second of imports, at low priority
-    from retuner.adaptive.supervision.pipeline_types import Question  # noqa: PLC0415
+    from retuner.adaptive.supervision.decide import decide  # noqa: PLC0415  a second of imports, at low priority
+    from retuner.adaptive.supervision.question import Question  # noqa: PLC0415
     from retuner.decisions.warm_up import warm_up  # noqa: PLC0415
 
     with contextlib.suppress(MemoryError):

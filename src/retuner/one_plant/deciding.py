@@ -16,8 +16,9 @@ from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.interaction.common_windows import OneLoopRecord, seen_in
 from retuner.adaptive.interaction.together import Closed, together
-from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Question, StageResult
+from retuner.adaptive.supervision.decide import decide
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.question import OTHER_LOOP, Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
 from retuner.decisions.decider import Answer, Decider, without_decision
@@ -30,7 +31,7 @@ NOT_SURVIVED = "not_survived"
 """Code: the other loops on the plant do not survive the change."""
 
 
-def without_change(outcome: StageResult, reason: str) -> StageResult:
+def without_change(outcome: Outcome, reason: str) -> Outcome:
     """What was learned, and no change."""
     return replace(outcome, code=NOT_SURVIVED, reason=reason, verdict=None, basis=None, prediction=None)
 
@@ -64,7 +65,7 @@ class Among:
     own: int
     ms_most: float
 
-    def answered(self, question: Question, result: StageResult) -> StageResult:
+    def answered(self, question: Question, result: Outcome) -> Outcome:
         """The answer to a question; with half of its change, or none, where the others do not survive it."""
         gains = None if result.verdict is None else result.verdict.gains
         words = "" if gains is None else self._against(gains, result.basis)

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Question
+from retuner.adaptive.supervision.decide import decide
+from retuner.adaptive.supervision.question import OTHER_LOOP, Question
 from retuner.config import Config
 from retuner.config.plants import ModelSection
 from retuner.decisions.decider import Answer, without_decision

@@ -19,8 +19,8 @@ import numpy as np
 
 from retuner.adaptive.fit.engine import engine_name
 from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import Decision
-from retuner.adaptive.supervision.pipeline import decide
 from retuner.decisions.proposed_schedule import ROW, refined, same_proposal
 from retuner.drivers.bus.bus import LinkFault
 from retuner.drivers.bus.bus_opening import log_parts

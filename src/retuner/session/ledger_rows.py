@@ -10,8 +10,8 @@ from retuner.adaptive.orders.operator_orders import accept, acts, approve, pretu
 from retuner.adaptive.orders.pending_proposal import Proposal
 from retuner.adaptive.setpoint_bumps.bump_planner import BumpPhase
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
-from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import LATE, LOST, Answer, without_decision

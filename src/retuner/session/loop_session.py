@@ -16,7 +16,7 @@ from retuner.adaptive.setpoint_bumps.bump_planner import BumpNews, BumpPhase
 from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
-from retuner.adaptive.supervision.pipeline import WRONG_WAY
+from retuner.adaptive.supervision.findings import WRONG_WAY
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import LATE, LOST, DecideHere, Decider

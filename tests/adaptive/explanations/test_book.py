@@ -26,10 +26,11 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision import by_book as by_book_stage
-from retuner.adaptive.supervision import pipeline, retuner
-from retuner.adaptive.supervision.by_book import KEPT_LOOKS, by_all_samples, look_of
-from retuner.adaptive.supervision.decision import Action
-from retuner.adaptive.supervision.pipeline_types import Findings, Look
+from retuner.adaptive.supervision import decide, retuner
+from retuner.adaptive.supervision.by_book import KEPT_LOOKS, LOOKED, AllSamples, look_of
+from retuner.adaptive.supervision.decision import Action, Outcome
+from retuner.adaptive.supervision.findings import Findings
+from retuner.adaptive.supervision.question import Look, Question
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings, demanded
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN
 from retuner.adaptive.trial.trial import Trial
@@ -192,8 +193,14 @@ def watched(pid: PidController, seed: int, n: int, memory_at: int = 0) -> tuple[
 
 @pytest.fixture
 def by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No stage but the book's: the others take seconds for each response to a load."""
-    monkeypatch.setattr(pipeline, "STAGES", tuple(stage for stage in pipeline.STAGES if stage.alone))
+    """No step but the book's: the others take seconds for each response to a load."""
+
+    def nothing(question: Question) -> Findings:
+        found = Findings(question)
+        return replace(found, ended=found.outcome(LOOKED, "no response to judge"))
+
+    monkeypatch.setattr(decide, "findings_of", nothing)
+    monkeypatch.setattr(decide, "check_after_trial", lambda _, winner: winner)
 
 
 def controller(times: float) -> PidController:
@@ -271,8 +278,8 @@ def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
     at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None, settled: bool = True,
     grows: bool = True, leans: int = 0,
-) -> Findings:  # fmt: skip
-    """A change that the pipeline accepted, or with a code how it ended without. times : of the good gains, in force.
+) -> Outcome:  # fmt: skip
+    """A change that follows from a response, or with a code none, put to the book. times : of the good gains, in force.
 
     expected : benefit by the models.
     """
@@ -289,17 +296,14 @@ def put_to_the_book(
         record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0, alone=False
     )
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
-    found = Findings(question, verdict=verdict, learned=SimpleNamespace(agreement=agreement, valve=None))  # type: ignore[arg-type]
-    found.in_use = SimpleNamespace(identifiable=settled)  # type: ignore[assignment]
-    if code:
-        found.verdict = None
-        found.stop(code, "")
+    known: Any = SimpleNamespace(identifiable=settled)
+    learned: Any = SimpleNamespace(agreement=agreement, valve=None)
+    own = Outcome(code, "") if code else Outcome("accepted", "", verdict=verdict)
     if expected is not None:
-        found.numbers = ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8)
+        own = replace(own, numbers=ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(by_book_stage, "_doubt", lambda *_, **__: doubt)
-        by_all_samples(found)
-    return found
+        return decide.gains_that_win(Findings(question, learned=learned, in_use=known), own)
 
 
 @pytest.mark.parametrize(
@@ -313,7 +317,7 @@ def test_a_change_whose_cause_the_book_does_not_see_needs_the_whole_diagnosis(
         found = put_to_the_book(times, to, 0.8, doubt=doubt, **more)
         assert (found.verdict is None) is asked
         assert (found.diagnosis is not None and found.diagnosis.cause is Cause.STICTION) is asked
-        assert not asked or (found.end is not None and found.end.reason.endswith("; a valve sticks"))
+        assert not asked or found.reason.endswith("; a valve sticks")
 
 
 @pytest.mark.parametrize(
@@ -353,8 +357,8 @@ def test_the_book_objects_to_a_change_that_it_holds_for_the_worse(
 ) -> None:
     found = put_to_the_book(times, to, expected)
     assert (found.verdict is None) is dropped
-    assert dropped is (found.end is not None and found.end.code == "unconfirmed")
-    assert not dropped or found.end is None or "probability, its expected" in found.end.reason
+    assert dropped is (found.code == "unconfirmed")
+    assert not dropped or "probability, its expected" in found.reason
     resting = put_to_the_book(times, to, expected, at_rest=True).verdict
     assert (resting is None) is (times == 1.0 and to < 1.0), "no load wanders: only less action, which is surely worse"
     assert put_to_the_book(times, to, expected, first=True).verdict, "no whole window yet"
@@ -364,7 +368,7 @@ def test_the_book_objects_to_a_change_that_it_holds_for_the_worse(
 def test_less_action_by_a_model_that_is_not_identifiable_is_dropped_before_a_whole_window() -> None:
     found = put_to_the_book(1.0, 0.3, 1.5, first=True, settled=False)
     assert found.verdict is None
-    assert found.end is not None
+    assert found.code == "unconfirmed"
     assert put_to_the_book(1.0, 0.3, 1.5, first=True).verdict
     assert put_to_the_book(2.6, 0.4, 0.2, first=True, settled=False).verdict, "too much gain"
 
@@ -394,7 +398,7 @@ def test_on_a_process_that_steps_have_shown_it_speaks_where_the_pipeline_cannot_
 ) -> None:
     monkeypatch.setattr(by_book_stage, "_may_speak", lambda *_: code in by_book_stage.OPEN)
     asked: list[bool] = []
-    monkeypatch.setattr(by_book_stage, "_speak", lambda *_, shown: asked.append(shown))
+    monkeypatch.setattr(by_book_stage, "_proved_by_book", lambda _, __, seen: asked.append(seen.shown))
     put_to_the_book(0.25, 1.0, None, code=code, at_rest=at_rest)
     assert asked == [True] * speaks
 
@@ -414,12 +418,14 @@ def test_more_action_is_proved_on_a_model_on_which_two_records_agree(records: in
         table=table, commissioned=table, in_force=now, window=SimpleNamespace(t_s=[2000.0]),
     )  # fmt: skip
     question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0))
-    found = Findings(question)
+    look = Look(book, recorded(now, 5), grows=True, limited=0.0)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(by_book_stage.KnownProcesses, "borders", lambda *_: ())
-        patched.setattr(by_book_stage, "runaway", lambda _: None)
-        by_book_stage._speak(found, Look(book, recorded(now, 5), grows=True, limited=0.0), book, told, shown=False)
-    assert (found.verdict is not None) is changes
+        patched.setattr(by_book_stage, "runaway", lambda *_: None)
+        outcome = by_book_stage._proved_by_book(
+            Findings(question), Outcome("unknown", ""), AllSamples(look, book, told=told)
+        )
+    assert (outcome is not None) is changes
 
 
 def test_more_action_needs_room(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -441,7 +447,7 @@ def test_half_a_window_alone_leads_to_no_less_action(grows: bool, before: int, k
 def test_where_it_objects_it_says_what_it_would_do_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(by_book_stage, "_may_speak", lambda *_: True)
     asked: list[bool] = []
-    monkeypatch.setattr(by_book_stage, "_speak", lambda *_, shown: asked.append(shown))
+    monkeypatch.setattr(by_book_stage, "_proved_by_book", lambda _, __, seen: asked.append(seen.shown))
     put_to_the_book(1.0, 0.7, 0.7)
     put_to_the_book(2.6, 0.4, 0.2)  # no objection
     assert asked == [True]

@@ -17,8 +17,7 @@ from retuner.adaptive.orders.operator_orders import approve, approve_proposal, f
 from retuner.adaptive.orders.pending_proposal import Proposal
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.decision import Action, Decision, Mode, Outcome
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
@@ -47,7 +46,7 @@ class Stand:
 
     def cure(self) -> "Stand":
         """What is in force is unstable by all that is known; a cure comes on trial."""
-        made = self.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
+        made = self.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
         assert made.action is Action.COMMIT
         self.retuner.committed(0, GOOD)
         assert self.retuner.trials.phase(0) is P.TRIAL
@@ -101,7 +100,7 @@ def test_the_end_leaves_it_running_and_the_next_session_goes_on_with_its_trial()
 
 def test_the_same_cause_ends_the_trial_of_a_set_that_is_worse() -> None:
     stand = Stand(GOOD)
-    stand.retuner.ordered(0, StageResult("injected", "for a test"), UNSTABLE, PROMISE)
+    stand.retuner.ordered(0, Outcome("injected", "for a test"), UNSTABLE, PROMISE)
     stand.retuner.committed(0, UNSTABLE)
     (decision,) = stand.samples(1, mode=LoopMode.MANUAL)
     assert decision.code == "undo_manual"
@@ -164,7 +163,7 @@ def again(stand: Stand) -> Retuner:
 @pytest.mark.parametrize("came_about", [True, False])
 def test_a_write_in_which_a_session_died_is_known_by_what_runs(*, came_about: bool) -> None:
     stand = Stand(UNSTABLE)
-    stand.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
+    stand.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
     after = again(stand)
     assert after.trials.phase(0) is P.WRITING
     assert found_running(after, GOOD if came_about else UNSTABLE) is None
@@ -184,7 +183,7 @@ def test_what_nobody_of_ours_wrote_meanwhile_is_a_persons() -> None:
 
 def test_a_rollback_in_which_a_session_died_is_asked_for_again() -> None:
     stand = Stand(GOOD)
-    stand.retuner.ordered(0, StageResult("injected", "for a test"), UNSTABLE, PROMISE)
+    stand.retuner.ordered(0, Outcome("injected", "for a test"), UNSTABLE, PROMISE)
     stand.retuner.committed(0, UNSTABLE)
     assert stand.retuner.taken_back(0) is not None
     after = again(stand)
@@ -204,7 +203,7 @@ def test_a_proposal_is_approved_while_it_stands() -> None:
         approve_proposal(stand.retuner, proposed, expires_after_s=1.0)
     assert approve_proposal(stand.retuner, proposed).action is Action.COMMIT
     with pytest.raises(ValueError, match="no proposal"):
-        approve_proposal(stand.retuner, stand.retuner.ordered(0, StageResult("injected", "for a test")))
+        approve_proposal(stand.retuner, stand.retuner.ordered(0, Outcome("injected", "for a test")))
 
 
 def test_after_its_time_the_loop_is_retuned_again_from_there() -> None:
@@ -221,7 +220,7 @@ def test_after_its_time_the_loop_is_retuned_again_from_there() -> None:
 def test_who_takes_ours_away_again_and_again_is_left_alone_for_longer() -> None:
     stand, holds = Stand(WEAK, edit_hold_s=100.0), []
     for _ in range(3):
-        stand.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
+        stand.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
         stand.retuner.committed(0, GOOD)
         stand.retuner.edited(WEAK)
         holds.append(stand.retuner.trials.of(0).until_s - stand.rig.t_s)
@@ -254,7 +253,7 @@ def test_the_example_obeys_every_decision() -> None:
 import runpy
 page = runpy.run_path({str(example)!r})
 from retuner import PidGains, Retuner
-from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner import GainTable, RetunerSettings
 from retuner.schedule.regions import Regions
@@ -266,7 +265,7 @@ retuner = Retuner(GainTable("t", Regions("sp", "m", ("tank",), 0.0, (), 10.0), (
 tank = page["Tank"](good)
 retuner.observe(tank.sample(0.0, 4.0))
 said = predict([Plausible(ProcessModel(ProcessType.FOPDT, 0.1, 50.0, 0.0, 5.0), 0.0)], good, good, 1.0)
-page["obey"](retuner.ordered(0, StageResult("injected", "for a test"), bad, said), tank, retuner)
+page["obey"](retuner.ordered(0, Outcome("injected", "for a test"), bad, said), tank, retuner)
 assert tank._law.gains == bad
 page["obey"](retuner.abort(TrialEvent.STOPPED), tank, retuner)
 assert tank._law.gains == good and not retuner.trials.restoring

@@ -5,9 +5,9 @@ from rig import GOOD
 from test_retuner_trial import NEW, Stand, learned_by_a_runaway
 
 from retuner.adaptive.region_model.update import Agreement
+from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import Action
-from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import Step
+from retuner.adaptive.supervision.question import Step
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 
 

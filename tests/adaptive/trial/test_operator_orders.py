@@ -18,8 +18,7 @@ from retuner.adaptive.orders.operator_orders import accept, approve, propose, re
 from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.decision import Action, Decision, Mode, Outcome
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
@@ -180,7 +179,7 @@ def test_the_rollback_is_whole_and_not_on_trial() -> None:
 
 def test_the_rollback_from_a_change_that_is_not_decided_is_to_undo_it() -> None:
     bench = Bench(GOOD)
-    bench.retuner.ordered(0, StageResult("injected", "for a test"), BAD["kc x4"], PROMISE)
+    bench.retuner.ordered(0, Outcome("injected", "for a test"), BAD["kc x4"], PROMISE)
     bench.retuner.committed(0, BAD["kc x4"])
     decision = revert(bench.retuner, 0, GOOD, 60.0)
     assert decision is not None
@@ -239,13 +238,13 @@ def test_a_lock_is_taken_off_and_a_change_that_waits_is_accepted() -> None:
     bench = Bench(GOOD)
     assert not unlock(bench.retuner, 0, 60.0)
     assert not accept(bench.retuner, 0, 60.0)
-    bench.retuner.ordered(0, StageResult("injected", "for a test"), BETTER, PROMISE)
+    bench.retuner.ordered(0, Outcome("injected", "for a test"), BETTER, PROMISE)
     bench.retuner.committed(0, BETTER)
     bench.retuner.trials.event(0, E.PASSED_FOR_APPROVAL, 60.0)
     assert bench.retuner.trials.phase(0) is P.WAITING
     assert accept(bench.retuner, 0, 61.0)
     assert bench.retuner.trials.phase(0) is P.IDLE
-    bench.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
+    bench.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
     bench.retuner.committed(0, GOOD)
     bench.retuner.abort(E.WORSE)
     bench.retuner.restored()

@@ -11,10 +11,9 @@ from rig import BAD, GOOD, MODEL, PROMISE, Rig, responses
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.update import Agreement, Learned
-from retuner.adaptive.supervision import pipeline
-from retuner.adaptive.supervision.decision import Action, Mode
+from retuner.adaptive.supervision import decide
+from retuner.adaptive.supervision.decision import Action, Mode, Outcome
 from retuner.adaptive.supervision.judge_evidence import posterior_of
-from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import TrialFinding, judge
@@ -188,11 +187,11 @@ def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.Monke
         asked.append(given)
         return posterior_of(*given)
 
-    monkeypatch.setattr(pipeline, "posterior_of", noted)
+    monkeypatch.setattr(decide, "posterior_of", noted)
     table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (GOOD,))
     retuner, rig = Retuner(table, RetunerSettings(1.0, 100.0, Mode.AUTO, band=0.1)), Rig(GOOD, noise=0.02)
     _ = [retuner.observe(sample) for sample in rig.run(60)]
-    retuner.ordered(0, StageResult("injected", "for a test"), SLUGGISH, lie(SLUGGISH, 4.0))
+    retuner.ordered(0, Outcome("injected", "for a test"), SLUGGISH, lie(SLUGGISH, 4.0))
     retuner.committed(0, SLUGGISH)
     rig.change(SLUGGISH)
     _ = [retuner.observe(sample) for sample in rig.run(40)]

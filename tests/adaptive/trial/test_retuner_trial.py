@@ -12,8 +12,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopMode
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.decision import Action, Decision, Mode, Outcome
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
@@ -35,7 +34,7 @@ class Stand:
         self.retuner = Retuner(table, RetunerSettings(1.0, 100.0, mode, band=0.1))
         self.rig = Rig(GOOD, noise=0.02)
         assert list(self.run(60)) == []
-        made = self.retuner.ordered(0, StageResult("injected", "for a test"), new, PROMISE)
+        made = self.retuner.ordered(0, Outcome("injected", "for a test"), new, PROMISE)
         assert made.action is Action.COMMIT
         assert self.retuner.trials.phase(0) is P.WRITING
         self.retuner.committed(0, new)
@@ -98,7 +97,7 @@ def test_a_tone_that_speaks_against_a_cure_does_not_give_a_rescued_loop_back_to_
         retuner.observe(sample)
     retuner.region_models = {0: learned_by_a_runaway()}
     prediction = predict([Plausible(MODEL, 0.0)], lost, GOOD, 1.0)
-    retuner.ordered(0, StageResult("injected", "for a test"), GOOD, prediction)
+    retuner.ordered(0, Outcome("injected", "for a test"), GOOD, prediction)
     retuner.committed(0, GOOD)
     ended: list[Decision] = []
     for t in range(400):
@@ -154,7 +153,7 @@ def test_what_was_not_written_leaves_everything_as_it_was() -> None:
     stand.retuner.abort(E.STOPPED)
     stand.retuner.restored()
     stand.retuner.trials.event(0, E.COOLED, 0.0)
-    stand.retuner.ordered(0, StageResult("injected", "for a test"), NEW, PROMISE)
+    stand.retuner.ordered(0, Outcome("injected", "for a test"), NEW, PROMISE)
     revision = stand.retuner.table.revision
     stand.retuner.not_written(0)
     assert stand.retuner.trials.phase(0) is P.IDLE
@@ -163,7 +162,7 @@ def test_what_was_not_written_leaves_everything_as_it_was() -> None:
 
 def test_a_change_is_held_while_another_is_on_trial() -> None:
     stand = Stand()
-    made = stand.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
+    made = stand.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
     assert made.action is Action.NONE
     assert made.code == "held_trial"
 

@@ -13,10 +13,11 @@ from retuner.adaptive.guard import GuardSettings, Verdict
 from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.interaction.together import Closed
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision import pipeline
+from retuner.adaptive.supervision import decide
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import seen_of
-from retuner.adaptive.supervision.pipeline import PipelineStage
-from retuner.adaptive.supervision.pipeline_types import OTHER_LOOP, Findings, Question, StageResult
+from retuner.adaptive.supervision.question import OTHER_LOOP, Question
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.decider import Answer
@@ -41,10 +42,10 @@ class Kept:
     guard: GuardSettings
 
 
-def wanted(gains: PidGains) -> StageResult:
+def wanted(gains: PidGains) -> Outcome:
     """An answer that changes gains."""
     verdict = Verdict(Ruling.ACCEPTED, gains, 1.0, 1.5, 1.6, 1.2, 60.0)
-    return StageResult("accepted", "proved", verdict=verdict)
+    return Outcome("accepted", "proved", verdict=verdict)
 
 
 def among(moves: tuple[int, ...] = (0, 1, 0, 1), most: float = 1.75) -> Among:
@@ -53,7 +54,7 @@ def among(moves: tuple[int, ...] = (0, 1, 0, 1), most: float = 1.75) -> Among:
     return Among(("top", "bottom"), closed, tuple(records(0.01, moves)), DT_S, 0, most)
 
 
-def times(factor: float) -> StageResult:
+def times(factor: float) -> Outcome:
     """A change of the first loop's gains by a factor."""
     return wanted(PidGains(factor * BLT[0].kp, factor * BLT[0].ki))
 
@@ -191,7 +192,7 @@ def test_a_response_to_another_loops_move_is_no_verdict(
 class Inner:
     """A decider with one answer at once."""
 
-    def __init__(self, result: StageResult) -> None:
+    def __init__(self, result: Outcome) -> None:
         self.result, self.spoilt = result, ""
 
     def ask(self, question: Question) -> None:
@@ -225,24 +226,21 @@ def test_a_response_of_a_trial_that_another_loop_moved_says_nothing_and_all_samp
 ) -> None:
     change = wanted(BLT[0]).verdict
 
-    def speaks(found: Findings) -> None:
-        found.verdict, found.basis = change, Basis.ALL_SAMPLES
-        found.stop("accepted", "more action")
+    def speaks(_: Findings, own: Outcome) -> Outcome:
+        return replace(own, code="accepted", reason="more action", verdict=change, basis=Basis.ALL_SAMPLES)
 
-    stages = (
-        PipelineStage("a response", lambda _: pytest.fail("it is asked")),
-        PipelineStage("all samples", speaks, always=True),
-    )
-    monkeypatch.setattr(pipeline, "STAGES", stages)
+    monkeypatch.setattr(decide, "findings_of", lambda _: pytest.fail("it is asked"))
+    monkeypatch.setattr(decide, "gains_that_win", speaks)
+    monkeypatch.setattr(decide, "expectation", lambda _, winner: winner)
     asked = replace(question(105, 150), spoilt="two moved")
-    found = pipeline.decide(asked)
+    found = decide.decide(asked)
     assert (found.code, found.reason) == (OTHER_LOOP, "more action")
     record = cast("Any", SimpleNamespace(window=SimpleNamespace(t_s=[199.0]), samples=[], response=None, crossed=False))
     seen = seen_of(record, found, RetunerSettings(DT_S, 100.0))
     assert seen.outside  # so the judge finds it inconclusive
     assert seen.next_due  # and the trial makes room
-    monkeypatch.setattr(pipeline, "STAGES", stages[:1])
-    assert pipeline.decide(asked).reason == "two moved"
+    monkeypatch.setattr(decide, "gains_that_win", lambda _, own: own)
+    assert decide.decide(asked).reason == "two moved"
 
 
 def test_a_change_proved_beside_gains_that_are_no_longer_in_force_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,5 @@
-"""One completed response with everything that it is judged on, the question that it raises, what the stages find about
-it, and the answer that is built from that.
+"""One completed response with everything that it is judged on, and the question that it raises: when there is none, and
+when its outcome is not entered any more.
 """
 
 import math
@@ -10,34 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis, Numbers
-from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
-from retuner.adaptive.explanations.settings_by_book import BookNumbers
-from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.boundary_crossing import ways_of
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import Learned, TrackerSettings, predicted
-from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.adaptive.signals.step_sequence import step_sequence
 from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region, setpoint_led
-from retuner.adaptive.supervision.decision import WRITES, Action, Decision, Mode
-from retuner.adaptive.supervision.known_processes import KnownProcesses
-from retuner.adaptive.supervision.proposal_from_model import RobustProposal
+from retuner.adaptive.supervision.decision import Decision, Mode, Outcome
+from retuner.adaptive.supervision.region_proposal import KnownProcesses
 from retuner.adaptive.supervision.response_finder import FinderState, Left
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
-from retuner.adaptive.trial.posterior_check import PosteriorCheck
-from retuner.adaptive.trial.prediction import Prediction
-from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass, field, fields, replace
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.table import GainTable, Lookup
 
 PROCESS_CHANGES_OVER = 0.1
@@ -119,45 +107,19 @@ class ResponseRecord:
         """The gains that ran: the region's own, or in an interpolated table the mean at these scheduling values."""
         return self.table.at(self.region, *self.at)
 
+    def admission(self, settings: RetunerSettings) -> Admission:
+        """Whether the response may teach; the gains of an interpolated table move with it, and the fit allows that."""
+        rules = settings.admission
+        if self.table.lookup is Lookup.INTERPOLATED or self.crossed:
+            rules = replace(rules, changes_most=len(self.samples))
+        inside = None if self.crossed else inside_region(self.table.regions, self.region)
+        ki = self.in_force.ki
+        return admit(self.window, self.samples, self.response, rules, inside, settings.pv_range, ki)
+
     def known_with(self, model: RegionModel, settings: RetunerSettings) -> KnownProcesses:
         """What is known at the response, its region's model as it is with it."""
         models = {**self.region_models, self.region: model}
         return KnownProcesses(self.table, models, float(self.window.t_s[-1]), settings)
-
-
-@dataclass(frozen=True, slots=True)
-class StageResult:
-    """What the stages found; those that were not reached are None.
-
-    code : name of the reason, for machines. region_model : what is known of the region from now on, None for as before.
-    forget : what was known of the region is refuted. foreign : as in the record, with this response.
-    excitation : what the region model rests on.
-    prediction : what the proved gains promise, worked out where they may be written at all. posterior : what the record
-    says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
-    elsewhere : what is due in a region where the loop is not, by its index. beside_walk : what the loop did lately
-    leaves of its process beside a load that wanders as before the change of a trial; None where none did.
-    book : what all samples have shown of the region by now, None for as before; all_samples : of the gains in force.
-    """
-
-    code: str
-    reason: str
-    learned: Learned | None = None
-    region_model: RegionModel | None = None
-    diagnosis: Diagnosis | None = None
-    proposal: Tuning | None = None
-    basis: Basis | None = None
-    verdict: Verdict | None = None
-    foreign: int | None = None
-    excitation: Excitation | None = None
-    numbers: Numbers = NO_NUMBERS
-    forget: bool = False
-    prediction: Prediction | None = None
-    posterior: PosteriorCheck | None = None
-    beside: Mapping[int, RegionModel] = field(default_factory=dict)
-    elsewhere: Mapping[int, "StageResult"] = field(default_factory=dict)
-    beside_walk: StillAllowed | None = None
-    book: Book | None = None
-    all_samples: BookNumbers | None = None
 
 
 class Look(NamedTuple):
@@ -176,7 +138,7 @@ class Look(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a completed response asks; plain values, so that the answer may be worked out anywhere (`pipeline.decide`).
+    """What a completed response asks; plain values, so that the answer may be worked out anywhere (decide.py).
 
     sample_number : of the sample that raised it, counted by the retuner from 1. trial : where the region stood then.
     free : the other regions that no trial, hold or mode keeps from a change. away : those whose trial waits until the
@@ -193,7 +155,7 @@ class Question:
     away: tuple[int, ...] = ()
     look: Look | None = None
     alone: bool = False
-    after: "Callable[[Question, StageResult], StageResult] | None" = None
+    after: "Callable[[Question, Outcome], Outcome] | None" = None
     spoilt: str = ""
 
     @property
@@ -266,20 +228,20 @@ def overtaken_by(
     return None
 
 
-LOST = StageResult(
+LOST = Outcome(
     "variable_unknown",
     "the scheduling variable was lost, so the region of the response is unknown: not used to update the model",
 )
 """What follows from a response that was cut off, because it is not known where the loop is."""
 
 
-def left(seen: Left, settings: RetunerSettings) -> StageResult | None:
+def left(seen: Left, settings: RetunerSettings) -> Outcome | None:
     """What is said of a response that was cut off, or of gaps between which none is ever complete; None for nothing."""
     if seen.under_way:
         return LOST
     if not seen.broken or settings.mode_of(seen.region) is Mode.OFF:
         return None
-    return StageResult(
+    return Outcome(
         "broken_off",
         f"{seen.broken} gaps of more than {settings.gap_samples} sample times in a row came before a response was "
         f"complete: nothing can be evaluated; find out where samples are lost",
@@ -290,15 +252,15 @@ NOT_EVALUATED = "not_evaluated"
 """Code: a defect, or a record that nobody thought of, ended the evaluation."""
 
 
-def not_evaluated(where: str, error: BaseException) -> StageResult:
+def not_evaluated(where: str, error: BaseException) -> Outcome:
     """What follows from a response whose evaluation failed: it changes neither model nor gains, and it is said.
 
-    where : the stage.
+    where : the step.
     """
     what = " ".join(f"{type(error).__name__}: {error}".split())[:MOST_TOLD]
-    return StageResult(
+    return Outcome(
         NOT_EVALUATED,
-        f"not evaluated: stage {where!r} failed ({what}); this response changes neither the model nor the gains",
+        f"not evaluated: {where!r} failed ({what}); this response changes neither the model nor the gains",
     )
 
 
@@ -320,139 +282,6 @@ NOTHING = Step()
 """What most samples lead to."""
 
 
-class End(NamedTuple):
-    """How the stages ended: name of the reason for machines, and its sentence."""
-
-    code: str
-    reason: str
-
-
-@dataclass(slots=True)
-class Findings:
-    """One question and what is found about it, stage by stage.
-
-    growth : of a swing that only the loop itself can make. learned : what the record taught.
-    unexplained : share of the record's pv that its model leaves open.
-    in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
-    joined : setpoint steps to and fro of which the record was made, 0 for one response as it came. steps : these.
-    excitation_before : what in_use rested on before this response; excitation_now : with it. clear : whether the
-    response needs no second opinion. expected : why the change is worth it. The others are those of StageResult, None
-    for as before.
-    """
-
-    question: Question
-    end: End | None = None
-    joined: int = 0
-    steps: SetpointSteps | None = None
-    growth: Growth | None = None
-    learned: Learned | None = None
-    unexplained: float = 0.0
-    in_use: RegionModel | None = None
-    tuning: RobustProposal | None = None
-    excitation_before: Excitation = field(default_factory=Excitation)
-    excitation_now: Excitation = field(default_factory=Excitation)
-    clear: bool = False
-    region_model: RegionModel | None = None
-    diagnosis: Diagnosis | None = None
-    proposal: Tuning | None = None
-    basis: Basis | None = None
-    verdict: Verdict | None = None
-    foreign: int | None = None
-    excitation: Excitation | None = None
-    numbers: Numbers = NO_NUMBERS
-    forget: bool = False
-    prediction: Prediction | None = None
-    expected: str = ""
-    posterior: PosteriorCheck | None = None
-    beside_walk: StillAllowed | None = None
-    beside: Mapping[int, RegionModel] = field(default_factory=dict)
-    elsewhere: Mapping[int, StageResult] = field(default_factory=dict)
-    book: Book | None = None
-    all_samples: BookNumbers | None = None
-
-    @property
-    def record(self) -> ResponseRecord:
-        """The response and what it is judged on."""
-        return self.question.record
-
-    @property
-    def settings(self) -> RetunerSettings:
-        """Settings in force for this table: the gains of an interpolated one move without anybody changing them."""
-        settings = self.question.settings
-        if self.record.table.lookup is Lookup.INTERPOLATED:
-            return replace(settings, swing=replace(settings.swing, same_gains=False))
-        return settings
-
-    def stop(self, code: str, reason: str) -> None:
-        """The stage decides: no later one runs, but those that always do."""
-        together = f"{self.joined} setpoint steps to and fro, joined: " if self.joined else ""
-        valve = self.learned.valve if self.learned is not None else None
-        self.end = End(code, together + reason + (f"; {valve.sentence}" if valve is not None else ""))
-
-    def explained_otherwise(self, cause: Diagnosis) -> None:
-        """Something else than the tuning is behind the response: nothing follows."""
-        self.diagnosis = cause
-        self.stop(str(cause.cause), cause.reason)
-
-    def doubted(self, doubt: Diagnosis) -> None:
-        """The change is not made: what it rests on is doubted."""
-        self.diagnosis, self.basis, self.verdict = doubt, None, None
-        self.stop("unconfirmed", doubt.reason)
-
-    def result(self) -> StageResult:
-        """All findings as one result.
-
-        Raises
-        ------
-        ValueError
-            No stage has decided.
-        """
-        if self.end is None:
-            raise ValueError("no stage has decided")
-        told = {one.name: getattr(self, one.name) for one in fields(StageResult) if one.name not in End._fields}
-        return StageResult(*self.end, **told)
-
-
-def with_outcome(
-    made: Decision, outcome: StageResult, tracker: TrackerSettings, now_s: float, *, accepted: bool
-) -> Decision:
-    """The record of a decision with what the stages found; accepted : gains may be written, as far as proof and trial
-    are concerned.
-    """
-    verdict, learned = outcome.verdict, outcome.learned
-    region_model = learned.region_model if learned else None
-    wanted = Action.COMMIT if made.mode in WRITES else Action.ADVISE
-    return replace(
-        made,
-        action=wanted if accepted else Action.NONE,
-        gains_after=verdict.gains if verdict and accepted else None,
-        numbers=outcome.numbers,
-        estimate=learned.estimate if learned else None,
-        agreement=learned.agreement if learned else None,
-        records=region_model.records if region_model else 0,
-        known=predicted(region_model, now_s, tracker) if region_model else None,
-        diagnosis=outcome.diagnosis,
-        basis=outcome.basis,
-        proposal=outcome.proposal,
-        verdict=verdict,
-        all_samples=outcome.all_samples,
-    )
-
-
-def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
-    """The outcome with the reason why nothing may be changed now, when something was accepted."""
-    if outcome.verdict is None or not outcome.verdict.accepted:
-        return outcome
-    words = str(trial.phase)
-    if trial.phase == TrialPhase.COOLING:
-        words += f" for another {max(trial.until_s - now_s, 0.0):,.0f} s after {trial.cause}"
-    elif trial.phase == TrialPhase.LOCKED:
-        words += f" after {trial.undos} rollbacks; an operator must unlock the region"
-    elif trial.phase == TrialPhase.IDLE:
-        words = "a change in another region is being written"
-    return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"no change now: {words}")
-
-
 # A setpoint that another loop leads. The slave of a cascade completes a response every few samples, and none of them
 # may teach. One verdict said two thousand times a day hides every other row of a ledger. So such a response raises no
 # question until `led_again_s` has passed; it is counted. What else is wrong with a response (telemetry, the sensor, a
@@ -463,16 +292,6 @@ TOLD_STEPS = 2
 """Whole steps to and fro after which the next ones are no news."""
 
 
-def admitted(record: ResponseRecord, settings: RetunerSettings) -> Admission:
-    """Whether a response may teach; the gains of an interpolated table move with it, and the fit allows that."""
-    rules = settings.admission
-    if record.table.lookup is Lookup.INTERPOLATED or record.crossed:
-        rules = replace(rules, changes_most=len(record.samples))
-    inside = None if record.crossed else inside_region(record.table.regions, record.region)
-    ki = record.in_force.ki
-    return admit(record.window, record.samples, record.response, rules, inside, settings.pv_range, ki)
-
-
 def passed_over(led: SetpointLed, record: ResponseRecord, settings: RetunerSettings) -> bool:
     """Whether a response says nothing but what was said lately: that the setpoint is led, or goes to and fro.
 
@@ -481,7 +300,7 @@ def passed_over(led: SetpointLed, record: ResponseRecord, settings: RetunerSetti
     newest, rules = record.samples[-1], settings.admission
     lately = newest.t_s - led.said_s < rules.led_again_s and not newest.limited
     if lately and setpoint_led(record.window, record.response, rules):
-        return admitted(record, settings).ground is Ground.SETPOINT_LED
+        return record.admission(settings).ground is Ground.SETPOINT_LED
     found = step_sequence(record.samples)
     return found is not None and found.closed is None and len(found.whole) > TOLD_STEPS
 

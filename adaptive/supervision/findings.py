@@ -1,0 +1,461 @@
+"""What the record of a response says, and what its region knows with it, a step at a time; each may end the question.
+
+A step takes the findings so far and returns them with its own. What follows from them is by_model.py's. Before anything
+is learned, what else than the tuning may be behind the response is asked: a wrong action, a swing from outside.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.oscillation_online import hidden_cause as diagnosis_of_rest
+from retuner.adaptive.diagnosis.oscillation_online import stretch, swings, whole_cause
+from retuner.adaptive.diagnosis.second_opinion import SWINGING, Excitation, from_rest_to_rest, is_clear
+from retuner.adaptive.diagnosis.swing_checks import FOREIGN_SWINGS, at_own_crossover, touches_limits
+from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
+from retuner.adaptive.identification.structure_choice import too_few
+from retuner.adaptive.region_model.boundary_crossing import (
+    Crossing,
+    fitted_crossing,
+    taught_beside,
+    update_across,
+    ways_of,
+)
+from retuner.adaptive.region_model.from_neighbours import as_wide_as_known, borrowed
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.sequences import update_by_sequences
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, on_the_way, update_region_model
+from retuner.adaptive.signals.growth import Growth, grows, lasting
+from retuner.adaptive.signals.sample import LoopMode, Window
+from retuner.adaptive.signals.setpoint_steps import SetpointSteps, setpoint_steps
+from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, step_sequence
+from retuner.adaptive.supervision.admission import Ground
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.question import Question, ResponseRecord
+from retuner.adaptive.supervision.region_proposal import RobustProposal, tuning_of
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.schedule.late_dataclass import dataclass, field
+from retuner.schedule.table import Lookup
+
+NOT_KNOWN = "not_identifiable"
+"""Code: what is known of the process does not carry settings yet."""
+WRONG_WAY = "wrong_way"
+"""Code: the controller acts the wrong way, which no gains of its sign can cure."""
+PART = "to_and_fro"
+"""Code: the response is a part of what is judged as a whole."""
+NOT_THE_LOOP = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
+"""Causes that leave nothing in a record from which the process could be learned."""
+OTHER_CAUSES = NOT_THE_LOOP - {Cause.NOISE}
+"""Causes of these that may be behind a swing: what rises out of the noise is none."""
+TAKEN_SAMPLES = 5
+"""Samples after which the recogniser has taken a setpoint step at the latest."""
+SURELY_TO_AND_FRO = 2
+"""Whole steps from which large ones are taken for steps to and fro: a person may set back by twice what he had set."""
+SMALL_STEP = 0.05
+"""Share of pv's span up to which one whole step is enough: as large as bumps are made."""
+WHOLE = 2.01
+"""A whole step of a bump to and fro over the bump, rounding included."""
+FEWEST_SAMPLES = 20
+"""Samples of which a sign may be told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a question's record says, and what its region knows with it.
+
+    ended : the outcome, where a step has ended the question.
+    joined : setpoint steps to and fro of which the record was made, 0 for one response as it came. steps : these.
+    growth : of a swing that only the loop itself can make. learned : what the record taught.
+    unexplained : share of the record's pv that its model leaves open.
+    in_use : what is known of the region and decides now; None where nothing is. wanted : what the rule gives for it.
+    excitation_before : what in_use rested on before this response; excitation_now : with it. clear : whether the
+    response needs no second opinion. foreign, region_model, excitation, beside : as in Outcome, None for as before.
+    """
+
+    question: Question
+    ended: Outcome | None = None
+    joined: int = 0
+    steps: SetpointSteps | None = None
+    growth: Growth | None = None
+    learned: Learned | None = None
+    unexplained: float = 0.0
+    in_use: RegionModel | None = None
+    wanted: RobustProposal | None = None
+    excitation_before: Excitation = field(default_factory=Excitation)
+    excitation_now: Excitation = field(default_factory=Excitation)
+    clear: bool = False
+    foreign: int | None = None
+    region_model: RegionModel | None = None
+    excitation: Excitation | None = None
+    beside: Mapping[int, RegionModel] = field(default_factory=dict)
+
+    @property
+    def record(self) -> ResponseRecord:
+        """The response and what it is judged on."""
+        return self.question.record
+
+    @property
+    def settings(self) -> RetunerSettings:
+        """Settings in force for this table: the gains of an interpolated one move without anybody changing them."""
+        settings = self.question.settings
+        if self.record.table.lookup is Lookup.INTERPOLATED:
+            return replace(settings, swing=replace(settings.swing, same_gains=False))
+        return settings
+
+    def words(self, reason: str) -> str:
+        """A reason with what the record was made of, and the valve through which it was seen."""
+        together = f"{self.joined} setpoint steps to and fro, joined: " if self.joined else ""
+        valve = self.learned.valve if self.learned is not None else None
+        return together + reason + (f"; {valve.sentence}" if valve is not None else "")
+
+    def outcome(
+        self, code: str, reason: str, diagnosis: Diagnosis | None = None, numbers: Numbers = NO_NUMBERS
+    ) -> Outcome:
+        """An outcome without a change, with what is kept of the record."""
+        return Outcome(
+            code, self.words(reason), self.learned, self.region_model, diagnosis,
+            foreign=self.foreign, excitation=self.excitation, numbers=numbers, beside=self.beside,
+        )  # fmt: skip
+
+    def unconfirmed(self, outcome: Outcome, doubt: Diagnosis) -> Outcome:
+        """The outcome without its change: what that rests on is doubted."""
+        reason = self.words(doubt.reason)
+        return replace(outcome, code="unconfirmed", reason=reason, diagnosis=doubt, basis=None, verdict=None)
+
+    def end(
+        self, code: str, reason: str, diagnosis: Diagnosis | None = None, numbers: Numbers = NO_NUMBERS
+    ) -> "Findings":
+        """The findings where a step ends the question; arguments as those of outcome."""
+        return replace(self, ended=self.outcome(code, reason, diagnosis, numbers))
+
+    def other_cause(self, cause: Diagnosis | None) -> "Findings":
+        """The findings where something else than the tuning is behind the response, so that nothing follows."""
+        return self if cause is None else self.end(str(cause.cause), cause.reason, cause)
+
+
+def findings_of(question: Question) -> Findings:
+    """What the record of a question says, and what its region knows with it; `ended` where a step has decided."""
+    found = Findings(question)
+    for step in STEPS:
+        found = step(found)
+        if found.ended is not None:
+            break
+    return found
+
+
+def joining(found: Findings) -> Findings:
+    """Is the response one of several to setpoint steps to and fro, which say together what none says alone?"""
+    record, settings = found.record, found.settings
+    sequence = step_sequence(record.samples)
+    if sequence is None or record.entered_s > record.samples[sequence.whole[0]].t_s:  # in another region
+        return found
+    began_s, seen = record.response.t_start_s, len(sequence.whole)
+    half = abs(record.samples[sequence.opened].sp - sequence.base)
+    if seen < SURELY_TO_AND_FRO and half > SMALL_STEP * settings.pv_span:
+        return found
+    if sequence.closed is None or seen < WHOLE_STEPS:
+        return found.end(
+            PART, "one of several setpoint steps to and fro: they are judged together, when the setpoint is back"
+        )
+    closed_s = record.samples[sequence.closed].t_s
+    if began_s > closed_s + TAKEN_SAMPLES * settings.sample_time_s:
+        return found
+    known = record.region_models.get(record.region)
+    began_s = record.samples[sequence.opened].t_s
+    if known is not None and any(one.t_s > began_s for one in known.sequences):
+        return found.end(PART, "the setpoint steps to and fro were judged together before")
+    law = settings.setpoint_weight, settings.filter_s
+    apart = record.crossed or record.table.lookup is Lookup.INTERPOLATED
+    steps = None if apart else setpoint_steps(record.samples, sequence, record.in_force, law)
+    if steps is None:
+        return found.end(
+            PART, "the setpoint steps to and fro show nothing: co did not follow its control law all the time"
+        )
+    calm = replace(record, response=replace(record.response, peaks=()))  # its peaks are the load's as well
+    question = replace(found.question, record=calm)
+    return replace(found, question=question, joined=len(sequence.whole) + 2, steps=steps)
+
+
+def action(found: Findings) -> Findings:
+    """Does what the controller does against an error make it grow?
+
+    It is asked before anything else: pv far out of its range, or an output at its limit, is what comes of it.
+    """
+    record, settings = found.record, found.settings
+    if record.samples[-1].mode != LoopMode.AUTO:
+        return found
+    response, swing = record.response, settings.swing
+    since_s = response.t_start_s - swing.lookback * (response.t_end_s - response.t_start_s)
+    seen = stretch(record.samples, since_s, swing.same_gains)
+    if len(seen) < FEWEST_SAMPLES:
+        return found
+    wrong = acts_wrong_way(Window.of(seen), record.in_force.direction, settings.diagnosis.fit)
+    return found if wrong is None else found.end(WRONG_WAY, wrong.reason, wrong)
+
+
+def admission(found: Findings) -> Findings:
+    """May this response teach its region?"""
+    record = found.record
+    if found.steps is not None:  # co followed its law from sample to sample: nothing is missing or at a limit
+        return found
+    refused = record.admission(found.settings)
+    if refused.admitted:
+        return found
+    numbers, reason = refused.numbers, refused.sentence
+    if refused.ground is Ground.SETPOINT_LED and record.passed_over:
+        numbers = replace(numbers, passed_over=float(record.passed_over))
+        reason = f"{reason}; {record.passed_over} such responses were skipped since the last report"
+    return found.end(refused.ground.name.lower(), reason, refused.diagnosis(), numbers)
+
+
+def swing(found: Findings) -> Findings:
+    """Is a swing without a setpoint step, or what had another cause before, due to none of tuning?
+
+    A swing that was known to come, by what clear setpoint steps have shown, is the loop's own whatever a tone explains.
+    Where something else was found before, it is asked again, of all that the gains in force have shown lately. Each
+    response for which it wins counts for it, each that the loop by itself explains counts against it, and as long as
+    the former are more it is alive: nothing is learned. Unknown and noise count for neither. A load response from rest
+    to rest counts against it unasked.
+    """
+    record, settings = found.record, found.settings
+    if record.crossed:
+        return found
+    found = replace(found, growth=grows(record.samples, record.response.band, settings.growth))
+    period_s = lasting(record.samples, record.response.band, settings.growth)
+    swinging = swings(record.response, settings.swing) or period_s is not None
+    if found.growth is not None or found.joined or not (swinging or record.foreign):
+        return found
+    if known_to_swing(record, settings):
+        return replace(found, foreign=max(record.foreign - 1, 0))
+    calm = not (swinging or record.response.sp_changed)
+    if calm and from_rest_to_rest(record.samples, record.response, settings.swing):
+        more = record.foreign - 1
+        told = Diagnosis(Cause.UNKNOWN, 0.5, {}, STILL_ALIVE.format(more=more))
+        return replace(found, foreign=more).other_cause(told if more else None)
+    asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis, period_s
+    cause = whole_cause(*asked)
+    own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
+    counted = record.foreign - 1 if own else record.foreign + (cause.cause in OTHER_CAUSES)
+    counted = min(max(counted, 0), settings.swing.most_counted)
+    found = replace(found, foreign=counted)
+    if counted and own:
+        alive = replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=counted))
+        return found.other_cause(alive)
+    return found.other_cause(_with_a_way(record, cause) if counted or (swinging and not own) else None)
+
+
+STILL_ALIVE = (
+    "this response by itself is the loop's own, but earlier ones under these gains had another cause; still needed "
+    "before the model is updated: {more} like this one"
+)
+"""The reason where one response alone would be the loop's own."""
+
+
+def _with_a_way(record: ResponseRecord, cause: Diagnosis) -> Diagnosis:
+    """What stays open, with what would settle it where its reason does not say: a setpoint step shows the process."""
+    told = "setpoint step" in cause.reason or cause.reason.endswith("needed")
+    if cause.cause is not Cause.UNKNOWN or record.response.sp_changed or told:
+        return cause
+    return replace(cause, reason=f"{cause.reason}; a setpoint step would tell more")
+
+
+def _held_up(record: ResponseRecord, cause: Diagnosis, settings: RetunerSettings) -> bool:
+    """Whether a swing taken for one from outside is held up by the output's limits: then the model decides."""
+    return cause.cause in FOREIGN_SWINGS and swings_between_limits(record, settings)
+
+
+def swings_between_limits(record: ResponseRecord, settings: RetunerSettings) -> bool:
+    """Whether the output goes from limit to limit."""
+    return touches_limits(record.samples, record.response, settings.limit_swing)
+
+
+def known_to_swing(record: ResponseRecord, settings: RetunerSettings) -> bool:
+    """Whether the loop was known to swing so by itself, at this period: by a model that clear setpoint steps taught.
+
+    Such a loop is to be made safer whatever else moves it. What loads alone have taught does not count: a tone fits a
+    loop that all but swings.
+    """
+    known = record.region_models.get(record.region)
+    if known is None or not record.excitation.clear or not known.identifiable:
+        return False
+    process = known.log.model().seen_by_controller(settings.sample_time_s)
+    return at_own_crossover(record.response, process, record.in_force, settings.limit_swing)
+
+
+def identification(found: Findings) -> Findings:
+    """What does the record say of the process, with what is known of the region, or of its neighbours?"""
+    if found.steps is None and (short := too_few(found.record.window)):
+        return found.end(NOT_KNOWN, short)
+    if found.steps is not None:
+        learned, beside = _by_sequences(found, found.steps), found.beside
+    else:
+        learned, beside = _by_itself(found)
+    found = replace(found, beside=beside)
+    if learned is None:
+        return found.end(NOT_KNOWN, "no model explains how pv follows the setpoint")
+    learned = _beside_sequences(found, learned)
+    unexplained = learned.estimate.unexplained(float(np.ptp(found.record.window.pv)))
+    if learned.valve is not None:  # what the loop by itself leaves open
+        unexplained = max(unexplained, learned.valve.left)
+    return replace(found, learned=learned, unexplained=unexplained)
+
+
+def _by_itself(found: Findings) -> tuple[Learned, Mapping[int, RegionModel]]:
+    """What one response as it came teaches its region, and the other regions on its way.
+
+    The farther it went, the less one linear model of it says of the region. One that went far is fitted in motion
+    first. Where that does not agree with what is known, or does not settle it, it is judged as any other: the process
+    may have changed in time.
+    """
+    record, settings, beside = found.record, found.settings, found.beside
+    known = record.region_models.get(record.region) or _from_neighbours(record, settings)
+    if record.crossed or record.moved:
+        learned, beside = _across(found, known)
+        settled = learned.region_model is not None and learned.region_model.identifiable
+        if record.crossed or (settled and learned.agreement in {Agreement.FIRST, Agreement.AGREES}):
+            return learned, beside
+    tracker = on_the_way(settings.tracker, record.share)
+    learned = update_region_model(known, record.window, record.in_force, tracker, settings.fit, record.at)
+    return as_wide_as_known(learned) if record.share else learned, beside
+
+
+def _across(found: Findings, known: RegionModel | None) -> tuple[Learned, Mapping[int, RegionModel]]:
+    """What a response teaches the region in which it ended, and those that it came through."""
+    record, settings = found.record, found.settings
+    crossing = Crossing(
+        record.window,
+        ways_of(record.table.regions, list(record.samples)[-len(record.window.t_s) :]),
+        record.response.t_start_s,
+        record.in_force,
+        record.table.regions,
+        record.region_models,
+        settings.tracker,
+        settings.fit,
+    )
+    shown = fitted_crossing(crossing)
+    beside = taught_beside(crossing, shown, record.region)
+    return update_across(crossing, shown, record.region, known), beside
+
+
+def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
+    """What the neighbours' models say of a region without a record."""
+    now, sign = float(record.window.t_s[-1]), record.in_force.direction
+    regions = record.table.regions
+    return borrowed(record.region_models, record.region, regions, now, sign, settings.borrowing, settings.tracker)
+
+
+def _by_sequences(found: Findings, steps: SetpointSteps) -> Learned | None:
+    """What setpoint steps to and fro teach by what is known of the setpoint alone."""
+    record, settings = found.record, found.settings
+    known = record.region_models.get(record.region)
+    sequences = (*(known.sequences if known is not None else ()), steps)
+    law, sign = (settings.setpoint_weight, settings.filter_s), record.in_force.direction
+    return update_by_sequences(known, sequences, sign, settings.tracker, settings.fit, law, record.at)
+
+
+def _beside_sequences(found: Findings, learned: Learned) -> Learned:
+    """What is learned, where what is known rests on steps to and fro: no load may add to these, and no small step by
+    itself.
+
+    They are made where loads never rest, and one response shows such a load as much as its process.
+    """
+    before = found.record.region_models.get(found.record.region)
+    if before is None or not before.sequences or found.steps is not None:
+        return learned
+    moved = float(np.ptp(found.record.window.sp))
+    if not found.record.response.sp_changed or moved <= WHOLE * SMALL_STEP * found.settings.pv_span:
+        return replace(learned, region_model=before, agreement=Agreement.SILENT)
+    now = learned.region_model
+    return learned if now is None else replace(learned, region_model=replace(now, sequences=before.sequences))
+
+
+def hidden_cause(found: Findings) -> Findings:
+    """Does something else hide under the response, which its model leaves open?
+
+    The loads before steps to and fro have told it.
+    """
+    record, settings = found.record, found.settings
+    if record.crossed or found.steps is not None:
+        return found
+    if found.growth is not None or found.unexplained <= settings.swing.unexplained:
+        return found
+    asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis
+    cause, again = diagnosis_of_rest(*asked)
+    if cause is None or _held_up(record, cause, settings):
+        return found
+    if again:
+        found = replace(found, foreign=min(record.foreign + 1, settings.swing.most_counted))
+    return found.other_cause(_with_a_way(record, cause))
+
+
+def region_model(found: Findings) -> Findings:
+    """What is known of the region now, what does that rest on, and what settings follow?"""
+    record, settings, learned = found.record, found.settings, found.learned
+    assert learned is not None  # after the identification
+    if learned.region_model is None:
+        return replace(found, excitation_now=record.excitation.with_response(record.response))
+    swinging = None if record.crossed or found.steps is not None else _known_of_swing(record, settings)
+    in_use = swinging or learned.region_model
+    before = record.excitation if swinging else _basis_of(record, learned.agreement)
+    clear, now = unambiguous(found, learned), before
+    if not swinging and learned.agreement != Agreement.SILENT:  # what cannot tell is nothing that a model rests on
+        rested = from_rest_to_rest(record.samples, record.response, settings.swing)
+        now = now.with_response(record.response, clear=clear, rested=rested)
+    if learned.agreement == Agreement.CONTRADICTS:
+        now = replace(now, alternative=int(clear))
+    now = replace(now, lost=0)  # until the proof says otherwise
+    return replace(
+        found, in_use=in_use, region_model=in_use, wanted=wanted_of(record, in_use, settings), clear=clear,
+        excitation_before=before, excitation_now=now, excitation=now,
+    )  # fmt: skip
+
+
+def _known_of_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
+    """What was known, of a loop that swings as was known that it would, by itself or between the output's limits; else
+    None.
+
+    Such a swing shows one frequency, between limits through a nonlinearity. Taken in record by record, it led away from
+    a process that its setpoint steps had shown well.
+    """
+    before = record.region_models.get(record.region)
+    if before is None or not before.identifiable:
+        return None
+    lasting = swings(record.response, settings.swing) and known_to_swing(record, settings)
+    if not (lasting or swings_between_limits(record, settings)):
+        return None
+    return before if wanted_of(record, before, settings).diagnosis.cause in SWINGING else None
+
+
+def wanted_of(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
+    """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
+    return tuning_of(record.known_with(model, settings), record.region, record.in_force)
+
+
+def _basis_of(record: ResponseRecord, agreement: Agreement) -> Excitation:
+    """What the model rested on before this response."""
+    if agreement == Agreement.CHANGED:
+        return record.excitation.of_alternative()
+    return Excitation() if agreement in ANEW else record.excitation
+
+
+def unambiguous(found: Findings, learned: Learned) -> bool:
+    """Whether the response is the loop's own doing beyond doubt.
+
+    One that crossed a border is where it is a setpoint step that the process in motion explains by itself. One that is
+    seen through a valve is not.
+    """
+    record, loads = found.record, len(learned.estimate.load_times_s)
+    if learned.valve is not None:
+        return False
+    if found.steps is not None:
+        return learned.agreement is not Agreement.CONTRADICTS
+    if record.crossed:
+        return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
+    return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
+
+
+STEPS = (joining, action, admission, swing, identification, hidden_cause, region_model)
+"""In their order: what else may be behind the response comes before what it teaches."""
