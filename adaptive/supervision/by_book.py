@@ -139,7 +139,7 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
     changed = found.learned is not None and found.learned.agreement is Agreement.CHANGED
     if book is not None and changed:
         book = doubted(book, settings.changed_odds)
-    doubts = not shown or (own.code in OPEN and not found.question.alone)
+    doubts = not shown or own.code in OPEN - {LOOKED}
     if look is not None and not ((look.due and doubts) or own.changes):
         look = None  # a look is dear
     if look is not None:

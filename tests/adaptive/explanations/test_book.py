@@ -293,7 +293,7 @@ def put_to_the_book(
     )  # fmt: skip
     look = Look(book, window, grows=grows, limited=0.0)
     question: Any = SimpleNamespace(
-        record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0, alone=False
+        record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0, alone=False, trial=Trial()
     )
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
     known: Any = SimpleNamespace(identifiable=settled)
@@ -334,9 +334,9 @@ def test_less_action_waits_where_load_steps_explain_a_setpoint_response_in_two_w
     record = SimpleNamespace(crossed=False)
     question: Any = SimpleNamespace(record=record, look=None)
     learned: Any = SimpleNamespace(contested=contested)
-    found = Findings(question, verdict=cast("Any", SimpleNamespace()), learned=learned)
-    found.in_use = cast("Any", SimpleNamespace())
-    doubt = by_book_stage._doubt(found, begun(scaled(1.0)), less=less)
+    found = Findings(question, learned=learned, in_use=cast("Any", SimpleNamespace()))
+    own = Outcome("accepted", "", verdict=cast("Any", SimpleNamespace()))
+    doubt = by_book_stage._doubt(found, own, AllSamples(book=begun(scaled(1.0))), less=less)
     assert (doubt is not None) is doubted
     assert doubt is None or doubt.reason == by_book_stage.CONTESTED
 
