@@ -1,6 +1,6 @@
 """How a result shows itself to a person: as text, and as a page with its picture in a notebook.
 
-The results of this room are values; words and pictures are the hall's, which says here where they are.
+The results of `adaptive` are values. Their words and pictures stand in `src/retuner`, which names its module here.
 """
 
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from typing import Any, Protocol, cast
 
 
 class Shows(Protocol):
-    """What the hall's module has."""
+    """What the module of words and pictures has."""
 
     def text(self, result: object) -> str:
         """The result in words."""
@@ -16,7 +16,7 @@ class Shows(Protocol):
     def html(self, result: object) -> str:
         """The result with its picture, as a part of an HTML page."""
 
-    def figure(self, result: object) -> Any:  # noqa: ANN401  matplotlib's Figure, which this room does not know
+    def figure(self, result: object) -> Any:  # noqa: ANN401  matplotlib's Figure, which this package does not import
         """The picture of the result."""
 
 
@@ -38,7 +38,7 @@ def html(result: object) -> str:
     return _module[0]().html(result)
 
 
-def figure(result: object) -> Any:  # noqa: ANN401  matplotlib's Figure, which this room does not know
+def figure(result: object) -> Any:  # noqa: ANN401  matplotlib's Figure, which this package does not import
     """The picture of a result.
 
     Raises ValueError: there is nothing to draw: the record was not kept.

@@ -1,4 +1,4 @@
-"""What a controller behind a driver can do, what it reports, and the errors of this room.
+"""What a controller behind a driver can do, what it reports, and the errors of `drivers`.
 
 DeviceError
 +-- BusError             the bus cannot be opened

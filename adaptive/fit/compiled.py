@@ -1,4 +1,4 @@
-"""The compiled engine in the terms of the house: problems packed into buffers, answers unpacked.
+"""The compiled engine, called with our types: problems are packed into buffers, answers unpacked.
 
     numbers = (dt or 0, span, sigma, sign, type, loads, harmonics, ramp, rounded, corners, motion, starts, order of
                the filter, the starts, the filter, the weights of the priors)

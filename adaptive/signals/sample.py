@@ -1,4 +1,4 @@
-"""One sample of a loop, and a window of samples: the form in which every other file of this room sees data."""
+"""One sample of a loop, and a window of samples: the form in which every other file of `adaptive` sees data."""
 
 import math
 from enum import IntEnum

@@ -1,16 +1,13 @@
 """Frames to bytes and back as drivers/retuner.dbc lays them out, with our own checks on both ways.
 
-cantools encodes NaN without complaint, decodes NaN, infinity and values outside the declared range without complaint
-and accepts frames that are too long; so every number is held to the DBC's range here, which NaN fails as well, and
-every checksum and length is compared. decode() gives a frame or a Refused, whatever bytes it is shown, and raises
-nothing.
+Checks: cantools encodes NaN, decodes NaN, infinity and values outside the declared range, and accepts frames that are
+too long, all without complaint. So every number is held to the DBC's range here, which NaN fails as well, and every
+checksum and length is compared. decode() gives a frame or a Refused for any bytes, and raises nothing.
 
-A frame's bytes to numbers and back, prepared once from the DBC.
-
-cantools reads the DBC and stays the reference; this does the same arithmetic on the same bits (the tests compare them
-bit for bit) without asking each time what is known beforehand; benchmarks/bus_throughput.py has the ratios. Signals
-that a C struct can hold (unscaled, 8, 16 or 32 bits, float32, on byte borders) are read and written by one; the others
-bit by bit. It takes what retuner.dbc needs: little-endian signals, whole numbers with a linear scale, float32.
+Layout: cantools reads the DBC once. This file does the same arithmetic on the same bits (tests compare them bit for
+bit) from what was prepared then; benchmarks/bus_throughput.py has the ratios. Signals that a C struct can hold
+(unscaled, 8, 16 or 32 bits, float32, on byte borders) are read and written by one, the others bit by bit. It takes what
+retuner.dbc needs: little-endian signals, whole numbers with a linear scale, float32.
 """
 
 import logging
