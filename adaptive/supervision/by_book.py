@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
-from retuner.adaptive.decision_numbers import Basis
+from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, doubted, move, update
@@ -329,6 +329,7 @@ def _proved_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome 
     change = replace(
         own, code=verdict.code, reason=found.words(words), proposal=told.tuning, verdict=verdict,
         diagnosis=Diagnosis(cause, min(odds, MOST_SURE), told.numbers.to_dict(), words), basis=Basis.ALL_SAMPLES,
+        numbers=NO_NUMBERS, prediction=None,  # not those of a change that was dropped
     )  # fmt: skip
     doubt = runaway(found, verdict)
     return change if doubt is None else found.unconfirmed(change, doubt)

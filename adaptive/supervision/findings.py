@@ -122,8 +122,10 @@ class Findings:
 
     def unconfirmed(self, outcome: Outcome, doubt: Diagnosis) -> Outcome:
         """The outcome without its change: what that rests on is doubted."""
-        reason = self.words(doubt.reason)
-        return replace(outcome, code="unconfirmed", reason=reason, diagnosis=doubt, basis=None, verdict=None)
+        return replace(
+            outcome, code="unconfirmed", reason=self.words(doubt.reason), diagnosis=doubt,
+            basis=None, verdict=None, prediction=None,
+        )  # fmt: skip
 
     def end(
         self, code: str, reason: str, diagnosis: Diagnosis | None = None, numbers: Numbers = NO_NUMBERS

@@ -12,6 +12,7 @@ import pytest
 
 from retuner import PidController, PidGains
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers
+from retuner.adaptive.decision_numbers import NO_NUMBERS
 from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
@@ -422,10 +423,11 @@ def test_more_action_is_proved_on_a_model_on_which_two_records_agree(records: in
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(by_book_stage.KnownProcesses, "borders", lambda *_: ())
         patched.setattr(by_book_stage, "runaway", lambda *_: None)
-        outcome = by_book_stage._proved_by_book(
-            Findings(question), Outcome("unknown", ""), AllSamples(look, book, told=told)
-        )
+        dropped: Any = SimpleNamespace()
+        own = Outcome("unconfirmed", "", numbers=ChoiceNumbers(0.5, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8), prediction=dropped)
+        outcome = by_book_stage._proved_by_book(Findings(question), own, AllSamples(look, book, told=told))
     assert (outcome is not None) is changes
+    assert outcome is None or (outcome.numbers, outcome.prediction) == (NO_NUMBERS, None), "of the dropped change"
 
 
 def test_more_action_needs_room(monkeypatch: pytest.MonkeyPatch) -> None:
