@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from retuner.adaptive.experiments import phases as experiment
-from retuner.adaptive.setpoint_bumps import bump_planner as nudge
+from retuner.adaptive.setpoint_bumps import bump_planner
 from retuner.adaptive.signals import recogniser
 from retuner.adaptive.trial import phase as trial
 from retuner.drivers.host import connection, write_protocol
@@ -80,8 +80,8 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
         "A setpoint bump",
         "Announced, sent, held until the loop is at rest, and removed; off until someone allows it.",
         "adaptive/setpoint_bumps/bump_planner.py",
-        nudge.BumpPhase.WATCHING,
-        ways(nudge.COURSE),
+        bump_planner.BumpPhase.WATCHING,
+        ways(bump_planner.COURSE),
     ),
     lambda: Machine(
         "The session",

@@ -1,4 +1,4 @@
-"""Settings of setpoint bumps. All of them stand in the configuration file, below [adaptation.nudge]."""
+"""Settings of setpoint bumps. All of them stand in the configuration file, below [adaptation.bumps]."""
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.schedule.late_dataclass import dataclass
@@ -52,7 +52,7 @@ class BumpSettings:
     )
 
     def __post_init__(self) -> None:
-        require_in_range(self, "nudge")
+        require_in_range(self, "bumps")
 
     def is_time(self, hour: float) -> bool:
         """Whether a bump may begin at this hour of the day, 0 to 24."""

@@ -42,7 +42,7 @@ def _harm(options: argparse.Namespace, kind: str) -> list[harm.Task]:
 
 
 def _loads(options: argparse.Namespace, kind: str) -> list[loads.Task]:
-    wanted = {key: getattr(options, key) for key in ("opened", "verbose", "nudge")}
+    wanted = {key: getattr(options, key) for key in ("opened", "verbose", "bumps")}
     return loads.tasks(options.seed, kind, options.loops, **wanted)
 
 
@@ -141,7 +141,7 @@ def _parser() -> argparse.ArgumentParser:
     of["batch"].add_argument("--starts", type=int, default=1, help=f"wrong starts, of {len(batch.STARTS)}")
     of["harm"].add_argument("--hours", type=int, default=100, help="quiet hours")
     of["injected"].add_argument("--wander", choices=loads.WANDERING, default="", help="a load that goes on all along")
-    of["loads"].add_argument("--nudge", type=float, default=0.0, help="percent of pv's range of a setpoint bump")
+    of["loads"].add_argument("--bumps", type=float, default=0.0, help="percent of pv's range of a setpoint bump")
     of["real"].add_argument("--data", required=True, metavar="FOLDER", help="records, as benchmarks/world has them")
     of["real"].add_argument("--fold", type=int, choices=(0, 1), help="loads of every second tag only")
     of["real"].add_argument("--alone", action="store_true", help="no setpoint step")

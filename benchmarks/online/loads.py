@@ -9,7 +9,7 @@ coloured   noise through a lag of 1 to 10 dead times, all the time
 quiet      no load at all: measurement noise
 calm walk, calm coloured   as above, a twentieth of the size
 
-nudge : percent of pv's range (a standard step is 10 %) by which retuner may bump the setpoint, at most once a period.
+bumps : percent of pv's range (a standard step is 10 %) by which retuner may bump the setpoint, at most once a period.
 
 A period is 60 effective dead times (longer for sluggish starts), as between two disturbances of the batch; noise is
 1 %. Loads are sized by what they do under SIMC with perfect knowledge: a step moves pv by 1. Processes are those of
@@ -55,15 +55,15 @@ class Task:
     index: int
     opened: bool = False
     verbose: bool = False
-    nudge: float = 0.0
+    bumps: float = 0.0
 
 
-def tasks(seed: int, kind: str, count: int, *, opened: bool, verbose: bool, nudge: float = 0.0) -> list[Task]:
+def tasks(seed: int, kind: str, count: int, *, opened: bool, verbose: bool, bumps: float = 0.0) -> list[Task]:
     """The first `count` loops of a kind."""
-    return [Task(kind, seed, index, opened, verbose, nudge) for index in range(count)]
+    return [Task(kind, seed, index, opened, verbose, bumps) for index in range(count)]
 
 
-def nudger(percent: float, watching: Watching, period_s: float) -> LoopBumps:
+def bumping(percent: float, watching: Watching, period_s: float) -> LoopBumps:
     """Bumps the setpoint when half a period has shown nothing; percent 0 : never."""
     allowed = {"allowed": True, "percent": percent} if percent else {}
     wanted = BumpSettings(
@@ -105,7 +105,7 @@ def run(task: Task) -> Row:
         lambda decision: story.append("   " + told(decision, judge)),
     )
     watched = WatchedLoop(HeldPlant(loop.process, loop.dt_s), watching.retuner.table, loop.dt_s, watching)
-    bumps = nudger(task.nudge, watching, n * loop.dt_s)
+    bumps = bumping(task.bumps, watching, n * loop.dt_s)
     judged: list[Judgement] = []
     lost = False
     try:
@@ -129,7 +129,7 @@ def run(task: Task) -> Row:
         "ms": [judge.of(scaled(loop.best, kc, tau_i)).ms, *(x.ms for x in judged)],
         "j": [judge.of(scaled(loop.best, kc, tau_i)).j, *(x.j for x in judged)],
         "ms_limit": judge.ms_limit,
-        "nudge": task.nudge,
+        "bump_percent": task.bumps,
         "bumps": len(bumps.planner.made),
         "changes": len(found),
         "worse": sum(x.worse and not x.restored for x in found),

@@ -11,6 +11,7 @@ from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.supervision.decision import Mode
 from retuner.cli import main
+from retuner.config.adaptation import AdaptationConfig
 from retuner.ledger.chain import Row
 from retuner.session.ledger_rows import bump_left
 from retuner.session.loop_session import LoopSession
@@ -37,7 +38,7 @@ kc = 1.0
 tau_i_s = 120.0
 [adaptation]
 mode = "auto"
-[adaptation.nudge]
+[adaptation.bumps]
 allowed = {allowed}
 percent = 2.0
 after_h = 0.1
@@ -76,7 +77,7 @@ def test_a_quiet_loop_learns_by_bumps_and_a_replay_decides_the_same(
     run = ran(tmp_path, "true")
     decisions = json.loads(capsys.readouterr().out)["decisions"]
     assert "commit" in [decision["action"] for decision in decisions]
-    rows = bodies(run, "nudge")
+    rows = bodies(run, "bump")
     assert [row["cause"] for row in rows[:5]] == ["due", "begun", "taken", "at_rest", "back"]
     assert (rows[1]["setpoint"], rows[3]["setpoint"], rows[-1]["phase"]) == (52.0, 50.0, "watching")
     assert main(["replay", str(run), "--json"]) == 0
@@ -85,7 +86,7 @@ def test_a_quiet_loop_learns_by_bumps_and_a_replay_decides_the_same(
 def test_without_leave_the_setpoint_is_never_moved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = ran(tmp_path, "false")
     assert json.loads(capsys.readouterr().out)["decisions"] == []
-    assert bodies(run, "nudge") == []
+    assert bodies(run, "bump") == []
 
 
 @pytest.mark.slow
@@ -99,7 +100,7 @@ def test_the_example_bumps_to_and_fro_within_its_budget_and_tells_it_beforehand(
     assert main(["run", str(short), "--no-compare", "--out", str(run), "--json"]) == 0
     committed = [d for d in json.loads(capsys.readouterr().out)["decisions"] if d["action"] == "commit"]
     assert "setpoint steps to and fro" in committed[0]["reason"]
-    rows = [row for row in bodies(run, "nudge") if row["cause"] in {"due", "begun", "back"}]
+    rows = [row for row in bodies(run, "bump") if row["cause"] in {"due", "begun", "back"}]
     assert [row["cause"] for row in rows] == ["due", "begun", "back"]
     assert "in 60 s the setpoint goes from 50 to 52 and 48 in turn" in rows[0]["reason"]
 
@@ -126,7 +127,7 @@ def test_a_session_that_ends_puts_the_setpoint_back_first(wire: Wire) -> None:
     session = bumped(wire)
     wire.end()
     assert (wire.device.sp, session.left_open) == (50.0, "")
-    assert [body["cause"] for kind, body in wire.rows if kind == "nudge"][-2:] == ["ended", "back"]
+    assert [body["cause"] for kind, body in wire.rows if kind == "bump"][-2:] == ["ended", "back"]
 
 
 def test_a_defect_puts_it_back_as_well(wire: Wire) -> None:
@@ -141,7 +142,7 @@ def test_a_ledger_that_fails_begins_no_bump(wire: Wire) -> None:
     keep = wire.session._record
 
     def full(kind: str, t_s: float, body: object) -> None:
-        if kind == "nudge":
+        if kind == "bump":
             wire.session.freeze("the disk is full")
         keep(kind, t_s, body)
 
@@ -163,7 +164,7 @@ def test_where_nothing_may_be_written_nothing_is_bumped(mode: Mode) -> None:
     wire = Wire(mode=mode)
     wire.session.bumps = LoopBumps(SOON, wire.session.retuner)
     wire.run(200)
-    assert (wire.device.sp, "nudge" in wire.kinds) == (50.0, False)
+    assert (wire.device.sp, "bump" in wire.kinds) == (50.0, False)
     wire.close()
 
 
@@ -171,7 +172,7 @@ def test_no_bump_crosses_a_border_of_its_region(wire: Wire) -> None:
     wire.session.bumps = LoopBumps(SOON, wire.session.retuner)
     wire.device.sp = 57.0
     wire.run(400)
-    made = [body["to"] for kind, body in wire.rows if kind == "nudge"]
+    made = [body["to"] for kind, body in wire.rows if kind == "bump"]
     assert made
     assert made[0] == 55.0
 
@@ -181,20 +182,30 @@ def row(kind: str, body: dict[str, object]) -> Row:
 
 
 def test_rows_tell_what_a_session_left_out() -> None:
-    out = row("nudge", {"phase": "holding", "before": 50.0, "to": 52.0})
-    back = row("nudge", {"phase": "watching", "before": 50.0, "to": 52.0})
+    out = row("bump", {"phase": "holding", "before": 50.0, "to": 52.0})
+    back = row("bump", {"phase": "watching", "before": 50.0, "to": 52.0})
     assert bump_left([out, row("decision", {})]) == (50.0, 52.0)
     assert bump_left([out, back]) is None
     assert bump_left([]) is None
     with pytest.raises(KeyError):
-        bump_left([row("nudge", {})])
+        bump_left([row("bump", {})])
+    assert bump_left([row("nudge", {"phase": "holding", "before": 50.0, "to": 52.0})]) == (50.0, 52.0), (
+        "an older ledger"
+    )
 
 
 @pytest.mark.parametrize("allowed", [True, False])
 def test_a_bump_left_out_is_told_where_bumps_are_no_longer_allowed(wire: Wire, allowed: bool) -> None:
     bumps = LoopBumps(BumpSettings(allowed=allowed), wire.session.retuner)
     said: list[str] = []
-    left = [row("nudge", {"phase": "holding", "before": 50.0, "to": 52.0})]
+    left = [row("bump", {"phase": "holding", "before": 50.0, "to": 52.0})]
     assert (with_what_was_left(bumps, lambda: left, said.append) is bumps) == allowed
     assert bumps.planner.out == allowed
     assert ["from 50 to 52" in line for line in said] == [True] * (not allowed)
+
+
+def test_the_former_name_of_the_section_is_still_read() -> None:
+    told = AdaptationConfig.model_validate({"nudge": {"allowed": True, "percent": 2.0}})
+    assert told == AdaptationConfig.model_validate({"bumps": {"allowed": True, "percent": 2.0}})
+    with pytest.raises(ValueError, match="nudge"):
+        AdaptationConfig.model_validate({"nudge": {}, "bumps": {}})

@@ -226,8 +226,8 @@ def _folded(rows: list[Row], lines: list[LedgerLine]) -> list[LedgerLine]:
 
 
 def _is_step(row: Row) -> bool:
-    """Whether a row is of a bump to and fro on its way."""
-    return row.kind == "nudge" and row.body.get("cause") in {"next", "taken"}
+    """Whether a row is of a bump to and fro on its way; in older ledgers its kind is nudge."""
+    return row.kind in {"bump", "nudge"} and row.body.get("cause") in {"next", "taken"}
 
 
 def _list(lines: list[LedgerLine]) -> str:

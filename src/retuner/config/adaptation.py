@@ -1,12 +1,14 @@
 """[adaptation]: what the retuner may do, and the limits of the proof before a change.
 
-[adaptation.limits], [adaptation.admission], [adaptation.pattern] and [adaptation.nudge]: how far the guard lets
+[adaptation.limits], [adaptation.admission], [adaptation.pattern] and [adaptation.bumps]: how far the guard lets
 gains go, what may teach a region, what may be done without a model, and whether the setpoint may be bumped. The
 settings are declared where they are used.
 """
 
 from collections.abc import Iterator
 from typing import Literal
+
+from pydantic import model_validator
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.guard.guard_settings import GuardSettings
@@ -54,8 +56,8 @@ class PatternConfig(Section):
 
 
 @holding(BumpSettings)
-class NudgeConfig(Section):
-    """[adaptation.nudge]: small setpoint bumps where nothing else shows the process, in modes trial and auto."""
+class BumpsConfig(Section):
+    """[adaptation.bumps]: small setpoint bumps where nothing else shows the process, in modes trial and auto."""
 
     allowed: bool = setting(
         "Whether retuner may move the setpoint a little, for a while, where nothing else shows the process",
@@ -72,6 +74,14 @@ class NudgeConfig(Section):
 
 class AdaptationConfig(Section):
     """[adaptation]: mode, rule and limits of changes."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _former_name(cls, given: object) -> object:
+        """The section of bumps was called nudge."""
+        if not isinstance(given, dict) or "nudge" not in given or "bumps" in given:
+            return given
+        return {"bumps" if key == "nudge" else key: value for key, value in given.items()}
 
     mode: Literal["off", "advise", "trial", "auto"] = setting(
         "off: only watch; advise: propose, and write what an operator approves; trial: write one proved change a "
@@ -141,8 +151,8 @@ class AdaptationConfig(Section):
         "Which responses may update a region's model", default=AdmissionConfig(), source="see there"
     )
     pattern: PatternConfig = setting("What may be done without a model", default=PatternConfig(), source="see there")
-    nudge: NudgeConfig = setting(
-        "Small setpoint bumps where days pass without evidence", default=NudgeConfig(), source="see there"
+    bumps: BumpsConfig = setting(
+        "Small setpoint bumps where days pass without evidence", default=BumpsConfig(), source="see there"
     )
     approval_s: float = setting(
         "How long a proposal may be approved after it was made",

@@ -120,6 +120,7 @@ EVENTS: dict[str, Callable[[Document], str]] = {
     "lockout": _lockout,
     "unrestored": _regions("gains not known to be active"),
     "order": _request,
-    "nudge": lambda body: words(body, "reason"),
+    "bump": lambda body: words(body, "reason"),
+    "nudge": lambda body: words(body, "reason"),  # in older ledgers
 }
 """Rows beside decisions that a person at the screen should see, and their words; the ledger tells them in the same."""

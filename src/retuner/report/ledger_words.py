@@ -40,7 +40,7 @@ from retuner.schedule.late_dataclass import asdict, dataclass
 RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller", "bus", "program"
 BY = {
     "decision": RETUNER, "dropped": RETUNER, "trial": RETUNER, "judged": RETUNER, "restore": RETUNER,
-    "lockout": RETUNER, "nudge": RETUNER, "schedule": RETUNER,
+    "lockout": RETUNER, "bump": RETUNER, "nudge": RETUNER, "schedule": RETUNER,
     "session": PROGRAM, "end": PROGRAM, "abort": PROGRAM, "unrestored": PROGRAM, "bus": BUS,
     "link": BUS, "lost": BUS, "variable": BUS, "absent": BUS, "restored": CONTROLLER, "unknown": CONTROLLER,
     "restart": CONTROLLER,

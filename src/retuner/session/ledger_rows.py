@@ -98,7 +98,7 @@ def bump_left(rows: Iterable[Row]) -> tuple[float, float] | None:
 
     Raises KeyError, TypeError, ValueError: the row is not what a session writes.
     """
-    body = next((row.body for row in reversed(tuple(rows)) if row.kind == "nudge"), None)
+    body = next((row.body for row in reversed(tuple(rows)) if row.kind in {"bump", "nudge"}), None)
     if body is None or body["phase"] in IN_PLACE:
         return None
     return float(body["before"]), float(body["to"])

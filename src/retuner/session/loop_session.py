@@ -228,7 +228,7 @@ class LoopSession:
         self.writer.t_s = sample.t_s
         self.samples += 1
         if self.machine.phase is SessionPhase.FAILING:
-            self._nudge(sample, now_s)
+            self._bump(sample, now_s)
             return
         for step in self.scenario.due(sample.t_s):
             if step.sp is not None:
@@ -246,9 +246,9 @@ class LoopSession:
         if self.writer.free:
             for ordered in self.orders(sample.t_s):
                 self._decided(ordered)
-        self._nudge(sample, now_s)
+        self._bump(sample, now_s)
 
-    def _nudge(self, sample: LoopSample, now_s: float) -> None:
+    def _bump(self, sample: LoopSample, now_s: float) -> None:
         """Whether the setpoint is to be bumped, or goes back; what has not arrived is sent once more."""
         if self.bumps is None:
             return
@@ -258,13 +258,13 @@ class LoopSession:
         news = self.bumps.look(sample, free=free)
         again = self.bumps.planner.again(sample.t_s)
         if news is not None:
-            self._nudged(news, now_s)
+            self._bump_told(news, now_s)
         elif again is not None:
             self.device.send_setpoint(again, now_s)
 
-    def _nudged(self, news: BumpNews, now_s: float) -> None:
+    def _bump_told(self, news: BumpNews, now_s: float) -> None:
         """Record what becomes of a bump, and send its setpoint; what cannot be recorded is not begun."""
-        self._record("nudge", self.writer.t_s, news.to_dict())
+        self._record("bump", self.writer.t_s, news.to_dict())
         if news.setpoint is not None and not (self.frozen and news.phase is BumpPhase.GOING):
             self.device.send_setpoint(news.setpoint, now_s)
 
@@ -382,7 +382,7 @@ class LoopSession:
         self._ends_at_s = min(self._ends_at_s, now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s)
         home = self.bumps.planner.end(self.writer.t_s) if self.bumps is not None else None
         if home is not None:
-            self._nudged(home, now_s)
+            self._bump_told(home, now_s)
         self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
 
     def _close(self, now_s: float) -> None:

@@ -130,7 +130,7 @@ class _RunningLoop:
         self.session = self.record.loop = session
         prove_order(self.config, device, retuner, self.record, lambda: session.writer.t_s)
         hour_of = local_hour if remember and speed == 1.0 else hour_of_samples
-        bumps = LoopBumps(BumpSettings(**self.config.adaptation.nudge.model_dump()), retuner, hour_of)
+        bumps = LoopBumps(BumpSettings(**self.config.adaptation.bumps.model_dump()), retuner, hour_of)
         session.bumps = with_what_was_left(bumps, self._rows_before if remember else tuple, self._say)
         if remember and self._folder is not None:
             memory = MemoryFile(self._folder, self.config, self.record)

@@ -118,7 +118,7 @@ def test_a_bump_that_would_drown_in_the_noise_is_not_made_and_that_is_told_once(
     bench.run(5000, around(band=0.4))
     assert (bench.causes, bench.sp) == ([BumpEvent.TOO_SMALL], 50.0)
     assert "is 2.5 noise bands, and 4 are needed" in bench.news[0].reason
-    assert bench.news[0].reason.endswith("adaptation.nudge.percent = 1.6 would do")
+    assert bench.news[0].reason.endswith("adaptation.bumps.percent = 1.6 would do")
 
 
 @pytest.mark.parametrize("sample", [{"mode": LoopMode.MANUAL}, {"limited": True}, {"pv": 51.0}])
@@ -219,7 +219,7 @@ def test_evidence_begins_the_waiting_anew() -> None:
 
 @pytest.mark.parametrize(("name", "value"), [("percent", 6.0), ("percent", math.nan), ("from_h", 25.0), ("most", 0)])
 def test_settings_outside_their_range_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"nudge: {name}"):
+    with pytest.raises(ValueError, match=f"bumps: {name}"):
         BumpSettings(**{name: value})
 
 
@@ -421,13 +421,13 @@ def news(load: float) -> list[BumpNews]:
     known = bench.retuner.region_models[0]
     assert known.identifiable
     assert known.records > 1
-    nudger, found = LoopBumps(SOON, bench.retuner), []
+    bumper, found = LoopBumps(SOON, bench.retuner), []
     for i in range(40):
         for sample in bench.samples(20, 0.0, load if i % 2 else -load, 10.0):
             bench.retuner.observe(sample)
             bench.retuner.region_models[0] = known
             bench.retuner.excitation[0] = replace(Excitation(), setpoints=2)
-            found.append(nudger.look(sample))
+            found.append(bumper.look(sample))
     return [one for one in found if one is not None]
 
 
