@@ -27,7 +27,7 @@ from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
-from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
+from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import TelemetryPv

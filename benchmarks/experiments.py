@@ -31,8 +31,8 @@ from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.controller.virtual_device import VirtualDevice
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.experiment.findings import ExperimentFindings, ExperimentQuestion, evaluate
 from retuner.experiment.runner import ExperimentRunner

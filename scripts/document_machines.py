@@ -100,7 +100,7 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
     lambda: Machine(
         "The connection",
         "How far the host is with one controller.",
-        "drivers/host/connection.py",
+        "drivers/host/can_device.py",
         connection.ConnectPhase.SEARCHING,
         ways(connection.CONNECTION),
     ),

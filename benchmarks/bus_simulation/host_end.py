@@ -22,8 +22,8 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
 

@@ -8,8 +8,8 @@ from bus_simulation.device_end import LagPlant
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import LinkState, WriteDone
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.connection import CanDevice
 from retuner.schedule.gains import PidGains
 
 SAMPLE_S = 2.0

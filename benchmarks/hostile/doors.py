@@ -9,7 +9,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.bus.bus import LinkSettings
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import DeviceError, LinkState
-from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
+from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import frame_crc
 from retuner.drivers.protocol.codec import COMMAND_BITS, Codec

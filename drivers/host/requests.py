@@ -1,7 +1,12 @@
-"""Everything that a host asks of one controller: the lease, the write of a gain set, its confirmation, commands.
+"""What a host asks of one controller, each kind in a class of its own, and HostRequests that joins them.
 
-No bus and no clock: frames to send and events to tell come out, acknowledges and read-backs go in. Who is connected
-and what runs is connection.py's business.
+LeaseKeeper     who may change anything: asked for, prolonged, released
+CommandSender   setpoint, mode, load, store, confirm: sent again until they are acknowledged
+Probation       a new set runs on probation until the host confirms it
+HostRequests    all of them, and the write of a gain set (write_protocol.py)
+
+No bus and no clock: frames to send and events to tell come out, acknowledges and read-backs go in. can_device.py knows
+who is connected and what runs.
 """
 
 import threading

@@ -15,7 +15,7 @@ from can.io.blf import BLFParseError
 
 from retuner.drivers.bus.bus_opening import log_parts
 from retuner.drivers.device import RunningSet
-from retuner.drivers.host.connection import mismatch
+from retuner.drivers.host.can_device import mismatch
 from retuner.drivers.host.page_reader import PageReader, ReadBack
 from retuner.drivers.host.running_set import Belief, RunningBelief
 from retuner.drivers.protocol import frames
@@ -104,7 +104,7 @@ def _check(path: Path) -> None:
 
 # ---- The samples of one controller out of recorded bus traffic: what a host heard then, or could have heard.
 #
-# The same codec, read-back, belief and joiner as in connection.py, driven by the recorded frames alone: nothing is
+# The same codec, read-back, belief and joiner as in can_device.py, driven by the recorded frames alone: nothing is
 # asked, so the questions of the host that was there are overheard. Two ways to listen:
 #   - as the host that recorded the log (its own frames are marked as sent): telemetry counts from the same frame on as
 #     it did then, once the identity and the running set had been read back; where contact was lost is for the caller

@@ -17,7 +17,7 @@ from retuner.drivers.clock import MonotonicClock
 from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import Event, LinkChanged, SamplesLost, WriteDone, WriteRefusedError
-from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
+from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.frames import GainBox

@@ -21,8 +21,8 @@ from retuner.drivers.clock import MonotonicClock
 from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch, run_device
 from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import WriteDone, WriteRefusedError
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import fresh_owner
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader

@@ -268,7 +268,7 @@ def test_packages_stay_small() -> None:
         ("adaptive.rules.rule", "from retuner.adaptive import guard"),
         ("config.model", "def f():\n    from retuner.session.session import Session"),
         ("session.session", "import retuner.commands.run"),
-        ("drivers.bus.bus", "from retuner.drivers.host.connection import CanDevice"),
+        ("drivers.bus.bus", "from retuner.drivers.host.can_device import CanDevice"),
         ("errors", "from retuner import diagnose"),
     ],
 )

@@ -25,7 +25,7 @@ from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import VariableChanged
-from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.recorded.frame_log import Overhearing, read_frames
 from retuner.ledger import LedgerReader
 from retuner.schedule.pid import step

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from retuner.drivers.host.connection import CONNECTION, ConnectInput, ConnectPhase
+from retuner.drivers.host.can_device import CONNECTION, ConnectInput, ConnectPhase
 from retuner.drivers.profiles.gain_course import COURSE as GAIN_COURSE
 from retuner.drivers.profiles.gain_course import CourseInput, CoursePhase
 from retuner.drivers.state_machine import StateMachine

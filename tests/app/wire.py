@@ -25,8 +25,8 @@ from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.gain_memory import GainSet
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.frames import GainBox

@@ -15,8 +15,8 @@ from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import MonotonicClock, SimulatedClock
 from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import BusError, CommandDone, Device, WriteDone, WriteFailed
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.connection import CanDevice
 from retuner.schedule.gains import PidGains
 
 GROUP = "239.74.163.2"

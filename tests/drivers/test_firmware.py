@@ -18,8 +18,8 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import CommandDone, DeviceRestarted, Event, LinkState, WriteDone, WriteFailed
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.authentication import code_frames, commit_code
 from retuner.drivers.protocol.checksum import commit_crc, frame_crc, lease_stamp, set_crc, to_wire

@@ -17,8 +17,8 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.bus.bus import LinkSettings
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import LinkState, WriteDone, WriteFailed, WriteRefusedError
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import Commit, GainBox, TelemetryPv, TelemetrySp

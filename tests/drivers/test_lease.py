@@ -14,8 +14,8 @@ from retuner.drivers.device import (
     WriteFailed,
     WriteRefusedError,
 )
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.host.requests import UNATTENDED
 from retuner.drivers.protocol.checksum import lease_stamp
 from retuner.drivers.protocol.frames import (

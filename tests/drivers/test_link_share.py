@@ -16,7 +16,7 @@ from retuner.drivers.clock import MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import LinkState, SamplesLost
-from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
+from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.telemetry.signal_source import plant_message
 from retuner.schedule.gains import PidGains

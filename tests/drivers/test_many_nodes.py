@@ -9,8 +9,8 @@ from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import WriteDone
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.frames import HIGHEST_NODE
 from retuner.schedule.gains import PidGains

@@ -23,8 +23,8 @@ from retuner.drivers.device import (
     WriteFailed,
     WriteRefusedError,
 )
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains
 

@@ -23,8 +23,8 @@ from retuner.drivers.bus.bus import LinkSettings
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.controller.device_process import BusDevice
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
-from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.host.key_file import read_key
 from retuner.drivers.plants.plant import Plant
 from retuner.drivers.plants.shared_plant import PlantPort

@@ -27,7 +27,7 @@ from retuner.drivers.bus.shared_link import LinkPort, LinkShare
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.device import Bench, Device
-from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.host.can_device import CanDevice
 from retuner.products import product
 from retuner.session.assembly import link_settings, make_device, make_far_side, schedule_inputs
 from retuner.session.outputs import log_of_bus
