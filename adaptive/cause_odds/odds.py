@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
+from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
 from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
 from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
@@ -42,7 +43,6 @@ from retuner.adaptive.explanations.wandering_load import (
     TEMPER,
     Prepared,
     lead_of_steps,
-    log_likelihood,
     setpoint_share,
     temper,
 )
@@ -192,23 +192,24 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     both = [(r, sp) for r, sp in both if len(r.pv) >= FEWEST_RECORD_SAMPLES and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
     if not both:
         return None
-    records = [record for record, _ in both]
-    unit = gain_unit(gains, dt) if gains is not None else 1.0
-    each = [log_likelihood(r, direction, unit) if gains is not None else np.zeros(1) for r in records]
+    unit = gain_unit(gains, dt) if gains is not None else None
+    found = [with_smoothing(record, direction, unit, settings.smooths) for record, _ in both]
+    records, each = [record for record, _ in found], [likelihood for _, likelihood in found]
+    both = [(record, sp) for record, (_, sp) in zip(records, both, strict=True)]
     valve = sum(log_odds_of_valve(r, direction) for r in records)
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
     of_longest = each[longest]
     shares, swings, period_s = [0.0] * len(records), np.zeros(()), math.nan
-    if gains is not None:
+    if unit is not None:
         shares = [_share(*one, likelihood) for one, likelihood in zip(both, each, strict=True)]
     powers = [TEMPER / temper(share) if gains is not None else 1.0 for share in shares]
     weighed = [power * alone for power, alone in zip(powers, each, strict=True)]
     total = np.sum(weighed, axis=0)
-    if max(shares) >= settings.swings_moved:
-        found = {i: w for i, one in enumerate(each) if (w := swing_frequency(*both[i], one)) is not None}
-        if max((shares[i] for i in found), default=0.0) >= settings.swings_moved:
+    if unit is not None and max(shares) >= settings.swings_moved:
+        at = {i: w for i, one in enumerate(each) if (w := swing_frequency(*both[i], one)) is not None}
+        if max((shares[i] for i in at), default=0.0) >= settings.swings_moved:
             swinging = total + math.log(settings.swings)
-            for i, w in found.items():
+            for i, w in at.items():
                 swinging += powers[i] * likelihood_swinging(records[i], direction, unit, w) - weighed[i]
                 period_s = 2.0 * math.pi / w * dt
             total = np.logaddexp(total + math.log(1.0 - settings.swings), swinging)
@@ -446,7 +447,7 @@ def _next(
 ) -> DecidingTest | None:
     """The deciding test: of the valve where it is one of the two causes in question, else of the tuning.
 
-    None for a loop that cannot be moved by its setpoint, or whose error never moves.
+    None for a loop that cannot be moved by its setpoint, whose error never moves, or where no test is likely to decide.
     """
     if Cause.STICTION in list(causes)[:2] and causes[Cause.STICTION] >= IN_QUESTION:
         return valve_test(odds, walk.record, float(np.std(window.co)))
@@ -455,7 +456,7 @@ def _next(
         return None
     test = deciding_test(odds, walk.record, error_std)
     sure = next(iter(causes.values())) >= settings.undecided
-    return replace(test, size=max(test.size, PLAIN * error_std)) if sure else test
+    return replace(test, size=max(test.size, PLAIN * error_std)) if sure and test is not None else test
 
 
 PLAIN = 4.0

@@ -19,6 +19,10 @@ it by recursion, in a tenth of the time; here it is done by transforms.
 The gain follows in closed form with its variance, so its whole likelihood is known:
     ln L(K) = -(n - m)/2 ln(RSS + S (K - K_ls)^2)                          (noise variance profiled)
 
+A recorder that averages over its interval, or draws lines between samples of its own, smooths pv and co alike: both go
+through 1 + f q. So 1/(1 + f q) comes before A/C; without it only a short first lag makes so smooth a pv, whatever the
+process is (smoothed_record.py).
+
 Samples under a real load are far from independent: no model of a load is right. So ln L is divided by a temper before
 it counts. What the setpoint makes co do owes nothing to loads, and is trusted more than what loads and controller do to
 each other: with s the share of the setpoint in what moves the record, in whitened coordinates,
@@ -39,7 +43,7 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.late_dataclass import dataclass, replace
 
 MOST_SAMPLES = 1024
 """Longer records are condensed, or cut into windows, to this many; transforms of a power of two hold them."""
@@ -114,7 +118,7 @@ class Prepared:
     """A window as this likelihood wants it: pv and co from their first values, pv's resolution, the interval.
 
     pv, co : shape (n,). resolution : standard deviation of what pv cannot show. sample_time_s : after condensing.
-    first : the first value of pv.
+    first : the first value of pv. smoothing : f of a recorder that made both 1 + f q of what they were; 0 to 1.
     """
 
     pv: FloatArray
@@ -122,6 +126,7 @@ class Prepared:
     resolution: float
     sample_time_s: float
     first: float = 0.0
+    smoothing: float = 0.0
 
     @classmethod
     def at(cls, window: Window, dt_s: float) -> "Prepared":
@@ -194,11 +199,14 @@ def under_loads(
     }
     models = [next(by_order[order]) for _, order in loads]
     starts = second_lags(lag)[1:] if through is None else (lag if AT_PV in by_order else 0.0, behind)
-    falls = tuple(_pole(one) for one in starts if one)
+    falls = (*(_pole(one) for one in starts if one), *((-record.smoothing,) if record.smoothing else ()))
     unknown = [len({*falls} - {*model.roots}) + len(model.roots) for model in models]
     freedom = len(record.pv) - np.add.outer(unknown, ends).ravel().astype(np.float64)
     tones = np.zeros((0, len(record.pv))) if tones is None else tones
     size = float(np.var(record.pv)) or 1.0
+    if record.smoothing:
+        both = unsmoothed(np.vstack([record.pv, inputs]), record.smoothing)
+        record, inputs = replace(record, pv=both[0], smoothing=0.0), both[1:]
     if (engine := compiled()) is not None:
         poles = [0.0 if not second else _pole(second) for second in seconds]
         walks = [(model.roots, model.c) for model in models]
@@ -211,6 +219,12 @@ def under_loads(
     each = [_whitened(record, moved, falls, model, dead_times, tones[:end]) for model in models for end in ends]
     gain, information, left = (np.array(part) for part in zip(*each, strict=True))
     return UnderLoads(gain, information, left, freedom, size)
+
+
+def unsmoothed(rows: FloatArray, smoothing: float) -> FloatArray:
+    """Rows as they were before a recorder smoothed them, from rest; shape (..., n). smoothing : of Prepared."""
+    n = rows.shape[-1]
+    return filtered(spectrum(rows), n, impulse_response((1.0,), (1.0, smoothing), n))
 
 
 _PAD = int(max(DEAD_TIMES)) + 2
@@ -320,7 +334,9 @@ def likeliest_load(record: Prepared, lag: float) -> tuple[LoadModel, float]:
     fits = under_loads(record, record.co[None], lag, LOADS, DEAD_TIMES)
     variance = fits.left.min(axis=(1, 2)) / fits.freedom
     best = int(np.argmin(variance))
-    return load_model(lag, *LOADS[best]), math.sqrt(float(variance[best]))
+    model = load_model(lag, *LOADS[best])
+    c = tuple(np.convolve(model.c, (1.0, record.smoothing)).tolist()) if record.smoothing else model.c
+    return LoadModel(model.roots, c), math.sqrt(float(variance[best]))
 
 
 def lead_of_steps(left: float, steps: int, samples: int, record: Prepared, likelihood: FloatArray) -> float:
