@@ -1,13 +1,15 @@
 """The test that would settle what a record leaves open: the smallest setpoint step out and back, and its odds.
 
     D_ij = sum over the test of [A/C (pv_i - x_j)]^2 / s^2          pv_i: process i under the test; x_j: j under i's co
-    P(decides) = sum_i P_i min_j Phi((D_ij / 2T + ln P_i/P_j - ln 9) / sqrt(D_ij / T))
+    l_i  = ln sum P_j e^(-D_ij / 2T) over i's class  -  the same over all others
+    P(decides) = sum_i P_i Phi((l_i - ln 9) / sqrt(D_ir / T))       r: the likeliest rival of another class
 
 A valve that may stay behind co is told by steps of co in manual: D is then between the process's answer and none.
 
-D/2 is the mean of the log-likelihood ratio of two processes under the load and noise that the record has shown (A/C
-and s, wandering_load.py), T the temper of a setpoint's doing, and the ratio is normal with variance D. The test decides
-where the odds come out at nine to one or more. In each class the processes nearest to one another count.
+Processes are drawn from the odds (settings_by_odds.py). D/2 is the mean of the log-likelihood ratio of two of them
+under the load and noise that the record has shown (A/C and s, wandering_load.py), T the temper of a setpoint's doing,
+and the ratio is normal with variance D. The test decides where the odds come out at nine to one or more. No test tells
+a process at the border of its class from its neighbour: such a one counts as often as it is likely, and no more.
 """
 
 import math
@@ -17,7 +19,8 @@ import numpy as np
 
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
-from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, TuningOdds, class_of
+from retuner.adaptive.explanations.settings_by_odds import likely_processes, quantile
+from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, class_of
 from retuner.adaptive.explanations.wandering_load import (
     T_SETPOINT,
     LoadModel,
@@ -31,84 +34,88 @@ from retuner.adaptive.explanations.wandering_load import (
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
-SIZES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+SIZES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 """Sizes tried, in standard deviations of pv's deviation from its setpoint."""
-ENOUGH_TO_DECIDE = 0.8
-"""The smallest step with this probability to decide is proposed; the largest where none has it."""
+ENOUGH_TO_DECIDE, LEAST_TO_DECIDE = 0.8, 0.5
+"""The smallest step with the first probability to decide is proposed; where none has it, the largest, if it has the
+second: a test that will rather decide nothing only upsets a plant."""
 DECIDED = math.log(9.0)
 """Odds that decide."""
-PROCESSES_PER_CLASS = 8
-"""Processes of each class that are told apart from those of the others."""
+DRAWN = 32
+"""Processes that stand for all."""
+LONG_ENOUGH = 0.8
+"""Share of them that settle while a step is held."""
 SHORTEST, LONGEST = 30, 250
 """Samples that the step is held."""
 SETTLED = 0.05
 
 
-def deciding_test(odds: TuningOdds, record: Prepared, error_std: float) -> DecidingTest:
-    """The smallest setpoint step that is likely to decide.
+def deciding_test(odds: TuningOdds, record: Prepared, error_std: float) -> DecidingTest | None:
+    """The smallest setpoint step that is likely to decide; None where none is.
 
     error_std : standard deviation of pv from its setpoint, pv units.
     """
     load, std = _load(odds, record)
-    groups = _groups(odds)
-    true = [group[0] for group in groups]
-    hold = max(_settling(odds, process) for process in true)
-    weight = np.array([odds.classes[CLASSES[group[0].kind]] for group in groups])
-    weight = np.maximum(weight / float(weight.sum()), 1e-3)
-    energy = np.array([_energies(odds, one, groups, hold, load) for one in true]) * (error_std / std) ** 2
-    decides = [_decides(energy * size**2, weight) for size in SIZES]
-    at = next((i for i, share in enumerate(decides) if share >= ENOUGH_TO_DECIDE), len(SIZES) - 1)
-    return DecidingTest(TestKind.SETPOINT, _rounded(SIZES[at] * error_std), hold * odds.sample_time_s, decides[at])
+    drawn, weight, kinds = _drawn(odds)
+    hold = _hold(odds, drawn, weight)
+    energy = np.array([_energies(odds, one, drawn, hold, load) for one in drawn]) * (error_std / std) ** 2
+    decides = [_decides(energy * size**2, weight, kinds) for size in SIZES]
+    return _smallest(TestKind.SETPOINT, error_std, hold * odds.sample_time_s, decides)
 
 
-def valve_test(odds: TuningOdds, record: Prepared, co_std: float) -> DecidingTest:
+def valve_test(odds: TuningOdds, record: Prepared, co_std: float) -> DecidingTest | None:
     """The smallest steps of co in manual at which a pv that follows is told from one behind a valve that stays.
 
     A pv that follows shows D of the head of this file between the process's answer and none; a valve that stays shows
     none. co_std : standard deviation of co in the record, co units.
     """
     load, std = _load(odds, record)
-    group = [process for each in _groups(odds) for process in each[:1]]
-    weight = np.array([odds.classes[CLASSES[process.kind]] for process in group])
-    hold = max(min(_settling(odds, process), LONGEST // 2) for process in group)
+    group, weight, _ = _drawn(odds)
+    hold = min(_hold(odds, group, weight), LONGEST // 2)
     co = np.concatenate([np.full(hold, level) for level in (1.0, 2.0, 1.0, 0.0)])
     white = impulse_response(load.a, load.c, len(co))
     shown = [filtered(spectrum(_answer(process, co)), len(co), white) for process in group]
     energy = np.array([float(d @ d) for d in shown]) * (co_std / std) ** 2
-    decides = [float(weight @ [_reaches(float(e) * size**2, 0.0) for e in energy] / weight.sum()) for size in SIZES]
+    decides = [float(weight @ _reaches(energy * size**2, energy * size**2 / (2 * T_SETPOINT))) for size in SIZES]
+    return _smallest(TestKind.VALVE, co_std, hold * odds.sample_time_s, decides)
+
+
+def _smallest(kind: TestKind, std: float, hold_s: float, decides: Sequence[float]) -> DecidingTest | None:
+    """The smallest test that is likely to decide. std : what SIZES count. decides : the probability at each of them."""
     at = next((i for i, share in enumerate(decides) if share >= ENOUGH_TO_DECIDE), len(SIZES) - 1)
-    return DecidingTest(TestKind.VALVE, _rounded(SIZES[at] * co_std), hold * odds.sample_time_s, decides[at])
+    if decides[at] < LEAST_TO_DECIDE:
+        return None
+    return DecidingTest(kind, _rounded(SIZES[at] * std), hold_s, decides[at])
 
 
 @dataclass(frozen=True, slots=True)
 class _Process:
-    """A process of the grid: class, first and second lag, dead time, gain; in samples."""
+    """A process of the grid: first and second lag, dead time, gain; in samples."""
 
-    kind: int
     lag: float
     second: int
     dead: float
     gain: float
 
 
-def _groups(odds: TuningOdds) -> list[list[_Process]]:
-    """The likeliest processes of each class that has any, the likeliest first."""
+def _drawn(odds: TuningOdds) -> tuple[list[_Process], FloatArray, FloatArray]:
+    """Processes that stand for all on which the loop is stable, their odds, and the class of each."""
+    likely = likely_processes(odds, DRAWN)
     classes = class_of(odds.robustness, odds.gains, odds.sample_time_s, TuningLimits())
-    unit = gain_unit(odds.gains, odds.sample_time_s) / odds.robustness.scale
-    groups = []
-    for kind in range(len(CLASSES)):
-        stable = np.isfinite(odds.robustness.ms)
-        flat = np.where((classes == kind) & stable, odds.weights, 0.0).ravel()
-        chosen = np.argsort(-flat, kind="stable")[:PROCESSES_PER_CLASS]
-        found = []
-        for at in chosen[flat[chosen] > 0]:
-            i, j, k = np.unravel_index(int(at), odds.weights.shape)
-            shape = shapes()[int(i)]
-            second = sum(other.lag == shape.lag for other in shapes()[: int(i)])
-            found.append(_Process(kind, shape.lag, second, DEAD_TIMES[int(j)], float(GAINS[k]) * shape.unit / unit))
-        if found:
-            groups.append(found)
-    return groups
+    unit, every = gain_unit(odds.gains, odds.sample_time_s) / odds.robustness.scale, shapes()
+    stable = np.array([bool(np.isfinite(odds.robustness.ms[at])) for at in likely.index])
+    kept = np.flatnonzero(stable if stable.any() else ~stable)
+    found = []
+    for i, j, k in (likely.index[at] for at in kept):
+        second = sum(other.lag == every[i].lag for other in every[:i])
+        found.append(_Process(every[i].lag, second, DEAD_TIMES[j], float(GAINS[k]) * every[i].unit / unit))
+    weight = likely.weights[kept] / float(likely.weights[kept].sum())
+    return found, weight, np.array([classes[likely.index[at]] for at in kept])
+
+
+def _hold(odds: TuningOdds, drawn: Sequence[_Process], weight: FloatArray) -> int:
+    """Samples in which most of these loops settle."""
+    return round(quantile(np.array([float(_settling(odds, one)) for one in drawn]), weight, LONG_ENOUGH))
 
 
 def _load(odds: TuningOdds, record: Prepared) -> tuple[LoadModel, float]:
@@ -157,39 +164,32 @@ def _settling(odds: TuningOdds, process: _Process) -> int:
     return min(max(int(away[-1]) + 1 if len(away) else SHORTEST, SHORTEST), LONGEST)
 
 
-def _energies(
-    odds: TuningOdds, true: _Process, groups: Sequence[Sequence[_Process]], hold: int, load: LoadModel
-) -> list[float]:
-    """D for a step of s between one process and the nearest of each class (infinite for its own)."""
+def _energies(odds: TuningOdds, true: _Process, drawn: Sequence[_Process], hold: int, load: LoadModel) -> FloatArray:
+    """D for a step of s between one process and each, shape (processes,)."""
     setpoint = np.concatenate([np.ones(hold), np.zeros(hold)])
     _, co = _closed_loop(odds, true, setpoint)
     pv = _answer(true, co)
     white = impulse_response(load.a, load.c, len(pv))
-    found = []
-    for group in groups:
-        if group[0].kind == true.kind:
-            found.append(math.inf)
-            continue
-        apart = filtered(spectrum(np.array([pv - _answer(other, co) for other in group])), len(pv), white)
-        found.append(min(float(d @ d) for d in apart))
-    return found
+    apart = filtered(spectrum(np.array([pv - _answer(other, co) for other in drawn])), len(pv), white)
+    return np.asarray(np.einsum("ij,ij->i", apart, apart))
 
 
-def _decides(energy: FloatArray, weight: FloatArray) -> float:
-    """P(decides) of the head of this file. energy : D, shape (classes, classes), infinite on the diagonal."""
-    share = 0.0
-    for i, p in enumerate(weight):
-        others = [j for j in range(len(weight)) if j != i]
-        reached = [_reaches(float(energy[i, j]), math.log(p / weight[j])) for j in others]
-        share += float(p) * min(reached, default=1.0)
-    return share
+def _decides(energy: FloatArray, weight: FloatArray, kinds: FloatArray) -> float:
+    """P(decides) of the head of this file. energy : D, shape (processes, processes). kinds : the class of each."""
+    likelihood = np.log(weight) - energy / (2 * T_SETPOINT)
+    own = kinds[:, None] == kinds
+    if own.all():
+        return 1.0
+    rivals = np.where(own, -np.inf, likelihood)
+    lead = np.logaddexp.reduce(np.where(own, likelihood, -np.inf), axis=1) - np.logaddexp.reduce(rivals, axis=1)
+    nearest = energy[np.arange(len(kinds)), np.argmax(rivals, axis=1)]
+    return float(weight @ _reaches(nearest, lead))
 
 
-def _reaches(energy: float, lead: float) -> float:
-    """Probability that the tempered ratio, with what leads already, comes out at DECIDED."""
-    mean = energy / (2 * T_SETPOINT) + lead - DECIDED
-    spread = math.sqrt(max(energy, 1e-9) / T_SETPOINT)
-    return 0.5 * (1.0 + math.erf(mean / spread / math.sqrt(2.0)))
+def _reaches(energy: FloatArray, lead: FloatArray) -> FloatArray:
+    """Probability that a tempered ratio with this mean comes out at DECIDED. energy : D."""
+    far = (lead - DECIDED) / np.sqrt(np.maximum(energy, 1e-9) / T_SETPOINT)
+    return np.array([0.5 * (1.0 + math.erf(float(one) / math.sqrt(2.0))) for one in far])
 
 
 def _rounded(size: float) -> float:

@@ -110,20 +110,29 @@ def test_the_deciding_test_grows_with_the_load_and_has_the_units_of_pv() -> None
     odds, record = odds_of(1.0, step=0.0)
     error_std = float(np.std(record.pv))
     found = deciding_test(odds, record, error_std)
+    assert found is not None
     assert found.kind is TestKind.SETPOINT
-    assert 0.0 < found.decides <= 1.0
+    assert 0.5 <= found.decides <= 1.0
     assert found.hold_s >= 30.0
     scaled = Prepared(1000.0 * record.pv, record.co, 0.0, 1.0)
     likelihood = log_likelihood(scaled, 1, gain_unit(odds.gains, 1.0) / 1000.0)
     same = tuning_odds(likelihood, PidGains(odds.gains.kp / 1000, odds.gains.ki / 1000), 1.0, PRIOR, TuningLimits())
     other = deciding_test(same, scaled, 1000.0 * error_std)
+    assert other is not None
     assert other.size == pytest.approx(1000.0 * found.size, rel=0.02)
     assert other.decides == pytest.approx(found.decides, abs=0.02)
+
+
+def test_no_test_is_proposed_that_hardly_decides_anything() -> None:
+    odds, record = odds_of(1.0, step=0.0)
+    assert deciding_test(odds, record, 1e-3 * float(np.std(record.pv))) is None
+    assert valve_test(odds, record, 1e-3 * float(np.std(record.co))) is None
 
 
 def test_the_valve_test_is_in_units_of_co() -> None:
     odds, record = odds_of(1.0, step=0.0)
     found = valve_test(odds, record, float(np.std(record.co)))
+    assert found is not None
     assert found.kind is TestKind.VALVE
     assert 0.5 * np.std(record.co) < found.size < 10 * np.std(record.co)
     assert 0.0 < found.decides <= 1.0

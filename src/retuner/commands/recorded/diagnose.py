@@ -285,6 +285,7 @@ WHAT_TO_DO = {
     Cause.SATURATION: "check the size of the actuator, and the load",
     Cause.NOISE: "filter pv at most",
     Cause.OK: "nothing to do",
+    **dict.fromkeys(TUNING_CAUSES, "no test of a usual size is likely to decide: diagnose more records with this one"),
 }
 """What a person does about a cause that other gains do not cure."""
 
