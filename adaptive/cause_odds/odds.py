@@ -171,8 +171,13 @@ def _alone(found: RecordVerdict, settings: OddsSettings) -> RecordVerdict:
     """A verdict that stands by itself; the odds that it leaves open are unknown's."""
     told = found.diagnosis
     p = min(told.confidence, settings.most)
+    if told.cause in {Cause.UNKNOWN, Cause.STICTION} and told.evidence.get("stand_degree"):
+        odds = settings.stiction / (1.0 - settings.stiction) * math.exp(_shapes(found, settings))
+        p = min(odds / (1.0 + odds), settings.most)
+        if told.cause == Cause.UNKNOWN and p > HALF:
+            told = replace(told, cause=Cause.STICTION, confidence=p, reason=WORDS[Cause.STICTION])
     causes = {str(told.cause): 1.0} if told.cause == Cause.UNKNOWN else {str(told.cause): p, str(Cause.UNKNOWN): 1 - p}
-    return replace(found, diagnosis=replace(told, causes=causes))
+    return replace(found, diagnosis=replace(told, confidence=min(told.confidence, p), causes=causes))
 
 
 def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
@@ -245,11 +250,10 @@ def _overshoot(window: Window, found: RecordVerdict) -> RecordOvershoot | None:
 def _shapes(found: RecordVerdict, settings: OddsSettings) -> float:
     """What shapes and plateaus say for a valve, as a logarithm of how many times likelier it makes the record."""
     told = found.diagnosis
-    named = told.cause == Cause.STICTION
-    times = settings.shapes_say if named else 1.0
-    if "stand_dwell" in told.evidence:
-        times = settings.stands_slips if named else settings.stands
-    return math.log(max(times, settings.valve_fits) if _fits(found) else times)
+    times = settings.shapes_say if told.cause == Cause.STICTION else 1.0
+    degree = told.evidence.get("stand_degree", 0.0)
+    stands = settings.stands ** min(degree, 1.0) * (settings.stands_slips / settings.stands) ** max(degree - 1.0, 0.0)
+    return math.log(max(times, stands, settings.valve_fits if _fits(found) else 1.0))
 
 
 def _fits(found: RecordVerdict) -> bool:

@@ -241,6 +241,9 @@ def _loop_or_tone_or_valve(
     evidence = dict(seen.evidence) | {"linear_left": residual(best), "loads": float(best.fit.misfit.loads)}
     fits = {"linear": best}
     stood = pv_stands(window, gains or rough_law(window), best, settings)
+    if stood is not None:
+        evidence["stand_degree"] = stood.degree * (1.0 + stood.quick)
+        stood = stood if stood.stands or stood.dead else None
     loads = best.fit.misfit.loads
     by_loads = loads >= SEVERAL_LOADS or (loads > 0 and not seen.evidence.get("setpoint_steps"))
     if seen.oscillates or by_loads or residual(best) > settings.oscillating_residual:
@@ -249,7 +252,7 @@ def _loop_or_tone_or_valve(
                 Diagnosis(Cause.UNKNOWN, 0.9, evidence, TOO_SHORT.format(samples=len(window.t_s))), fits=fits
             )
         against = stiction_or_tone(best, seen, settings, len(setpoint_changes(window)))
-        evidence, fits = against.evidence, against.fits
+        evidence, fits = evidence | against.evidence, against.fits
         verdict = against.verdict
         if _of_setpoint(window, against.fits["external"]):
             verdict = None if verdict is not None and verdict.cause == Cause.EXTERNAL else verdict

@@ -33,7 +33,7 @@ from retuner.adaptive.valve.slips import Slipping, slipping
 from retuner.adaptive.valve.stand_still import MOST_TOLD, StandStill, stand_still
 from retuner.adaptive.valve.valve_fit import Sticking, sticking, turns_s
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.late_dataclass import dataclass, replace
 
 SAME_TONE = 0.03
 """Two frequencies closer than this (in logarithms) lead to the same fit."""
@@ -241,17 +241,29 @@ def pv_stands_verdict(found: StandStill, evidence: Mapping[str, float]) -> Diagn
 def pv_stands(
     window: Window, gains: PidGains | None, best: Candidate, settings: DiagnosisSettings
 ) -> StandStill | None:
-    """What the plateaus of a record show, where pv stands or does not answer; None otherwise.
+    """What the plateaus of a record show, where pv stands to some degree or does not answer; None otherwise.
 
     best : the linear explanation; where it is by far the likelier one, plateaus are what a slow loop leaves.
     """
     found = stand_still(window, gains, settings.standing) if gains is not None else None
-    if found is None or not (found.stands or found.dead):
+    if found is None or not (found.degree > 0.0 or found.stands or found.dead):
         return None
-    record = best.fit.misfit.record
+    record, likelier = best.fit.misfit.record, settings.standing.likelier
     left = float(np.mean((record.pv - best.fit.at.explained) ** 2))
     lead = found.lead_of(left, best.fit.misfit.loads)
-    return None if lead > settings.standing.likelier else found
+    left_over = min(max(CONTESTED - 2.0 * lead / likelier, 0.0), 1.0)  # 1 up to three quarters of the lead that counts
+    known = lead <= likelier
+    return replace(
+        found,
+        degree=found.degree * left_over,
+        stands=found.stands and known,
+        sticks=found.sticks and known,
+        dead=found.dead and known,
+    )
+
+
+CONTESTED = 2.5
+"""How far pv stands falls from all to nothing as the linear explanation's lead goes from 3/4 of `likelier` to 5/4."""
 
 
 def outweighs_standing_pv(verdict: Diagnosis, seen: Screening, stood: StandStill, settings: DiagnosisSettings) -> bool:

@@ -12,6 +12,10 @@ load steps and ramps explain as much. What decides is stand-still measured insid
               a setpoint step is answered by nothing for 8 tau_I while co travels, and then by a step
     does not answer    one leg over nearly all that co ever moves, 20 tau_I long, and no slip
 
+How far it stands is told as well, 0 to 1, because no record ends where its valve does: each of these numbers rises
+from nothing at half of its bound to all at the bound, and the least of them counts. Of one valve every second row, or
+nine tenths of the rows, had stood or not as a leg of 21 % of co's range came out as one of 19 %.
+
 What stands changes no gains, whatever it is. Without the setpoint's or the slip's evidence it may as well be a load
 that drifts with co (a triangle in a fast loop), and that is said.
 """
@@ -104,7 +108,8 @@ class StandStill:
     legs : that count. slips_s, agreed : when pv went to another level, and how many of these times co had gone there.
     ends_s : those of the latter that end a leg. slip_lag : T of the slips in units of tau_I. silent_s : setpoint steps
     that were answered late and then at once.
-    stands, sticks, dead : the verdicts. rows, sigma, criterion : of the steps; see plateaus.py.
+    stands, sticks, dead : the verdicts. degree : how far it stands, 0 to 1. quick : how far its slips are no loop's.
+    rows, sigma, criterion : of the steps; see plateaus.py.
     """
 
     legs: tuple[Leg, ...]
@@ -116,6 +121,8 @@ class StandStill:
     stands: bool
     sticks: bool
     dead: bool
+    degree: float
+    quick: float
     rows: int
     sigma: float
     criterion: float
@@ -151,12 +158,19 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
     legs = [leg for p in found for leg in _legs(rows, p, steps, gains, tau_i, settings)]
     counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
     slips = [b.first for a, b in pairwise(found)]
-    agreed = _agreed(rows, found, gains.direction, settings)
+    agreed, share = _agreed(rows, found, gains.direction, settings)
     lasts = sum(leg.travel for leg in counted) >= settings.idle and len(counted) >= settings.legs
     lasts = lasts and max(leg.dwell for leg in counted) >= settings.dwell
-    stands = lasts and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
+    explained = _explained(rows.pv, steps, settings)
+    stands = lasts and _agree(len(agreed), len(slips)) and explained >= 1.0
     silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
+    idle = sum(leg.travel * _up_to(leg.travel, settings.travel) for leg in legs)
+    dwell = max((leg.dwell * _up_to(leg.travel, settings.travel) for leg in legs), default=0.0)
+    degree = min(
+        _up_to(idle, settings.idle), _up_to(dwell, settings.dwell), _up_to(share, AGREEING), _up_to(explained, 1.0)
+    )
+    quick = 1.0 if silent else _up_to(settings.quick * tau_i, max(steps.lag, NO_LAG))
     return StandStill(
         counted,
         tuple(float(rows.t_s[s]) for s in slips),
@@ -167,10 +181,21 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
         stands,
         stands and (steps.lag <= settings.quick * tau_i or bool(silent)),
         dead and not slips,
+        degree,
+        quick,
         len(rows.pv),
         steps.sigma,
         steps.criterion,
     )
+
+
+def _up_to(value: float, bound: float) -> float:
+    """How far a number is on its way to its bound: 0 up to half of it, 1 from it on."""
+    return min(max(2.0 * value / bound - 1.0, 0.0), 1.0)
+
+
+AGREEING, NO_LAG, SILENT = 2.0 / 3.0, 1e-9, 1e-300
+"""Share of slips that go where co had gone, from which all do but for chance; a lag, and a remainder, that are none."""
 
 
 def _may_stand(rows: Window, tau_i: float, settings: StandStillSettings) -> bool:
@@ -185,14 +210,14 @@ def _may_stand(rows: Window, tau_i: float, settings: StandStillSettings) -> bool
 
 def _agree(agreed: int, slips: int) -> bool:
     """Whether pv went where co had gone, mostly."""
-    return agreed >= 1 and agreed >= 2 * (slips - agreed)
+    return agreed >= 1 and agreed >= AGREEING * slips
 
 
-def _explained(pv: FloatArray, steps: Steps, settings: StandStillSettings) -> bool:
-    """Whether plateaus and steps are what pv consists of."""
+def _explained(pv: FloatArray, steps: Steps, settings: StandStillSettings) -> float:
+    """How far plateaus and steps are what pv consists of: from 1 on they are."""
     left = pv - steps.fitted
-    within = float(np.std(left)) <= settings.remainder * steps.sigma
-    return within or float(np.var(left)) <= (1 - settings.explained) * float(np.var(pv))
+    noise = settings.remainder * steps.sigma / max(float(np.std(left)), SILENT)
+    return max(noise, (1 - settings.explained) * float(np.var(pv)) / max(float(np.var(left)), SILENT))
 
 
 def _thinned(window: Window) -> Window:
@@ -234,17 +259,27 @@ def _legs(
     return found
 
 
-def _agreed(rows: Window, found: Sequence[Plateau], direction: int, settings: StandStillSettings) -> list[float]:
-    """When pv steps from plateau to plateau the way that co has gone before, s."""
+def _agreed(
+    rows: Window, found: Sequence[Plateau], direction: int, settings: StandStillSettings
+) -> tuple[list[float], float]:
+    """When pv steps from plateau to plateau the way that co has gone before, s; and the share of all steps that do so,
+    by their sizes and by how far co had gone.
+    """
     least, since = settings.slip_travel * float(np.ptp(rows.co)), 0
-    agreed = []
+    agreed, sizes, ways = [], LEAST_STEPS, 0.0
     for before, after in pairwise(found):
         at = max(before.last, since + 1)
-        way = np.sign(after.level - before.level) * direction
+        size, way = abs(after.level - before.level), np.sign(after.level - before.level) * direction
         co = way * rows.co[since:at]
-        agreed += [float(rows.t_s[after.first])] if co[-1] - np.min(co) > least else []
+        gone = float(co[-1] - np.min(co))
+        agreed += [float(rows.t_s[after.first])] if gone > least else []
+        sizes, ways = sizes + size, ways + size * _up_to(gone, least)
         since = at
-    return agreed
+    return agreed, ways / sizes
+
+
+LEAST_STEPS = 1e-300
+"""Sizes of steps add up to this at least."""
 
 
 def _ends(agreed: Sequence[float], legs: Sequence[Leg]) -> list[float]:

@@ -27,6 +27,7 @@ HYPOTHESES = {
     ),
     "stand_travel": Entry("travel of co while pv is still", "co ranges", "above 1: a valve, or a drifting load", ""),
     "stand_dwell": Entry("longest standstill of pv", "tau_I", "above 10: not the loop", ""),
+    "stand_degree": Entry("how far pv stands and slips", "index", "0 not, 1 stands, 2 and slips as no loop does", ""),
     "stands": Entry("standstills of pv", "count", "", ""),
     "slips_left": Entry("residual, valve with irregular slips", "noise", "", ""),
     "valve_turns": Entry("reversals of the sticking valve", "count", "below 4: band not reliable", ""),
