@@ -181,10 +181,13 @@ def _alone(found: RecordVerdict, settings: OddsSettings) -> RecordVerdict:
 
 
 def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
-    """A record in windows of MOST_SAMPLES intervals of dt_s each, at most so many, spread over it."""
-    factor = max(round(dt_s / window.sample_time_s), 1)
-    length = MOST_SAMPLES * factor
-    count = max(min(-(-len(window.t_s) // length), most), 1)
+    """A record in windows of MOST_SAMPLES intervals of dt_s each or fewer, at most so many, spread over it.
+
+    None overlaps where they hold the whole record: what two of them held would count twice.
+    """
+    longest = MOST_SAMPLES * max(round(dt_s / window.sample_time_s), 1)
+    count = max(min(-(-len(window.t_s) // longest), most), 1)
+    length = min(longest, len(window.t_s) // count)
     firsts = np.linspace(0, max(len(window.t_s) - length, 0), count).round().astype(int)
     return [window.part(slice(int(first), int(first) + length)) for first in firsts]
 

@@ -157,6 +157,13 @@ def test_a_long_record_is_cut_into_windows_over_all_of_it() -> None:
     assert len(windows_of(loop(n=300), 1.0, 4)) == 1
 
 
+def test_windows_that_hold_a_record_do_not_overlap() -> None:
+    """A record of 1,100 samples had counted twice but for 76 of them, and of every second row once."""
+    parts = windows_of(loop(n=MOST_SAMPLES + 76), 1.0, 4)
+    assert [len(part.t_s) for part in parts] == [550, 550]
+    assert parts[0].t_s[-1] < parts[1].t_s[0]
+
+
 @pytest.mark.slow
 def test_a_list_of_records_is_diagnosed_as_one_loop() -> None:
     paths = [PLANT / "FIC46002_1102_1.csv"] * 2
