@@ -12,7 +12,7 @@ from retuner.adaptive.experiments import phases as experiment
 from retuner.adaptive.setpoint_bumps import bump_planner
 from retuner.adaptive.signals import recogniser
 from retuner.adaptive.trial import phase as trial
-from retuner.drivers.host import connection, write_protocol
+from retuner.drivers.host import can_device, write_protocol
 from retuner.drivers.profiles import gain_course
 from retuner.session import gain_writer, loop_session
 
@@ -101,8 +101,8 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
         "The connection",
         "How far the host is with one controller.",
         "drivers/host/can_device.py",
-        connection.ConnectPhase.SEARCHING,
-        ways(connection.CONNECTION),
+        can_device.ConnectPhase.SEARCHING,
+        ways(can_device.CONNECTION),
     ),
     lambda: Machine(
         "The two-phase write",
