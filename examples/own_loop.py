@@ -89,7 +89,7 @@ async def watched(rig: "Rig", memory: Path, wishes: deque[str], watch: type = Ba
                 obey(watcher.observe(sample))
                 wish = wishes.popleft() if wishes else ""
                 if wish == "undo" and retuner.region is not None:
-                    obey(retuner.taken_back(retuner.region))
+                    obey(retuner.rolled_back(retuner.region))
                 elif wish == "approve" and proposal is not None:
                     obey(approve_proposal(retuner, proposal))
         finally:

@@ -7,7 +7,7 @@ the limits per change hold it, but not on the way to less of everything: a propo
 loop is unstable. Then it is on trial as any change.
 The way back leads to a set that has run before, so the limits per change do not hold it; the absolute ones do, and a
 set that is unstable on more of the allowed models than the active one is refused (trial/rollback.py). While a change is
-on trial the way back is to undo that.
+on trial the way back is its rollback.
 """
 
 from dataclasses import replace
@@ -137,7 +137,7 @@ def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decisi
     """A person wants gains back that were in force before: the decision to write them, or why not. t_s : now."""
     phase = retuner.trials.phase(region)
     if phase in UNDECIDED or phase is TrialPhase.WAITING:
-        return retuner.taken_back(region)
+        return retuner.rolled_back(region)
     reason = _no_rollback(retuner, region, gains, t_s)
     if reason:
         return retuner.ordered(region, Outcome("revert_refused", f"rollback refused: {reason}"))
@@ -231,9 +231,9 @@ def acts(retuner: Retuner, gains: PidGains) -> Decision | None:
 
 
 def set_mode(retuner: Retuner, region: int | None, mode: Mode) -> Decision | None:
-    """A person says what may be done from now on in a region, None for all; off takes back what is on trial there.
+    """A person says what may be done from now on in a region, None for all; off rolls back what is on trial there.
 
-    The decision to take it back, None when nothing was. The schedule goes on: it is the controller's own business.
+    The decision to roll it back, None when nothing was. The schedule goes on: it is the controller's own business.
     """
     places = range(len(retuner.table.regions.names)) if region is None else (region,)
     modes = [retuner.settings.mode_of(i) for i in range(len(retuner.table.regions.names))]
@@ -245,7 +245,7 @@ def set_mode(retuner: Retuner, region: int | None, mode: Mode) -> Decision | Non
     undecided = [i for i in places if i in retuner.trials.undecided]
     if not undecided:
         return None
-    return retuner.abort(TrialEvent.ORDERED_BACK) if region is None else retuner.taken_back(undecided[0])
+    return retuner.abort(TrialEvent.ORDERED_BACK) if region is None else retuner.rolled_back(undecided[0])
 
 
 # ---- Pretune: the first model and the first settings of a region, from a step of co that a person commanded.

@@ -137,7 +137,7 @@ REFUTED = (
     "the oscillation of {period:.3g} s goes on as before the last change. No process explains it under both gain sets, "
     "so it comes from outside and less action was no cure; {ruling}"
 )
-"""The reason where a cut is taken back."""
+"""The reason where a cut is rolled back."""
 
 
 def _cut_from(trial: Trial, in_force: PidGains, harmless_decay: float) -> PidGains | None:

@@ -24,7 +24,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.trial.judge import Judgement
 from retuner.adaptive.trial.persons_edit import lasting_words
-from retuner.adaptive.trial.phase import UNDOS, TrialPhase
+from retuner.adaptive.trial.phase import ROLLBACK_CAUSES, TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import StillAllowed
@@ -135,7 +135,7 @@ class Decision:
     trial : where the region stands after this decision.
     known : the process as it may be met in the region from now on, which is what the cause and the proof go by
         (`estimate` is what the record itself shows).
-    undos : changes undone in a row, told where this one restores.
+    rollbacks : rollbacks in a row, told where this one restores.
     later : the loop is in another region, so that nothing is to be written now: the gains belong in the table, and run
         when the loop comes.
     all_samples : what all samples up to now say of the gains in force, beside this response; None before they were
@@ -166,7 +166,7 @@ class Decision:
     trial: str = "idle"
     known: LogModel | None = None
     delay: Delay | None = None
-    undos: int | None = None
+    rollbacks: int | None = None
     later: bool = False
     all_samples: Numbers | None = None
 
@@ -194,7 +194,7 @@ class Decision:
             "action": str(self.action),
             "code": self.code,
             "reason": self.reason,
-            "numbers": self.numbers.to_dict() | ({} if self.undos is None else {"undos": float(self.undos)}),
+            "numbers": self.numbers.to_dict() | ({} if self.rollbacks is None else {"undos": float(self.rollbacks)}),
             "gains_before": gains_dict(self.gains_before),
             "gains_after": gains_dict(self.gains_after) if self.gains_after else None,
             "response": self.response.to_dict() if self.response else None,
@@ -276,7 +276,7 @@ def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
     if trial.phase == TrialPhase.COOLING:
         words += f" for another {max(trial.until_s - now_s, 0.0):,.0f} s after {trial.cause}"
     elif trial.phase == TrialPhase.LOCKED:
-        words += f" after {trial.undos} rollbacks; an operator must unlock the region"
+        words += f" after {trial.rollbacks} rollbacks; an operator must unlock the region"
     elif trial.phase == TrialPhase.IDLE:
         words = "a change in another region is being written"
     return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"no change now: {words}")
@@ -288,11 +288,11 @@ def predicted_wrongly(trial: Trial, decision: Decision) -> bool:
     decision : on the response that ended it; it may have put another model in their place.
     """
     by_models = trial.prediction is not None and trial.prediction.models > 0
-    return trial.cause in UNDOS and by_models and decision.agreement not in ANEW
+    return trial.cause in ROLLBACK_CAUSES and by_models and decision.agreement not in ANEW
 
 
 def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]) -> Decision:
-    """The decision that goes with taking a set back. also : other regions that are restored with this one."""
+    """The decision that goes with a rollback. also : other regions that are restored with this one."""
     cause, back = trial.cause, trial.back
     assert cause is not None  # of a trial that is being restored
     assert back is not None
@@ -313,7 +313,7 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
         code=f"undo_{cause.name.lower()}",
         reason=reason,
         numbers=back.numbers or decision.numbers,
-        undos=trial.undos,
+        rollbacks=trial.rollbacks,
         gains_before=trial.new or decision.gains_before,
         gains_after=back.gains,
         prediction=trial.prediction,

@@ -96,7 +96,7 @@ class Retuner:
         self._finder = ResponseFinder(table.regions, self._gains_at, settings)
         self._observe = self._finder.step
         self.trials = TrialSupervisor(
-            settings.trial, settings.sample_time_s, self._put_back, self._still_allowed, self._person_decides
+            settings.trial, settings.sample_time_s, self._roll_back, self._still_allowed, self._person_decides
         )
         self._decisions, self._led = 0, SetpointLed()
         self._looked_s = self._alone_s = -math.inf  # when all samples were looked at, and are to be without a response
@@ -182,7 +182,7 @@ class Retuner:
         """A change that is due where the loop is not; a trial that waits there ends first, as one without a word."""
         ended = self.trials.away(region) and self.trials.event(region, TrialEvent.TIMED_OUT, self.now_s)
         if ended and self.trials.phase(region) is TrialPhase.RESTORING:
-            return self._give_up({region: TrialEvent.TIMED_OUT})
+            return self._ended({region: TrialEvent.TIMED_OUT})
         return self._on_trial(region, self._decision(region, outcome))
 
     def _step(self, sample: LoopSample) -> Step:
@@ -287,7 +287,7 @@ class Retuner:
         The table has those sets when this returns. Action RESTORE: write them, and tell by `restored` that they run.
         """
         ended = self.trials.abort(cause, self.now_s)
-        return self._give_up(dict.fromkeys(ended, cause)) if ended else None
+        return self._ended(dict.fromkeys(ended, cause)) if ended else None
 
     def edited(self, gains: PidGains) -> Decision | None:
         """Somebody else has set other gains where the loop is, and the controller runs them, as read back.
@@ -338,12 +338,14 @@ class Retuner:
         phase = self.trials.phase(region)
         return replace(decision, action=Action.COMMIT, gains_after=gains, prediction=prediction, trial=str(phase))
 
-    def taken_back(self, region: int) -> Decision | None:
-        """A person wants the change back that is undecided, or waits for approval; None when there is none."""
+    def rolled_back(self, region: int) -> Decision | None:
+        """A change that is undecided, or waits for approval, is to be rolled back; None when there is none."""
         if reason := self.trials.no_rollback(region):
             return self.ordered(region, Outcome("revert_refused", f"rollback refused: {reason}"))
         back = self.trials.event(region, TrialEvent.ORDERED_BACK, self.now_s)
-        return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None
+        return self._ended({region: TrialEvent.ORDERED_BACK}) if back else None
+
+    taken_back = rolled_back  # its former name
 
     @property
     def now_s(self) -> float:
@@ -363,7 +365,7 @@ class Retuner:
         """Whether a person has the next word on what is tried in a region."""
         return self.settings.mode_of(region) == Mode.TRIAL
 
-    def _put_back(self, region: int, gains: PidGains) -> None:
+    def _roll_back(self, region: int, gains: PidGains) -> None:
         """What is to run in a region comes into the table."""
         if self.table.gains_of(region) != gains:
             self._change(region, gains)
@@ -381,7 +383,7 @@ class Retuner:
             self._finder.gains_changed()
 
     def _step_on_trial(self, sample: LoopSample) -> Step:
-        """A sample while a change is undecided, or being taken back."""
+        """A sample while a change is undecided, or being rolled back."""
         w, last_s, following = self._finder, self.now_s, self._finder.recogniser
         seen = self._observe(sample)
         self.sample_number += 1
@@ -395,7 +397,7 @@ class Retuner:
         if seen is None and TrialEvent.RUNAWAY in ended.values():  # nothing teaches as much as this
             seen = w.cut_short(following)
         step = self._seen(seen, ended) if seen is not None else NOTHING
-        return Step(self._give_up(ended, step.decision), step.question)
+        return Step(self._ended(ended, step.decision), step.question)
 
     def _learned_from_the_end(self, opened: OpenQuestion, result: Outcome) -> Decision:
         """The answer on a response with which a trial ended: what was forgotten comes back, and is judged with it."""
@@ -408,22 +410,22 @@ class Retuner:
         self._decisions -= same  # the decision to restore is made once more
         learned = self._entered(opened.question, result)
         if same:
-            return self._give_up(ended, learned)
+            return self._ended(ended, learned)
         if predicted_wrongly(self.trials.of(region), learned):
             self._forget(region)
         return learned
 
-    def _give_up(self, ended: Mapping[int, TrialEvent], learned: Decision | None = None) -> Decision:
+    def _ended(self, ended: Mapping[int, TrialEvent], learned: Decision | None = None) -> Decision:
         """The decision on what is to run. learned : what the response under way has taught."""
         back = [region for region in ended if self.trials.phase(region) is TrialPhase.RESTORING]
         names = [self.table.regions.names[region] for region in back or ended]
         region = next(iter(back or ended))
         decision = learned or self._decision(region, Outcome("undo", ""))
         if back:
-            return self._restoring(region, decision, names[1:])
+            return self._restored(region, decision, names[1:])
         return staying(decision, names[0], self.trials.of(region), names[1:])
 
-    def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
+    def _restored(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
         """The decision to restore."""
         trial = self.trials.of(region)
         if predicted_wrongly(trial, decision):
@@ -496,7 +498,7 @@ class Retuner:
         judgement = None if question.alone else self._judge(case, outcome)
         decision = self._decision(region, outcome, question, judgement)
         if judgement is not None and self.trials.phase(region) == TrialPhase.RESTORING:
-            return self._restoring(region, decision)
+            return self._restored(region, decision)
         if decision.action == Action.NONE:
             self._due = outcome.elsewhere
         return self._on_trial(region, decision)
@@ -555,34 +557,16 @@ class Retuner:
         if not phase_allows:
             outcome = held(outcome, self.trials.of(region), now_s)
         accepted = outcome.verdict is not None and outcome.verdict.accepted and phase_allows
-        response = question.record.response if question and not question.alone else None
         prediction = outcome.prediction
         if accepted and prediction is None:
             at, pattern = (question.record.at, question.record.pattern) if question else (self._finder.scheduled, None)
             prediction = prediction_of(
                 outcome.verdict, self.table, region, at, pattern, self.settings, self._finder.samples
             )
-        made = self._recorded(region, outcome, response, judgement, prediction if accepted else None, accepted=accepted)
-        made = proposing(made, self.trials.of(region), now_s) if proposes else made
-        if question is None or question.sample_number == self.sample_number:
-            return made
-        return replace(made, delay=Delay(question.sample_number, self.sample_number))
-
-    def _recorded(
-        self,
-        region: int,
-        outcome: Outcome,
-        response: Response | None,
-        judgement: Judgement | None,
-        prediction: Prediction | None,
-        *,
-        accepted: bool,
-    ) -> Decision:
-        """The record; accepted : gains may be written, as far as proof and trial are concerned."""
         self._decisions += 1
         made = Decision(
             number=self._decisions,
-            t_s=self._finder.samples[-1].t_s,
+            t_s=now_s,
             loop=self.table.loop,
             region=self.table.regions.names[region],
             mode=self.settings.mode_of(region),
@@ -590,10 +574,14 @@ class Retuner:
             code=outcome.code,
             reason=outcome.reason,
             gains_before=self.table.gains_of(region),
-            response=response,
-            prediction=prediction,
+            response=question.record.response if question and not question.alone else None,
+            prediction=prediction if accepted else None,
             judgement=judgement,
             trial=str(self.trials.phase(region)),
             later=region != self.region and self.table.lookup is Lookup.HARD,
         )
-        return with_outcome(made, outcome, self.settings.tracker, self.now_s, accepted=accepted)
+        made = with_outcome(made, outcome, self.settings.tracker, now_s, accepted=accepted)
+        made = proposing(made, self.trials.of(region), now_s) if proposes else made
+        if question is None or question.sample_number == self.sample_number:
+            return made
+        return replace(made, delay=Delay(question.sample_number, self.sample_number))

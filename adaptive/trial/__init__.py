@@ -1,1 +1,1 @@
-"""Trial and undo: what a change promises, how it is judged, and the way back."""
+"""Trial and rollback: what a change promises, how it is judged, and the way back."""

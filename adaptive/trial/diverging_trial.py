@@ -1,4 +1,4 @@
-"""The watch over a trial, sample by sample: a set that makes the loop run away is undone in mid-response.
+"""The watch over a trial, sample by sample: a set that makes the loop run away is rolled back in mid-response.
 
 Half waves of the error beyond twice the noise band are followed, and beyond what a load that never rests did of itself
 before the change; r is the ratio of one's extreme to the last one's.

@@ -11,8 +11,8 @@ them unstable without that having been seen says nothing of their IAE. See respo
 peaks.) It is WORSE as well when the old gains were surely better on the models that are still allowed, whatever
 the upset was (posterior_check.py). It is not WORSE by its two numbers where a process that explains this and several
 records before it holds the new gains for robust: then more than one upset made the peaks. It is judged only if the
-upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs time but undoes nothing, unless it
-is known by then that the tried set is robust:
+upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs time but rolls back nothing, unless
+it is known by then that the tried set is robust:
 
     all peaks within seen_bands of noise, or within seen_wanders of what the error did while nothing happened;
     begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is worse by then

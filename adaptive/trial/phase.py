@@ -88,7 +88,7 @@ class TrialEvent(StrEnum):
 
 P, E = TrialPhase, TrialEvent
 
-UNDOS = (E.WORSE, E.RUNAWAY)
+ROLLBACK_CAUSES = (E.WORSE, E.RUNAWAY)
 """Causes that speak against the tried set: each doubles the cool-down, and many lock the region."""
 SILENT = (
     E.SATURATED,
@@ -107,7 +107,7 @@ SILENT = (
     E.STOPPED,
 )
 """Causes that say nothing of the set."""
-ABORTS = (*UNDOS, *SILENT, E.ORDERED_BACK)
+ABORTS = (*ROLLBACK_CAUSES, *SILENT, E.ORDERED_BACK)
 """Causes that end an undecided trial where the tried set does not stay."""
 UNSURE = (
     E.LINK_LOST,

@@ -31,7 +31,7 @@ from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.trial.phase import UNDOS, TrialEvent
+from retuner.adaptive.trial.phase import ROLLBACK_CAUSES, TrialEvent
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -161,7 +161,7 @@ def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     if cause is TrialEvent.ORDERED_BACK:
         why = unstable_again(ran, known)
         return Rollback(ran.tried if why else ran.before, bool(why), why)
-    stays = cause not in UNDOS and (known.processes or cause is TrialEvent.TIMED_OUT)
+    stays = cause not in ROLLBACK_CAUSES and (known.processes or cause is TrialEvent.TIMED_OUT)
     sets = [ran.tried, ran.before] if stays else [ran.before, ran.tried]
     ms = {gains: known.ms(gains) for gains in (*sets, *ran.earlier)}
     expected, else_ = expected_losses(ms, known.likely(), _seen(cause, ran, settings), settings.harmless_ms)
@@ -237,7 +237,7 @@ def _seen(cause: TrialEvent, ran: SetsThatRan, settings: TrialSettings) -> dict[
     """What was seen of the set before and of the tried one."""
     swung = ran.swung is not None and ran.swung >= SWINGS_ON
     worked = SetRecord(0, ran.swings <= settings.harmless_decay, CHANGED)
-    now = SetRecord(cause in UNDOS, cause is TrialEvent.TIMED_OUT, BY_LOADS_AFTER.get(cause, BY_LOADS))
+    now = SetRecord(cause in ROLLBACK_CAUSES, cause is TrialEvent.TIMED_OUT, BY_LOADS_AFTER.get(cause, BY_LOADS))
     return {ran.before: SetRecord(1) if swung else worked} | ({} if ran.tried is None else {ran.tried: now})
 
 

@@ -1,11 +1,11 @@
-"""The trials of one loop: which region's change is being written, on trial, taken back, cooling down.
+"""The trials of one loop: which region's change is being written, on trial, rolled back, cooling down.
 
 A thin shell round phase.py (what follows what), judge.py and diverging_trial.py (what a response and a sample say),
 rollback.py (which set is to run after a cause that is no response). It keeps one Trial a region and has one effect:
 ENTERING the phase puts what is to run into the table, at once and whatever led there, so that nothing writes anything
 else. That the controller runs it is told by `restored`.
 
-    cool-down = base x 2^(undos - 1), base from the settings or the restored set's integral time
+    cool-down = base x 2^(rollbacks - 1), base from the settings or the restored set's integral time
     hold of a person's gains = edit_hold_s x 2^(edits - 1)
 """
 
@@ -20,9 +20,9 @@ from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding
 from retuner.adaptive.trial.phase import (
     ABORTS,
     LASTING,
+    ROLLBACK_CAUSES,
     TO_BE_SEEN,
     UNDECIDED,
-    UNDOS,
     UNSURE,
     TrialEvent,
     TrialPhase,
@@ -69,7 +69,7 @@ class TrialSupervisor:
     """See the head of this file.
 
     settings : see TrialSettings. sample_time_s : of the controller.
-    put_back : puts the set that is to run into the table; called on entering a phase.
+    roll_back : puts the set that is to run into the table; called on entering a phase.
     known : what is known of a region's process, when it is to be decided which of its sets runs.
     asks : whether a person has the next word on a region's trial.
     """
@@ -78,17 +78,17 @@ class TrialSupervisor:
         self,
         settings: TrialSettings,
         sample_time_s: float,
-        put_back: Callable[[int, PidGains], None],
+        roll_back: Callable[[int, PidGains], None],
         known: Callable[[int], StillAllowed] = nothing_known,
         asks: Callable[[int], bool] = nobody,
     ) -> None:
         self.settings = settings
         self._shortest_s = LEAST_SAMPLES * sample_time_s
-        self._put_back, self._known, self._asks = put_back, known, asks
+        self._roll_back, self._known, self._asks = roll_back, known, asks
         self._trials: dict[int, Trial] = {}
         self._at: int | None = None
         self.busy = False
-        """Whether a change is undecided or being taken back: only then is there anything to watch."""
+        """Whether a change is undecided or being rolled back: only then is there anything to watch."""
 
     def of(self, region: int) -> Trial:
         """Where the region stands."""
@@ -127,11 +127,11 @@ class TrialSupervisor:
         not refuted there, which only responses of its own may take up again.
         """
         self._time_over(region, t_s)
-        return self.phase(region) is P.IDLE and not self.of(region).undos
+        return self.phase(region) is P.IDLE and not self.of(region).rollbacks
 
     def away(self, region: int) -> bool:
         """Whether a change there is on trial and was never refuted, and the loop is elsewhere."""
-        return self.phase(region) is P.AWAY and not self.of(region).undos
+        return self.phase(region) is P.AWAY and not self.of(region).rollbacks
 
     def held_by_a_person(self, region: int, t_s: float) -> bool:
         """Whether the region's gains are a person's, and nothing but a proposal may follow now."""
@@ -183,7 +183,7 @@ class TrialSupervisor:
                 self._move(region, E.LEFT, t_s)
             return True
         cause = trial.cause
-        if trial.phase != P.RESTORING or trial.ran or cause is None or cause in UNDOS:
+        if trial.phase != P.RESTORING or trial.ran or cause is None or cause in ROLLBACK_CAUSES:
             return False
         self._trials[region] = replace(trial, new=gains, ran=True)
         found = self._rollback(region, cause)
@@ -261,7 +261,7 @@ class TrialSupervisor:
             return None
         found = judge(seen, trial.prediction, ran, self.settings)
         event = FINDINGS[found.finding]
-        if event in UNDOS:
+        if event in ROLLBACK_CAUSES:
             self._stay_or_roll_back(region, event, t_s)
         elif event in KEPT:
             kept = trial.kept + 1
@@ -331,7 +331,7 @@ class TrialSupervisor:
     def _stay_or_roll_back(self, region: int, cause: TrialEvent, t_s: float, known: StillAllowed | None = None) -> bool:
         """A cause that may end an undecided trial; whether anything was decided by it. known : see _rollback."""
         found = self._rollback(region, cause, known)
-        if not found.stays or cause in UNDOS:
+        if not found.stays or cause in ROLLBACK_CAUSES:
             return self._move(region, cause, t_s, found)
         self._trials[region] = replace(self.of(region), cause=cause, back=found)
         if cause == E.TIMED_OUT:
@@ -384,11 +384,11 @@ class TrialSupervisor:
         trial = replace(trial, phase=now, seen=None)
         if now == P.RESTORING:
             found = back or self._rollback(region, event)
-            trial = replace(trial, cause=event, back=found, undos=trial.undos + (event in UNDOS))
+            trial = replace(trial, cause=event, back=found, rollbacks=trial.rollbacks + (event in ROLLBACK_CAUSES))
         elif now == P.COOLING:
             trial = replace(trial, until_s=t_s + self._cool_down_s(trial))
         elif event in {E.PASSED, E.PASSED_FOR_APPROVAL, E.UNLOCKED, E.APPROVED}:
-            trial = replace(trial, undos=0, edits=0 if event in {E.UNLOCKED, E.APPROVED} else trial.edits)
+            trial = replace(trial, rollbacks=0, edits=0 if event in {E.UNLOCKED, E.APPROVED} else trial.edits)
         elif now in {P.AWAY, P.TRIAL} and trial.cause != E.STOPPED:  # the end goes on
             trial = replace(trial, cause=None, back=None)
         if event in {E.PASSED, E.PASSED_FOR_APPROVAL, E.UNDECIDED, E.UNDECIDED_FOR_APPROVAL}:
@@ -396,8 +396,8 @@ class TrialSupervisor:
         self._trials[region] = trial
         self._notice()
         if now == P.RESTORING and trial.back is not None:
-            self._put_back(region, trial.back.gains)
-        if now == P.COOLING and trial.undos >= self.settings.lock_out_after:
+            self._roll_back(region, trial.back.gains)
+        if now == P.COOLING and trial.rollbacks >= self.settings.lock_out_after:
             self._move(region, E.TOO_MANY_UNDOS, t_s)
         return True
 
@@ -406,7 +406,7 @@ class TrialSupervisor:
         if base is None:
             tau_i_s = self._tau_i_s(trial.back.gains if trial.back else trial.old)
             base = max(self.settings.cool_down_tau_i * tau_i_s, self._shortest_s)
-        return base * 2.0 ** min(max(trial.undos - 1, 0), self.settings.cool_down_most)
+        return base * 2.0 ** min(max(trial.rollbacks - 1, 0), self.settings.cool_down_most)
 
     def _hold_s(self, edits: int) -> float:
         """Time for which a person's gains are held."""

@@ -22,7 +22,7 @@ class Trial:
     old : the set before, as the table had it; new : the tried one. ran : whether it is known to have run.
     since_s : when the change was asked for, s.
     kept : responses that kept the promise; silent : that said nothing for or against it.
-    undos : changes undone in a row in this region, since one has passed. edits : how often a person took ours away.
+    rollbacks : in a row in this region, since a change has passed. edits : how often a person took ours away.
     until_s : end of the cool-down, or of the time for which a person's gains are held, s.
     cause : the last one that could have ended the trial. back : what it led to (see rollback.py).
     earlier : sets that ran here before the old one, the newest first. seen : where the watch stands.
@@ -36,7 +36,7 @@ class Trial:
     since_s: float = 0.0
     kept: int = 0
     silent: int = 0
-    undos: int = 0
+    rollbacks: int = 0
     edits: int = 0
     until_s: float = 0.0
     cause: TrialEvent | None = None
@@ -75,7 +75,7 @@ class Trial:
             "since_s": self.since_s,
             "kept": self.kept,
             "silent": self.silent,
-            "undos": self.undos,
+            "undos": self.rollbacks,
             "edits": self.edits,
             "until_s": self.until_s,
             "cause": self.cause.name.lower() if self.cause else None,
@@ -99,7 +99,7 @@ class Trial:
             since_s=float(body["since_s"]),
             kept=int(body["kept"]),
             silent=int(body["silent"]),
-            undos=int(body["undos"]),
+            rollbacks=int(body["undos"]),
             edits=int(body["edits"]),
             until_s=float(body["until_s"]),
             cause=TrialEvent[str(body["cause"]).upper()] if body["cause"] else None,

@@ -1,4 +1,4 @@
-"""Settings of trial and undo, each with its range."""
+"""Settings of trial and rollback, each with its range."""
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.schedule.late_dataclass import dataclass

@@ -4,8 +4,8 @@
     while True:
         heater(pid.step(setpoint, thermometer()))       # once every dt_s
 
-What a decision asks for is done here: gains change without a bump, and a change that disappoints is taken back. Nothing
-of that is left to the caller. `close` decides what runs on when nobody watches any more.
+What a decision asks for is done here: gains change without a bump, and a change that disappoints is rolled back.
+Nothing of that is left to the caller. `close` decides what runs on when nobody watches any more.
 """
 
 import logging
@@ -266,10 +266,12 @@ class PidController:
             raise ValueError("there is no proposal to approve")
         return self._obey(operator_orders.approve_proposal(self._retuner, advised))
 
-    def take_back(self, region: int | str = 0) -> Decision | None:
-        """Take a change back that is on trial or waits for a person; None when there is none."""
-        back = self._retuner.taken_back(self._retuner.table.index(region))
+    def roll_back(self, region: int | str = 0) -> Decision | None:
+        """Roll back a change that is on trial or waits for approval; None when there is none."""
+        back = self._retuner.rolled_back(self._retuner.table.index(region))
         return None if back is None else self._obey(back)
+
+    take_back = roll_back  # its former name
 
     def set_gains(self, gains: PidGains) -> Decision | None:
         """Set other gains by hand in the region where the loop is; they are kept for a shift, see TrialSettings.
@@ -288,7 +290,7 @@ class PidController:
         return None if made is None else self._obey(made)
 
     def set_mode(self, mode: Mode | str) -> Decision | None:
-        """Say what the retuner may do from now on; "off" takes back what is on trial."""
+        """Say what the retuner may do from now on; "off" rolls back what is on trial."""
         back = operator_orders.set_mode(self._retuner, None, _mode(mode))
         return None if back is None else self._obey(back)
 

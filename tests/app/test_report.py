@@ -88,7 +88,7 @@ def test_a_set_that_stays_at_the_end_is_not_told_of_as_taken_back() -> None:
     assert "restored" not in text
     assert "The trial settings stay" in text
     assert "kept: Kc 2 tau_I 4 s" in text
-    assert not any(mark.undone for mark in marks_of(told, [row]))
+    assert not any(mark.rolled_back for mark in marks_of(told, [row]))
 
 
 def test_ms_over_the_limit_is_red_with_the_reason() -> None:
@@ -118,7 +118,7 @@ def test_marks_carry_the_numbers_of_their_decisions() -> None:
     advice: dict[str, object] = {"number": 6, "t_s": 1900.0, "region": "all", "action": "advise"}
     data = ReportData("loop", "u", TABLE, TABLE, [], [], RUN, None, [901.0])
     found = marks_of(data, [write, undo, advice])
-    assert [(mark.t_s, mark.number, mark.undone) for mark in found] == [(900.0, 4, False), (1800.0, 5, True)]
+    assert [(mark.t_s, mark.number, mark.rolled_back) for mark in found] == [(900.0, 4, False), (1800.0, 5, True)]
     assert [mark.number for mark in marks_of(data, [])] == [0]
 
 

@@ -101,7 +101,7 @@ def test_an_approval_in_a_locked_region_changes_nothing(desk: Desk) -> None:
     tried = desk.tried(4.0)
     for _ in range(3):
         desk.happens(TrialEvent.WORSE)
-        desk.wire.until(P.COOLING if desk.wire.trials.of(0).undos < 3 else P.LOCKED)
+        desk.wire.until(P.COOLING if desk.wire.trials.of(0).rollbacks < 3 else P.LOCKED)
         if desk.wire.trials.phase(0) is P.LOCKED:
             break
         desk.wire.run(10)

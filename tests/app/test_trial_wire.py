@@ -71,7 +71,7 @@ def disturb(wire: Wire) -> None:
 
 
 def back(wire: Wire) -> None:
-    decision = wire.session.retuner.taken_back(0)
+    decision = wire.session.retuner.rolled_back(0)
     wire.asked += [decision] if decision else []
 
 
@@ -191,7 +191,7 @@ def test_a_deliberately_bad_change_is_rolled_back(make_wire: Callable[..., Wire]
     assert wire.runs == to_wire(GOOD)
     decision = next(d for d in wire.session.decisions if d.action is Action.RESTORE)
     assert decision.code in {"undo_runaway", "undo_worse"}
-    assert wire.trials.of(0).undos == 1
+    assert wire.trials.of(0).rollbacks == 1
 
 
 def test_a_third_undo_locks_the_region_and_says_so(make_wire: Callable[..., Wire]) -> None:
@@ -199,7 +199,7 @@ def test_a_third_undo_locks_the_region_and_says_so(make_wire: Callable[..., Wire
     for _ in range(3):
         into(wire, P.TRIAL)
         wire.trials.event(0, TrialEvent.WORSE, wire.clock.now_s())
-        wire.until(P.COOLING if wire.trials.of(0).undos < 3 else P.LOCKED)
+        wire.until(P.COOLING if wire.trials.of(0).rollbacks < 3 else P.LOCKED)
     assert wire.kinds[-1] == "lockout"
     assert wire.session.retuner.trials.may_change(0, 1e12) is False
 

@@ -77,8 +77,8 @@ def article(view: DecisionView) -> str:
         '<div class="columns">',
         section("Process model", _learned(view)),
         section("Cause", _cause(view)),
-        section("Settings" if view.undoes else "Proposal", _proposal(view)),
-        "" if view.undoes else section("Proof", _proof(view)),
+        section("Settings" if view.rolls_back else "Proposal", _proposal(view)),
+        "" if view.rolls_back else section("Proof", _proof(view)),
         "</div>",
         section("Robustness and predicted responses", paragraph(footing(view)), drawing, _margins(view)),
         promise_section(view),
@@ -176,11 +176,11 @@ def _by_eye(view: DecisionView) -> list[str]:
 
 def _proposal(view: DecisionView) -> str:
     """The rule with its formula and numbers; settings in force, of the rule, and let through."""
-    proposal = {} if view.undoes else part(view.document, "proposal")
+    proposal = {} if view.rolls_back else part(view.document, "proposal")
     wanted = gains_of(part(proposal, "parallel"))
     names = (
         ("on trial", "", "kept" if stays(view.document) else "rolled back")
-        if view.undoes
+        if view.rolls_back
         else ("active", "rule", "accepted")
     )
     columns = zip(names, (view.before, wanted, view.after), strict=True)

@@ -153,8 +153,8 @@ class DecisionView:
         return tuple(self._sampled(model) for model in models if model)
 
     @property
-    def undoes(self) -> bool:
-        """Whether a set on trial is taken back."""
+    def rolls_back(self) -> bool:
+        """Whether a change on trial is rolled back."""
         return self.action == "restore"
 
     @cached_property

@@ -31,13 +31,13 @@ def document_of(decision: "Decision | Document") -> Document:
 
 
 def stays(decision: "Decision | Document") -> bool:
-    """Whether the gains on trial stay, and are only read back: no undo, though the action is that of one."""
+    """Whether the gains on trial stay, and are only read back: no rollback, though the action is that of one."""
     document = document_of(decision)
     before, after = (part(document, name) for name in ("gains_before", "gains_after"))
     return words(document, "action") == "restore" and bool(after) and after == before
 
 
-def takes_back(decision: "Decision | Document") -> bool:
+def rolls_back(decision: "Decision | Document") -> bool:
     """Whether other gains replace those on trial."""
     document = document_of(decision)
     return words(document, "action") == "restore" and not stays(document)

@@ -1,7 +1,7 @@
-"""What a change promised, and what came of it: later responses against the promise, and the undo if there was one."""
+"""What a change promised, and what came of it: later responses against it, and the rollback if there was one."""
 
 from retuner.decision_page.decision_view import DecisionView
-from retuner.decision_page.explain import change_text, stays, takes_back
+from retuner.decision_page.explain import change_text, rolls_back, stays
 from retuner.decision_page.html import paragraph, section, text_table
 from retuner.decision_page.row_values import Document, number, numbers_or_none, part, words
 
@@ -40,7 +40,7 @@ def promise_section(view: DecisionView) -> str:
     spread = f"In brackets the smallest and largest value{over}.{_promised_ms(promise)}"
     heads = ("", "setpoint step: predicted", "previous settings", "load step: predicted", "previous settings")
     heading = "Predicted performance, against which the next responses are judged"
-    if view.undoes:
+    if view.rolls_back:
         heading = f"Predicted performance of what {'is on trial' if stays(view.document) else 'was rolled back'}"
     return section(heading, text_table(heads, rows), paragraph(spread, "muted"))
 
@@ -106,10 +106,10 @@ def _judged(name: str, value: float, factor: float, unit: str) -> str:
 
 
 def later_section(view: DecisionView) -> str:
-    """What came of a change: the later responses that were judged, and the undo."""
+    """What came of a change: the later responses that were judged, and the rollback."""
     rows = []
     for later in view.later:
-        undone = takes_back(later)
+        undone = rolls_back(later)
         told = (_told(part(later, "judgement")) or words(later, "reason"), change_text(later) if undone else "")
         reason = " Then ".join(one for one in told if one)
         when = f"{number(later, 't_s') or 0.0:,.0f}"

@@ -20,13 +20,13 @@ from retuner.decision_page.explain import (
     model_text,
     ms_words,
     response_text,
+    rolls_back,
     settings_text,
     stays,
-    takes_back,
 )
 from retuner.errors import one_line
 from retuner.live_view.loop_seen import LoopSeen, RegionSeen
-from retuner.report.console import COLOURS, KEPT, MOST_CHARACTERS, UNDONE, live_line, short_reason
+from retuner.report.console import COLOURS, KEPT, MOST_CHARACTERS, ROLLED_BACK, live_line, short_reason
 
 # The lines of the live view, made for a width: none is ever longer, so none wraps.
 #
@@ -92,15 +92,15 @@ def decision_lines(decision: Decision, width: int, loop: str = "", *, detail: bo
 
     loop : its name, where there are several. detail : all else that was weighed.
     """
-    undone = takes_back(decision)
-    cause = UNDONE if undone else KEPT if stays(decision) else cause_text(decision)
+    back = rolls_back(decision)
+    cause = ROLLED_BACK if back else KEPT if stays(decision) else cause_text(decision)
     head = Text.assemble(
         (f"{decision.t_s:9,.0f}s ", "dim"),
         (f"{one_line(f'{loop} {decision.region}'.strip())}  ", "bold"),
         (f"{cause}  ", COLOURS.get(cause, "magenta")),
         "no change" if decision.action is Action.NONE else change_text(decision),
     )
-    judged = decision.judgement.reason if decision.judgement and not undone else ""
+    judged = decision.judgement.reason if decision.judgement and not back else ""
     reason = decision.reason if detail else short_reason(decision)
     why = "; ".join(one for one in (one_line(reason), f"trial: {one_line(judged)}" if judged else "") if one)
     lines = [head, Text(f"{' ' * INDENT}{why}")]

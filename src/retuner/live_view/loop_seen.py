@@ -33,7 +33,7 @@ class RunningController(Protocol):
 class RegionSeen:
     """One region: its gains in the table, Ms of them on the process as known (None: not known, infinite: unstable).
 
-    records : behind what is known. learned_s : time of the last of them, None without one. undos : in a row.
+    records : behind what is known. learned_s : time of the last of them, None without one. rollbacks : in a row.
     """
 
     name: str
@@ -44,7 +44,7 @@ class RegionSeen:
     learned_s: float | None
     mode: str
     trial: str
-    undos: int
+    rollbacks: int
 
     def to_dict(self) -> dict[str, object]:
         """Plain values; an unstable loop is `unstable` with ms null."""
@@ -59,7 +59,7 @@ class RegionSeen:
             "learned_s": self.learned_s,
             "mode": self.mode,
             "trial": self.trial,
-            "undos": self.undos,
+            "undos": self.rollbacks,
         }
 
 
@@ -228,7 +228,7 @@ class LoopObserver:
         places = range(len(r.table.regions.names))
         trials = [r.trials.of(i) for i in places]
         parts = (r.table, r.settings, *(r.region_models.get(i) for i in places))
-        stands = tuple((one.phase, one.undos) for one in trials)
+        stands = tuple((one.phase, one.rollbacks) for one in trials)
         if stands != self._stands or any(a is not b for a, b in zip(parts, self._parts, strict=False)):
             self._parts, self._stands = parts, stands
             self._regions = tuple(self._region(i, t_s) for i in places)
@@ -251,7 +251,7 @@ class LoopObserver:
             learned_s=model.t_s if model else None,
             mode=str(r.settings.mode_of(i)),
             trial=str(trial.phase),
-            undos=trial.undos,
+            rollbacks=trial.rollbacks,
         )
 
 

@@ -11,15 +11,17 @@ from rich.table import Table
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision
-from retuner.decision_page.explain import cause_text, change_text, model_text, short_settings, stays, takes_back
+from retuner.decision_page.explain import cause_text, change_text, model_text, rolls_back, short_settings, stays
 from retuner.decision_page.row_values import in_full
 from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import MS_LIMIT, ms_text
 from retuner.report.scores import RegionScore
 from retuner.streams import LastingStream
 
-UNDONE, KEPT = "ROLLED BACK", "kept"
-COLOURS = {UNDONE: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
+ROLLED_BACK, KEPT = "ROLLED BACK", "kept"
+COLOURS = {
+    ROLLED_BACK: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green",
+}  # fmt: skip
 MOST_CHARACTERS = 1000
 """Longer lines of a table are folded all the same."""
 REFRESH_SAMPLES = 50
@@ -112,14 +114,14 @@ def live_line(decision: Decision, loop: str = "") -> str:
 
     loop : its name, where there are several.
     """
-    undone = takes_back(decision)
-    cause = UNDONE if undone else KEPT if stays(decision) else cause_text(decision)
+    back = rolls_back(decision)
+    cause = ROLLED_BACK if back else KEPT if stays(decision) else cause_text(decision)
     colour = COLOURS.get(cause, "magenta")
     where = f"{loop} {decision.region}" if loop else decision.region
     head = f"[dim]{in_full(decision.t_s):>8} s[/] [bold]{escape(where):6}[/] [{colour}]{cause:10}[/]"
     told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(short_reason(decision))]
     told += [] if decision.action == Action.NONE else [f"[bold]{escape(change_text(decision))}[/]"]
-    judged = decision.judgement.reason if decision.judgement and not undone else ""
+    judged = decision.judgement.reason if decision.judgement and not back else ""
     told += [f"[cyan]trial: {escape(judged)}[/]"] if judged else []
     model = model_text(decision)
     return f"{head} {'; '.join(told)}{f'; [dim]model: {escape(model)}[/]' if model else ''}"
@@ -127,7 +129,7 @@ def live_line(decision: Decision, loop: str = "") -> str:
 
 def short_reason(decision: Decision) -> str:
     """Why: of a rollback the first clause, the report has the others."""
-    return decision.reason.split("; ")[0] if takes_back(decision) else decision.reason
+    return decision.reason.split("; ")[0] if rolls_back(decision) else decision.reason
 
 
 def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit: float = MS_LIMIT) -> Table:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from retuner.decision_page.explain import takes_back
+from retuner.decision_page.explain import rolls_back
 from retuner.decision_page.html import document, escaped, paragraph, table
 from retuner.decision_page.row_values import Document, words
 from retuner.report.scores import RegionScore
@@ -21,7 +21,7 @@ class LoopLine(NamedTuple):
     report: str | None
     decisions: int
     changes: int
-    undone: int
+    rolled_back: int
     advised: int
     iae: tuple[float, float] | None
     trouble: str
@@ -36,7 +36,7 @@ def loop_line(
     iae = (max(ratios), min(ratios)) if ratios else None
     changes = sum(score.changes for score in scores)
     return LoopLine(
-        name, report, len(done), changes, sum(map(takes_back, decisions)), done.count("advise"), iae, trouble
+        name, report, len(done), changes, sum(map(rolls_back, decisions)), done.count("advise"), iae, trouble
     )
 
 
@@ -54,7 +54,7 @@ def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
     rows = [
         (
             f'<a href="{escaped(one.report)}">{escaped(one.name)}</a>' if one.report else escaped(one.name),
-            *map(escaped, (one.decisions, one.changes, one.undone, one.advised)),
+            *map(escaped, (one.decisions, one.changes, one.rolled_back, one.advised)),
             escaped(_iae(one.iae)),
             escaped(one.trouble),
         )

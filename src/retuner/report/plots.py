@@ -38,7 +38,7 @@ class Mark(NamedTuple):
 
     t_s: float
     number: int
-    undone: bool
+    rolled_back: bool
 
 
 def trend_svg(run: Columns, fixed: Columns | None, marks: Sequence[Mark], regions: Regions, unit: str) -> str:
@@ -116,10 +116,10 @@ def _marks(panels: Sequence[Axes], marks: Sequence[Mark], start_s: float, scale:
     labelled: set[bool] = set()
     for mark in marks:
         at = (mark.t_s - start_s) / scale
-        style, name = (":", "change rolled back") if mark.undone else ("-", "gains changed")
+        style, name = (":", "change rolled back") if mark.rolled_back else ("-", "gains changed")
         for axes in panels:
-            axes.axvline(at, color=MARK, lw=1.1, ls=style, label=None if mark.undone in labelled else name)
-            labelled.add(mark.undone)
+            axes.axvline(at, color=MARK, lw=1.1, ls=style, label=None if mark.rolled_back in labelled else name)
+            labelled.add(mark.rolled_back)
         if mark.number:
             place = panels[0].get_xaxis_transform()
             panels[0].text(at, 0.015, f" {mark.number}", transform=place, color=MARK, fontsize=8, va="bottom")

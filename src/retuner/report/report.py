@@ -19,9 +19,9 @@ from retuner.decision_page.explain import (
     document_of,
     model_text,
     response_text,
+    rolls_back,
     settings_text,
     stays,
-    takes_back,
 )
 from retuner.decision_page.html import document as html_document
 from retuner.decision_page.html import escaped, figure, paragraph, table, text_table
@@ -53,7 +53,7 @@ class RegionNow:
     name: str
     seen: int
     changes: int
-    undone: int
+    rolled_back: int
     cause: str
     process: str
     borrowed: bool
@@ -82,7 +82,7 @@ def _region(name: str, own: list[Document]) -> RegionNow:
         name,
         len(own),
         len(changed),
-        sum(map(takes_back, own)),
+        sum(map(rolls_back, own)),
         _now(judged, last),
         model_text(known) if known else "",
         bool(changed) and words(changed[-1], "basis") == BORROWED,
@@ -106,7 +106,7 @@ def _standing(last: Document) -> str:
     at_the_end = " at the end of the session" * code.endswith("_stopped")
     if stays(last) or code.startswith("kept_"):
         return f"trial gains kept{at_the_end}"
-    if takes_back(last):
+    if rolls_back(last):
         return f"rolled back{at_the_end}"
     return "on trial" if words(last, "action") == "commit" else trial
 
@@ -131,7 +131,7 @@ def _marks(now: RegionNow) -> str:
         f"mode {now.mode}" if now.mode else "",
         now.trial if now.trial != IDLE else "",
         "settings from a neighbouring region's model" if now.borrowed else "",
-        f"{now.undone} rolled back" if now.undone else "",
+        f"{now.rolled_back} rolled back" if now.rolled_back else "",
     ]
     return ", ".join(one for one in told if one)
 
@@ -212,8 +212,8 @@ def render(data: ReportData) -> str:
     lasted = f"{hours:.2g} h" if hours >= SHORTEST_H else f"{3600 * hours:.2g} s"
     parts.append(f"{_counted(sum(bool(d.get('response')) for d in documents), 'response')} recognised in {lasted}.")
     parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
-    # when changes were taken back, s
-    undone = len([number(one, "t_s") or 0.0 for one in documents if takes_back(one)])
+    # when changes were rolled back, s
+    undone = len([number(one, "t_s") or 0.0 for one in documents if rolls_back(one)])
     if undone:
         parts.append(f"{_counted(undone, 'change')} rolled back.")
     advised = sum(words(d, "action") == "advise" for d in documents)
@@ -262,10 +262,10 @@ def marks_of(data: ReportData, documents: Sequence[Document]) -> list[Mark]:
     found = []
     for one in documents:
         action, t_s = words(one, "action"), number(one, "t_s") or 0.0
-        if action == "commit" or takes_back(one):
-            found.append(Mark(t_s, int(number(one, "number") or 0), undone=action == "restore"))
-    decided = any(not mark.undone for mark in found)
-    return found if decided else [*found, *(Mark(t_s, 0, undone=False) for t_s in data.commits)]
+        if action == "commit" or rolls_back(one):
+            found.append(Mark(t_s, int(number(one, "number") or 0), rolled_back=action == "restore"))
+    decided = any(not mark.rolled_back for mark in found)
+    return found if decided else [*found, *(Mark(t_s, 0, rolled_back=False) for t_s in data.commits)]
 
 
 def _counted(count: int, what: str) -> str:

@@ -64,7 +64,7 @@ def locks(names: Sequence[str]) -> Locks:
 
 
 def trial_settings(a: AdaptationConfig) -> TrialSettings:
-    """Settings of trial and undo."""
+    """Settings of trial and rollback."""
     return TrialSettings(
         responses=a.trial_responses,
         level=a.trial_level,

@@ -1,11 +1,11 @@
 """Has the controller run what it should, one two-phase write at a time, each recorded before it begins:
 
-    1  the verified set, while a change is being taken back: before everything else, until it has been read back
+    1  the verified set, while a change is being rolled back: before everything else, until it has been read back
     2  a decision of the retuner, when the loop is still in its region and the link has been sound for a while
     3  the schedule: another region, other gains
 
 A decision on a region where the loop is not changes the table alone: the schedule writes its set when the loop comes.
-While a set is being taken back the table has the verified one already, so no way leads to the tried one.
+While a change is being rolled back the table has the verified one already, so no way leads to the tried one.
 """
 
 from enum import Enum, StrEnum
@@ -231,7 +231,7 @@ class GainWriter:
     def _in_table_now(self, write: WantedSet, stored: PidGains) -> None:
         """What was decided on is in the table, and on trial."""
         before = self.retuner.table
-        if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being taken back
+        if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being rolled back
             return
         self.commits.append((self.t_s, write.region))
         # Record that a change is on trial from now on, if it is
@@ -359,7 +359,7 @@ class GainWriter:
         self.retuner.restored()
         for region in regions:
             if trials.phase(region) == TrialPhase.LOCKED:
-                self._record("lockout", self.t_s, {"region": self._name(region), "undos": trials.of(region).undos})
+                self._record("lockout", self.t_s, {"region": self._name(region), "undos": trials.of(region).rollbacks})
 
     def _wanted(self, running: PidGains) -> WantedSet | None:
         """What should be written now, if anything: a decision for the region in force first, then the schedule."""

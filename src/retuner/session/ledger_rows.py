@@ -174,7 +174,7 @@ def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | 
         case "revert":
             return revert(retuner, region, gains_of(body["gains"]), t_s)
         case "reject" if body["tried"]:
-            return retuner.taken_back(region)
+            return retuner.rolled_back(region)
         case "unlock":
             unlock(retuner, region, t_s)
         case _:

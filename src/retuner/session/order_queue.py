@@ -313,7 +313,7 @@ class OrderDesk:
         return {"region": proposal.region, "proposal": proposal.to_dict()}, self._superseded(proposal)
 
     def _not_wanted(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:
-        """A proposal that is closed, or a change that waits for a person and is taken back."""
+        """A proposal that is closed, or a change that waits for a person and is rolled back."""
         if before is not None:
             past = before.shown.proposals.get(digest)
             if past is None:
@@ -331,8 +331,8 @@ class OrderDesk:
     def _too_late(self, digest: str) -> str:
         """Why a proposal cannot be rejected any more, empty when it can: it was approved, and its gains are written."""
         number = self._taken_up.get(digest)
-        undo = f"to take it back, order a revert of decision {number}"
-        return "" if number is None else f"it was approved before, and written with decision {number}; {undo}"
+        back = f"to roll it back, order a revert of decision {number}"
+        return "" if number is None else f"it was approved before, and written with decision {number}; {back}"
 
     def _superseded(self, proposal: Proposal) -> str:
         """Why a proposal may not be taken up any more, empty unless this session has made a newer one of its region."""

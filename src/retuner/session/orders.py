@@ -2,7 +2,7 @@
 
     approve : write a proposal, named by its hash          revert : back to the gains before a decision, in its region
     unlock  : let a locked-out region change again         reject : no to a proposal, or to what was tried and waits
-    mode    : what may be done from now on, in a region or (without one) in all; off takes back what is on trial
+    mode    : what may be done from now on, in a region or (without one) in all; off rolls back what is on trial
     propose : gains of one's own for a region, proved as any; they wait for approval
 
 A running session looks for them at its samples; without one, the next session into the same folder finds them. A taken

@@ -20,7 +20,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.judge import Judgement, TrialFinding, TrialNumbers
-from retuner.adaptive.trial.phase import ABORTS, SILENT, TO_BE_SEEN, UNDECIDED, UNDOS, TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import ABORTS, ROLLBACK_CAUSES, SILENT, TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction, predict
 from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.supervisor import TrialSupervisor
@@ -105,7 +105,7 @@ class World:
         trial = self.trials.of(region)
         if trial.new is not None and not trial.ran:
             stays = self.trials.written(region, trial.new, self.t_s)
-            given_up = trial.phase is P.RESTORING and trial.cause not in UNDOS
+            given_up = trial.phase is P.RESTORING and trial.cause not in ROLLBACK_CAUSES
             assert not stays or trial.phase is P.WRITING or given_up, f"{trial.phase}: nothing was written there"
             self.fresh = stays
             if stays:
@@ -173,7 +173,7 @@ def do(world: World, name: str) -> None:
     world.fresh = False
     HAPPENS[name](world)
     for at, was in before.items():
-        now, trial, refuted = world.table[at], trials[at], name in {cause.name for cause in UNDOS}
+        now, trial, refuted = world.table[at], trials[at], name in {cause.name for cause in ROLLBACK_CAUSES}
         undecided = trial.phase in UNDECIDED and trial.ran
         silent = undecided and not refuted and not world.fresh and world.known.processes and was == trial.new
         if silent and robustness(was, list(PROCESSES)) == (0, HARMLESS):

@@ -185,7 +185,7 @@ def test_a_rollback_in_which_a_session_died_is_asked_for_again() -> None:
     stand = Stand(GOOD)
     stand.retuner.ordered(0, Outcome("injected", "for a test"), UNSTABLE, PROMISE)
     stand.retuner.committed(0, UNSTABLE)
-    assert stand.retuner.taken_back(0) is not None
+    assert stand.retuner.rolled_back(0) is not None
     after = again(stand)
     told = found_running(after, UNSTABLE)
     assert told is not None

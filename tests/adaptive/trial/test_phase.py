@@ -6,11 +6,11 @@ import pytest
 
 from retuner.adaptive.trial.phase import (
     ABORTS,
+    ROLLBACK_CAUSES,
     SILENT,
     TO_BE_SEEN,
     TRANSITIONS,
     UNDECIDED,
-    UNDOS,
     UNSURE,
     TrialEvent,
     TrialPhase,
@@ -87,7 +87,7 @@ def test_a_locked_region_waits_for_a_person() -> None:
 
 
 def test_every_cause_is_of_one_kind_and_every_phase_can_be_reached() -> None:
-    assert sorted(ABORTS) == sorted({*UNDOS, *SILENT, E.ORDERED_BACK})
+    assert sorted(ABORTS) == sorted({*ROLLBACK_CAUSES, *SILENT, E.ORDERED_BACK})
     assert len(set(ABORTS)) == len(ABORTS)
     assert set(UNSURE) < set(SILENT)
     assert set(TRANSITIONS.values()) == set(TrialPhase)

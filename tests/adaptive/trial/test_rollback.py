@@ -15,7 +15,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.trial.phase import ABORTS, SILENT, UNDECIDED, UNDOS, TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import ABORTS, ROLLBACK_CAUSES, SILENT, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction, predict
 from retuner.adaptive.trial.rollback import (
     NOTHING_KNOWN,
@@ -94,7 +94,7 @@ def test_every_undecided_phase_under_every_cause_with_either_set_the_more_robust
             assert now == (tried if math.isinf(ms(old)) else old), (
                 "a person may choose a larger Ms, not an unstable loop"
             )
-        elif cause in UNDOS and max(ms(old), ms(tried)) <= HARMLESS:
+        elif cause in ROLLBACK_CAUSES and max(ms(old), ms(tried)) <= HARMLESS:
             assert now == old, "both are robust: what was seen decides"
         else:
             assert loss_of(ms(now), HARMLESS) <= loss_of(ms(before), HARMLESS) + PRICE, (one, other)
@@ -106,7 +106,7 @@ def test_every_undecided_phase_under_every_cause_with_either_set_the_more_robust
         assert not bench.trials.restoring
 
 
-@pytest.mark.parametrize("cause", [c for c in ABORTS if c not in {*UNDOS, E.ORDERED_BACK}], ids=lambda c: c.name)
+@pytest.mark.parametrize("cause", sorted({*ABORTS} - {*ROLLBACK_CAUSES, E.ORDERED_BACK}), ids=lambda c: c.name)
 def test_a_cure_stays_and_goes_on_being_tried(cause: TrialEvent) -> None:
     bench = Bench(P.TRIAL, SETS["unstable"], SETS["right"], StillAllowed((PROCESS,)))
     assert bench.trials.event(0, cause, 1.0)
@@ -165,7 +165,7 @@ def test_evidence_against_a_set_leads_to_what_is_expected_to_lose_least_of_all_t
     assert not found.stays
 
 
-@pytest.mark.parametrize("cause", UNDOS, ids=lambda c: c.name)
+@pytest.mark.parametrize("cause", ROLLBACK_CAUSES, ids=lambda c: c.name)
 def test_no_evidence_leads_back_to_more_action_that_is_unstable_on_every_model(cause: TrialEvent) -> None:
     """The old gains have worked, then the process changed: what swings under less of them runs away under them."""
     known, old, tried = StillAllowed((PROCESS,)), SETS["unstable"], PidGains(9.5, 0.22)
@@ -248,9 +248,9 @@ def test_whatever_is_known_and_ran_a_set_robust_on_all_models_never_gives_way_to
         cause, SetsThatRan(old, tried, tuple(earlier), swings=1.0), StillAllowed(tuple(processes)), TrialSettings()
     )
     assert found.gains in sets
-    first = old if cause in UNDOS else tried
+    first = old if cause in ROLLBACK_CAUSES else tried
     worst = {gains: [ms(gains, p) for p in processes] for gains in sets}
-    if max(worst[first]) <= HARMLESS and not (cause in UNDOS and less_of_everything(old, tried)):
+    if max(worst[first]) <= HARMLESS and not (cause in ROLLBACK_CAUSES and less_of_everything(old, tried)):
         assert not all(map(math.isinf, worst[found.gains]))
     if cause in SILENT and max(worst[tried]) <= HARMLESS:
         assert found.stays
@@ -259,7 +259,7 @@ def test_whatever_is_known_and_ran_a_set_robust_on_all_models_never_gives_way_to
 def test_a_swing_under_calmer_gains_is_no_reason_to_go_back_to_more_action() -> None:
     """A loop whose gain had grown in the meantime was made unstable by that."""
     swung = SetsThatRan(SETS["unstable"], SETS["right"], swings=0.0)
-    for cause in UNDOS:
+    for cause in ROLLBACK_CAUSES:
         back = rollback(cause, swung, StillAllowed((PROCESS,)), TrialSettings())
         assert back.gains == SETS["right"]
         assert "previous gains unstable" in back.reason
@@ -272,7 +272,7 @@ def test_what_swung_on_and_is_unstable_on_every_model_does_not_come_back() -> No
     assert ms(acts_more) <= HARMLESS
     assert not less_of_everything(before, acts_more)
     grew, worked = (SetsThatRan(before, acts_more, swung=s, swings=s) for s in (1.3, 0.1))
-    for cause in UNDOS:
+    for cause in ROLLBACK_CAUSES:
         assert rollback(cause, grew, StillAllowed((PROCESS,)), TrialSettings()).stays
         assert rollback(cause, worked, StillAllowed((PROCESS,)), TrialSettings()).stays
 
@@ -316,7 +316,7 @@ def test_every_abort_ends_on_a_set_that_is_no_less_stable_than_what_ran(
 STEADY = (SETS["right"], SETS["right too"])
 
 
-@pytest.mark.parametrize("cause", [*UNDOS, E.ORDERED_BACK, *SILENT], ids=lambda c: c.name)
+@pytest.mark.parametrize("cause", [*ROLLBACK_CAUSES, E.ORDERED_BACK, *SILENT], ids=lambda c: c.name)
 def test_a_rescued_loop_stays_rescued_after_every_cause_with_models_and_without(cause: TrialEvent) -> None:
     """kc 4.5, tau_I / 4 and worse: unstable on all 11 models; a tone made the judge and the watch speak."""
     old, tried = PidGains(16.0, 1.6), SETS["right"]

@@ -14,7 +14,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, TrialNumbers
-from retuner.adaptive.trial.phase import ABORTS, UNDECIDED, UNDOS, TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import ABORTS, ROLLBACK_CAUSES, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, SetsThatRan, StillAllowed, rollback
 from retuner.adaptive.trial.supervisor import DECIDED, WITH_GAINS, TrialSupervisor
 from retuner.adaptive.trial.trial_settings import TrialSettings
@@ -158,17 +158,17 @@ def test_the_cool_down_doubles_with_each_undo_and_a_region_is_locked_after_too_m
     assert bench.trials.may_change(1, bench.t_s)
     bench.trials.event(0, E.UNLOCKED, bench.t_s)
     assert bench.trials.may_change(0, bench.t_s)
-    assert bench.trials.of(0).undos == 0
+    assert bench.trials.of(0).rollbacks == 0
 
 
-@pytest.mark.parametrize("cause", [c for c in ABORTS if c not in UNDOS], ids=lambda c: c.name)
+@pytest.mark.parametrize("cause", [c for c in ABORTS if c not in ROLLBACK_CAUSES], ids=lambda c: c.name)
 def test_what_does_not_speak_against_the_set_neither_doubles_nor_locks(cause: TrialEvent) -> None:
     bench = Bench()
     for _ in range(10):
         bench.undo(cause)
         bench.t_s = bench.trials.of(0).until_s
         assert bench.trials.may_change(0, bench.t_s)
-    assert bench.trials.of(0).undos == 0
+    assert bench.trials.of(0).rollbacks == 0
 
 
 def test_an_urgent_change_need_not_wait_for_the_cool_down() -> None:
@@ -178,7 +178,7 @@ def test_an_urgent_change_need_not_wait_for_the_cool_down() -> None:
     assert bench.trials.may_change(0, bench.t_s, urgent=True)
     bench.trials.begin(0, OLD, NEW, PROMISE, bench.t_s, urgent=True)
     assert bench.trials.phase(0) is P.WRITING
-    assert bench.trials.of(0).undos == 1
+    assert bench.trials.of(0).rollbacks == 1
 
 
 def test_passing_resets_the_count_and_a_person_has_the_next_word_where_asked() -> None:
@@ -190,7 +190,7 @@ def test_passing_resets_the_count_and_a_person_has_the_next_word_where_asked() -
     assert bench.trials.judge(0, seen, GOOD, bench.t_s, ask=True).finding is not TrialFinding.WORSE
     assert bench.trials.phase(0) is P.WAITING
     assert bench.table[0] == GOOD
-    assert bench.trials.of(0).undos == 0
+    assert bench.trials.of(0).rollbacks == 0
     assert not bench.trials.may_change(0, 1e9)
     bench.trials.event(0, E.APPROVED, bench.t_s)
     bench.write(new=GOOD)

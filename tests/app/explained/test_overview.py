@@ -15,7 +15,7 @@ def test_each_region_tells_its_newest_state() -> None:
     later = {**BORROWED, "number": 9, "records": 4}
     low, middle = regions_now(("low", "middle"), [COMMIT, {**REFUSED, "diagnosis": None}, later, RESTORED])
     assert (low.seen, low.process, low.trial) == (0, "", "")
-    assert (middle.seen, middle.changes, middle.undone, middle.borrowed) == (4, 2, 1, True)
+    assert (middle.seen, middle.changes, middle.rolled_back, middle.borrowed) == (4, 2, 1, True)
     assert middle.process.endswith("(4 records)")
     assert middle.cause == "aggressive"
     assert middle.trial == "rolled back"
