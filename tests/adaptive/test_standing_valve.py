@@ -172,7 +172,10 @@ def test_sums_against_all_responses_are_those_of_their_columns(lag: float) -> No
     np.testing.assert_allclose(responses.squares(), (columns**2).sum(axis=0), atol=1e-12)
 
 
-@pytest.mark.parametrize("part", [slice(None, None, 2), slice(30, None), slice(None, 560)], ids=["half", "late", "early"])
+HALVES = {"half": slice(None, None, 2), "late": slice(30, None), "early": slice(None, 560)}
+
+
+@pytest.mark.parametrize("part", HALVES.values(), ids=HALVES)
 def test_how_far_a_valve_stands_is_alike_in_every_second_row_and_in_most_of_them(part: slice) -> None:
     sp = np.repeat([0.0, 6.0, -4.0], 200)
     window = flow_loop([4.0, 2.4, -3.0, -1.4, 0.5], sp, np.zeros(600))
