@@ -250,7 +250,7 @@ class BumpPlanner:
         enough = math.ceil(10 * self.settings.percent * least / bands) / 10
         reason = (
             f"a setpoint bump of {self.settings.percent:g} % is {bands:.1f} noise bands, and {least:g} are needed: "
-            f"no bump is made; try adaptation.bumps.percent = {enough:.1f} would do"
+            f"no bump is made; adaptation.bumps.percent = {enough:.1f} would be enough"
         )
         return BumpNews(BumpEvent.TOO_SMALL, self.phase, None, sample.sp, sample.sp, reason)
 

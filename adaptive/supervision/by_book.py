@@ -155,11 +155,11 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
 def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
     """The outcome without its change, where the book speaks against that; None where it does not.
 
-    Less action, which is slower for certain, is to be better on most of the book. Its cause is to be no less likely
-    there than not, unless the change leads back: so diagnose says it of the same samples (cause_odds/). More must do no
-    harm by models and book together: that the loads are steps, and that one wanders, are as likely. Where a loop whose
-    process was shown mostly rests, none wanders, and the book must be sure. A whole window it takes, but not against
-    less action by a model that is not identifiable.
+    Less action is slower for certain, so it must be better on most of the book, and its cause at least as likely there
+    as not, unless the change leads back: diagnose says the same of the same samples (cause_odds/). More action must do
+    no harm by models and book together, which weigh the same: loads may be steps, or one may wander. Where a loop whose
+    process was shown mostly rests, no load wanders, and the book must be sure. The book must hold a whole window, but
+    not where less action comes from a model that is not identifiable.
     """
     settings, book, told, verdict = found.settings.book, seen.book, seen.told, own.verdict
     record, look, shown = found.record, seen.look, seen.shown

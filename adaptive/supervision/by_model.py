@@ -1,9 +1,9 @@
 """What follows from the findings about a response: gains that are proved and worth their risk, or the reason why none.
 
 by_model         the rule's proposal for what is known (region_proposal.py), proved by the guard (guard/proof.py),
-weighed against staying and steps on its way (choice/expected_cost.py), and confirmed: the loop
-itself may refute the model, the process may run away by itself, and a case that is not clear is
-put to the whole diagnosis before gains change
+                 weighed against staying and steps on its way (choice/expected_cost.py), and confirmed: the loop
+                 itself may refute the model, the process may run away by itself, and a case that is not clear is
+                 put to the whole diagnosis before gains change
 without_a_model  a small step by rules that need no model, where nothing is identified
 """
 

@@ -3,13 +3,16 @@
     findings_of          what does the record say, and what does its region know with it?        findings.py
     without_a_model,     what follows from that: a proposal (region_proposal.py), its proof, is  by_model.py
     by_model             it worth its risk, and is it sure?
-    gains_that_win       the only place where it is chosen which gains win, and why              here, by_book.py
+    gains_that_win       of what follows from the model, the set before and all samples: which   here, by_book.py
+                         gains win, and why?
     expectation,         what are these gains held to, what does a trial's record say of both    judge_evidence.py
     check_after_trial    sets?
     elsewhere            where nothing changes here: what is due in other regions?               other_regions.py
 
-The retuner raises the question and enters the outcome (retuner.py); the session has the gains written (gain_writer.py).
-All that the outcome depends on is in the question, so another process may work it out.
+The book of a region says how likely each process is by all samples up to now (explanations/book.py). The retuner raises
+the question, and enters the outcome as a decision, where mode and trial allow a change (retuner.py). The session hands
+its gains to the writer (loop_session.py, gain_writer.py). All that the outcome depends on is in the question, so another
+process may work it out.
 """
 
 from dataclasses import replace
@@ -72,7 +75,7 @@ def _decided(question: Question) -> Outcome:
 
 
 def gains_that_win(found: Findings, own: Outcome) -> Outcome:
-    """Which gains win, and why; it is chosen here and nowhere else.
+    """Which gains win, and why: no other place chooses between what models, trials and all samples say.
 
     1. Those that follow from the response, with the models of its region.
     2. Where a tone goes on through the last change to less action: the set that ran before it.

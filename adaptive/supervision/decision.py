@@ -76,8 +76,8 @@ class Outcome:
     excitation : what the region model rests on.
     prediction : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
-    elsewhere : what is due in a region where the loop is not, by its index. beside_walk : what the loop did lately
-    leaves of its process beside a load that wanders as before the change of a trial; None where none did.
+    elsewhere : what is due in a region where the loop is not, by its index. beside_walk : of a trial, which processes
+    the response still allows if the load wanders as it did before the change; None where no load wandered.
     book : what all samples have shown of the region by now, None for as before; all_samples : of the gains in force.
     """
 

@@ -1,6 +1,6 @@
 """The retuner: one sample in, now and then one decision out.
 
-    sample -> finder -> completed response -> decide -> decision -> trial -> the verified set is restored
+    sample -> finder -> completed response -> decide -> decision -> trial -> kept or rolled back
 
 The object is a thin shell round pure steps. It hands out decisions, and learns by `committed` what is then in force.
 A decision may take longer than a sample. `observe` makes it on the spot; whoever cannot wait takes its three steps:
