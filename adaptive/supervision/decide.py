@@ -9,10 +9,10 @@
     check_after_trial    sets?
     elsewhere            where nothing changes here: what is due in other regions?               other_regions.py
 
-The book of a region says how likely each process is by all samples up to now (explanations/book.py). The retuner raises
-the question, and enters the outcome as a decision, where mode and trial allow a change (retuner.py). The session hands
-its gains to the writer (loop_session.py, gain_writer.py). All that the outcome depends on is in the question, so another
-process may work it out.
+The book of a region says how likely each process is by all samples up to now (explanations/book.py). The retuner
+raises the question, and enters the outcome as a decision, where mode and trial allow a change (retuner.py). The session
+hands its gains to the writer (loop_session.py, gain_writer.py). All that the outcome depends on is in the question, so
+another process may work it out.
 """
 
 from dataclasses import replace

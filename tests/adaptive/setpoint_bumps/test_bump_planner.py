@@ -118,7 +118,7 @@ def test_a_bump_that_would_drown_in_the_noise_is_not_made_and_that_is_told_once(
     bench.run(5000, around(band=0.4))
     assert (bench.causes, bench.sp) == ([BumpEvent.TOO_SMALL], 50.0)
     assert "is 2.5 noise bands, and 4 are needed" in bench.news[0].reason
-    assert bench.news[0].reason.endswith("adaptation.bumps.percent = 1.6 would do")
+    assert bench.news[0].reason.endswith("adaptation.bumps.percent = 1.6 would be enough")
 
 
 @pytest.mark.parametrize("sample", [{"mode": LoopMode.MANUAL}, {"limited": True}, {"pv": 51.0}])
