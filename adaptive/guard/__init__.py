@@ -14,11 +14,26 @@ from retuner.adaptive.guard.request import (
     NeighbourBorder,
     Support,
 )
-from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
+from retuner.adaptive.guard.ruling import Check, Proof, Ruling
 from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor, within_limits
 
 __all__ = [
-    "KC_ONLY", "NO_DERIVATIVE", "NO_LOCKS", "SAME_GAINS", "ChangeRequest", "Check", "Evidence", "GuardSettings",
-    "Locks", "NeighbourBorder", "Ruling", "Support", "Verdict", "allowed", "borders_of", "change_factor", "prove",
+    "KC_ONLY",
+    "NO_DERIVATIVE",
+    "NO_LOCKS",
+    "SAME_GAINS",
+    "ChangeRequest",
+    "Check",
+    "Evidence",
+    "GuardSettings",
+    "Locks",
+    "NeighbourBorder",
+    "Proof",
+    "Ruling",
+    "Support",
+    "allowed",
+    "borders_of",
+    "change_factor",
+    "prove",
     "within_limits",
 ]  # fmt: skip

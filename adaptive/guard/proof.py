@@ -35,10 +35,10 @@ from retuner.adaptive.guard.ruling import (
     FactorNumbers,
     LimitNumbers,
     NotRobustNumbers,
+    Proof,
     ProofNumbers,
     Ruling,
     SignNumbers,
-    Verdict,
     WantedNumbers,
 )
 from retuner.adaptive.guard.step_size import change_factor, extent, less_of_everything, within_factor, within_limits
@@ -206,7 +206,7 @@ class _Case:
         return self.request.urgent or self.oscillates
 
 
-def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
+def prove(request: ChangeRequest, settings: GuardSettings) -> Proof:
     """Decide what may be written; see the head of this file."""
     processes = [p.model.seen_by_controller(request.sample_time_s).linear() for p in request.models]
     case = _Case(request, settings, Loops(processes, request.filter_s))
@@ -252,7 +252,7 @@ def _goals(case: _Case) -> list[Goal]:
     )
 
 
-def _open_goals(case: _Case) -> tuple[list[Goal], Verdict | None]:
+def _open_goals(case: _Case) -> tuple[list[Goal], Proof | None]:
     """The goals that are worth a write, or why there is none.
 
     Where kc stands at its limit already, a goal that moves tau_I alone is one; what the rule would give at a larger
@@ -339,7 +339,7 @@ def _safe_direction(case: _Case, gains: PidGains, goal: Goal) -> bool:
     return less_of_everything(old, gains) if not case.over else case.loops.safer(old, gains, goal.gains)
 
 
-def _best(case: _Case, tried: list[TriedSettings], doubted: bool) -> Verdict | None:
+def _best(case: _Case, tried: list[TriedSettings], doubted: bool) -> Proof | None:
     """The first candidate that is proved; else, for a loop over its limit, the largest step that makes it safer.
 
     That step is tried at the slowest tau_c first.
@@ -412,7 +412,7 @@ def _share(old: PidGains, new: PidGains, goal: Goal) -> float:
     return min(extent(old, new) / whole, 1.0) if whole and new != goal.wanted else 1.0
 
 
-def _unproved(case: _Case, goal: Goal) -> Verdict:
+def _unproved(case: _Case, goal: Goal) -> Proof:
     """A small step where no model can prove one, the pattern's; the whole one where an oscillation asks for less."""
     request, s = case.request, case.settings
     way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
@@ -429,12 +429,12 @@ def _unproved(case: _Case, goal: Goal) -> Verdict:
         return _refused(case, *_outside(case), goal.notes)
     step = _share(request.in_force, gains, goal)
     ruling = Ruling.UNPROVED_BACK if ran else UNPROVED[way_out]
-    return Verdict(
+    return Proof(
         ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks, goal.notes, (), way_out
     )
 
 
-def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Verdict:
+def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Proof:
     request, s, loops, gains = case.request, case.settings, case.loops, candidate.gains
     nominal, worst, before = loops.nominal(gains), loops.worst(gains), loops.nominal(request.in_force)
     before_worst = loops.worst(request.in_force)
@@ -449,7 +449,7 @@ def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Verdict:
     )
     urgent = case.urgent and _safe_direction(case, gains, candidate.goal)
     step = _share(request.in_force, gains, candidate.goal)
-    return Verdict(
+    return Proof(
         ruling,
         gains,
         step,
@@ -465,12 +465,12 @@ def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Verdict:
     )
 
 
-def _refused(case: _Case, ruling: Ruling, numbers: Numbers, notes: tuple[str, ...] = ()) -> Verdict:
-    """The verdict that nothing may be written: Ms as it stays."""
+def _refused(case: _Case, ruling: Ruling, numbers: Numbers, notes: tuple[str, ...] = ()) -> Proof:
+    """The ruling that nothing may be written: Ms as it stays."""
     request, s, loops = case.request, case.settings, case.loops
     nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
     checks = (*evidence_checks(request, s), *failed_checks(numbers))
-    return Verdict(
+    return Proof(
         ruling,
         None,
         0.0,

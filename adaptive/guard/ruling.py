@@ -153,7 +153,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Proof:
     """What the guard lets through.
 
     ruling : the outcome. gains : what may be written, None when refused. step : share of the proposed step (0 to 1).

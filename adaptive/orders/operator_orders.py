@@ -16,7 +16,7 @@ import numpy as np
 
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Verdict, change_factor, prove, within_limits
+from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Proof, change_factor, prove, within_limits
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.region_model.update import update_region_model
@@ -46,14 +46,12 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
         There is no such region.
     """
     region = retuner.table.index(proposal.region)
-    verdict = _proof(retuner, region, proposal.after, t_s)
-    short, reason = proposal.digest[:8], _refusal(retuner, region, proposal, verdict)
+    proof = _proved(retuner, region, proposal.after, t_s)
+    short, reason = proposal.digest[:8], _refusal(retuner, region, proposal, proof)
     if reason:
         return retuner.ordered(region, Outcome("approval_refused", f"proposal {short} is not written: {reason}"))
     prediction = Prediction.from_dict(proposal.prediction) if proposal.prediction else None
-    outcome = Outcome(
-        "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by an operator", verdict=verdict
-    )
+    outcome = Outcome("approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by an operator", proof=proof)
     return retuner.ordered(region, outcome, proposal.after, prediction)
 
 
@@ -62,21 +60,21 @@ def propose(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decis
 
     t_s : now. Nothing is written before the proposal is approved.
     """
-    verdict = _proof(retuner, region, gains, t_s)
-    proved = None if verdict is None else verdict.gains
+    proof = _proved(retuner, region, gains, t_s)
+    proved = None if proof is None else proof.gains
     if gains.direction != retuner.table.gains_of(region).direction:
         reason = "these gains have the opposite control action"
-    elif verdict is None:
+    elif proof is None:
         reason = "the process of this region is not known yet"
     elif proved is None:
-        reason = verdict.sentence
+        reason = proof.sentence
     elif change_factor(proved, gains) > WHOLE:
         reason = f"only a smaller change is proved now: kp {proved.kp:.4g}, ki {proved.ki:.4g}, kd {proved.kd:.4g}"
     else:
-        prediction = prediction_of(verdict, retuner.table, region, retuner.scheduled, None, retuner.settings)
-        told = retuner.ordered(region, Outcome("order_proposed", "an operator proposed these gains", verdict=verdict))
+        prediction = prediction_of(proof, retuner.table, region, retuner.scheduled, None, retuner.settings)
+        told = retuner.ordered(region, Outcome("order_proposed", "an operator proposed these gains", proof=proof))
         return replace(told, action=Action.ADVISE, gains_after=proved, prediction=prediction)
-    return retuner.ordered(region, Outcome("order_refused", f"proposal refused: {reason}", verdict=verdict))
+    return retuner.ordered(region, Outcome("order_refused", f"proposal refused: {reason}", proof=proof))
 
 
 def approve_proposal(retuner: Retuner, decision: Decision, expires_after_s: float = 86400.0) -> Decision:
@@ -105,7 +103,7 @@ def approve_proposal(retuner: Retuner, decision: Decision, expires_after_s: floa
     return approve(retuner, proposal, retuner.now_s)
 
 
-def _proof(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Verdict | None:
+def _proved(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Proof | None:
     """The guard's word on a person's gains; None where nothing is known of the region."""
     if region not in retuner.region_models:
         return None
@@ -114,21 +112,21 @@ def _proof(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Verdic
     return prove(change_request(wanted, region, retuner.commissioned, known, None), retuner.settings.guard)
 
 
-def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict | None) -> str:
+def _refusal(retuner: Retuner, region: int, proposal: Proposal, proof: Proof | None) -> str:
     """Why an approved proposal is not written; empty when it is."""
     in_force = retuner.table.gains_of(region)
     if proposal.prediction is None:
         return "it has no prediction to judge a trial by"
     if change_factor(in_force, proposal.before) > SAME_GAINS:
         return str(ProposalStanding.OTHER_GAINS)
-    if verdict is None:
+    if proof is None:
         less = less_of_everything(in_force, proposal.after)
         moved = within_limits(in_force, proposal.after, 1.0, retuner.settings.guard, less_unlimited=less)
         whole = moved is not None and change_factor(moved[0], proposal.after) < WHOLE
         return "" if whole else "it is outside the present limits of a change"
-    if verdict.gains is None:
-        return verdict.sentence
-    if change_factor(verdict.gains, proposal.after) > WHOLE:
+    if proof.gains is None:
+        return proof.sentence
+    if change_factor(proof.gains, proposal.after) > WHOLE:
         return "with the present model only a smaller change is proved"
     return ""
 
@@ -273,14 +271,14 @@ def pretune(retuner: Retuner, region: int, window: Window) -> Decision:
         There is no such region.
     """
     outcome = _outcome(retuner, region, window)
-    verdict, mode = outcome.verdict, retuner.settings.mode_of(region)
-    if verdict is None or verdict.gains is None or mode == Mode.OFF:
+    proof, mode = outcome.proof, retuner.settings.mode_of(region)
+    if proof is None or proof.gains is None or mode == Mode.OFF:
         return retuner.ordered(region, outcome)
-    prediction = prediction_of(verdict, retuner.table, region, retuner.scheduled, None, retuner.settings)
+    prediction = prediction_of(proof, retuner.table, region, retuner.scheduled, None, retuner.settings)
     if mode == Mode.ADVISE:
         advised = retuner.ordered(region, outcome)
-        return replace(advised, action=Action.ADVISE, gains_after=verdict.gains, prediction=prediction)
-    return retuner.ordered(region, outcome, verdict.gains, prediction)
+        return replace(advised, action=Action.ADVISE, gains_after=proof.gains, prediction=prediction)
+    return retuner.ordered(region, outcome, proof.gains, prediction)
 
 
 def _outcome(retuner: Retuner, region: int, window: Window) -> Outcome:
@@ -304,13 +302,13 @@ def _outcome(retuner: Retuner, region: int, window: Window) -> Outcome:
     if not wanted.diagnosis.retune:
         cause = wanted.diagnosis
         return Outcome(str(cause.cause), f"{WORDS}: {cause.reason}", learned, diagnosis=cause)
-    verdict = prove(change_request(wanted.tuning, region, retuner.commissioned, known, learned), settings.guard)
+    proof = prove(change_request(wanted.tuning, region, retuner.commissioned, known, learned), settings.guard)
     return Outcome(
-        verdict.code,
-        f"{WORDS}: {wanted.diagnosis.reason if verdict.accepted else verdict.sentence}",
+        proof.code,
+        f"{WORDS}: {wanted.diagnosis.reason if proof.accepted else proof.sentence}",
         learned,
         diagnosis=wanted.diagnosis,
         proposal=wanted.tuning,
         basis=Basis.PRETUNE,
-        verdict=verdict,
+        proof=proof,
     )

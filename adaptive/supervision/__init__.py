@@ -1,1 +1,1 @@
-"""The decision: from a response by its stages to a proposal and a verdict, and the Retuner that keeps the state."""
+"""The decision: from a response to gains that are proved, or the reason why none (decide.py), and the Retuner."""

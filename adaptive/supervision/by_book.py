@@ -161,13 +161,13 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     process was shown mostly rests, no load wanders, and the book must be sure. The book must hold a whole window, but
     not where less action comes from a model that is not identifiable.
     """
-    settings, book, told, verdict = found.settings.book, seen.book, seen.told, own.verdict
+    settings, book, told, proof = found.settings.book, seen.book, seen.told, own.proof
     record, look, shown = found.record, seen.look, seen.shown
-    if book is None or told is None or verdict is None or verdict.gains is None:
+    if book is None or told is None or proof is None or proof.gains is None:
         return None
     if record.table.lookup is not Lookup.HARD:
         return None
-    now, new, numbers, drawn = record.in_force, verdict.gains, own.numbers, book.drawn(settings.drawn)
+    now, new, numbers, drawn = record.in_force, proof.gains, own.numbers, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
     away = less and lets_go(drawn, now, new, settings)
     if found.growth is not None and not away:
@@ -194,7 +194,7 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     if away:
         by_that = f"the process runs away by itself with {float(drawn.weights @ drawn.runs_away):.0%} probability"
     reason = found.words(f"{told.words}; by that, {by_that}")
-    return replace(own, code="unconfirmed", reason=reason, verdict=None, basis=None, prediction=None)
+    return replace(own, code="unconfirmed", reason=reason, proof=None, basis=None, prediction=None)
 
 
 def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Diagnosis | None:
@@ -205,15 +205,15 @@ def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Di
     valve be likelier. Less action waits where load steps explain a setpoint response in two ways: the diagnosis knows
     no other loads, so that the loop is in danger by both says little.
     """
-    record, learned, verdict, book = found.record, found.learned, own.verdict, seen.book
-    assert verdict is not None
+    record, learned, proof, book = found.record, found.learned, own.proof, seen.book
+    assert proof is not None
     assert book is not None
     if record.crossed or found.joined:  # not of this region, or not of one response
         return None
     if (
         learned is not None
         and found.in_use is not None
-        and exempt_from_confirmation(found, verdict, learned, found.in_use)
+        and exempt_from_confirmation(found, proof, learned, found.in_use)
     ):
         return None
     if less and learned is not None and learned.contested:  # both explanations are load steps' ones
@@ -312,14 +312,14 @@ def _proved_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome 
         Evidence(records=book.records + 1), known.borders(region), filter_s=settings.filter_s,
         locks=settings.locks_of(region), units=settings.units,
     )  # fmt: skip
-    verdict = prove(request, settings.guard)
-    if not verdict.accepted or verdict.gains is None:
+    proof = prove(request, settings.guard)
+    if not proof.accepted or proof.gains is None:
         return None
     if agreed and also:  # records that agree say no less than loads do
         sampled = also[0].model.seen_by_controller(settings.sample_time_s).linear()
-        if sensitivity_peak(sampled, verdict.gains, settings.filter_s) > settings.book.ms_good:
+        if sensitivity_peak(sampled, proof.gains, settings.filter_s) > settings.book.ms_good:
             return None
-    if less and lets_go(book.drawn(settings.book.drawn), record.in_force, verdict.gains, settings.book):
+    if less and lets_go(book.drawn(settings.book.drawn), record.in_force, proof.gains, settings.book):
         return None
     odds = told.numbers.book_high if less else told.numbers.book_room
     cause = Cause.AGGRESSIVE if less else Cause.SLUGGISH
@@ -327,11 +327,11 @@ def _proved_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome 
     if own.code != LOOKED:
         words = f"{words} (this response by itself: {own.reason})"
     change = replace(
-        own, code=verdict.code, reason=found.words(words), proposal=told.tuning, verdict=verdict,
+        own, code=proof.code, reason=found.words(words), proposal=told.tuning, proof=proof,
         diagnosis=Diagnosis(cause, min(odds, MOST_SURE), told.numbers.to_dict(), words), basis=Basis.ALL_SAMPLES,
         numbers=NO_NUMBERS, prediction=None,  # not those of a change that was dropped
     )  # fmt: skip
-    doubt = runaway(found, verdict)
+    doubt = runaway(found, proof)
     return change if doubt is None else found.unconfirmed(change, doubt)
 
 

@@ -27,7 +27,7 @@ from retuner.adaptive.diagnosis.oscillation_online import stretch
 from retuner.adaptive.diagnosis.second_opinion import SWINGING, TOWARDS_SAFETY, Excitation, runs_away, unconfirmed
 from retuner.adaptive.diagnosis.swing_checks import at_own_crossover, foretold, not_seen
 from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
-from retuner.adaptive.guard import GuardSettings, Verdict, prove
+from retuner.adaptive.guard import GuardSettings, Proof, prove
 from retuner.adaptive.guard.between_knots import worst_between
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.identification.estimate import log_controller
@@ -50,7 +50,7 @@ from retuner.adaptive.supervision.findings import (
     unambiguous,
     wanted_of,
 )
-from retuner.adaptive.supervision.judge_evidence import prediction_of_verdict
+from retuner.adaptive.supervision.judge_evidence import prediction_of_proof
 from retuner.adaptive.supervision.question import ResponseRecord
 from retuner.adaptive.supervision.region_proposal import (
     KnownProcesses,
@@ -82,30 +82,30 @@ def by_model(found: Findings) -> Outcome:
     cause = wanted.diagnosis
     if not cause.retune:  # is the active tuning the cause?
         return _stays(found, cause, learned)
-    verdict = proof(found, model, wanted)  # may the region have the gains that the rule gives?
+    proof = proved(found, model, wanted)  # may the region have the gains that the rule gives?
     lost = 0
-    if lost_on_all(verdict.allowed, found.record.in_force, found.settings):
+    if lost_on_all(proof.allowed, found.record.in_force, found.settings):
         lost = found.record.excitation.lost + 1
         found = replace(found, excitation=replace(found.excitation_now, lost=lost))
     change = replace(
-        found.outcome(verdict.code, verdict.sentence, cause),
-        proposal=wanted.tuning, basis=Basis.MODEL, verdict=verdict,
+        found.outcome(proof.code, proof.sentence, cause),
+        proposal=wanted.tuning, basis=Basis.MODEL, proof=proof,
     )  # fmt: skip
-    if not verdict.accepted:
+    if not proof.accepted:
         return change
-    if doubt := refutation(found, cause, verdict.allowed):  # does the loop itself refute the model?
+    if doubt := refutation(found, cause, proof.allowed):  # does the loop itself refute the model?
         forget = learned.agreement not in ANEW and cause.cause in SWINGING
         refuted = found.unconfirmed(change, doubt)
         return replace(refuted, forget=forget, region_model=None, excitation=None)  # what was known before stays
-    choice, verdict = worth(found, model, wanted, verdict)  # is it expected to cost less than staying?
+    choice, proof = worth(found, model, wanted, proof)  # is it expected to cost less than staying?
     if choice.index == 0:
         code, reason = ONE_RECORD if choice.waits else NOT_WORTH, found.words(choice.reason)
-        return replace(change, code=code, reason=reason, basis=None, verdict=None, numbers=choice.numbers)
-    prediction = prediction_of_verdict(found, verdict)
-    change = replace(change, verdict=verdict, numbers=choice.numbers, prediction=prediction)
-    if doubt := runaway(found, verdict):  # does the process run away by itself, and would the change hold it worse?
+        return replace(change, code=code, reason=reason, basis=None, proof=None, numbers=choice.numbers)
+    prediction = prediction_of_proof(found, proof)
+    change = replace(change, proof=proof, numbers=choice.numbers, prediction=prediction)
+    if doubt := runaway(found, proof):  # does the process run away by itself, and would the change hold it worse?
         return found.unconfirmed(change, doubt)
-    return confirmation(found, change, verdict, choice.reason, lost)
+    return confirmation(found, change, proof, choice.reason, lost)
 
 
 def _stays(found: Findings, cause: Diagnosis, learned: Learned) -> Outcome:
@@ -150,9 +150,9 @@ def without_a_model(found: Findings) -> Outcome | None:
         step = replace(found.outcome("", ""), proposal=tuning, foreign=counted_cause(found, doubt))
         return found.unconfirmed(step, replace(doubt, reason=f"{reason}; {doubt.reason}"))
     tables, damping = (record.table, record.commissioned), record.response.damping
-    verdict = prove(unproved_request(tuning, record.region, tables, found.settings, damping), found.settings.guard)
-    step = found.outcome(verdict.code, reason if verdict.accepted else verdict.sentence, own, proposed.numbers)
-    return replace(step, proposal=tuning, basis=proposed.basis, verdict=verdict)
+    proof = prove(unproved_request(tuning, record.region, tables, found.settings, damping), found.settings.guard)
+    step = found.outcome(proof.code, reason if proof.accepted else proof.sentence, own, proposed.numbers)
+    return replace(step, proposal=tuning, basis=proposed.basis, proof=proof)
 
 
 def _of_two_sets(why: str, *, crossed: bool) -> str:
@@ -184,14 +184,13 @@ def choosable(record: ResponseRecord, known: KnownProcesses, gains: PidGains) ->
     return Choosable(runs, worst.ms / settings.guard.ms_border if worst is not None else 0.0)
 
 
-def proof(found: Findings, model: RegionModel, wanted: RobustProposal, guard: GuardSettings | None = None) -> Verdict:
-    """The guard's word on what the rule gives for a model. guard : its settings, None for those of the loop."""
-    return _proof_of(
-        found, found.record.known_with(model, found.settings), wanted.tuning, guard or found.settings.guard
-    )
+def proved(found: Findings, model: RegionModel, wanted: RobustProposal) -> Proof:
+    """May the region have the gains that the rule gives for a model?"""
+    settings = found.settings
+    return _proof_of(found, found.record.known_with(model, settings), wanted.tuning, settings.guard)
 
 
-def _proof_of(found: Findings, known: KnownProcesses, tuning: Tuning, guard: GuardSettings) -> Verdict:
+def _proof_of(found: Findings, known: KnownProcesses, tuning: Tuning, guard: GuardSettings) -> Proof:
     """The guard's word on a tuning for the response's region."""
     record = found.record
     damping = record.pattern.damping if record.pattern is not None else None
@@ -205,19 +204,19 @@ def lost_on_all(allowed: Sequence[Plausible], gains: PidGains, settings: Retuner
     return bool(allowed) and all(math.isinf(sensitivity_peak(process, gains, filter_s)) for process in processes)
 
 
-def worth(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> tuple[Choice, Verdict]:
+def worth(found: Findings, model: RegionModel, wanted: RobustProposal, proof: Proof) -> tuple[Choice, Proof]:
     """Is the change, or a step on its way, expected to cost less than staying?
 
     Returns the choice between the gains in force, the proved change and steps on its way, and the best one's proof.
     """
     record, settings = found.record, found.settings
     known = record.known_with(model, settings)
-    ways = [verdict, *_steps(found, known, wanted, verdict)]
-    whole = _proof_of(found, known, wanted.tuning, settings.guard.whole_step()) if verdict.step < 1.0 else None
+    ways = [proof, *_steps(found, known, wanted, proof)]
+    whole = _proof_of(found, known, wanted.tuning, settings.guard.whole_step()) if proof.step < 1.0 else None
     sets = [record.table.gains_of(record.region), *(one.gains for one in ways), whole.gains if whole else None]
     placed = [choosable(record, known, gains) for gains in sets if gains is not None]
     seen, asked = _seen(found, model), 1 + len(ways)
-    looked = _looked(found, verdict.allowed, placed, seen)
+    looked = _looked(found, proof.allowed, placed, seen)
     way = looked[asked] if len(looked) > asked else None
     choice = choose(looked[:asked], way, seen, settings.choice)
     return choice, ways[choice.best - 1]
@@ -233,19 +232,19 @@ def _looked(
     return outlooks(allowed, sets, seen.decay, loop, settings.choice if by_setpoint else settings.choice.by_loads())
 
 
-def _steps(found: Findings, known: KnownProcesses, wanted: RobustProposal, verdict: Verdict) -> list[Verdict]:
+def _steps(found: Findings, known: KnownProcesses, wanted: RobustProposal, proof: Proof) -> list[Proof]:
     """Parts of a proved change that are proved as well."""
     now, accepted = found.record.table.gains_of(found.record.region), []
-    assert verdict.gains is not None
+    assert proof.gains is not None
     for share in PARTS:
-        part = replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None)
+        part = replace(wanted.tuning, gains=along(now, proof.gains, share), tau_c_s=None)
         one = _proof_of(found, known, part, found.settings.guard)
         if one.accepted:
             notes = (
-                *verdict.notes,
+                *proof.notes,
                 f"{share:.0%} of the proved change, because that is expected to be better than the full change",
             )
-            accepted.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s, notes=notes))
+            accepted.append(replace(one, step=proof.step * share, tau_c_s=proof.tau_c_s, notes=notes))
     return accepted
 
 
@@ -300,7 +299,7 @@ def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
     return damping is not None and damping > settings.swing.grows
 
 
-def confirmation(found: Findings, change: Outcome, verdict: Verdict, worth: str, lost: int) -> Outcome:
+def confirmation(found: Findings, change: Outcome, proof: Proof, worth: str, lost: int) -> Outcome:
     """The change, where the case is clear or the whole diagnosis names the tuning as well; else the outcome without it.
 
     worth : why it is. lost : responses in a row at which the loop was unstable on every plausible model. No case is
@@ -313,8 +312,8 @@ def confirmation(found: Findings, change: Outcome, verdict: Verdict, worth: str,
     agrees = found.clear or is_known(found, learned)
     if found.record.crossed and not agrees:
         reason = found.words("the response crossed a boundary, and more than the setpoint may be behind it")
-        return replace(change, code="unconfirmed", reason=reason, basis=None, verdict=None)
-    if not (agrees or exempt_from_confirmation(found, verdict, learned, model)) or stands(found):
+        return replace(change, code="unconfirmed", reason=reason, basis=None, proof=None)
+    if not (agrees or exempt_from_confirmation(found, proof, learned, model)) or stands(found):
         doubt = doubt_of(found, cause)
         if doubt is not None and not in_danger(found, doubt, lost):
             return _not_confirmed(found, change, cause, doubt, lost)
@@ -322,7 +321,7 @@ def confirmation(found: Findings, change: Outcome, verdict: Verdict, worth: str,
             # As good as a clear one: what agrees with it later needs no second confirmation
             clear = found.excitation.clear + 1
             change = replace(change, excitation=replace(found.excitation, clear=clear))
-    return replace(change, code=verdict.code, reason=found.words(f"{cause.reason}; {worth}"))
+    return replace(change, code=proof.code, reason=found.words(f"{cause.reason}; {worth}"))
 
 
 def _not_confirmed(found: Findings, change: Outcome, cause: Diagnosis, doubt: Diagnosis, lost: int) -> Outcome:
@@ -378,20 +377,20 @@ SETPOINTS = 2
 """Setpoint responses among the records that bear each other out."""
 
 
-def exempt_from_confirmation(found: Findings, verdict: Verdict, learned: Learned, model: RegionModel) -> bool:
+def exempt_from_confirmation(found: Findings, proof: Proof, learned: Learned, model: RegionModel) -> bool:
     """Whether a change by a response that is not clear needs no confirmation (see diagnosis/second_opinion.py).
 
     To agree with loads that were never confirmed proves nothing, so it counts what the model rested on before.
     """
     record, settings = found.record, found.settings
     swing, seen = settings.swing, (record.samples, record.response)
-    if verdict.ruling in TOWARDS_SAFETY and (found.growth is not None or known_to_swing(record, settings)):
+    if proof.ruling in TOWARDS_SAFETY and (found.growth is not None or known_to_swing(record, settings)):
         return True
     if runs_away(*seen, learned.estimate.explained, swing):
         return True
     process = model.log.model().seen_by_controller(settings.sample_time_s)
     return (
-        verdict.ruling in TOWARDS_SAFETY
+        proof.ruling in TOWARDS_SAFETY
         and swings_between_limits(record, settings)
         and at_own_crossover(record.response, process, record.in_force, settings.limit_swing)
     )
@@ -468,14 +467,14 @@ FEWEST_OF_STEP = 3
 """Samples of such a window."""
 
 
-def runaway(found: Findings, verdict: Verdict) -> Diagnosis | None:
+def runaway(found: Findings, proof: Proof) -> Diagnosis | None:
     """Does the process run away by itself, and would the proved change hold it worse?
 
     The last setpoint step under these gains shows it. What settings follow from has no such pole, and on an integrator
     in its place less gain looks safer.
     """
     record, settings = found.record, found.settings
-    if verdict.gains is None or found.steps is not None or record.pattern is None:
+    if proof.gains is None or found.steps is not None or record.pattern is None:
         return None
     window = _last_step(record)
     if window is None:
@@ -484,7 +483,7 @@ def runaway(found: Findings, verdict: Verdict) -> Diagnosis | None:
     shown = unstable_process(window, law)
     if shown is None:
         return None
-    after = record.table.with_gains(record.region, verdict.gains).at(record.region, *record.at)
+    after = record.table.with_gains(record.region, proof.gains).at(record.region, *record.at)
     worse = worse_on(shown, law, after, len(window.pv), settings.cause.ms_high)
     return None if worse is None else _runaway_words(shown, *worse)
 

@@ -29,7 +29,7 @@ from retuner.adaptive.supervision.by_book import LOOKED, all_samples, objection,
 from retuner.adaptive.supervision.by_model import by_model, without_a_model
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings, findings_of
-from retuner.adaptive.supervision.judge_evidence import beside_walk, may_follow, posterior_of, prediction_of_verdict
+from retuner.adaptive.supervision.judge_evidence import beside_walk, may_follow, posterior_of, prediction_of_proof
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.question import OTHER_LOOP, Question, not_evaluated
 from retuner.adaptive.supervision.region_proposal import KnownProcesses, known_of, unproved_request
@@ -123,12 +123,12 @@ def set_before(found: Findings, own: Outcome) -> Outcome | None:
     tuning, tables = Tuning("set that ran before", "parallel", before), (record.table, record.commissioned)
     request = unproved_request(tuning, record.region, tables, settings)
     request = replace(request, evidence=replace(request.evidence, support=Support.RAN))
-    verdict = prove(request, settings.guard)
-    reason = found.words(REFUTED.format(period=period_s, ruling=verdict.sentence))
-    told = replace(own, code=verdict.code, reason=reason, forget=True, region_model=None, excitation=None)
-    if not verdict.accepted:
+    proof = prove(request, settings.guard)
+    reason = found.words(REFUTED.format(period=period_s, ruling=proof.sentence))
+    told = replace(own, code=proof.code, reason=reason, forget=True, region_model=None, excitation=None)
+    if not proof.accepted:
         return told
-    return replace(told, proposal=tuning, verdict=verdict, basis=Basis.RAN, numbers=NO_NUMBERS)
+    return replace(told, proposal=tuning, proof=proof, basis=Basis.RAN, numbers=NO_NUMBERS)
 
 
 NOT_BACK = (
@@ -158,9 +158,9 @@ def _cut_from(trial: Trial, in_force: PidGains, harmless_decay: float) -> PidGai
 def expectation(found: Findings, winner: Outcome) -> Outcome:
     """What do the proved gains predict, where they may be written at all?"""
     follows = winner.changes and may_follow(found.question.trial, found.settings)
-    if winner.verdict is None or winner.prediction is not None or not follows:
+    if winner.proof is None or winner.prediction is not None or not follows:
         return winner
-    return replace(winner, prediction=prediction_of_verdict(found, winner.verdict))
+    return replace(winner, prediction=prediction_of_proof(found, winner.proof))
 
 
 def check_after_trial(found: Findings, winner: Outcome) -> Outcome:

@@ -16,7 +16,7 @@ from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.settings_by_book import BookNumbers
-from retuner.adaptive.guard import Verdict
+from retuner.adaptive.guard import Proof
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, TrackerSettings, predicted
@@ -71,7 +71,9 @@ class Action(StrEnum):
 class Outcome:
     """What a response leads to: gains that are proved, or the reason why none; steps that were not reached are None.
 
-    code : name of the reason, for machines. region_model : what is known of the region from now on, None for as before.
+    code : name of the reason, for machines. proof : the guard's, of the gains that win; refused, or None, for none.
+    basis : what these rest on. proposal : of the rule, before the proof.
+    region_model : what is known of the region from now on, None for as before.
     forget : what was known of the region is refuted. foreign : as in the record, with this response.
     excitation : what the region model rests on.
     prediction : what the proved gains promise, worked out where they may be written at all. posterior : what the record
@@ -88,7 +90,7 @@ class Outcome:
     diagnosis: Diagnosis | None = None
     proposal: Tuning | None = None
     basis: Basis | None = None
-    verdict: Verdict | None = None
+    proof: Proof | None = None
     foreign: int | None = None
     excitation: Excitation | None = None
     numbers: Numbers = NO_NUMBERS
@@ -104,7 +106,7 @@ class Outcome:
     @property
     def changes(self) -> bool:
         """Whether it has gains that are proved."""
-        return self.verdict is not None and self.verdict.accepted
+        return self.proof is not None and self.proof.accepted
 
 
 class Delay(NamedTuple):
@@ -159,7 +161,7 @@ class Decision:
     diagnosis: Diagnosis | None = None
     basis: Basis | None = None
     proposal: Tuning | None = None
-    verdict: Verdict | None = None
+    proof: Proof | None = None
     numbers: Numbers = NO_NUMBERS
     prediction: Prediction | None = None
     judgement: Judgement | None = None
@@ -205,7 +207,7 @@ class Decision:
             "diagnosis": self.diagnosis.to_dict() if self.diagnosis else None,
             "basis": str(self.basis) if self.basis else None,
             "proposal": self.proposal.to_dict() if self.proposal else None,
-            "verdict": self.verdict.to_dict() if self.verdict else None,
+            "verdict": self.proof.to_dict() if self.proof else None,
             "promise": self.prediction.to_dict() if self.prediction else None,
             "judgement": self.judgement.to_dict() if self.judgement else None,
             "trial": self.trial,
@@ -248,13 +250,13 @@ def with_outcome(
     """The record of a decision with what the stages found; accepted : gains may be written, as far as proof and trial
     are concerned.
     """
-    verdict, learned = outcome.verdict, outcome.learned
+    proof, learned = outcome.proof, outcome.learned
     region_model = learned.region_model if learned else None
     wanted = Action.COMMIT if made.mode in WRITES else Action.ADVISE
     return replace(
         made,
         action=wanted if accepted else Action.NONE,
-        gains_after=verdict.gains if verdict and accepted else None,
+        gains_after=proof.gains if proof and accepted else None,
         numbers=outcome.numbers,
         estimate=learned.estimate if learned else None,
         agreement=learned.agreement if learned else None,
@@ -263,14 +265,14 @@ def with_outcome(
         diagnosis=outcome.diagnosis,
         basis=outcome.basis,
         proposal=outcome.proposal,
-        verdict=verdict,
+        proof=proof,
         all_samples=outcome.all_samples,
     )
 
 
 def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
     """The outcome with the reason why nothing may be changed now, when something was accepted."""
-    if outcome.verdict is None or not outcome.verdict.accepted:
+    if outcome.proof is None or not outcome.proof.accepted:
         return outcome
     words = str(trial.phase)
     if trial.phase == TrialPhase.COOLING:

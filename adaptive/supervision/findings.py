@@ -124,7 +124,7 @@ class Findings:
         """The outcome without its change: what that rests on is doubted."""
         return replace(
             outcome, code="unconfirmed", reason=self.words(doubt.reason), diagnosis=doubt,
-            basis=None, verdict=None, prediction=None,
+            basis=None, proof=None, prediction=None,
         )  # fmt: skip
 
     def end(

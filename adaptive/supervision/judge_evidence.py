@@ -7,7 +7,7 @@ import numpy as np
 
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.guard import Verdict
+from retuner.adaptive.guard import Proof
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed
 from retuner.adaptive.region_model.update import Agreement, Learned
@@ -46,7 +46,7 @@ def may_follow(trial: Trial, settings: RetunerSettings) -> bool:
 
 
 def prediction_of(
-    verdict: Verdict | None,
+    proof: Proof | None,
     table: GainTable,
     region: int,
     at: tuple[float, float],
@@ -59,12 +59,12 @@ def prediction_of(
     at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
     samples : all that are kept, for how much the error moves while nothing happens.
     """
-    if verdict is None or verdict.gains is None:
+    if proof is None or proof.gains is None:
         return None
-    in_force, new = table.at(region, *at), table.with_gains(region, verdict.gains).at(region, *at)
-    if verdict.allowed:
+    in_force, new = table.at(region, *at), table.with_gains(region, proof.gains).at(region, *at)
+    if proof.allowed:
         prediction = predict(
-            verdict.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+            proof.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
         )
         prediction = replace(prediction, decay_seen=decay_seen(response))
     elif response:
@@ -75,11 +75,11 @@ def prediction_of(
     return prediction if swung else replace(prediction, wander=load_variability(samples))
 
 
-def prediction_of_verdict(found: Findings, verdict: Verdict) -> Prediction | None:
-    """What the gains of a verdict promise; how pv moved before steps to and fro is what loads do by themselves."""
+def prediction_of_proof(found: Findings, proof: Proof) -> Prediction | None:
+    """What the gains of a proof promise; how pv moved before steps to and fro is what loads do by themselves."""
     record = found.record
     at = record.table, record.region, record.at
-    told = prediction_of(verdict, *at, record.pattern, found.settings, record.samples)
+    told = prediction_of(proof, *at, record.pattern, found.settings, record.samples)
     if told is None or found.steps is None:
         return told
     return replace(told, wander=max(told.wander, found.steps.wander))
@@ -150,10 +150,10 @@ def seen_of(case: ResponseRecord, outcome: Outcome, settings: RetunerSettings) -
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    verdict = outcome.verdict
-    next_due, due_on = verdict is not None and verdict.accepted and verdict.urgent, None
-    if verdict is not None and verdict.accepted and outcome.basis is Basis.ALL_SAMPLES:
-        sampled = (one.model.seen_by_controller(settings.sample_time_s).linear() for one in verdict.allowed)
+    proof = outcome.proof
+    next_due, due_on = proof is not None and proof.accepted and proof.urgent, None
+    if proof is not None and proof.accepted and outcome.basis is Basis.ALL_SAMPLES:
+        sampled = (one.model.seen_by_controller(settings.sample_time_s).linear() for one in proof.allowed)
         next_due, due_on = True, StillAllowed(tuple(sampled), settings.filter_s, by_loads=True)
     told = (outcome.posterior, case.crossed, next_due, outcome.beside_walk, due_on)
     return JudgedResponse(case.response, window, limited, outside, *told)

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from retuner.adaptive.decision_numbers import Basis
-from retuner.adaptive.guard import Verdict, prove
+from retuner.adaptive.guard import Proof, prove
 from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.from_neighbours import borrowed
@@ -81,16 +81,16 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Outc
     if not wanted.ready or not wanted.diagnosis.retune:
         return None
     request = change_request(wanted.tuning, region, record.commissioned, asked, None)
-    verdict = prove(_counted(request, known), settings.guard)
+    proof = prove(_counted(request, known), settings.guard)
     place = (*centre_of(table.regions, region), 0.0)
-    prediction = prediction_of(verdict, table, region, (place[0], place[1]), None, settings)
-    if prediction is None or verdict.gains is None:
+    prediction = prediction_of(proof, table, region, (place[0], place[1]), None, settings)
+    if prediction is None or proof.gains is None:
         return None
     if BETWEEN not in wanted.diagnosis.evidence and (
-        region in found.question.away or not _far_off(found, region, verdict.allowed, verdict.gains)
+        region in found.question.away or not _far_off(found, region, proof.allowed, proof.gains)
     ):
         return None
-    return _result(model, wanted, verdict, replace(prediction, wander=_wander(found, verdict)))
+    return _result(model, wanted, proof, replace(prediction, wander=_wander(found, proof)))
 
 
 def _known_of(found: Findings, region: int, known: Mapping[int, RegionModel]) -> RegionModel | None:
@@ -131,31 +131,31 @@ def _far_off(found: Findings, region: int, models: Sequence[Plausible], now: Pid
     return over_limit(models, gains, settings.sample_time_s, settings.robust.believed, settings.cause.ms_high)
 
 
-def _wander(found: Findings, verdict: Verdict) -> float:
+def _wander(found: Findings, proof: Proof) -> float:
     """How much a load that never rests will move the error there, with the gains that are due."""
     record, settings, model = found.record, found.settings, found.in_use
     seen = load_variability(record.samples)
     swung = decay_seen(record.pattern)
-    if not seen or model is None or verdict.gains is None or (swung or 0.0) > settings.trial.harmless_decay:
+    if not seen or model is None or proof.gains is None or (swung or 0.0) > settings.trial.harmless_decay:
         return 0.0
     here = predicted(model, float(record.window.t_s[-1]), settings.tracker).model()
-    sampled = (each.seen_by_controller(settings.sample_time_s).linear() for each in (here, verdict.allowed[0].model))
+    sampled = (each.seen_by_controller(settings.sample_time_s).linear() for each in (here, proof.allowed[0].model))
     more = (settings.setpoint_weight, settings.filter_s)
     loops = [
-        ClosedLoop(each, gains, *more) for each, gains in zip(sampled, (record.in_force, verdict.gains), strict=True)
+        ClosedLoop(each, gains, *more) for each, gains in zip(sampled, (record.in_force, proof.gains), strict=True)
     ]
     return load_variability_there(seen, record.window.noise_std, loops[0], loops[1])
 
 
-def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, prediction: Prediction) -> Outcome:
+def _result(model: RegionModel, wanted: RobustProposal, proof: Proof, prediction: Prediction) -> Outcome:
     """The change as the result of a response in that region."""
     known = model.reason if not model.records else "known by responses that passed through"
     return Outcome(
-        verdict.code,
+        proof.code,
         f"{known}; {wanted.diagnosis.reason}",
         diagnosis=wanted.diagnosis,
         proposal=wanted.tuning,
         basis=Basis.MODEL,
-        verdict=verdict,
+        proof=proof,
         prediction=prediction,
     )

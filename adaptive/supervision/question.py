@@ -283,7 +283,7 @@ NOTHING = Step()
 
 
 # A setpoint that another loop leads. The slave of a cascade completes a response every few samples, and none of them
-# may teach. One verdict said two thousand times a day hides every other row of a ledger. So such a response raises no
+# may teach. One proof said two thousand times a day hides every other row of a ledger. So such a response raises no
 # question until `led_again_s` has passed; it is counted. What else is wrong with a response (telemetry, the sensor, a
 # controller that acts the wrong way) is said as ever.
 

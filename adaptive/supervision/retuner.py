@@ -505,10 +505,10 @@ class Retuner:
 
     def _on_trial(self, region: int, decision: Decision) -> Decision:
         """The decision, with the trial that begins where it asks for a write."""
-        now, prediction, verdict = decision.gains_after, decision.prediction, decision.verdict
+        now, prediction, proof = decision.gains_after, decision.prediction, decision.proof
         if decision.action != Action.COMMIT or now is None or prediction is None:
             return decision
-        urgent = verdict is not None and verdict.urgent
+        urgent = proof is not None and proof.urgent
         self.trials.begin(region, decision.gains_before, now, prediction, self.now_s, urgent=urgent)
         return replace(decision, trial=str(self.trials.phase(region)))
 
@@ -551,17 +551,17 @@ class Retuner:
         self, region: int, outcome: Outcome, question: Question | None = None, judgement: Judgement | None = None
     ) -> Decision:
         """Put the record together. question : that this answers, if any."""
-        now_s, urgent = self.now_s, bool(outcome.verdict and outcome.verdict.urgent)
+        now_s, urgent = self.now_s, bool(outcome.proof and outcome.proof.urgent)
         proposes = self.trials.held_by_a_person(region, now_s)
         phase_allows = self.trials.may_change(region, now_s, urgent=urgent) or proposes
         if not phase_allows:
             outcome = held(outcome, self.trials.of(region), now_s)
-        accepted = outcome.verdict is not None and outcome.verdict.accepted and phase_allows
+        accepted = outcome.proof is not None and outcome.proof.accepted and phase_allows
         prediction = outcome.prediction
         if accepted and prediction is None:
             at, pattern = (question.record.at, question.record.pattern) if question else (self._finder.scheduled, None)
             prediction = prediction_of(
-                outcome.verdict, self.table, region, at, pattern, self.settings, self._finder.samples
+                outcome.proof, self.table, region, at, pattern, self.settings, self._finder.samples
             )
         self._decisions += 1
         made = Decision(

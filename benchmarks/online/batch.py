@@ -163,7 +163,7 @@ def told(d: Decision, judge: Judge) -> str:
     model = f"{d.estimate.to_dict()['model']}" if d.estimate and d.estimate.identifiable else "no model"
     after = f"-> {_words(judge.of(d.gains_after))}" if d.gains_after else ""
     cause = str(d.diagnosis.cause) if d.diagnosis else "-"
-    ruling = d.verdict.ruling.name if d.verdict else "-"
+    ruling = d.proof.ruling.name if d.proof else "-"
     return f"t {d.t_s:.4g}: {seen}; {cause}; {ruling}; {d.action} {after}; {model}; {d.reason}"
 
 

@@ -76,7 +76,7 @@ def asked(*, there: PidGains, settings: RetunerSettings = OPENED, **about: Any) 
 def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: float) -> None:
     due = asked(there=times(right(1.0), factor))
     assert list(due) == [2]
-    verdict = due[2].verdict
+    verdict = due[2].proof
     assert verdict is not None
     assert verdict.gains is not None
     assert "estimated from other regions: a, b" in due[2].reason
@@ -113,7 +113,7 @@ def test_a_set_that_is_too_much_at_its_border_is_eased_though_it_is_right_in_the
         due = asked(there=right(1.0), models=models, **about)
         assert list(due) == [2]
         assert "on the way to region b" in due[2].reason
-        verdict = due[2].verdict
+        verdict = due[2].proof
         assert verdict is not None
         assert verdict.gains is not None
         assert verdict.gains.kp < 0.9 * right(1.0).kp
@@ -128,9 +128,9 @@ def test_a_trial_that_waits_for_the_loop_ends_before_a_safer_change_there() -> N
     retuner, samples = bench.retuner, bench.samples(2000, 1.0, 0.0, 10.0)
     question = next(step.question for step in map(retuner.step, samples) if step.question is not None)
     found = decide(question)
-    assert found.verdict is not None
-    assert found.verdict.gains is not None
-    calm = replace(found, verdict=None, prediction=None, code="ok", elsewhere={1: found})
+    assert found.proof is not None
+    assert found.proof.gains is not None
+    calm = replace(found, proof=None, prediction=None, code="ok", elsewhere={1: found})
     retuner.enter(question, calm, retuner.sample_number)
     first = retuner.step(next(samples)).decision
     assert first is not None
@@ -138,7 +138,7 @@ def test_a_trial_that_waits_for_the_loop_ends_before_a_safer_change_there() -> N
     retuner.committed(1, first.gains_after)
     retuner.step(next(samples))
     assert retuner.trials.away(1)
-    safer = replace(found, verdict=replace(found.verdict, gains=times(first.gains_after, 0.8)))
+    safer = replace(found, proof=replace(found.proof, gains=times(first.gains_after, 0.8)))
     retuner._due = {1: safer}
     second = retuner.step(next(samples)).decision
     assert second is not None
@@ -185,7 +185,7 @@ def test_what_is_due_and_was_not_made_before_a_restart_is_found_again() -> None:
     bench.run(400)
     samples = bench.samples(1000, 1.0, 0.0, 10.0)
     question = next(step.question for step in map(bench.retuner.step, samples) if step.question is not None)
-    calm = replace(decide(question), verdict=None, prediction=None, code="ok")
+    calm = replace(decide(question), proof=None, prediction=None, code="ok")
     due = replace(calm, elsewhere={1: decide(question)})
     bench.retuner.enter(question, due, bench.retuner.sample_number)
     again = restore(json.loads(json.dumps(remember(bench.retuner))), bench.retuner.settings)
@@ -195,9 +195,9 @@ def test_what_is_due_and_was_not_made_before_a_restart_is_found_again() -> None:
     after = {region: region_model_in(json.loads(json.dumps(region_model_out(m)))) for region, m in before.items()}
     there = times(right(1.0), 0.25)
     one, other = (asked(there=there, models=models)[2] for models in (before, after))
-    assert one.verdict is not None
-    assert other.verdict is not None
-    assert one.verdict.gains == other.verdict.gains
+    assert one.proof is not None
+    assert other.proof is not None
+    assert one.proof.gains == other.proof.gains
 
 
 def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -> None:
@@ -206,9 +206,9 @@ def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -
     retuner, samples = bench.retuner, bench.samples(1000, 1.0, 0.0, 10.0)
     question = next(step.question for step in map(retuner.step, samples) if step.question is not None)
     found = decide(question)
-    assert found.verdict is not None
-    assert found.verdict.accepted
-    calm = replace(found, verdict=None, prediction=None, code="ok", elsewhere={1: found})
+    assert found.proof is not None
+    assert found.proof.accepted
+    calm = replace(found, proof=None, prediction=None, code="ok", elsewhere={1: found})
     assert retuner.enter(question, calm, retuner.sample_number).action is Action.NONE
     decision, phase = retuner.step(next(samples)).decision, retuner.phase
     assert decision is not None

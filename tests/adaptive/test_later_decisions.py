@@ -138,7 +138,7 @@ def refused(bench: Bench, found: Asked) -> str:
     before = remember(bench.retuner)
     decision = entered(bench, found)
     assert decision.action is Action.NONE
-    assert decision.gains_after is decision.estimate is decision.verdict is decision.prediction is None
+    assert decision.gains_after is decision.estimate is decision.proof is decision.prediction is None
     assert decision.response == found.question.record.response
     assert remember(bench.retuner) == before | {"decisions": decision.number}
     return decision.code
@@ -224,5 +224,5 @@ def test_a_question_is_not_changed_by_what_comes_after_it(at_once: Decision) -> 
     go_on(bench, found.samples, 30)
     assert pickle.dumps(found.question) == bytes_then
     assert isinstance(found.question.record.table, GainTable)
-    assert decide(found.question).verdict == at_once.verdict
+    assert decide(found.question).proof == at_once.proof
     assert isinstance(bench.retuner, Retuner)

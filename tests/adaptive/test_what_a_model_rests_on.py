@@ -49,9 +49,9 @@ def weighed(
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "unambiguous": lambda *_: clear,
-        "prediction_of_verdict": lambda *_: None,
+        "prediction_of_proof": lambda *_: None,
         "wanted_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
-        "proof": lambda *_: verdict,
+        "proved": lambda *_: verdict,
         "worth": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),
         "refutation": lambda *_: None,
         "stands": lambda *_: False,

@@ -194,7 +194,7 @@ def test_a_worker_without_memory_is_named_and_the_loop_goes_on(asked: tuple[Retu
     assert lost.result.code == LOST
     assert lost.trouble.count("\n") == 0
     assert lost.result.region_model is None
-    assert lost.result.verdict is None
+    assert lost.result.proof is None
 
 
 def test_what_is_entered_without_a_decision_changes_nothing(asked: tuple[Retuner, Question]) -> None:

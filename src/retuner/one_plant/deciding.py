@@ -33,7 +33,7 @@ NOT_SURVIVED = "not_survived"
 
 def without_change(outcome: Outcome, reason: str) -> Outcome:
     """What was learned, and no change."""
-    return replace(outcome, code=NOT_SURVIVED, reason=reason, verdict=None, basis=None, prediction=None)
+    return replace(outcome, code=NOT_SURVIVED, reason=reason, proof=None, basis=None, prediction=None)
 
 
 IN_PART = "half of a change that was "
@@ -67,12 +67,12 @@ class Among:
 
     def answered(self, question: Question, result: Outcome) -> Outcome:
         """The answer to a question; with half of its change, or none, where the others do not survive it."""
-        gains = None if result.verdict is None else result.verdict.gains
+        gains = None if result.proof is None else result.proof.gains
         words = "" if gains is None else self._against(gains, result.basis)
         if gains is None or not words:
             return result
         half = decide(half_way(question, gains))
-        less = half.verdict.gains if half.verdict is not None and half.verdict.accepted else None
+        less = half.proof.gains if half.proof is not None and half.proof.accepted else None
         if less is None or self._against(less, half.basis):
             return without_change(result, words)
         return replace(half, reason=f"{IN_PART}{words}: {half.reason}")
@@ -224,11 +224,11 @@ class DecideAmong:
 
     def _in_place_of(self, answer: Answer) -> Answer | None:
         """What is entered for an answer that changes gains; None for itself."""
-        verdict, reason = answer.result.verdict, answer.result.reason
+        proof, reason = answer.result.proof, answer.result.reason
         held = reason if answer.result.code == NOT_SURVIVED or reason.startswith(IN_PART) else ""
         if self._spoilt and held:
             return without_decision(OTHER_LOOP, f"{self._spoilt}; {held}")
-        if verdict is None or not verdict.accepted or self._other_gains() == self._others:
+        if proof is None or not proof.accepted or self._other_gains() == self._others:
             trouble = held or self._spoilt
             return Answer(answer.result, trouble) if trouble else None
         return without_decision(OTHER_LOOP, "another loop on the same plant has got other gains meanwhile")

@@ -49,7 +49,7 @@ def answered_again(question: Question, code: str, trouble: str) -> Answer:
         return Answer(decide(replace(question, spoilt=trouble)))
     if not trouble.startswith(IN_PART):
         return without_decision(code, trouble)
-    whole = decide(question).verdict
+    whole = decide(question).proof
     assert whole is not None
     assert whole.gains is not None
     return Answer(replace(decide(half_way(question, whole.gains)), reason=trouble))

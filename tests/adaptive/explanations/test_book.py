@@ -299,7 +299,7 @@ def put_to_the_book(
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
     known: Any = SimpleNamespace(identifiable=settled)
     learned: Any = SimpleNamespace(agreement=agreement, valve=None)
-    own = Outcome(code, "") if code else Outcome("accepted", "", verdict=verdict)
+    own = Outcome(code, "") if code else Outcome("accepted", "", proof=verdict)
     if expected is not None:
         own = replace(own, numbers=ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8))
     with pytest.MonkeyPatch.context() as patched:
@@ -316,7 +316,7 @@ def test_a_change_whose_cause_the_book_does_not_see_needs_the_whole_diagnosis(
     doubt = Diagnosis(Cause.STICTION, 0.9, {}, "a valve sticks")
     for more in ({"first": True}, {"at_rest": True}):
         found = put_to_the_book(times, to, 0.8, doubt=doubt, **more)
-        assert (found.verdict is None) is asked
+        assert (found.proof is None) is asked
         assert (found.diagnosis is not None and found.diagnosis.cause is Cause.STICTION) is asked
         assert not asked or found.reason.endswith("; a valve sticks")
 
@@ -336,7 +336,7 @@ def test_less_action_waits_where_load_steps_explain_a_setpoint_response_in_two_w
     question: Any = SimpleNamespace(record=record, look=None)
     learned: Any = SimpleNamespace(contested=contested)
     found = Findings(question, learned=learned, in_use=cast("Any", SimpleNamespace()))
-    own = Outcome("accepted", "", verdict=cast("Any", SimpleNamespace()))
+    own = Outcome("accepted", "", proof=cast("Any", SimpleNamespace()))
     doubt = by_book_stage._doubt(found, own, AllSamples(book=begun(scaled(1.0))), less=less)
     assert (doubt is not None) is doubted
     assert doubt is None or doubt.reason == by_book_stage.CONTESTED
@@ -357,21 +357,21 @@ def test_the_book_objects_to_a_change_that_it_holds_for_the_worse(
     times: float, to: float, expected: float | None, *, dropped: bool
 ) -> None:
     found = put_to_the_book(times, to, expected)
-    assert (found.verdict is None) is dropped
+    assert (found.proof is None) is dropped
     assert dropped is (found.code == "unconfirmed")
     assert not dropped or "probability, its expected" in found.reason
-    resting = put_to_the_book(times, to, expected, at_rest=True).verdict
+    resting = put_to_the_book(times, to, expected, at_rest=True).proof
     assert (resting is None) is (times == 1.0 and to < 1.0), "no load wanders: only less action, which is surely worse"
-    assert put_to_the_book(times, to, expected, first=True).verdict, "no whole window yet"
+    assert put_to_the_book(times, to, expected, first=True).proof, "no whole window yet"
 
 
 @pytest.mark.slow
 def test_less_action_by_a_model_that_is_not_identifiable_is_dropped_before_a_whole_window() -> None:
     found = put_to_the_book(1.0, 0.3, 1.5, first=True, settled=False)
-    assert found.verdict is None
+    assert found.proof is None
     assert found.code == "unconfirmed"
-    assert put_to_the_book(1.0, 0.3, 1.5, first=True).verdict
-    assert put_to_the_book(2.6, 0.4, 0.2, first=True, settled=False).verdict, "too much gain"
+    assert put_to_the_book(1.0, 0.3, 1.5, first=True).proof
+    assert put_to_the_book(2.6, 0.4, 0.2, first=True, settled=False).proof, "too much gain"
 
 
 def test_no_model_without_that_pole_keeps_out_the_gain_that_held_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -385,8 +385,8 @@ def test_no_model_without_that_pole_keeps_out_the_gain_that_held_it(monkeypatch:
 
 
 def test_more_action_that_would_take_robustness_is_not_taken_where_no_step_has_shown_the_process() -> None:
-    assert put_to_the_book(1.0, 2.6, 2.0).verdict
-    assert put_to_the_book(1.0, 2.6, 2.0, shown=False, at_rest=True).verdict is None
+    assert put_to_the_book(1.0, 2.6, 2.0).proof
+    assert put_to_the_book(1.0, 2.6, 2.0, shown=False, at_rest=True).proof is None
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from guard_cases import GAINS, SETTINGS, known, request, times
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.guard import ChangeRequest, Evidence, GuardSettings, Locks, Ruling, Support, Verdict, prove
+from retuner.adaptive.guard import ChangeRequest, Evidence, GuardSettings, Locks, Proof, Ruling, Support, prove
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.gains import PidGains
@@ -17,7 +17,7 @@ from retuner.schedule.gains import PidGains
 PATTERN = Evidence(records=0, support=Support.PATTERN)
 
 
-def words_of(verdict: Verdict, name: str) -> str:
+def words_of(verdict: Proof, name: str) -> str:
     (check,) = (one for one in verdict.checks if one.name == name)
     assert check.passed
     return check.words

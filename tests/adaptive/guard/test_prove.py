@@ -17,9 +17,9 @@ from retuner.adaptive.guard import (
     GuardSettings,
     Locks,
     NeighbourBorder,
+    Proof,
     Ruling,
     Support,
-    Verdict,
     change_factor,
     prove,
 )
@@ -358,7 +358,7 @@ def assert_within_change_limits(old: PidGains, new: PidGains, limits: GuardSetti
     assert new.ki / new.kp <= limits.total_ratio_max * old.ki / old.kp * (1 + 1e-9)
 
 
-def assert_on_the_way(old: PidGains, new: PidGains, verdict: Verdict) -> None:
+def assert_on_the_way(old: PidGains, new: PidGains, verdict: Proof) -> None:
     assert 0 < verdict.step <= 1
     assert new.direction == old.direction
     assert new.kp / new.ki >= SETTINGS.tau_i_samples * 1.0 * (1 - 1e-9) or new.kp / new.ki >= old.kp / old.ki

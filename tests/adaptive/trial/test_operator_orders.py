@@ -64,8 +64,8 @@ def test_an_approved_proposal_is_written_as_it_was_and_on_trial() -> None:
     decision = approve(bench.retuner, again, bench.t_s)
     assert (decision.action, decision.code) == (Action.COMMIT, "approved")
     assert decision.gains_after == offered.after
-    assert decision.verdict is not None
-    assert decision.verdict.accepted
+    assert decision.proof is not None
+    assert decision.proof.accepted
     assert bench.retuner.trials.phase(0) is P.WRITING
     bench.retuner.committed(0, offered.after)
     assert bench.retuner.trials.phase(0) is P.TRIAL

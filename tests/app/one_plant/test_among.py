@@ -9,7 +9,7 @@ from wood_berry import BLT, DT_S, records
 
 from retuner import PidController, PidGains
 from retuner.adaptive.decision_numbers import Basis
-from retuner.adaptive.guard import GuardSettings, Verdict
+from retuner.adaptive.guard import GuardSettings, Proof
 from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.interaction.together import Closed
 from retuner.adaptive.signals.sample import LoopSample
@@ -44,8 +44,8 @@ class Kept:
 
 def wanted(gains: PidGains) -> Outcome:
     """An answer that changes gains."""
-    verdict = Verdict(Ruling.ACCEPTED, gains, 1.0, 1.5, 1.6, 1.2, 60.0)
-    return Outcome("accepted", "proved", verdict=verdict)
+    verdict = Proof(Ruling.ACCEPTED, gains, 1.0, 1.5, 1.6, 1.2, 60.0)
+    return Outcome("accepted", "proved", proof=verdict)
 
 
 def among(moves: tuple[int, ...] = (0, 1, 0, 1), most: float = 1.75) -> Among:
@@ -64,9 +64,9 @@ def test_half_of_a_change_that_the_other_loop_does_not_survive_is_made(monkeypat
     monkeypatch.setattr(deciding, "half_way", lambda question, refused: asked.append(refused) or question)
     monkeypatch.setattr(deciding, "decide", lambda _: half)
     found = among().answered(question(0, 1), whole)
-    assert whole.verdict is not None
-    assert asked == [whole.verdict.gains]
-    assert found.verdict is half.verdict
+    assert whole.proof is not None
+    assert asked == [whole.proof.gains]
+    assert found.proof is half.proof
     assert found.reason.startswith("half of a change that was refused: with bottom on the same plant")
     assert found.reason.endswith(": proved")
 
@@ -89,7 +89,7 @@ def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_
     monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
     monkeypatch.setattr(deciding, "decide", lambda _: times(3.0))
     found = among().answered(question(0, 1), times(4.0))
-    assert found.verdict is None
+    assert found.proof is None
     assert found.code == NOT_SURVIVED
     assert "bottom on the same plant: Ms of top" in found.reason
     assert "limit 1.75" in found.reason
@@ -110,7 +110,7 @@ def test_the_loop_itself_holds_the_limit_of_an_identified_process(
     monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
     monkeypatch.setattr(deciding, "decide", lambda _: times(factor))
     found = among(most=most).answered(question(0, 1), times(factor))
-    assert (found.verdict is not None) == made
+    assert (found.proof is not None) == made
 
 
 def test_the_limit_is_that_of_the_guard_for_an_identified_process() -> None:
@@ -132,7 +132,7 @@ def test_no_more_action_without_a_model_on_a_plant_that_is_not_known(
     monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
     monkeypatch.setattr(deciding, "decide", lambda _: blind)
     found = among((0, 0)).answered(question(0, 1), blind)
-    assert (found.verdict is not None) == made
+    assert (found.proof is not None) == made
     assert made or "before bottom on the same plant is known" in found.reason
 
 
@@ -218,16 +218,16 @@ def test_what_stands_in_place_of_a_decision_comes_after_the_questions_row(
     assert answer is not None
     assert answer.trouble.startswith(inner.spoilt)
     assert answer.trouble.endswith("refused: for once" if refused else NO_VERDICT)
-    assert (answer.result.verdict is None) == refused
+    assert (answer.result.proof is None) == refused
 
 
 def test_a_response_of_a_trial_that_another_loop_moved_says_nothing_and_all_samples_may(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    change = wanted(BLT[0]).verdict
+    change = wanted(BLT[0]).proof
 
     def speaks(_: Findings, own: Outcome) -> Outcome:
-        return replace(own, code="accepted", reason="more action", verdict=change, basis=Basis.ALL_SAMPLES)
+        return replace(own, code="accepted", reason="more action", proof=change, basis=Basis.ALL_SAMPLES)
 
     monkeypatch.setattr(decide, "findings_of", lambda _: pytest.fail("it is asked"))
     monkeypatch.setattr(decide, "gains_that_win", speaks)
@@ -250,13 +250,13 @@ def test_a_change_proved_beside_gains_that_are_no_longer_in_force_is_not_made(mo
     decider.ask(question(105, 150, phase=TrialPhase.IDLE))
     answer = decider.answer(200)
     assert answer is not None
-    assert answer.result.verdict is not None
+    assert answer.result.proof is not None
     decider.ask(question(105, 150, phase=TrialPhase.IDLE))
     plant.retuners[1].table.at = lambda *_: PidGains(-1.0, -0.1)
     assert decider.answer(200) is None
     answer = decider.answer(200)
     assert answer is not None
-    assert answer.result.verdict is None
+    assert answer.result.proof is None
     assert "got other gains meanwhile" in answer.trouble
 
 
