@@ -84,17 +84,15 @@ def pages() -> list[Path]:
     return [page for page in every if any(block.to_run for block in blocks(page.read_text(encoding="utf-8")))]
 
 
-def run_page(
-    page: Path, folder: Path, demo: Callable[[], Path], oven: Callable[[], Path]
-) -> Iterator[tuple[Block, str, int]]:
+def run_page(page: Path, folder: Path, oven: Callable[[], Path]) -> Iterator[tuple[Block, str, int]]:
     """Each block that can be run with what it printed and its exit status, in a fresh folder.
 
-    demo, oven : where the session of `make demo` lies, and what make_oven left; asked when a page needs them.
+    oven : where make_oven left its run, which is `make demo`'s as well; asked when a page needs it.
     """
     shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("__pycache__"))
     text = page.read_text(encoding="utf-8")
     if f"<!-- with {DEMO} -->" in text:
-        shutil.copytree(demo(), folder / DEMO)
+        shutil.copytree(oven() / "runs" / "oven", folder / DEMO)
     with alone() if "<!-- in the background -->" in text else nullcontext(), background() as started:
         for block in blocks(text):
             if block.to_run and block.note == "in the background":
@@ -102,21 +100,6 @@ def run_page(
             elif block.to_run:
                 before = copying(oven()) if OVEN in block.code else ""
                 yield (block, *_run(block, folder, before))
-
-
-@cache
-def demo_here() -> Path:
-    """The session of `make demo`, run once."""
-    folder = Path(tempfile.mkdtemp(prefix="retuner-pages-"))
-    make_demo(folder)
-    return folder / DEMO
-
-
-def make_demo(folder: Path) -> None:
-    """Run the oven in a folder, as `make demo` does, without its comparison."""
-    shutil.copytree(ROOT / "examples", folder / "examples")
-    command = f"retuner run examples/oven.toml --out {DEMO} --no-compare"
-    subprocess.run(["bash", "-c", command], cwd=folder, env=_environment(), check=True, capture_output=True)
 
 
 @cache
@@ -258,7 +241,7 @@ def _tell(page: Path, *, write: bool) -> int:
     """Run one page and say what differs; how many blocks did."""
     text, wrong = page.read_text(encoding="utf-8"), 0
     with tempfile.TemporaryDirectory(prefix="retuner-page-") as folder:
-        for block, came, status in run_page(page, Path(folder), demo_here, oven_here):
+        for block, came, status in run_page(page, Path(folder), oven_here):
             differs = block.printed is not None and not agrees(block.printed, came)
             if status != block.status or differs:
                 wrong += 1

@@ -33,13 +33,10 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 @pytest.mark.uncounted
 @pytest.mark.parametrize("page", RUN, ids=lambda page: page.stem)
 def test_what_a_page_prints_is_what_comes(page: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    def demo() -> Path:
-        return once(tmp_path_factory, "pages-demo", run_pages.make_demo) / run_pages.DEMO
-
     def oven() -> Path:
         return once(tmp_path_factory, "pages-oven", run_pages.make_oven)
 
-    for block, came, status in run_pages.run_page(page, tmp_path, demo, oven):
+    for block, came, status in run_pages.run_page(page, tmp_path, oven):
         said = f"{page.name}:{block.line}: {block.code}\n--- came, status {status}:\n{came}"
         assert status == block.status, said
         assert block.printed is None or agrees(block.printed, came), (
