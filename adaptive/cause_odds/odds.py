@@ -301,8 +301,9 @@ def _under_walk(
     return {Cause.STICTION: stiction / whole, Cause.NONLINEAR: nonlinear / whole, **found}
 
 
-UNLIKE = 3.0
-"""Logarithm of a factor against a valve up to which it says nothing where shapes name one: valves slip irregularly."""
+UNLIKE = 1.5
+"""Logarithm of a factor against a valve up to which it says nothing where shapes name one: valves slip irregularly. Of
+29 real ones 27 are within -1.4; of twelve good loops whose pv stands under a real load eight are beyond -2.5."""
 
 
 def _under_steps(
