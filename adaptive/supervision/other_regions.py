@@ -9,22 +9,23 @@ its own has shown: a neighbour's tell of that, also while they are on trial them
 at a time; what is nearly right waits for responses of its own.
 
 Nobody has watched that region. So the gains must be right on what the curves foretell and also on what the table does
-(region_model/prior_from_table.py). How much a load that never rests moves pv there is worked out from how it does here
+(as_right_as_others). How much a load that never rests moves pv there is worked out from how it does here
 (trial/load_variability.py).
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from retuner.adaptive.decision_numbers import Basis
+from retuner.adaptive.fit.structure import SLOPE, model_at
 from retuner.adaptive.guard import Proof, prove
 from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.from_neighbours import borrowed
-from retuner.adaptive.region_model.prior_from_table import as_right_as_others
 from retuner.adaptive.region_model.region_curves import centre_of, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import Agreement, predicted
+from retuner.adaptive.region_model.update import Agreement, TrackerSettings, predicted
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import prediction_of
@@ -159,3 +160,34 @@ def _result(model: RegionModel, wanted: RobustProposal, proof: Proof, prediction
         proof=proof,
         prediction=prediction,
     )
+
+
+# What the table itself says of a region that nobody has watched: its set is as right there as others are.
+
+
+def as_right_as_others(
+    region_models: Mapping[int, RegionModel],
+    region: int,
+    first: Sequence[PidGains],
+    t_s: float,
+    tracker: TrackerSettings,
+) -> tuple[Plausible, ...]:
+    """The processes of a region with which its set would be as right as the sets of the others are, one for each that
+    knows its own; none where a set has no proportional gain.
+
+    Parameters
+    ----------
+    region_models : by region. region : the one that nobody has watched. first : the table's sets as they were at first.
+    t_s : now.
+    """
+    own, found = first[region], []
+    for other, model in lenders(region_models, own.direction).items():
+        theirs = first[other]
+        if other == region or not own.kp or not theirs.kp:
+            continue
+        log = predicted(model, t_s, tracker)
+        slower = math.log(1.0 if not theirs.ki or not own.ki else (own.kp / own.ki) / (theirs.kp / theirs.ki))
+        x = log.x + slower
+        x[SLOPE] = log.x[SLOPE] + math.log(theirs.kp / own.kp) - slower
+        found.append(Plausible(model_at(log.type, x, log.sign), 0.0))
+    return tuple(found)

@@ -3,10 +3,12 @@
 The object dictionary, its data types and the words for aborts and emergencies are those of the package `canopen`.
 """
 
+import codecs
 import configparser
 import contextlib
 import io
 import logging
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +16,6 @@ from typing import Any, NamedTuple
 import canopen
 from canopen.objectdictionary import datatypes
 
-from retuner.drivers.canopen.eds_text import plain_text
 from retuner.drivers.profiles.controller_access import ProfileError
 from retuner.schedule.vendor_units import SINGLE_MAX, StorableNumbers
 
@@ -210,3 +211,42 @@ def holds(variable: Variable) -> StorableNumbers:
     if isinstance(least, int | float) and isinstance(most, int | float) and least < most:
         low, high = max(low, float(least)), min(high, float(most))
     return StorableNumbers(low, high, step, 0.0, single=single)
+
+
+# An EDS as a standard one would be written: what other makers' tools do to the text, undone before it is read.
+
+
+MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+PART = re.compile(r"^\[([0-9A-F]{4})sub([0-9A-F]{1,2})\][ \t]*$", re.IGNORECASE | re.MULTILINE)
+WHOLE = re.compile(r"^\[([0-9A-F]{4})\]", re.IGNORECASE | re.MULTILINE)
+NO_RATE = re.compile(r"^BaudRate_\w+[ \t]*=[ \t]*\n", re.IGNORECASE | re.MULTILINE)
+END_OF_FILE = "\x1a\0"
+
+
+def plain_text(raw: bytes) -> str:
+    """The text in standard form. Whatever it holds beside, it is left for the reader to judge."""
+    text = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").rstrip(END_OF_FILE)
+    text = NO_RATE.sub("", text)
+    there = {index.upper() for index in WHOLE.findall(text)}
+    return PART.sub(lambda found: _with_object(found, there), text)
+
+
+def _decoded(raw: bytes) -> str:
+    """The text by its mark, else as UTF-8 where it is that, else as Windows writes."""
+    for mark, name in MARKS:
+        if raw.startswith(mark):
+            return raw.decode(name, errors="replace")
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def _with_object(found: "re.Match[str]", there: set[str]) -> str:
+    """The head of a part; before the first of an object that has no section, such a section."""
+    index = found[1].upper()
+    part = f"[{index}sub{found[2].upper()}]"
+    if index in there:
+        return part
+    there.add(index)
+    return f"[{index}]\nParameterName={index}\nObjectType=0x9\n\n{part}"

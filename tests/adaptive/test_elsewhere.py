@@ -14,7 +14,6 @@ from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, spread
-from retuner.adaptive.region_model.prior_from_table import as_right_as_others
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.rules.simc import simc
@@ -23,7 +22,7 @@ from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import Action, Mode, Outcome
 from retuner.adaptive.supervision.findings import Findings
-from retuner.adaptive.supervision.other_regions import elsewhere
+from retuner.adaptive.supervision.other_regions import as_right_as_others, elsewhere
 from retuner.adaptive.supervision.question import Question, ResponseRecord
 from retuner.adaptive.supervision.region_proposal import KnownProcesses, known_of
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings

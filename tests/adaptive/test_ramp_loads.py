@@ -12,7 +12,6 @@ from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import EXACT, refine
 from retuner.adaptive.identification.candidate import judged
-from retuner.adaptive.identification.corners import asked_for
 from retuner.adaptive.identification.identify import FitSettings, fitted, identify_window
 from retuner.adaptive.identification.loads import (
     _load_elsewhere,
@@ -22,6 +21,7 @@ from retuner.adaptive.identification.loads import (
     _without_load,
     _without_rounding,
 )
+from retuner.adaptive.identification.structure_choice import asked_for
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample, Window

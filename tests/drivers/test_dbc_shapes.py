@@ -6,9 +6,9 @@ from pathlib import Path
 import can
 import pytest
 
-from retuner.drivers.dbc.checksums import ALGORITHMS
 from retuner.drivers.dbc.dbc_access import DbcAccess
 from retuner.drivers.dbc.dbc_file import DbcFile, carried, defaults, read_dbc_file
+from retuner.drivers.dbc.frame_guard import ALGORITHMS
 from retuner.drivers.profiles.controller_access import Heard, ProfileError
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, Protection, SignalOf
 from retuner.schedule.gains import PidGains

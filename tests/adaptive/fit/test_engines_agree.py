@@ -19,8 +19,8 @@ from retuner.adaptive.fit.refine import Prior, bounds, refine
 from retuner.adaptive.fit.search import SearchGrid, _searched
 from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import judged
-from retuner.adaptive.identification.corners import _ramps
 from retuner.adaptive.identification.loads import linear_gains
+from retuner.adaptive.identification.structure_choice import _ramps
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
