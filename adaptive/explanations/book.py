@@ -40,7 +40,7 @@ from retuner.adaptive.explanations.process_grid import (
 )
 from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses
 from retuner.adaptive.explanations.tone import likeliest_tone
-from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihoods
+from retuner.adaptive.explanations.wandering_load import ORDERS, TEMPER, Prepared, log_likelihoods
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -52,8 +52,10 @@ ODD, FEWEST_SAMPLES = 0.02, 30
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
 GRID = (len(shapes(EVERY_LAG)), len(DEAD_TIMES), len(GAINS))
-BOTH = (2, *GRID)
-"""Every process without a tone, then with one."""
+PLANES, WEIGHED = (2 + len(ORDERS), *GRID), 2
+"""Every process without a tone and with one, whose weights count; then, without, under each order of load by itself."""
+WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))
+"""Planes whose weights are one together."""
 BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 """Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
 keep Ms under this. A loop at work comes from neither: one that does next to nothing has a co that undoes its load, too.
@@ -70,9 +72,9 @@ class Book:
 
     direction : sign of its gain. unit, dt_s : what loop gains and times of the grid are counted in. t_s : time up to
     which samples are entered for good. records : windows entered. leans : what followed at the last look, -1
-    less action, 1 more, 0 nothing. levels : of each process of the grid without and with a tone, how many STEP its
-    logarithm of the weight lies under the largest; whole : the same without the window that still grows; prior : before
-    any record. One byte each.
+    less action, 1 more, 0 nothing. levels : of each process of the grid on each of PLANES, how many STEP its logarithm
+    of the weight lies under the largest; whole : the same without the window that still grows; prior : before any
+    record. One byte each.
     """
 
     direction: int
@@ -100,24 +102,27 @@ class Book:
         held = np.any(under, axis=0).reshape(-1, *GRID[1:])
         rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
         logs = np.concatenate([np.where(possible, 0.0, -math.inf), np.where(held, rare, -math.inf)])
-        levels = _levels(logs + np.log([1.0 - TONE, TONE])[:, None, None, None])
+        tones = logs + np.log([1.0 - TONE, TONE])[:, None, None, None]
+        levels = _levels(np.concatenate([tones, np.tile(logs, (len(ORDERS), 1, 1, 1))]))
         return cls(gains.direction, unit, dt_s, t_s, 0, 0, levels, levels, levels)
 
     def weights(self) -> FloatArray:
         """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
-        return np.asarray(_weights(self.levels).sum(axis=0))
+        return np.asarray(_weights(self.levels)[:WEIGHED].sum(axis=0))
 
     @property
     def tone(self) -> float:
         """Probability of a tone from outside."""
         return float(_weights(self.levels)[1].sum())
 
-    def drawn(self, count: int) -> LikelyProcesses:
+    def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:
         """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).
+        order : of the loads, as in ORDERS, where the process is to be known under these alone.
 
         Drawn from the whole and not the likeliest only: where much is possible each of those has next to no weight.
         """
-        whole = np.cumsum(self.weights().ravel())
+        weights = self.weights() if order is None else _weights(self.levels)[WEIGHED + ORDERS.index(order)]
+        whole = np.cumsum(weights.ravel())
         at = np.searchsorted(whole, (np.arange(count) + 0.5) / count * whole[-1])
         index, counts = np.unique(np.minimum(at, len(whole) - 1), return_counts=True)
         rows, dead, gain = np.unravel_index(index, GRID)
@@ -153,11 +158,12 @@ def update(book: Book, window: Window, *, grows: bool = False) -> Book:
     logs = -STEP * _array(book.whole)
     if len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
         columns, taken, prices = likeliest_tone(Prepared.at(replace(window, pv=window.sp - window.pv), book.dt_s).pv)
-        each = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG)
+        each, by_order = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG)
         alone, line, drifting = (one - price / TEMPER for one, price in zip(each, prices, strict=True))
-        found = np.array([alone, np.logaddexp(line, drifting) - math.log(2.0)])
-        share = np.exp(found - float(np.max(found)))
-        logs += np.log((1.0 - ODD) * share + ODD * float(np.mean(share)))
+        found = np.array([alone, np.logaddexp(line, drifting) - math.log(2.0), *by_order])
+        for one in WHOLE:
+            share = np.exp(found[one] - float(np.max(found[one])))
+            logs[one] += np.log((1.0 - ODD) * share + ODD * float(np.mean(share)))
     logs[_array(book.whole) == DEEPEST] = -math.inf
     now = replace(book, levels=_levels(logs))
     if grows:
@@ -172,7 +178,8 @@ def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
     """
     change, turn = (-math.expm1(-max(elapsed_s, 0.0) / lasts) for lasts in (hazard_s, TONE_LASTS * book.dt_s))
     weights = _weights(book.whole)
-    weights = (1.0 - turn) * weights + turn * np.array([1.0 - TONE, TONE])[:, None, None, None] * weights.sum(axis=0)
+    alone = weights[:WEIGHED].sum(axis=0)
+    weights[:WEIGHED] += turn * (np.array([1.0 - TONE, TONE])[:, None, None, None] * alone - weights[:WEIGHED])
     return replace(book, whole=_mixed(weights, book.prior, change))
 
 
@@ -188,18 +195,20 @@ def _mixed(weights: FloatArray, prior: bytes, change: float) -> bytes:
 
 
 def _array(levels: bytes) -> FloatArray:
-    return np.frombuffer(levels, dtype=np.uint8).reshape(BOTH).astype(np.float64)
+    return np.frombuffer(levels, dtype=np.uint8).reshape(PLANES).astype(np.float64)
 
 
 def _weights(levels: bytes) -> FloatArray:
     kept = _array(levels)
     weights = np.where(kept < DEEPEST, np.exp(-STEP * kept), 0.0)
-    return np.asarray(weights / float(weights.sum()), dtype=np.float64)
+    for one in WHOLE:
+        weights[one] /= float(weights[one].sum())
+    return np.asarray(weights, dtype=np.float64)
 
 
 def _levels(logs: FloatArray) -> bytes:
     """Logarithms of weights as levels under the largest; only what was left out from the beginning stays out."""
-    top = float(np.max(logs))
+    top = np.concatenate([np.full_like(logs[one], np.max(logs[one])) for one in WHOLE])
     under = np.round((top - np.maximum(logs, top - DEEPEST * STEP)) / STEP)
     kept: npt.NDArray[np.uint8] = np.where(np.isneginf(logs), DEEPEST, np.minimum(under, DEEPEST - 1)).astype(np.uint8)
     return kept.tobytes()
@@ -214,6 +223,6 @@ def _unpacked(text: str) -> bytes:
         levels = zlib.decompress(base64.b64decode(text, validate=True))
     except (ValueError, zlib.error) as error:
         raise ValueError(f"weights of a book that cannot be read: {error}") from None
-    if len(levels) != math.prod(BOTH) or min(levels) != 0:
-        raise ValueError(f"a book of {len(levels)} processes, without and with a tone {math.prod(BOTH)} are known")
+    if len(levels) != math.prod(PLANES) or min(levels) != 0:
+        raise ValueError(f"a book of {len(levels)} weights, of {math.prod(PLANES)} that are kept")
     return levels

@@ -11,6 +11,8 @@ loop of it: a share of the way, where the whole is not sure.
 No less where a process that runs away by itself is alive and would be held worse, or no longer: it needs gain.
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
+How the spectrum of a load falls is assumed, and in closed loop much of what a record says rests on that (Forssell &
+Ljung 1999). So less action must be as likely better as not under each order of the walk by itself.
 """
 
 import math
@@ -30,6 +32,7 @@ from retuner.adaptive.explanations.settings_by_odds import (
     process_model,
     quantile,
 )
+from retuner.adaptive.explanations.wandering_load import ORDERS
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
@@ -149,6 +152,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     if not leans or best is None or (leans != book.leans and not sure):
         return ByBook(numbers, leans)
     worth, new, peaks = best
+    if leans < 0 and any(gain(book.drawn(settings.drawn, at), gains, new, settings)[1] < HALF for at in ORDERS):
+        return ByBook(numbers, leans)
     tuning, models = Tuning("simc", "series", new), _proved_on(book, drawn, peaks, settings)
     return ByBook(replace(numbers, book_worth=worth), leans, tuning, models)
 
@@ -198,6 +203,8 @@ def _more(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -
                 yield _times(gains, times, shorter)
 
 
+HALF = 0.5
+"""Odds of being better that less action needs under each order of load by itself."""
 SLACK, PER_PROCESS = 1.25, 300
 """The rule's integral time over one that is too short for it; times that a process with all of the weight counts."""
 

@@ -35,6 +35,7 @@ has it (tone.py), the odds of a record do not.
 import math
 from collections.abc import Sequence
 from functools import cache, lru_cache
+from itertools import accumulate
 
 import numpy as np
 
@@ -58,6 +59,8 @@ process takes the place of a bandwidth that is missing."""
 BEHIND_LAGS = (*((one, VALUE) for one in FINE), *((one, SLOPE) for one in BANDWIDTHS[1:-1]))
 LOADS_OF_BOOK = (*BEHIND_LAGS, *((bandwidth, AT_PV) for bandwidth in BANDWIDTHS[1:]))
 """Loads that the book has for every process, and all that it has for those that do not run away by themselves."""
+ORDERS = (VALUE, SLOPE, AT_PV)
+"""As they stand in the loads of the book."""
 TEMPER = 6.0
 """What the logarithm of a likelihood is divided by as it is computed."""
 T_LOADS, T_SETPOINT = 11.0, 3.5
@@ -155,10 +158,10 @@ class UnderLoads:
     freedom: FloatArray
     size: float
 
-    def each(self, first: int, count: int) -> "UnderLoads":
-        """Every count-th of the loads, from the first of these on."""
-        gain, information, left = (x[first::count].copy() for x in (self.gain, self.information, self.left))
-        return UnderLoads(gain, information, left, self.freedom[first::count], self.size)
+    def of(self, which: slice) -> "UnderLoads":
+        """Some of the loads."""
+        gain, information, left = (x[which].copy() for x in (self.gain, self.information, self.left))
+        return UnderLoads(gain, information, left, self.freedom[which], self.size)
 
     def tempered(self, gain: FloatArray) -> FloatArray:
         """Tempered log-likelihood of gains; shape (loads, inputs, dead times, gains). gain : along the last axis."""
@@ -379,22 +382,30 @@ def log_likelihood(record: Prepared, direction: int, gain_unit: float, lags: tup
     Returns shape (shapes, dead times, gains); the largest is not zero: differences between records count.
     """
     no_tones = np.zeros((0, len(record.pv)))
-    return np.asarray(log_likelihoods(record, direction, gain_unit, no_tones, (0,), lags)[0])
+    return np.asarray(log_likelihoods(record, direction, gain_unit, no_tones, (0,), lags)[0][0])
 
 
 def log_likelihoods(
     record: Prepared, direction: int, gain_unit: float, tones: FloatArray, ends: Sequence[int],
     lags: tuple[float, ...] = LAGS,
-) -> FloatArray:  # fmt: skip
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The log-likelihoods where the load holds so many of these tones besides (under_loads), of any size and phase.
 
-    Returns shape (ends, shapes, dead times, gains).
+    Returns shape (ends, shapes, dead times, gains); and where it holds as many as the first of ends, with loads of each
+    of ORDERS by themselves, shape (orders, shapes, dead times, gains).
     """
     gains = direction * GAINS * units(lags) / gain_unit
     each = ((lag, second) for lag in lags for second in range(len(second_lags(lag))))
-    found = []
+    found, by_order = [], []
     for at, (lag, second) in enumerate(each):
-        given = (record, record.co[None], lag, LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS, DEAD_TIMES)
-        fits = under_loads(*given, through=second, tones=tones, ends=ends)
-        found.append([fits.each(e, len(ends)).mixed(gains[at : at + 1])[0] for e in range(len(ends))])
-    return np.stack(found, axis=1)
+        loads, of = LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS, gains[at : at + 1]
+        fits = under_loads(record, record.co[None], lag, loads, DEAD_TIMES, through=second, tones=tones, ends=ends)
+        counts = [n for order in ORDERS if (n := sum(order == one for _, one in loads))]
+        upto, e = accumulate(counts), len(ends)
+        spans = (slice((to - n) * e, to * e, e) for n, to in zip(counts, upto, strict=True))
+        apart = [fits.of(span).mixed(of)[0] for span in spans]
+        shares = np.log(np.array(counts) / len(loads))[:, None, None]
+        whole = np.logaddexp.reduce(np.array(apart) + shares, axis=0)
+        found.append([whole, *(fits.of(slice(i, None, e)).mixed(of)[0] for i in range(1, e))])
+        by_order.append([*apart, *[whole] * (len(ORDERS) - len(apart))])  # a process has no load of that order
+    return np.stack(found, axis=1), np.stack(by_order, axis=1)

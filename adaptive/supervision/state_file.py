@@ -161,7 +161,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, zeta, inverse, tau3)
 
 
-VERSION = 9
+VERSION = 10
 """Version of this layout; any other is refused."""
 STATES = (RegionState, RecogniserState, NoiseState, SetpointLed, LoopSample)
 LAYOUT = {kind.__name__: list(kind._fields) for kind in STATES}

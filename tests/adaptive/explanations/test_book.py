@@ -17,7 +17,7 @@ from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations import settings_by_book
-from retuner.adaptive.explanations.book import ODD, RUNAWAYS, Book, doubted, move, update
+from retuner.adaptive.explanations.book import ODD, PLANES, RUNAWAYS, WEIGHED, Book, doubted, move, update
 from retuner.adaptive.explanations.process_grid import shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings
@@ -113,6 +113,15 @@ def test_less_action_follows_at_once_and_more_only_at_the_second_look() -> None:
     second = by_book(replace(book, leans=first.leans), scaled(0.2), SETTINGS)
     assert second.tuning is not None
     assert 1.0 < second.tuning.gains.ki / scaled(0.2).ki <= 2.5
+
+
+@pytest.mark.parametrize("plane", range(WEIGHED, PLANES[0]))
+def test_less_action_must_not_be_worse_under_any_order_of_the_load(plane: int) -> None:
+    tight = scaled(2.6)
+    planes = np.frombuffer(after(tight, 9).levels, dtype=np.uint8).reshape(PLANES).copy()
+    planes[plane] = np.roll(planes[plane], -10, axis=-1)  # a seventh of the gain
+    told = by_book(replace(after(tight, 9), levels=planes.tobytes()), tight, SETTINGS)
+    assert (told.leans, told.tuning) == (-1, None)
 
 
 @pytest.mark.slow

@@ -257,8 +257,8 @@ def test_the_compiled_least_squares_beside_tones_are_those_of_numpy(lag: float) 
     assert found[0].freedom[:3] == pytest.approx(found[0].freedom[0] - np.array([0, 1, 6]))
     with engine.using("c"):
         without = under_loads(*given, through=1)
-    assert np.array_equal(without.left, found[0].each(0, 3).left)
-    assert np.all(found[0].each(2, 3).left <= without.left)
+    assert np.array_equal(without.left, found[0].of(slice(0, None, 3)).left)
+    assert np.all(found[0].of(slice(2, None, 3)).left <= without.left)
 
 
 @pytest.mark.parametrize("seed", range(3))
