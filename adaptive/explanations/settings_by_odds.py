@@ -247,11 +247,16 @@ def quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
 
 
 def costs(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[FloatArray, FloatArray]:
-    """Cost of a set (head of this file), and its Ms, on each process."""
+    """Cost of a set, and its Ms, on each process."""
     peaks = likely.peaks(gains)
+    return cost_at(peaks, gains, settings), peaks
+
+
+def cost_at(peaks: FloatArray, gains: PidGains, settings: WorthSettings) -> FloatArray:
+    """Cost of a set (head of this file) where Ms is this."""
     over = np.log(np.maximum(np.where(np.isinf(peaks), 1.0, peaks) / settings.ms_calm, 1.0))
     risk = np.where(np.isinf(peaks), settings.unstable, np.minimum(settings.risk * over, settings.unstable))
-    return risk - (math.log(abs(gains.ki)) if gains.ki else -settings.unstable), peaks
+    return np.asarray(risk - (math.log(abs(gains.ki)) if gains.ki else -settings.unstable))
 
 
 def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[float, FloatArray]:

@@ -3,7 +3,7 @@
     look      so many samples since the last one: a question of its own, or with the response that completes then
     speak     where the response cannot tell (none, nothing identifiable, a residual that no load step explains,
               a record that contradicts) and the odds are clear: settings worth having over the book, proved, on trial,
-              with a sentence; also where clear setpoint steps have shown the process, and its models bear them too
+              with a sentence; more action is proved on what responses have shown as well
     object    where gains are to change, and the book speaks against it; then it may speak itself
     excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
 
@@ -22,6 +22,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book, doubted, move, update
 from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, lets_go, shares
+from retuner.adaptive.explanations.settings_by_odds import cost_at
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
@@ -38,6 +39,7 @@ from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import AGREED, may_follow
 from retuner.adaptive.supervision.question import OTHER_LOOP, Look
 from retuner.adaptive.supervision.region_proposal import KnownProcesses
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import Lookup
@@ -280,11 +282,37 @@ def shown_clearly(known: RegionModel | None, excitation: Excitation, foreign: in
     return known is not None and known.identifiable and excitation.clear > 0 and not foreign
 
 
+def _by_responses(found: Findings, *, shown: bool) -> tuple[Plausible, ...] | None:
+    """Models of responses that more action must bear as well, the likeliest first: that loads are steps is one more
+    hypothesis of what moves the loop, and under each it must do no harm. None where several records identify nothing.
+
+    Behind one record that is no clear step they are those only that all samples allow: with the gains in force Ms is
+    not over its limit, which has no odds there.
+    """
+    record, settings = found.record, found.settings
+    known = record.region_models.get(record.region)
+    if known is None:
+        return ()
+    if shown or known.records >= AGREED:
+        return known.plausible if known.identifiable else None
+    return tuple(one for one in known.plausible if _ms(one, record.in_force, settings) <= settings.book.ms_high)
+
+
+def _ms(one: Plausible, gains: PidGains, settings: RetunerSettings) -> float:
+    return sensitivity_peak(one.model.seen_by_controller(settings.sample_time_s).linear(), gains, settings.filter_s)
+
+
+def _worth(one: Plausible, now: PidGains, new: PidGains, settings: RetunerSettings) -> float:
+    """How much less a set costs there than another, ln."""
+    each = (cost_at(np.array(_ms(one, gains, settings)), gains, settings.book.cost) for gains in (now, new))
+    return float(np.subtract(*each))
+
+
 def proposal_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
     """The change that is worth having over the book, proved as any other; None where the case is not the book's.
 
-    own : what follows from the response, which is no change. More action is proved besides on what clear steps or
-    records that agree have shown; on the likeliest of the latter Ms is to stay good.
+    own : what follows from the response, which is no change. More action is proved on models of responses as well; on
+    the likeliest of these what is proved is to be worth a change.
     """
     look = seen.look
     if look is None or not _may_speak(found, own, look) or (seen.shown and _rests(found, look)):
@@ -302,9 +330,9 @@ def _proved_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome 
     valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
     if valve > (MOST_VALVE if less else 0.0):
         return None
-    of_responses = record.region_models.get(region)
-    agreed = of_responses is not None and of_responses.identifiable and of_responses.records >= AGREED
-    also = of_responses.plausible if of_responses is not None and (shown or agreed) and not less else ()
+    also = () if less else _by_responses(found, shown=shown)
+    if also is None:
+        return None
     known = KnownProcesses(record.table, record.region_models, float(record.window.t_s[-1]), settings)
     request = ChangeRequest(
         record.table.gains_of(region), record.commissioned.gains_of(region), told.tuning,
@@ -315,10 +343,8 @@ def _proved_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome 
     proof = prove(request, settings.guard)
     if not proof.accepted or proof.gains is None:
         return None
-    if agreed and also:  # records that agree say no less than loads do
-        sampled = also[0].model.seen_by_controller(settings.sample_time_s).linear()
-        if sensitivity_peak(sampled, proof.gains, settings.filter_s) > settings.book.ms_good:
-            return None
+    if also and _worth(also[0], record.in_force, proof.gains, settings) < settings.book.worth:
+        return None
     if less and lets_go(book.drawn(settings.book.drawn), record.in_force, proof.gains, settings.book):
         return None
     odds = told.numbers.book_high if less else told.numbers.book_room

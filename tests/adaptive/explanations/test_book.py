@@ -414,9 +414,18 @@ def test_on_a_process_that_steps_have_shown_it_speaks_where_the_pipeline_cannot_
 
 
 @pytest.mark.parametrize(
-    ("records", "k", "changes"), [(1, 4.0 * K, True), (2, 4.0 * K, False), (2, K, True)]
-)  # on 4 K the gains in force are the good ones, and more of them is too much
-def test_more_action_is_proved_on_a_model_on_which_two_records_agree(records: int, k: float, changes: bool) -> None:
+    ("records", "shown", "identifiable", "k", "changes"),
+    [(1, False, True, 4.0 * K, False), (1, False, True, K, True), (1, False, True, 40.0 * K, True),
+     (2, False, True, 40.0 * K, False), (1, True, True, 40.0 * K, False), (2, False, True, 0.01 * K, True),
+     (2, False, False, 0.01 * K, False), (1, False, True, 3.3 * K, False)],
+)  # fmt: skip
+def test_more_action_is_proved_on_what_responses_have_shown(
+    records: int, k: float, *, shown: bool, identifiable: bool, changes: bool
+) -> None:
+    """On 4 K the gains in force are the good ones, and more of them is too much; on 3.3 K the share that is proved is
+    not worth a change; on 40 K they are unstable, which all samples rule out. On 0.01 K co does next to nothing: two
+    records that identify nothing say no more than that.
+    """
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1)
     told = by_book(book, now, SETTINGS)
@@ -424,7 +433,7 @@ def test_more_action_is_proved_on_a_model_on_which_two_records_agree(records: in
     model = Plausible(ProcessModel("fopdt", k, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
     table = GainTable("loop", Regions("pv", "-", ("whole",), -1e6, (), 1e6, 1.0, 0.0), (now,))
     record: Any = SimpleNamespace(
-        region=0, region_models={0: SimpleNamespace(identifiable=True, records=records, plausible=(model,))},
+        region=0, region_models={0: SimpleNamespace(identifiable=identifiable, records=records, plausible=(model,))},
         table=table, commissioned=table, in_force=now, window=SimpleNamespace(t_s=[2000.0]),
     )  # fmt: skip
     question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0))
@@ -434,7 +443,7 @@ def test_more_action_is_proved_on_a_model_on_which_two_records_agree(records: in
         patched.setattr(by_book_stage, "runaway", lambda *_: None)
         dropped: Any = SimpleNamespace()
         own = Outcome("unconfirmed", "", numbers=ChoiceNumbers(0.5, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8), prediction=dropped)
-        outcome = by_book_stage._proved_by_book(Findings(question), own, AllSamples(look, book, told=told))
+        outcome = by_book_stage._proved_by_book(Findings(question), own, AllSamples(look, book, told=told, shown=shown))
     assert (outcome is not None) is changes
     assert outcome is None or (outcome.numbers, outcome.prediction) == (NO_NUMBERS, None), "of the dropped change"
 
