@@ -202,7 +202,7 @@ def under_loads(
     }
     models = [next(by_order[order]) for _, order in loads]
     starts = second_lags(lag)[1:] if through is None else (lag if AT_PV in by_order else 0.0, behind)
-    falls = (*(_pole(one) for one in starts if one), *((-record.smoothing,) if record.smoothing else ()))
+    falls = tuple(_pole(one) for one in starts if one)
     unknown = [len({*falls} - {*model.roots}) + len(model.roots) for model in models]
     freedom = len(record.pv) - np.add.outer(unknown, ends).ravel().astype(np.float64)
     tones = np.zeros((0, len(record.pv))) if tones is None else tones

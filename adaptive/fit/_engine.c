@@ -491,7 +491,7 @@ static PyObject *py_walk(View *v, Work *w, PyObject *const *from) {
     if (tones > MOST_TONES || v[8].n < 1 || v[8].n > 1 + MOST_TONES)
         return refuse("walk: too many tones, or no number of them"), NULL;
     if (sized(&v[1], inputs * n, "inputs") || are_loads(&v[2]) ||
-        within(&v[3], 0, 1, "seconds: poles from 0 to 1") || within(&v[4], -1, 1, "falls: poles from -1 to 1") ||
+        within(&v[3], 0, 1, "seconds: poles from 0 to 1") || within(&v[4], 0, 1, "falls: poles from 0 to 1") ||
         within(&v[5], 0, 100000, "deads: 0 to 100000 samples") || sized(&v[6], 3, "numbers") ||
         within(&v[6], 0, 1e300, "numbers: none below 0") || sized(&v[7], tones * n, "tones") ||
         within(&v[8], 0, (double)tones, "ends: numbers of tones"))

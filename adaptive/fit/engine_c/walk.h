@@ -15,7 +15,7 @@ static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHAR
 /* A = (1 - root q)(1 - root q)..., C = 1 + bottom q + ...: loads are rows of degree, roots, bottom. The inputs, held from
  * sample to sample, go through a first lag (pole, rise) and each second one (seconds: poles, 0 for none). A pole over 1 runs
  * away: its inputs are laid free of it, as A makes them, for what grows leaves no digits to subtract. falls : poles
- * of what unknown starts of lags, or of a recorder's smoothing, add. tones : sinusoids that the load may hold besides, (tone_count, n); a filter
+ * of what unknown starts of lags add. tones : sinusoids that the load may hold besides, (tone_count, n); a filter
  * makes of one the same one turned, and starts. ends : so many of them are taken, none first. noise : what pv cannot show,
  * squared, a sample. Answers: shape (load_count, end_count, second_count, input_count, dead_count). */
 typedef struct {
@@ -62,7 +62,7 @@ static void lay_sources(const Walk *w, Lanes *lanes) {
     lane(lanes->source, w->n, 1)[0] = 1;
     for (Py_ssize_t k = 0; k < w->fall_count; k++) {
         double *fall = lane(lanes->source, w->n, 2 + k), now = 1;
-        for (Py_ssize_t i = 0; i < w->n && fabs(now) > SILENT; i++, now *= w->falls[k])
+        for (Py_ssize_t i = 0; i < w->n && now > SILENT; i++, now *= w->falls[k])
             fall[i * LANES] = now;
     }
     through_lags(w, lanes);
