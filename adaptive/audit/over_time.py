@@ -2,15 +2,16 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
 from retuner.adaptive.audit.lasting_swing import lasting_swing
-from retuner.adaptive.audit.loop_screen import DAY_S, in_automatic, measure
+from retuner.adaptive.audit.loop_screen import DAY_S, GAP, in_automatic, measure
 from retuner.adaptive.audit.record_sums import record_sums
+from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, fields
 
 WEEK_S = 7 * DAY_S
@@ -99,3 +100,111 @@ def joined_parts(parts: Sequence[PartOfTime]) -> list[PartOfTime]:
 
 NUMBERS = fields(PartOfTime)[2:]
 """What is told of a part."""
+
+
+# Which stretches of a long record are diagnosed: where something happens, and spread over time.
+
+
+CYCLES = 15.0
+"""Ten to twenty show a cause, and drift little."""
+FEWEST_WINDOW_SAMPLES, USUAL_WINDOW_SAMPLES, MOST_WINDOW_SAMPLES = 200, 800, 4_000
+"""Samples of a stretch: at least, without an oscillation, and from which a slow one is condensed."""
+BEFORE = 0.2
+"""Share of a stretch that lies before the event that it is taken for."""
+WIDTHS = (4, 16, 64)
+"""Widths of events that are looked for, in samples."""
+OF_A_WIDTH = 25
+"""A stretch in widths of its event: the return from a load takes several, and what is usual must be seen as well."""
+LEAST_SCORE = 4.0
+EVENTS = 20
+"""Events of a width at most."""
+SPREAD, LONG = 8, 1_024
+"""Stretches that stand for the whole record, and their samples."""
+
+Stretch = tuple[int, int]
+"""First sample and number of samples."""
+
+
+def stretches_of_interest(record: Window, period_s: float | None, most: int) -> list[Window]:
+    """Stretches of a record in the order of time, at most `most`; they do not overlap.
+
+    record : of any length. period_s : of its oscillation, None where there is none. none where most is 0.
+    """
+    if most == 0:
+        return []
+    n, usual_s = len(record.t_s), record.sample_time_s
+    length = USUAL_WINDOW_SAMPLES if period_s is None else max(int(CYCLES * period_s / usual_s), FEWEST_WINDOW_SAMPLES)
+    if n <= max(1.5 * length, USUAL_WINDOW_SAMPLES):  # a fit takes all of so many, and `diagnose` says the same of them
+        return [record.condensed(MOST_WINDOW_SAMPLES)]
+    gap = np.concatenate([[0], np.cumsum(np.diff(record.t_s) > GAP * usual_s)])
+    taken: list[Stretch] = []
+    for wanted, many in _wanted(record, length, gap, events=period_s is None):
+        begin = min(max(wanted, 0), n - many)
+        apart = all(begin >= b + m or b >= begin + many for b, m in taken)
+        if len(taken) < most and apart and gap[begin] == gap[begin + many - 1]:
+            taken.append((begin, many))
+    return [_part(record, begin, begin + many).condensed(MOST_WINDOW_SAMPLES) for begin, many in sorted(taken)] or [
+        record.condensed(MOST_WINDOW_SAMPLES)
+    ]
+
+
+def spread_over(record: Window) -> list[Window]:
+    """Stretches that stand for the whole of a record, quiet ones too, evenly over it; none holds a gap."""
+    n = len(record.t_s)
+    if n <= SPREAD * LONG:
+        begins, length = np.array([0]), n
+    else:
+        begins, length = np.linspace(0, n - LONG, SPREAD).astype(int), LONG
+    gaps = np.flatnonzero(np.diff(record.t_s) > GAP * record.sample_time_s) + 1
+    parts = []
+    for begin in begins.tolist():
+        inside = gaps[(gaps > begin) & (gaps < begin + length)].tolist()
+        edges = [begin, *inside, begin + length]
+        longest = max(range(len(edges) - 1), key=lambda i: edges[i + 1] - edges[i])
+        if edges[longest + 1] - edges[longest] >= FEWEST_WINDOW_SAMPLES or len(begins) == 1:
+            parts.append(_part(record, edges[longest], edges[longest + 1]))
+    return parts
+
+
+def _part(record: Window, begin: int, end: int) -> Window:
+    return Window(record.t_s[begin:end], record.sp[begin:end], record.pv[begin:end], record.co[begin:end])
+
+
+def _wanted(record: Window, length: int, gap: np.ndarray, *, events: bool) -> Iterator[Stretch]:
+    """Stretches, the most telling first: the newest, a setpoint change, two events (or where the error is largest)."""
+    begins = np.arange(len(record.t_s) - length + 1)
+    whole = begins[gap[begins + length - 1] == gap[begins]]
+    newest = [(int(begin), length) for begin in whole[-1:]]
+    moves = np.abs(np.diff(record.sp))
+    changes = [(int(i - BEFORE * length), length) for i in np.argsort(moves)[::-1][:EVENTS] if moves[i] > 0]
+    error = record.sp - record.pv
+    telling = _events(error, len(error) // 2) if events else []
+    telling = telling or [(begin, length) for begin in _largest(error, whole, length)]
+    spread = [(int(b), length) for b in whole[np.linspace(0, len(whole) - 1, 12).astype(int)]] if len(whole) else []
+    for some in zip_longest(newest, changes, telling[::2], telling[1::2], spread):
+        yield from (stretch for stretch in some if stretch is not None)
+
+
+def _events(error: FloatArray, longest: int) -> list[Stretch]:
+    """Stretches round events, the most unusual first."""
+    level = error - np.median(error)
+    found: list[tuple[float, Stretch]] = []
+    for width in WIDTHS:
+        means = np.abs(running_mean(level, width))
+        usual = 1.4826 * float(np.median(means))
+        many = min(max(OF_A_WIDTH * width, FEWEST_WINDOW_SAMPLES), USUAL_WINDOW_SAMPLES, longest)
+        if usual <= 0 or many <= 0:
+            continue
+        blocks = np.maximum.reduceat(means, np.arange(0, len(means), many))
+        for block in np.argsort(blocks)[::-1][:EVENTS]:
+            at = int(block * many + np.argmax(means[block * many : (block + 1) * many]))
+            if means[at] > LEAST_SCORE * usual:
+                found.append((float(means[at]) / usual, (int(at - BEFORE * many), many)))
+    return [stretch for _, stretch in sorted(found, reverse=True)]
+
+
+def _largest(error: FloatArray, whole: np.ndarray, length: int) -> Sequence[int]:
+    """Begins of stretches without gaps in which the error is largest."""
+    sums = np.concatenate([[0.0], np.cumsum(error**2)])
+    energy = sums[whole + length] - sums[whole]
+    return [int(whole[i]) for i in np.argsort(energy)[::-1][:: max(length // 4, 1)][:EVENTS]]

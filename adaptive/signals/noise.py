@@ -11,11 +11,14 @@ Robbins & Monro 1951, in the multiplicative form): m grows by a factor when |d| 
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.recogniser import START_BANDS
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import FloatArray, LoopSample
 
 MEDIAN_TO_SIGMA = 1.4826 / math.sqrt(6.0)
 QUANTUM_TO_SIGMA = 1.0 / math.sqrt(12.0)
@@ -114,3 +117,36 @@ def noise_at_least(state: NoiseState, value: float, least: float) -> NoiseState:
     """
     median = noise_step(state.median, value - 2.0 * state.last + state.before)
     return NoiseState(max(median, least), value, state.last)
+
+
+# What pv did while nothing happened before a response: noise that wanders, which differences of neighbours do not
+# see.
+
+
+FEWEST_SAMPLES_AT_REST = 60
+"""Samples at rest of which noise that wanders is told."""
+OUTSIDE = 0.05
+"""Share of them that may lie outside of what begins a response: the band is too narrow for such noise."""
+PARTS = 8
+"""What is slower than this part of a response is a load to it, and no noise."""
+
+
+def wander_before(samples: Sequence[LoopSample], response: Response) -> float:
+    """Standard deviation of noise that wanders, pv units; zero where it is white, or the loop was not at rest for long.
+
+    samples : kept, the newest last, with the response at their end.
+    """
+    # pv from the last motion on, or the last change of setpoint or gains, until the response
+    near, outside, found = START_BANDS * response.band, 0, list[float]()
+    before = [sample for sample in samples if sample.t_s < response.t_start_s]
+    for sample in reversed(before):
+        outside += abs(sample.sp - sample.pv) > near
+        same = sample.sp == before[-1].sp and sample.revision == before[-1].revision
+        if not same or outside > max(OUTSIDE * len(found), 1):
+            break
+        found.append(sample.pv)
+    rest = np.array(found)
+    if len(rest) < FEWEST_SAMPLES_AT_REST:
+        return 0.0
+    length = sum(sample.t_s >= response.t_start_s for sample in samples)
+    return coloured_sigma(rest, length // PARTS)

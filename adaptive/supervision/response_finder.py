@@ -23,8 +23,8 @@ from retuner.adaptive.signals.noise import (
     noise_start,
     noise_step,
     quantum_sigma,
+    wander_before,
 )
-from retuner.adaptive.signals.noise_at_rest import wander_before
 from retuner.adaptive.signals.recogniser import (
     RecogniserLaw,
     RecogniserPhase,

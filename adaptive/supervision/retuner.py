@@ -96,7 +96,7 @@ class Retuner:
         self._finder = ResponseFinder(table.regions, self._gains_at, settings)
         self._observe = self._finder.step
         self.trials = TrialSupervisor(
-            settings.trial, settings.sample_time_s, self._roll_back, self._still_allowed, self._person_decides
+            settings.trial, settings.sample_time_s, self._into_table, self._still_allowed, self._person_decides
         )
         self._decisions, self._led = 0, SetpointLed()
         self._looked_s = self._alone_s = -math.inf  # when all samples were looked at, and are to be without a response
@@ -182,7 +182,7 @@ class Retuner:
         """A change that is due where the loop is not; a trial that waits there ends first, as one without a word."""
         ended = self.trials.away(region) and self.trials.event(region, TrialEvent.TIMED_OUT, self.now_s)
         if ended and self.trials.phase(region) is TrialPhase.RESTORING:
-            return self._ended({region: TrialEvent.TIMED_OUT})
+            return self._trial_ended({region: TrialEvent.TIMED_OUT})
         return self._on_trial(region, self._decision(region, outcome))
 
     def _step(self, sample: LoopSample) -> Step:
@@ -287,7 +287,7 @@ class Retuner:
         The table has those sets when this returns. Action RESTORE: write them, and tell by `restored` that they run.
         """
         ended = self.trials.abort(cause, self.now_s)
-        return self._ended(dict.fromkeys(ended, cause)) if ended else None
+        return self._trial_ended(dict.fromkeys(ended, cause)) if ended else None
 
     def edited(self, gains: PidGains) -> Decision | None:
         """Somebody else has set other gains where the loop is, and the controller runs them, as read back.
@@ -343,7 +343,7 @@ class Retuner:
         if reason := self.trials.no_rollback(region):
             return self.ordered(region, Outcome("revert_refused", f"rollback refused: {reason}"))
         back = self.trials.event(region, TrialEvent.ORDERED_BACK, self.now_s)
-        return self._ended({region: TrialEvent.ORDERED_BACK}) if back else None
+        return self._trial_ended({region: TrialEvent.ORDERED_BACK}) if back else None
 
     taken_back = rolled_back  # its former name
 
@@ -365,7 +365,7 @@ class Retuner:
         """Whether a person has the next word on what is tried in a region."""
         return self.settings.mode_of(region) == Mode.TRIAL
 
-    def _roll_back(self, region: int, gains: PidGains) -> None:
+    def _into_table(self, region: int, gains: PidGains) -> None:
         """What is to run in a region comes into the table."""
         if self.table.gains_of(region) != gains:
             self._change(region, gains)
@@ -397,7 +397,7 @@ class Retuner:
         if seen is None and TrialEvent.RUNAWAY in ended.values():  # nothing teaches as much as this
             seen = w.cut_short(following)
         step = self._seen(seen, ended) if seen is not None else NOTHING
-        return Step(self._ended(ended, step.decision), step.question)
+        return Step(self._trial_ended(ended, step.decision), step.question)
 
     def _learned_from_the_end(self, opened: OpenQuestion, result: Outcome) -> Decision:
         """The answer on a response with which a trial ended: what was forgotten comes back, and is judged with it."""
@@ -410,22 +410,22 @@ class Retuner:
         self._decisions -= same  # the decision to restore is made once more
         learned = self._entered(opened.question, result)
         if same:
-            return self._ended(ended, learned)
+            return self._trial_ended(ended, learned)
         if predicted_wrongly(self.trials.of(region), learned):
             self._forget(region)
         return learned
 
-    def _ended(self, ended: Mapping[int, TrialEvent], learned: Decision | None = None) -> Decision:
+    def _trial_ended(self, ended: Mapping[int, TrialEvent], learned: Decision | None = None) -> Decision:
         """The decision on what is to run. learned : what the response under way has taught."""
         back = [region for region in ended if self.trials.phase(region) is TrialPhase.RESTORING]
         names = [self.table.regions.names[region] for region in back or ended]
         region = next(iter(back or ended))
         decision = learned or self._decision(region, Outcome("undo", ""))
         if back:
-            return self._restored(region, decision, names[1:])
+            return self._restoring(region, decision, names[1:])
         return staying(decision, names[0], self.trials.of(region), names[1:])
 
-    def _restored(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
+    def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
         """The decision to restore."""
         trial = self.trials.of(region)
         if predicted_wrongly(trial, decision):
@@ -498,7 +498,7 @@ class Retuner:
         judgement = None if question.alone else self._judge(case, outcome)
         decision = self._decision(region, outcome, question, judgement)
         if judgement is not None and self.trials.phase(region) == TrialPhase.RESTORING:
-            return self._restored(region, decision)
+            return self._restoring(region, decision)
         if decision.action == Action.NONE:
             self._due = outcome.elsewhere
         return self._on_trial(region, decision)

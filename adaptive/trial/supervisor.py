@@ -69,7 +69,7 @@ class TrialSupervisor:
     """See the head of this file.
 
     settings : see TrialSettings. sample_time_s : of the controller.
-    roll_back : puts the set that is to run into the table; called on entering a phase.
+    into_table : puts the set that is to run into the table; called on entering a phase.
     known : what is known of a region's process, when it is to be decided which of its sets runs.
     asks : whether a person has the next word on a region's trial.
     """
@@ -78,13 +78,13 @@ class TrialSupervisor:
         self,
         settings: TrialSettings,
         sample_time_s: float,
-        roll_back: Callable[[int, PidGains], None],
+        into_table: Callable[[int, PidGains], None],
         known: Callable[[int], StillAllowed] = nothing_known,
         asks: Callable[[int], bool] = nobody,
     ) -> None:
         self.settings = settings
         self._shortest_s = LEAST_SAMPLES * sample_time_s
-        self._roll_back, self._known, self._asks = roll_back, known, asks
+        self._into_table, self._known, self._asks = into_table, known, asks
         self._trials: dict[int, Trial] = {}
         self._at: int | None = None
         self.busy = False
@@ -396,7 +396,7 @@ class TrialSupervisor:
         self._trials[region] = trial
         self._notice()
         if now == P.RESTORING and trial.back is not None:
-            self._roll_back(region, trial.back.gains)
+            self._into_table(region, trial.back.gains)
         if now == P.COOLING and trial.rollbacks >= self.settings.lock_out_after:
             self._move(region, E.TOO_MANY_UNDOS, t_s)
         return True

@@ -21,8 +21,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model import sequences as of_region
 from retuner.adaptive.region_model.sequences import update_by_sequences
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
-from retuner.adaptive.signals.noise import coloured_sigma, noise_sigma, quantum_sigma
-from retuner.adaptive.signals.noise_at_rest import wander_before
+from retuner.adaptive.signals.noise import coloured_sigma, noise_sigma, quantum_sigma, wander_before
 from retuner.adaptive.signals.recogniser import START_BANDS
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window

@@ -13,10 +13,9 @@ from effort import sized
 
 from retuner.cli import main
 from retuner.drivers.clock import SimulatedClock
-from retuner.drivers.conformance.chapters import CHAPTERS, chapters
+from retuner.drivers.conformance.chapters import CHAPTERS, OTHERS_S, chapters, nodes_heard, sample_time_of
 from retuner.drivers.conformance.conversation import Conversation, InThread, NoAnswerError, OnBus
 from retuner.drivers.conformance.examination import Examination, examine
-from retuner.drivers.conformance.finding import OTHERS_S, nodes_heard, sample_time_of
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.protocol.frames import GainBox
 from retuner.schedule.gains import PidGains

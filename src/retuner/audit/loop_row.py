@@ -14,8 +14,16 @@ import numpy as np
 
 from retuner.adaptive.audit.attainable import Foreseen, foreseen
 from retuner.adaptive.audit.loop_screen import DAY_S, LoopScreen, joined_screen, screen_loop
-from retuner.adaptive.audit.over_time import MONDAY_S, NUMBERS, PartOfTime, joined_parts, over_time, period_of
-from retuner.adaptive.audit.telling_stretches import spread_over, stretches_of_interest
+from retuner.adaptive.audit.over_time import (
+    MONDAY_S,
+    NUMBERS,
+    PartOfTime,
+    joined_parts,
+    over_time,
+    period_of,
+    spread_over,
+    stretches_of_interest,
+)
 from retuner.adaptive.audit.tracks import damped_track, swing_track, trend_track
 from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, asks, loop_verdict, with_foreseen
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause

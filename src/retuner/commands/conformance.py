@@ -60,10 +60,9 @@ def _examined(
 ) -> "Examination":
     from retuner.drivers.bus.bus import CanLink, LinkSettings
     from retuner.drivers.clock import MonotonicClock
-    from retuner.drivers.conformance.chapters import chapters
+    from retuner.drivers.conformance.chapters import chapters, nodes_heard, sample_time_of
     from retuner.drivers.conformance.conversation import Conversation, NoAnswerError, OnBus
     from retuner.drivers.conformance.examination import examine
-    from retuner.drivers.conformance.finding import nodes_heard, sample_time_of
     from retuner.drivers.host.key_file import read_key
 
     clock, place = MonotonicClock(), f"{interface} {channel}"

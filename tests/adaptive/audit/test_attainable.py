@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.audit.attainable import Foreseen, foreseen
-from retuner.adaptive.audit.telling_stretches import spread_over
+from retuner.adaptive.audit.over_time import spread_over
 from retuner.adaptive.audit.verdict import AuditAction, LoopVerdict, VerdictBasis, error_share, with_foreseen
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.process.model import ProcessModel, ProcessType

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.audit.common_swing import Swinging, common_swings
 from retuner.adaptive.audit.loop_screen import DAY_S, harris_index, screen_loop
-from retuner.adaptive.audit.telling_stretches import stretches_of_interest
+from retuner.adaptive.audit.over_time import stretches_of_interest
 from retuner.adaptive.audit.verdict import (
     EFFORT,
     AuditAction,

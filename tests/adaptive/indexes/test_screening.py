@@ -11,10 +11,17 @@ from hypothesis import strategies as st
 from retuner.adaptive.indexes.condition import Condition, one_sided, record_condition, still_stretches
 from retuner.adaptive.indexes.glossary import GLOSSARY
 from retuner.adaptive.indexes.harmonics import half_wave_shape, phase_deg, refined_frequency, tones
-from retuner.adaptive.indexes.jumps import flat_share, jump_share
 from retuner.adaptive.indexes.output_limits import at_limits
 from retuner.adaptive.indexes.recording_quality import held_together, quantum, recording_quality
-from retuner.adaptive.indexes.screening import cross_correlation, ellipse, kurtosis, screen, yamashita
+from retuner.adaptive.indexes.screening import (
+    cross_correlation,
+    ellipse,
+    flat_share,
+    jump_share,
+    kurtosis,
+    screen,
+    yamashita,
+)
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
