@@ -12,7 +12,7 @@ book's. Nor where clear steps have shown the process and the loop mostly rests.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -280,6 +280,15 @@ MOST_LIMITED = 0.02
 def shown_clearly(known: RegionModel | None, excitation: Excitation, foreign: int) -> bool:
     """Whether clear setpoint steps have shown the process, and nothing speaks against that."""
     return known is not None and known.identifiable and excitation.clear > 0 and not foreign
+
+
+def others_may_tell(
+    region: int, known: Mapping[int, RegionModel], own: Mapping[int, Excitation], foreign: Mapping[int, int]
+) -> bool:
+    """Whether responses elsewhere may change a region: none has ended in it, or its own have shown it clearly. Else
+    what is known there is what its own did not confirm. own, foreign : excitation and foreign of ResponseRecord.
+    """
+    return region not in own or shown_clearly(known.get(region), own[region], foreign.get(region, 0))
 
 
 def _by_responses(found: Findings, *, shown: bool) -> tuple[Plausible, ...] | None:

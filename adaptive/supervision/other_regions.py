@@ -6,7 +6,7 @@ the curves through the other regions. So where a response changes nothing for it
 nearest first. Gains that are far from right on what is known there are proved on all that is left open, as any change,
 and go on trial when the loop comes. So are gains that are over their limit where the region ends, which no response of
 its own has shown: a neighbour's tell of that, also while they are on trial themselves and the loop is away. One region
-at a time; what is nearly right waits for responses of its own.
+at a time; what is nearly right, or not shown clearly by responses of its own, waits for more of these.
 
 Nobody has watched that region. So the gains must be right on what the curves foretell and also on what the table does
 (as_right_as_others). How much a load that never rests moves pv there is worked out from how it does here

@@ -26,7 +26,7 @@ from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.by_book import look_after_s, look_of, shown_clearly
+from retuner.adaptive.supervision.by_book import look_after_s, look_of, others_may_tell, shown_clearly
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import (
     WRITES,
@@ -468,7 +468,8 @@ class Retuner:
         """
         others = [at for at in range(len(self.table.regions)) if self.settings.mode_of(at) in WRITES]
         others = [at for at in others if at != seen.region]
-        free = tuple(at for at in others if self.trials.idle(at, self.now_s))
+        told = [at for at in others if others_may_tell(at, self.region_models, self.excitation, self.foreign)]
+        free = tuple(at for at in told if self.trials.idle(at, self.now_s))
         away = tuple(at for at in others if self.trials.away(at) and not self._person_decides(at))
         case = self._case(seen)
         if not news and passed_over(self._led, case, self.settings):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from loop_bench import made, scaled
 
+from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -19,6 +20,7 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.by_book import others_may_tell
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import Action, Mode, Outcome
 from retuner.adaptive.supervision.findings import Findings
@@ -103,6 +105,22 @@ def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: floa
 )
 def test_what_is_nearly_right_or_not_known_stays(about: dict[str, Any]) -> None:
     assert asked(**{"there": times(right(1.0), 0.25), **about}) == {}
+
+
+@pytest.mark.parametrize(
+    ("own", "foreign", "told"),
+    [
+        (None, 0, True),  # no response has ended there
+        (Excitation(setpoints=2, clear=1), 0, True),
+        (Excitation(setpoints=3), 0, False),  # what is known there is what these did not confirm
+        (Excitation(setpoints=2, clear=1), 1, False),  # something else was behind them
+    ],
+)
+def test_a_region_whose_own_responses_leave_doubt_waits_for_more_of_these(
+    own: Excitation | None, foreign: int, *, told: bool
+) -> None:
+    excitation = {} if own is None else {2: own}
+    assert others_may_tell(2, {2: known(1.0)}, excitation, {2: foreign}) is told
 
 
 def test_a_set_that_is_too_much_at_its_border_is_eased_though_it_is_right_in_the_middle() -> None:
@@ -197,6 +215,16 @@ def test_what_is_due_and_was_not_made_before_a_restart_is_found_again() -> None:
     assert one.proof is not None
     assert other.proof is not None
     assert one.proof.gains == other.proof.gains
+
+
+@pytest.mark.parametrize(("own", "free"), [(None, (1,)), (Excitation(setpoints=3), ())])
+def test_a_question_asks_of_no_region_that_waits(own: Excitation | None, free: tuple[int, ...]) -> None:
+    bench = made(scaled(0.25, 0.25))
+    bench.run(400)
+    if own is not None:
+        bench.retuner.excitation[1] = own
+    steps = map(bench.retuner.step, bench.samples(1000, 1.0, 0.0, 10.0))
+    assert next(step.question.free for step in steps if step.question is not None) == free
 
 
 def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -> None:
