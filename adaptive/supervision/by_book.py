@@ -204,8 +204,8 @@ def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Di
 
     Loads may be steps for all that: a clear response (for more action also one that agrees with such) is then likelier
     by its fit than by any process under a load that wanders. Else the whole diagnosis must name the tuning, and no
-    valve be likelier. Less action waits where load steps explain a setpoint response in two ways: the diagnosis knows
-    no other loads, so that the loop is in danger by both says little.
+    valve be likelier. That is not enough for a cut of both gains: the diagnosis knows no load that wanders, and a
+    process that swings by itself explains such a load to the noise.
     """
     record, learned, proof, book = found.record, found.learned, own.proof, seen.book
     assert proof is not None
@@ -218,8 +218,10 @@ def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Di
         and exempt_from_confirmation(found, proof, learned, found.in_use)
     ):
         return None
-    if less and learned is not None and learned.contested:  # both explanations are load steps' ones
-        return Diagnosis(Cause.UNKNOWN, HALF, {}, CONTESTED)
+    new, now = proof.gains, record.in_force
+    cut = less and new is not None and abs(new.kp) <= abs(now.kp) and abs(new.ki) <= abs(now.ki)
+    if cut and learned is not None and not (found.clear or is_known(found, learned)):
+        return Diagnosis(Cause.UNKNOWN, HALF, {}, NOT_SHOWN)
     if learned is not None and (found.clear or (not less and is_known(found, learned))):
         estimate, n, window = learned.estimate, len(record.window.pv), Prepared.at(record.window, book.dt_s)
         left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
@@ -233,7 +235,7 @@ def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Di
     return Diagnosis(Cause.STICTION, HALF, {}, "a valve that sticks or has play explains all samples better")
 
 
-CONTESTED = "a load step or the process explains what pv does after a setpoint change, and these two models differ"
+NOT_SHOWN = "no clear setpoint response has shown that"
 HALF, FEWEST_ROWS = 0.5, 16
 """Odds of too high an Ms under which less action is doubted; intervals of a response that a walk can be fitted to."""
 

@@ -317,7 +317,7 @@ def confirmation(found: Findings, change: Outcome, proof: Proof, worth: str, los
         doubt = doubt_of(found, cause)
         if doubt is not None and not in_danger(found, doubt, lost):
             return _not_confirmed(found, change, cause, doubt, lost)
-        if found.record.response.sp_changed and found.excitation is not None:
+        if found.record.response.sp_changed and found.excitation is not None and not learned.contested:
             # As good as a clear one: what agrees with it later needs no second confirmation
             clear = found.excitation.clear + 1
             change = replace(change, excitation=replace(found.excitation, clear=clear))

@@ -3,16 +3,22 @@
 import csv
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from retuner import api, diagnosing
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.fit.record import apart, near, setpoint_changes
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.supervision import by_model
+from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
@@ -78,3 +84,26 @@ def test_a_healthy_flow_loop_does_not_become_a_fiction():
     settings = RetunerSettings(float(np.median(np.diff(t_s))), 100.0)
     learned = update_region_model(None, Window(t_s, *rest), PidGains(0.0138, 0.00034), settings.tracker, settings.fit)
     assert learned.contested
+
+
+@pytest.mark.parametrize("contested", [False, True])
+def test_a_setpoint_response_that_load_steps_explain_in_two_ways_is_not_as_good_as_a_clear_one(
+    monkeypatch: pytest.MonkeyPatch, contested: bool
+):
+    for name in ("is_known", "exempt_from_confirmation", "stands"):
+        monkeypatch.setattr(by_model, name, lambda *_: False)
+    monkeypatch.setattr(by_model, "doubt_of", lambda *_: None)
+    told = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "too much gain")
+    question: Any = SimpleNamespace(
+        record=SimpleNamespace(crossed=False, response=SimpleNamespace(sp_changed=True)), spoilt=""
+    )
+    found = Findings(
+        question,
+        learned=cast("Any", SimpleNamespace(contested=contested, valve=None)),
+        in_use=cast("Any", SimpleNamespace()),
+        excitation=Excitation(setpoints=1),
+    )
+    change = Outcome("", "", diagnosis=told)
+    made = by_model.confirmation(found, change, cast("Any", SimpleNamespace(code="urgent")), "", 0)
+    assert made.code == "urgent"
+    assert (made.excitation is not None and made.excitation.clear == 1) is not contested

@@ -331,24 +331,31 @@ def test_a_change_whose_cause_the_book_does_not_see_needs_the_whole_diagnosis(
 
 
 @pytest.mark.parametrize(
-    ("less", "contested", "exempt", "doubted"),
-    [(True, True, False, True), (True, False, False, False), (False, True, False, False), (True, True, True, False)],
+    ("to", "known", "exempt", "doubted"),
+    [
+        ((0.5, 0.7), False, False, True),
+        ((0.5, 1.2), False, False, False),  # no cut: it has more integral action
+        ((0.5, 0.7), True, False, False),
+        ((1.5, 1.5), False, False, False),
+        ((0.5, 0.7), False, True, False),
+    ],
 )
-def test_less_action_waits_where_load_steps_explain_a_setpoint_response_in_two_ways(
-    monkeypatch: pytest.MonkeyPatch, *, less: bool, contested: bool, exempt: bool, doubted: bool
+def test_a_cut_that_the_book_does_not_see_needs_a_clear_response(
+    monkeypatch: pytest.MonkeyPatch, to: tuple[float, float], *, known: bool, exempt: bool, doubted: bool
 ) -> None:
-    """The whole diagnosis knows no other loads: what it confirms then counts nothing beside the book."""
+    """The whole diagnosis knows no load that wanders: what it confirms is not enough."""
     monkeypatch.setattr(by_book_stage, "exempt_from_confirmation", lambda *_: exempt)
-    monkeypatch.setattr(by_book_stage, "is_known", lambda *_: False)
+    monkeypatch.setattr(by_book_stage, "is_known", lambda *_: known and to[0] < 1.0)
     monkeypatch.setattr(by_book_stage, "doubt_of", lambda *_: None)
-    record = SimpleNamespace(crossed=False)
+    now = scaled(1.0)
+    record = SimpleNamespace(crossed=False, in_force=now)
     question: Any = SimpleNamespace(record=record, look=None)
-    learned: Any = SimpleNamespace(contested=contested)
-    found = Findings(question, learned=learned, in_use=cast("Any", SimpleNamespace()))
-    own = Outcome("accepted", "", proof=cast("Any", SimpleNamespace()))
-    doubt = by_book_stage._doubt(found, own, AllSamples(book=begun(scaled(1.0))), less=less)
+    found = Findings(question, learned=cast("Any", SimpleNamespace()), in_use=cast("Any", SimpleNamespace()))
+    proof: Any = SimpleNamespace(gains=PidGains(to[0] * now.kp, to[1] * now.ki))
+    seen = AllSamples(book=begun(now))
+    doubt = by_book_stage._doubt(found, Outcome("accepted", "", proof=proof), seen, less=to[0] < 1.0)
     assert (doubt is not None) is doubted
-    assert doubt is None or doubt.reason == by_book_stage.CONTESTED
+    assert doubt is None or doubt.reason == by_book_stage.NOT_SHOWN
 
 
 @pytest.mark.parametrize(
