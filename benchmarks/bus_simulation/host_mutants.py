@@ -91,7 +91,7 @@ HOST_MUTANTS = tuple(
         ),
         (
             "the stamp is of no time",
-            HOST + "connection",
+            HOST + "can_device",
             "stamp = lease_stamp(epoch, sample)\n        due",
             "stamp = lease_stamp(0, sample)\n        due",
         ),

@@ -65,10 +65,12 @@ def about(config: Config) -> str:
     """A hash of what a memory depends on: loop, schedule, adaptation, and which controller it is.
 
     Not on which proposal the schedule was taken from: that is history, and changes nothing of what runs. Nor on which
-    loops share its plant: what is known of the loop itself stays.
+    loops share its plant: what is known of the loop itself stays. Sections count by the names that they first had, so
+    that memories of earlier releases are still of the same configuration.
     """
     sections = ("loop", "schedule", "adaptation")
     body = {name: getattr(config, name).model_dump(mode="json", exclude={"proposal", "plant"}) for name in sections}
+    body["adaptation"]["nudge"] = body["adaptation"].pop("bumps")
     return digest(json.dumps({**body, "node": config.bus.node}, sort_keys=True))
 
 
