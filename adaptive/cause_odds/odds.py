@@ -141,8 +141,8 @@ def diagnose_records(
     if known is not None:
         odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
         odds = with_overshoot(odds, [one for w, f in open_ones if (one := _overshoot(w, f))], settings.limits)
-    fits = any(_fits(f) for _, f in open_ones)
-    under_walk = _under_walk(walk, odds, sum(_shapes(f, settings) for _, f in open_ones), fits, settings)
+    free = max(_unlike(f) for _, f in open_ones)
+    under_walk = _under_walk(walk, odds, sum(_shapes(f, settings) for _, f in open_ones), free, settings)
     under_steps, weight = _under_steps(open_ones, under_walk, walk, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
     causes = _mixed(under_steps, under_walk, weight, most)
@@ -273,11 +273,11 @@ FITS_BETTER = 1.3
 
 
 def _under_walk(
-    walk: Walk, odds: TuningOdds | None, shapes: float, fits: bool, settings: OddsSettings
+    walk: Walk, odds: TuningOdds | None, shapes: float, free: float, settings: OddsSettings
 ) -> dict[Cause, float]:
     """Odds under a load that wanders. shapes : what shapes and plateaus say for a valve, in all records.
 
-    fits : whether a fitted valve does: then it is no valve of the grid, and what speaks against those says nothing.
+    free : logarithm of a factor against the valves of the grid up to which it says nothing (_unlike).
     """
     linear = 1.0 - settings.stiction - settings.nonlinear
     known, share = min(settings.valve_weight * walk.valve, 500.0), settings.other_valve
@@ -285,7 +285,7 @@ def _under_walk(
         (1.0 - share) * math.exp(known) + share * math.exp(min(settings.other_weight * walk.valve, 0.0))
     )
     if shapes:  # they see valves that are unlike the grid's
-        evidence = shapes + max(known, 0.0 if fits else min(walk.valve + UNLIKE, 0.0))
+        evidence = shapes + max(known, min(walk.valve + free, 0.0))
     stiction = settings.stiction / linear * math.exp(min(max(evidence, -50.0), 300.0))
     # Loads alone may bend a record, and no process that bends has a pv that stands while co travels
     bends = walk.moved >= settings.moved and shapes < math.log(settings.stands)
@@ -301,9 +301,16 @@ def _under_walk(
     return {Cause.STICTION: stiction / whole, Cause.NONLINEAR: nonlinear / whole, **found}
 
 
-UNLIKE = 1.5
-"""Logarithm of a factor against a valve up to which it says nothing where shapes name one: valves slip irregularly. Of
-29 real ones 27 are within -1.4; of twelve good loops whose pv stands under a real load eight are beyond -2.5."""
+def _unlike(found: RecordVerdict) -> float:
+    """Logarithm of a factor against the valves of the grid up to which it says nothing: valves slip irregularly."""
+    if _fits(found):
+        return math.inf
+    return UNLIKE if found.diagnosis.cause == Cause.STICTION else UNLIKE_STANDING
+
+
+UNLIKE, UNLIKE_STANDING = 3.0, 1.5
+"""That where a fit or a shape names the valve, and where pv stands alone. Of 27 real valves whose pv stands 26 are
+within -1.4; of twelve good loops whose pv stands under a real load eight are beyond -2.5."""
 
 
 def _under_steps(
