@@ -112,7 +112,7 @@ def test_the_deciding_test_grows_with_the_load_and_has_the_units_of_pv() -> None
     found = deciding_test(odds, record, error_std)
     assert found is not None
     assert found.kind is TestKind.SETPOINT
-    assert 0.5 <= found.decides <= 1.0
+    assert 0.25 <= found.decides <= 1.0
     assert found.hold_s >= 30.0
     scaled = Prepared(1000.0 * record.pv, record.co, 0.0, 1.0)
     likelihood = log_likelihood(scaled, 1, gain_unit(odds.gains, 1.0) / 1000.0)
