@@ -19,7 +19,7 @@ from retuner.adaptive.explanations.settings_by_book import BookNumbers
 from retuner.adaptive.guard import Proof
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, TrackerSettings, predicted
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.trial.judge import Judgement
@@ -242,32 +242,6 @@ def _own(value: object) -> object:
 def gains_dict(gains: PidGains) -> dict[str, float]:
     """Parallel form by name."""
     return {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}
-
-
-def with_outcome(
-    made: Decision, outcome: Outcome, tracker: TrackerSettings, now_s: float, *, accepted: bool
-) -> Decision:
-    """The record of a decision with what the stages found; accepted : gains may be written, as far as proof and trial
-    are concerned.
-    """
-    proof, learned = outcome.proof, outcome.learned
-    region_model = learned.region_model if learned else None
-    wanted = Action.COMMIT if made.mode in WRITES else Action.ADVISE
-    return replace(
-        made,
-        action=wanted if accepted else Action.NONE,
-        gains_after=proof.gains if proof and accepted else None,
-        numbers=outcome.numbers,
-        estimate=learned.estimate if learned else None,
-        agreement=learned.agreement if learned else None,
-        records=region_model.records if region_model else 0,
-        known=predicted(region_model, now_s, tracker) if region_model else None,
-        diagnosis=outcome.diagnosis,
-        basis=outcome.basis,
-        proposal=outcome.proposal,
-        proof=proof,
-        all_samples=outcome.all_samples,
-    )
 
 
 def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:

@@ -198,6 +198,11 @@ class OpenQuestion(NamedTuple):
     region_model: RegionModel | None
     excitation: Excitation | None
 
+    def waited(self, sample_number: int) -> str:
+        """How long its answer is waited for at a sample of that number, in words."""
+        waited_s = (sample_number - self.question.sample_number) * self.question.settings.sample_time_s
+        return f"{waited_s:,.0f} s" if waited_s >= 100.0 else f"{waited_s:.3g} s"
+
 
 class Overtaken(StrEnum):
     """Why an answer that comes later than its question is not entered any more."""

@@ -22,6 +22,7 @@ from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.settings_by_book import lets_go
 from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, plain
@@ -40,7 +41,6 @@ from retuner.adaptive.supervision.decision import (
     proposing,
     restoring,
     staying,
-    with_outcome,
 )
 from retuner.adaptive.supervision.judge_evidence import prediction_of, seen_of
 from retuner.adaptive.supervision.question import (
@@ -237,11 +237,6 @@ class Retuner:
         """The question whose answer has not been entered yet."""
         return self._open.question if self._open else None
 
-    def _waited(self, opened: OpenQuestion) -> str:
-        """How long the answer to a question is waited for, in words."""
-        waited_s = (self.sample_number - opened.question.sample_number) * self.settings.sample_time_s
-        return f"{waited_s:,.0f} s" if waited_s >= 100.0 else f"{waited_s:.3g} s"
-
     def enter(self, question: Question, result: Outcome, sample_number: int) -> Decision:
         """Enter the answer to the open question, after the sample of that number.
 
@@ -262,7 +257,7 @@ class Retuner:
         phase = self.trials.phase(opened.question.record.region)
         overtaken = overtaken_by(opened, self.region, self._finder.samples, self.table, phase)
         if overtaken is not None:
-            told = f"the decision came too late, after {self._waited(opened)}: {overtaken}"
+            told = f"the decision came too late, after {opened.waited(self.sample_number)}: {overtaken}"
             refused = Outcome(f"overtaken_{overtaken.name.lower()}", told)
             return self._decision(opened.question.record.region, refused, opened.question)
         return self._learned_from_the_end(opened, result) if opened.ended else self._entered(opened.question, result)
@@ -453,7 +448,7 @@ class Retuner:
         if question is None:
             return NOTHING
         if self._open is not None:
-            told = f"the previous response was still being evaluated after {self._waited(self._open)}"
+            told = f"the previous response was still being evaluated after {self._open.waited(self.sample_number)}"
             late = Outcome("passed_over", f"{told}: this one is not used to update the model")
             return NOTHING if ended else Step(self._decision(seen.region, late, question))
         self._open = OpenQuestion(
@@ -564,6 +559,8 @@ class Retuner:
             prediction = prediction_of(
                 outcome.proof, self.table, region, at, pattern, self.settings, self._finder.samples
             )
+        learned, wanted = outcome.learned, Action.COMMIT if self.settings.mode_of(region) in WRITES else Action.ADVISE
+        model = learned.region_model if learned else None
         self._decisions += 1
         made = Decision(
             number=self._decisions,
@@ -571,17 +568,27 @@ class Retuner:
             loop=self.table.loop,
             region=self.table.regions.names[region],
             mode=self.settings.mode_of(region),
-            action=Action.NONE,
+            action=wanted if accepted else Action.NONE,
             code=outcome.code,
             reason=outcome.reason,
             gains_before=self.table.gains_of(region),
+            gains_after=outcome.proof.gains if outcome.proof and accepted else None,
             response=question.record.response if question and not question.alone else None,
+            estimate=learned.estimate if learned else None,
+            agreement=learned.agreement if learned else None,
+            records=model.records if model else 0,
+            diagnosis=outcome.diagnosis,
+            basis=outcome.basis,
+            proposal=outcome.proposal,
+            proof=outcome.proof,
+            numbers=outcome.numbers,
             prediction=prediction if accepted else None,
             judgement=judgement,
             trial=str(self.trials.phase(region)),
+            known=predicted(model, now_s, self.settings.tracker) if model else None,
             later=region != self.region and self.table.lookup is Lookup.HARD,
+            all_samples=outcome.all_samples,
         )
-        made = with_outcome(made, outcome, self.settings.tracker, now_s, accepted=accepted)
         made = proposing(made, self.trials.of(region), now_s) if proposes else made
         if question is None or question.sample_number == self.sample_number:
             return made
