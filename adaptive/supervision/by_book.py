@@ -20,7 +20,7 @@ from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.explanations.book import Book, doubted, move, update
+from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, move, update
 from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.settings_by_odds import cost_at
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
@@ -293,20 +293,25 @@ def others_may_tell(
     return region not in own or shown_clearly(known.get(region), own[region], foreign.get(region, 0))
 
 
-def _by_responses(found: Findings, *, shown: bool) -> tuple[Plausible, ...] | None:
+def _by_responses(found: Findings, room: float, *, shown: bool) -> tuple[Plausible, ...] | None:
     """Models of responses that more action must bear as well, the likeliest first: that loads are steps is one more
-    hypothesis of what moves the loop, and under each it must do no harm. None where several records identify nothing.
+    hypothesis of what moves the loop, and under each it must do no harm. None where several records identify nothing,
+    because co does nothing: a valve may stand. room : its odds by all samples.
 
-    Behind one record that is no clear step they are those only that all samples allow: with the gains in force Ms is
-    not over its limit, which has no odds there.
+    Where no clear step and no two records identify the process, they are those only that all samples allow: with the
+    gains in force Ms is not over its limit, which has no odds there. Where these are sure of room, none is asked.
     """
     record, settings = found.record, found.settings
-    known = record.region_models.get(record.region)
+    known, now = record.region_models.get(record.region), record.in_force
     if known is None:
         return ()
-    if shown or known.records >= AGREED:
-        return known.plausible if known.identifiable else None
-    return tuple(one for one in known.plausible if _ms(one, record.in_force, settings) <= settings.book.ms_high)
+    if known.identifiable and (shown or known.records >= AGREED):
+        return known.plausible
+    much = PidGains(MOST_ROOM * now.kp, MOST_ROOM * now.ki, MOST_ROOM * now.kd)
+    if known.records >= AGREED and known.plausible and _ms(known.plausible[0], much, settings) <= MS_OF_ROOM:
+        return None
+    asked = known.plausible if room < settings.book.sure_odds else ()
+    return tuple(one for one in asked if _ms(one, now, settings) <= settings.book.ms_high)
 
 
 def _ms(one: Plausible, gains: PidGains, settings: RetunerSettings) -> float:
@@ -341,7 +346,7 @@ def _proved_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome 
     valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
     if valve > (MOST_VALVE if less else 0.0):
         return None
-    also = () if less else _by_responses(found, shown=shown)
+    also = () if less else _by_responses(found, told.numbers.book_room, shown=shown)
     if also is None:
         return None
     known = KnownProcesses(record.table, record.region_models, float(record.window.t_s[-1]), settings)

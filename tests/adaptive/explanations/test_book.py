@@ -421,23 +421,25 @@ def test_on_a_process_that_steps_have_shown_it_speaks_where_the_pipeline_cannot_
 
 
 @pytest.mark.parametrize(
-    ("records", "shown", "identifiable", "k", "changes"),
-    [(1, False, True, 4.0 * K, False), (1, False, True, K, True), (1, False, True, 40.0 * K, True),
-     (2, False, True, 40.0 * K, False), (1, True, True, 40.0 * K, False), (2, False, True, 0.01 * K, True),
-     (2, False, False, 0.01 * K, False), (1, False, True, 3.3 * K, False)],
+    ("records", "shown", "identifiable", "times", "room", "changes"),
+    [(1, False, True, 4.0, 0.8, False), (1, False, True, 3.3, 0.8, False), (1, False, True, 1.0, 0.8, True),
+     (1, False, True, 40.0, 0.8, True), (1, False, True, 4.0, 0.99, True), (2, False, True, 4.0, 0.99, False),
+     (2, False, True, 40.0, 0.8, False), (1, True, True, 40.0, 0.8, False), (2, False, True, 0.01, 0.8, True),
+     (2, False, False, 0.01, 0.99, False)],
 )  # fmt: skip
 def test_more_action_is_proved_on_what_responses_have_shown(
-    records: int, k: float, *, shown: bool, identifiable: bool, changes: bool
+    records: int, times: float, room: float, *, shown: bool, identifiable: bool, changes: bool
 ) -> None:
     """On 4 K the gains in force are the good ones, and more of them is too much; on 3.3 K the share that is proved is
-    not worth a change; on 40 K they are unstable, which all samples rule out. On 0.01 K co does next to nothing: two
-    records that identify nothing say no more than that.
+    not worth a change; on 40 K they are unstable, which all samples rule out. One record is not asked where these are
+    sure of room. On 0.01 K co does next to nothing: two records that identify nothing say no more than that.
     """
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1)
     told = by_book(book, now, SETTINGS)
+    told = replace(told, numbers=replace(told.numbers, book_room=room))
     assert told.leans == 1
-    model = Plausible(ProcessModel("fopdt", k, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
+    model = Plausible(ProcessModel("fopdt", times * K, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
     table = GainTable("loop", Regions("pv", "-", ("whole",), -1e6, (), 1e6, 1.0, 0.0), (now,))
     record: Any = SimpleNamespace(
         region=0, region_models={0: SimpleNamespace(identifiable=identifiable, records=records, plausible=(model,))},
