@@ -255,7 +255,8 @@ def _may_speak(found: Findings, own: Outcome, look: Look) -> bool:
     record = found.record
     if own.code not in OPEN or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
         return False
-    if look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
+    stood = own.diagnosis is not None and own.diagnosis.cause is Cause.SATURATION  # before the look began, too
+    if stood or look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
         return False
     return not (found.question.alone and record.admission(found.settings).ground in SPOILT)
 

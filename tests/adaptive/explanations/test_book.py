@@ -330,6 +330,19 @@ def test_a_change_whose_cause_the_book_does_not_see_needs_the_whole_diagnosis(
         assert not asked or found.reason.endswith("; a valve sticks")
 
 
+@pytest.mark.parametrize(("cause", "speaks"), [(None, True), (Cause.UNKNOWN, True), (Cause.SATURATION, False)])
+def test_the_book_does_not_speak_where_the_output_stood_at_a_limit_before_its_look_began(
+    monkeypatch: pytest.MonkeyPatch, cause: Cause | None, *, speaks: bool
+) -> None:
+    monkeypatch.setattr(by_book_stage, "may_follow", lambda *_: True)
+    record = SimpleNamespace(crossed=False, table=SimpleNamespace(lookup=Lookup.HARD))
+    question: Any = SimpleNamespace(record=record, trial=None, settings=None, alone=False)
+    told = None if cause is None else Diagnosis(cause, 0.9, {}, "")
+    own = Outcome("unconfirmed", "", diagnosis=told)
+    look: Any = SimpleNamespace(limited=0.0)
+    assert by_book_stage._may_speak(Findings(question), own, look) is speaks
+
+
 @pytest.mark.parametrize(
     ("to", "known", "exempt", "doubted"),
     [
