@@ -103,6 +103,12 @@ NUMBERS = fields(PartOfTime)[2:]
 
 
 # Which stretches of a long record are diagnosed: where something happens, and spread over time.
+#
+# A setpoint change shows the process; an event of the error shows what the loop makes of a load; the newest stretch
+# tells whether it is still so. A stretch never holds a gap. It holds CYCLES periods of the oscillation where there is
+# one; else it is as long as its event needs: an event of width m stands out of what means over m samples usually are,
+#
+#     score = max over m of |mean over m samples of e| / (1.4826 median |such means|)
 
 
 CYCLES = 15.0

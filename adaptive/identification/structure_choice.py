@@ -267,6 +267,10 @@ def _larger(winner: Candidate, seen: CandidateList) -> list[Candidate]:
 
 
 # Loads that move along ramps: found corner by corner, where steps are a poor cover for them.
+#
+# A load that goes from one place to another in a time of its own is two changes of its slope. Steps that stand for it
+# leave a remainder, and what they do not explain the process does: ramps into six loops of a seed gave one model,
+# which was wrong. Ramps are asked for where nobody moved the setpoint, and where a single sharp step does not do.
 
 
 SAMPLES_EACH = 4

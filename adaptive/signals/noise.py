@@ -119,8 +119,11 @@ def noise_at_least(state: NoiseState, value: float, least: float) -> NoiseState:
     return NoiseState(max(median, least), value, state.last)
 
 
-# What pv did while nothing happened before a response: noise that wanders, which differences of neighbours do not
-# see.
+# What pv did while nothing happened before a response: noise that wanders, which differences of neighbours do not see.
+#
+# The streaming estimate of noise.py sees a third of noise with a memory of ten samples. A band made of it is too
+# narrow: noise passes for responses, a loop at rest for a restless one, and what a good model leaves for another
+# cause. So with every response the samples before it are looked at once more, at longer lags.
 
 
 FEWEST_SAMPLES_AT_REST = 60

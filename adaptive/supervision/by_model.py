@@ -28,7 +28,7 @@ from retuner.adaptive.diagnosis.second_opinion import SWINGING, TOWARDS_SAFETY, 
 from retuner.adaptive.diagnosis.swing_checks import at_own_crossover, foretold, not_seen
 from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
 from retuner.adaptive.guard import GuardSettings, Proof, prove
-from retuner.adaptive.guard.between_knots import worst_between
+from retuner.adaptive.guard.both_sides_of_border import worst_between
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.identification.estimate import log_controller
 from retuner.adaptive.identification.plausible import Plausible

@@ -163,6 +163,16 @@ def _result(model: RegionModel, wanted: RobustProposal, proof: Proof, prediction
 
 
 # What the table itself says of a region that nobody has watched: its set is as right there as others are.
+#
+#     process of region r = process of region i,  its gain times Kc_i / Kc_r,  its times times tau_I_r / tau_I_i
+#
+# On it the set of r does exactly what that of i does in i, in its own time: a hypothesis a region i that knows its
+# process. Curves through the regions (region_curves.py) do not know of a jump between them. Whoever drew up the table
+# may have, or may have been mistaken in one region only: where some of its sets turned out right, this one may be. So
+# gains for a region that nobody has watched must be right on these processes too. Where all known sets were wrong in
+# the same way, they agree with the curves.
+#
+# The sets are those of the table as it was at first: what has been tuned since says nothing of the others.
 
 
 def as_right_as_others(

@@ -13,8 +13,7 @@ from functools import cached_property, partial
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause, with_second_lag
 from retuner.adaptive.diagnosis.second_opinion import SWINGING
-from retuner.adaptive.guard.between_knots import eased, worst_between
-from retuner.adaptive.guard.both_sides_of_border import borders_of, likeliest_between, mixed
+from retuner.adaptive.guard.both_sides_of_border import borders_of, eased, likeliest_between, mixed, worst_between
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBorder, Support
 from retuner.adaptive.guard.step_size import less_of_everything
@@ -225,7 +224,7 @@ BETWEEN = "ms_between"
 
 def tuning_of(known: KnownProcesses, region: int, in_force: PidGains) -> RobustProposal:
     """What the rule gives for a region, eased to what its part of the ways to the neighbours bears, and whether its
-    tuning is a cause (guard/between_knots.py).
+    tuning is a cause (guard/both_sides_of_border.py).
 
     In an interpolated table what ran, in_force, is a mean of several sets: asked is what the region's own does.
     """

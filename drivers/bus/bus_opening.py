@@ -188,6 +188,11 @@ class BusLog:
 
 
 # udp_multicast as a bus of this machine: one group is one bus, and nothing from elsewhere is on it.
+#
+# python-can binds to the port on every interface. The socket then takes what anybody sends to that port: other
+# groups, other machines, plain unicast. Here it is bound to the group's own address, and as long as no frame may
+# leave the machine (hop limit 0) it is a member on the loopback interface alone. Linux knows how; elsewhere it stays
+# as it is.
 
 
 LOOPBACK = socket.inet_pton(socket.AF_INET, "127.0.0.1")

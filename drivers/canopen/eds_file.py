@@ -214,6 +214,10 @@ def holds(variable: Variable) -> StorableNumbers:
 
 
 # An EDS as a standard one would be written: what other makers' tools do to the text, undone before it is read.
+#
+# CiA 306 asks for ASCII lines under [6130] and [6130sub1]. Found beside that: a byte-order mark, UTF-16, lone
+# carriage returns, DOS's end-of-file mark, [6130SUB1], parts without the section of their object, and empty baud
+# rates.
 
 
 MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))

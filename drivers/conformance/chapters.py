@@ -34,6 +34,9 @@ def chapters(trial_samples: int = 0) -> tuple[tuple[str, Check], ...]:
 
 
 # Which node is on a bus, and its sample time, found without a frame to any other device.
+#
+# Only listening tells nodes: the number that a question needs is another device's command (READ is an ODrive's
+# Estop).
 
 
 LONGEST_S = 10.0

@@ -118,6 +118,10 @@ def _bits(data: bytes, signal: Signal) -> int | None:
 
 
 # Checksums and counters in foreign messages, by the name of the algorithm.
+#
+# The sum is over all bytes of the message but its own, in their order; with a data identifier this comes after them,
+# low byte first, as in AUTOSAR E2E. The check values (over the ASCII digits 1 to 9) are those of Greg Cook's
+# catalogue of parametrised CRC algorithms.
 
 
 BYTE, WORD = 0xFF, 0xFFFF
