@@ -299,8 +299,8 @@ def _by_responses(found: Findings, room: float, *, shown: bool) -> tuple[Plausib
     hypothesis of what moves the loop, and under each it must do no harm. None where several records identify nothing,
     because co does nothing: a valve may stand. room : its odds by all samples.
 
-    Where no clear step and no two records identify the process, they are those only that all samples allow: with the
-    gains in force Ms is not over its limit, which has no odds there. Where these are sure of room, none is asked.
+    Where no clear step and no two records identify the process, they are those only on which the gains in force may be
+    more at all, as all samples say: Ms is good. Where these are sure of room, none is asked.
     """
     record, settings = found.record, found.settings
     known, now = record.region_models.get(record.region), record.in_force
@@ -312,7 +312,7 @@ def _by_responses(found: Findings, room: float, *, shown: bool) -> tuple[Plausib
     if known.records >= AGREED and known.plausible and _ms(known.plausible[0], much, settings) <= MS_OF_ROOM:
         return None
     asked = known.plausible if room < settings.book.sure_odds else ()
-    return tuple(one for one in asked if _ms(one, now, settings) <= settings.book.ms_high)
+    return tuple(one for one in asked if _ms(one, now, settings) <= settings.book.ms_good)
 
 
 def _ms(one: Plausible, gains: PidGains, settings: RetunerSettings) -> float:
