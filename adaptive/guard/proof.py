@@ -269,7 +269,7 @@ def _open_goals(case: _Case) -> tuple[list[Goal], Proof | None]:
         return less, None
     if not room:
         return [], _refused(case, wanted[0].cut_by or Ruling.OUTSIDE_LIMITS, wanted[0].numbers, wanted[0].notes)
-    assert small[0] is not None  # of none is it None
+    assert small[0] is not None  # a None among them has returned above
     if case.over and small[0][0] is Ruling.TOO_SMALL:
         return [], _refused(case, *_not_robust(case, case.request.in_force), room[0].notes)
     return [], _refused(case, *small[0], room[0].notes)

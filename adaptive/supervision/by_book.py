@@ -106,7 +106,7 @@ class AllSamples:
 
     look : those looked at now, None for none. book : the region's, with them; changed : whether it is another one than
     before. told : what the book says of the gains in force, None where it is not asked. shown : whether clear setpoint
-    steps have shown the process: then the book is silent but for what it is sure of where there is nothing to look at.
+    steps have shown the process: without a look the book then says only what it is sure of.
     """
 
     look: Look | None = None

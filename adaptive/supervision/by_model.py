@@ -470,8 +470,8 @@ FEWEST_OF_STEP = 3
 def runaway(found: Findings, proof: Proof) -> Diagnosis | None:
     """Does the process run away by itself, and would the proved change hold it worse?
 
-    The last setpoint step under these gains shows it. What settings follow from has no such pole, and on an integrator
-    in its place less gain looks safer.
+    The last setpoint step under these gains shows it. The models that settings follow from have no unstable pole; they
+    have an integrator in its place, on which less gain looks safer.
     """
     record, settings = found.record, found.settings
     if proof.gains is None or found.steps is not None or record.pattern is None:

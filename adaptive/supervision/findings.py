@@ -214,7 +214,7 @@ def admission(found: Findings) -> Findings:
 
 
 def swing(found: Findings) -> Findings:
-    """Is a swing without a setpoint step, or what had another cause before, due to none of tuning?
+    """Has a swing without a setpoint step, or what had another cause before, a cause other than the tuning?
 
     A swing that was known to come, by what clear setpoint steps have shown, is the loop's own whatever a tone explains.
     Where something else was found before, it is asked again, of all that the gains in force have shown lately. Each

@@ -40,7 +40,7 @@ class ResponseRecord:
     region : index. window : the response with some time before it. samples : all that are kept, the newest last.
     table : gains in force in every region; commissioned : as they were at first. region_models : what is known, by
     region.
-    foreign : for how many more responses under the gains in force something else than the tuning won here than lost.
+    foreign : responses under the gains in force that another cause explains, less those that the loop itself explains.
     excitation : what the region's model rests on.
     at : the scheduling values at its end. entered_s : since when the loop was in the region at its end.
     passed_over : responses to a led setpoint since that was last said. book : what all samples have shown of the

@@ -1,4 +1,4 @@
-"""Where a change that is not decided by a response leads: which of the sets that ran is to run from now on.
+"""Which of the sets that ran is to run from now on, where a trial ends otherwise than by a response that confirms it.
 
     expected(set) = sum_m P(m | seen) loss(set, m)  +  P(something else | seen) chance(set)
 

@@ -10,7 +10,7 @@ from types import ModuleType
 HOMES = {
     "foreign device": "config.described",
     "plants": "config.bench_plants",
-    "another schedule": "adaptive.region_model.new_borders",
+    "another schedule": "adaptive.region_model.proposed_borders",
     "pretune": "session.pretuning",
     "one plant": "one_plant.joining",
     "page": "serve.beside",

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from retuner.adaptive.region_model import new_borders
-from retuner.adaptive.region_model.new_borders import Refinement
+from retuner.adaptive.region_model import proposed_borders
+from retuner.adaptive.region_model.proposed_borders import Refinement
 from retuner.adaptive.schedule_design.places import DesignLimits
 from retuner.cli import main
 from retuner.commands.approve import _full_hash, places
@@ -48,7 +48,7 @@ def proposal(table: GainTable = OTHER) -> Refinement:
 
 def asking_for(patch: pytest.MonkeyPatch, found: Refinement | None) -> None:
     """What the records of every session ask for."""
-    patch.setattr(new_borders, "new_borders", lambda *_: found)
+    patch.setattr(proposed_borders, "proposed_borders", lambda *_: found)
 
 
 @pytest.fixture(scope="module")

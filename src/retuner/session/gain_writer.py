@@ -1,11 +1,11 @@
 """Has the controller run what it should, one two-phase write at a time, each recorded before it begins:
 
-    1  the verified set, while a change is being rolled back: before everything else, until it has been read back
+    1  the set to run, while a change is being rolled back: before everything else, until it has been read back
     2  a decision of the retuner, when the loop is still in its region and the link has been sound for a while
     3  the schedule: another region, other gains
 
 A decision on a region where the loop is not changes the table alone: the schedule writes its set when the loop comes.
-While a change is being rolled back the table has the verified one already, so no way leads to the tried one.
+While a change is being rolled back the table has the set to run already, so nothing writes another one.
 """
 
 from enum import Enum, StrEnum

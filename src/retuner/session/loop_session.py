@@ -1,9 +1,9 @@
 """One loop under supervision: device events in, decisions and writes out, everything recorded before it takes effect.
 
 The same object serves simulated and real time: it is driven by `poll(now_s)` and never waits. What the controller shall
-run is gain_writer.py's business; here it is decided what ends a trial, and how a loop's session ends: an undecided
-change is decided upon first, for as long as patience lasts and the link holds. Several loops, and what they share, are
-session.py's.
+run is gain_writer.py's business. What happens on the bus, or to the session, is told to the retuner as causes that may
+end a trial (adaptive/trial/supervisor.py). At a loop's end an undecided change is decided upon first, for as long as
+patience lasts and the link holds. Several loops, and what they share, are session.py's.
 """
 
 import math

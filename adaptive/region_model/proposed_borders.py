@@ -252,7 +252,7 @@ def _ms(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "that of an unstable loop"
 
 
-def new_borders(
+def proposed_borders(
     table: GainTable,
     region_models: Mapping[int, RegionModel],
     t_s: float,
