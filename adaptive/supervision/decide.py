@@ -98,7 +98,7 @@ def set_before(found: Findings, own: Outcome) -> Outcome | None:
 
     Less action was written because a model said that the loop swings by itself. A tone that goes on through that change
     as it was before, and that no process explains under both sets, refutes the model: the swing was not the loop's own.
-    What a clear setpoint step has shown of the process is not refuted so. The way back is through the one door of all
+    What a clear setpoint step has shown of the process is not refuted so. As for every way back
     (trial/rollback.py): where the models that are still allowed call that set less stable, it stays out.
     """
     record, trial, cause = found.record, found.question.trial, own.diagnosis

@@ -18,9 +18,10 @@ The commissioned set has no privilege. After evidence against the tried set the 
 is no model; after a cause that says nothing of it the tried one stays. Another set takes their place where it is
 expected to lose less by more than the price of a change.
 
-Whatever leads back, there is one door, `less_stable`: no set comes back that is less stable by Ms on the models that
-are still allowed than the one that runs. Evidence may be a tone, a load or a wrong model; an unstable loop is none.
-Where no model is left, the ones on which the tried set was proved keep the door: what they called unstable stays out.
+Whatever evidence leads back, `less_stable` is asked: no set comes back that is less stable by Ms on the models that
+are still allowed than the one that runs. Where a person orders it, only a set that is unstable on more models stays
+out. Evidence may be a tone, a load or a wrong model; an unstable loop is none. Where no model is left, the ones on
+which the tried set was proved keep the door: what they called unstable stays out.
 """
 
 import math

@@ -299,7 +299,7 @@ class LoopSession:
         self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
 
     def _decided(self, decision: Decision) -> None:
-        """Record a decision; what it wants written waits for the wire."""
+        """Record a decision; a change goes to the writer, which takes a set to restore from the trial (keep)."""
         self.decisions.append(decision)
         if self.bumps is not None:
             self.bumps.decided(decision)
