@@ -34,6 +34,7 @@ def weighed(
     clear: bool = False,
     ready: bool = True,
     setpoint: bool | None = None,
+    contested: bool = False,
 ) -> Outcome:
     """What follows from one response, with what comes before them given. setpoint : as clear."""
     verdict: Any = SimpleNamespace(
@@ -81,7 +82,11 @@ def weighed(
         window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
     )
     learned: Any = SimpleNamespace(
-        region_model=NEW, agreement=agreement, estimate=SimpleNamespace(load_times_s=()), valve=None
+        region_model=NEW,
+        agreement=agreement,
+        estimate=SimpleNamespace(load_times_s=()),
+        valve=None,
+        contested=contested,
     )
     found = findings.region_model(Findings(Question(record, SETTINGS, 1, Trial()), learned=learned, unexplained=1.0))
     return by_model.without_a_model(found) or by_model.by_model(found)
@@ -141,6 +146,14 @@ def test_a_setpoint_response_that_the_whole_diagnosis_confirms_counts_as_clear(
     found = weighed(monkeypatch, Agreement.AGREES, doubt, setpoint=setpoint)
     assert found.excitation is not None
     assert found.excitation.clear == clear
+
+
+def test_a_response_that_a_model_without_loads_explains_in_another_way_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = weighed(monkeypatch, Agreement.AGREES, None, setpoint=True, contested=True)
+    assert found.excitation is not None
+    assert found.excitation.clear == 0
 
 
 @pytest.mark.parametrize(("agreement", "code"), [(Agreement.CONTRADICTS, "unconfirmed"), (Agreement.AGREES, "ok")])
