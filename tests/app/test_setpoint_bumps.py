@@ -12,6 +12,7 @@ from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.supervision.decision import Mode
 from retuner.cli import main
 from retuner.config.adaptation import AdaptationConfig
+from retuner.config.loading import UnusableError, parse_config
 from retuner.ledger.chain import Row
 from retuner.session.ledger_rows import bump_left
 from retuner.session.loop_session import LoopSession
@@ -209,3 +210,13 @@ def test_the_former_name_of_the_section_is_still_read() -> None:
     assert told == AdaptationConfig.model_validate({"bumps": {"allowed": True, "percent": 2.0}})
     with pytest.raises(ValueError, match="nudge"):
         AdaptationConfig.model_validate({"nudge": {}, "bumps": {}})
+
+
+def test_what_is_wrong_under_the_former_name_is_told_with_its_line_and_key() -> None:
+    text = LOOP.format(allowed="true").replace("adaptation.bumps", "adaptation.nudge").replace("= 2.0", "= 99.0")
+    with pytest.raises(UnusableError) as told:
+        parse_config(text)
+    (flaw,) = told.value.findings
+    line = text.split("\n").index("percent = 99.0") + 1
+    assert (flaw.line, flaw.key) == (line, "adaptation.nudge.percent")
+    assert flaw.message.startswith("= 99.0 must be at most 5")

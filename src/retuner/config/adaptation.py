@@ -8,8 +8,6 @@ settings are declared where they are used.
 from collections.abc import Iterator
 from typing import Literal
 
-from pydantic import model_validator
-
 from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
@@ -74,14 +72,6 @@ class BumpsConfig(Section):
 
 class AdaptationConfig(Section):
     """[adaptation]: mode, rule and limits of changes."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _former_name(cls, given: object) -> object:
-        """The section of bumps was called nudge."""
-        if not isinstance(given, dict) or "nudge" not in given or "bumps" in given:
-            return given
-        return {"bumps" if key == "nudge" else key: value for key, value in given.items()}
 
     mode: Literal["off", "advise", "trial", "auto"] = setting(
         "off: only watch; advise: propose, and write what an operator approves; trial: write one proved change a "
@@ -152,7 +142,10 @@ class AdaptationConfig(Section):
     )
     pattern: PatternConfig = setting("What may be done without a model", default=PatternConfig(), source="see there")
     bumps: BumpsConfig = setting(
-        "Small setpoint bumps where days pass without evidence", default=BumpsConfig(), source="see there"
+        "Small setpoint bumps where days pass without evidence",
+        default=BumpsConfig(),
+        source="see there",
+        names=("bumps", "nudge"),
     )
     approval_s: float = setting(
         "How long a proposal may be approved after it was made",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple, get_args
 
-from pydantic import ValidationError
+from pydantic import AliasChoices, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -138,13 +138,19 @@ def _names(model: type[Section]) -> list[str]:
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
+def _read_as(name: str, field: FieldInfo) -> Sequence[object]:
+    """The names under which a setting is read: its own, and former ones."""
+    also = field.validation_alias
+    return also.choices if isinstance(also, AliasChoices) else (field.alias or name,)
+
+
 def _field(path: Path, document: Mapping[str, object]) -> FieldInfo | None:
     """The declaration of a setting; for an element of an array that of the array."""
     while path and isinstance(path[-1], int):
         path = path[:-1]
     for model in _models(path[:-1], document) if path else []:
         for name, field in model.model_fields.items():
-            if path[-1] == (field.alias or name):
+            if path[-1] in _read_as(name, field):
                 return field
     return None
 
@@ -156,7 +162,7 @@ def _models(path: Path, document: Mapping[str, object]) -> list[type[Section]]:
     for part in path:
         node = _inside(node, part)
         if isinstance(part, str):
-            fields = [f for model in models for name, f in model.model_fields.items() if part == (f.alias or name)]
+            fields = [f for model in models for name, f in model.model_fields.items() if part in _read_as(name, f)]
             models = [inner for field in fields for inner in _sections(field.annotation)]
         kind = node.get("kind") if isinstance(node, Mapping) else None
         chosen = [m for m in models if "kind" in m.model_fields and kind in get_args(m.model_fields["kind"].annotation)]

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, create_model, model_validator
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, Strict, create_model, model_validator
 from pydantic_core import PydanticUndefined
 
 from retuner.adaptive.declared_setting import Declared, declared
@@ -72,6 +72,7 @@ def setting(
     below: float | None = None,
     text: tuple[int, int] | None = None,
     alias: str | None = None,
+    names: tuple[str, ...] = (),
 ) -> Any:  # noqa: ANN401  the type of a pydantic field default is the field's own
     """Declare a setting.
 
@@ -81,6 +82,8 @@ def setting(
     default : value when the key is missing; without one the key must be given.
     low, high, above, below : limits, the first two inclusive, the others exclusive.
     text : least and greatest number of characters.
+    alias : its name in the file, where Python keeps the field's for itself.
+    names : under which the file may have it, where that is more than one: the field's own, then former ones.
     """
     return Field(
         default=default,
@@ -92,6 +95,7 @@ def setting(
         min_length=text[0] if text else None,
         max_length=text[1] if text else None,
         alias=alias,
+        validation_alias=AliasChoices(*names) if names else alias,
         json_schema_extra={"unit": unit, "source": source},
     )
 
