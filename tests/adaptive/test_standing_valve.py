@@ -1,6 +1,8 @@
 """pv that stands while co travels: found in a real record and in simulated ones, and not where a loop is healthy."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from retuner import api, diagnosing
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.controller_settings.summed_law import rough_law, summed_law
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.sticking_valve import pv_stands_verdict
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.sticking_valve import pv_stands, pv_stands_verdict
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import _Responses, as_steps, plateaus, rough_sigma
 from retuner.adaptive.valve.stand_still import (
@@ -184,6 +187,22 @@ def test_how_far_a_valve_stands_is_alike_in_every_second_row_and_in_most_of_them
     assert some is not None
     assert whole.degree == 1.0
     assert some.degree > 0.6
+
+
+@pytest.mark.parametrize(("lead", "degree", "stands"), [(0.75, 1.0, True), (1.0, 0.5, True), (1.2, 0.1, False)])
+def test_a_likelier_linear_explanation_takes_the_degree_away_by_and_by(
+    monkeypatch: pytest.MonkeyPatch, lead: float, degree: float, *, stands: bool
+) -> None:
+    """lead : of the linear explanation, in times the one that counts."""
+    settings = DiagnosisSettings()
+    monkeypatch.setattr(StandStill, "lead_of", lambda *_: lead * settings.standing.likelier)
+    window = flow_loop([4.0, 2.4, -3.0, -1.4, 0.5], np.repeat([0.0, 6.0, -4.0], 200), np.zeros(600))
+    misfit = SimpleNamespace(record=SimpleNamespace(pv=window.pv), loads=0)
+    best: Any = SimpleNamespace(fit=SimpleNamespace(misfit=misfit, at=SimpleNamespace(explained=window.sp)))
+    found = pv_stands(window, GAINS, best, settings)
+    assert found is not None
+    assert found.degree == pytest.approx(degree)
+    assert found.stands is stands
 
 
 def test_a_free_valve_stands_to_no_degree() -> None:

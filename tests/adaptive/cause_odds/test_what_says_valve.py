@@ -45,3 +45,21 @@ def test_the_valves_of_the_grid_say_more_against_a_pv_that_stands_than_against_a
     ]
     assert odds_of[0] > 0.6
     assert odds_of[1] < 0.5
+
+
+@pytest.mark.parametrize(("degree", "cause"), [(0.5, Cause.UNKNOWN), (2.0, Cause.STICTION)])
+def test_a_verdict_that_stands_by_itself_goes_by_how_far_pv_stands(degree: float, cause: Cause) -> None:
+    told = RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.6, {"stand_degree": degree}, "pv stands"))
+    found = odds._alone(told, OddsSettings()).diagnosis
+    assert found.cause is cause
+    assert sum((found.causes or {}).values()) == pytest.approx(1.0)
+
+
+def test_a_pv_that_stands_in_part_counts_by_the_square() -> None:
+    settings = OddsSettings()
+    half, whole, slips = (
+        odds._shapes(RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.6, {"stand_degree": x}, "")), settings)
+        for x in (0.5, 1.0, 2.0)
+    )
+    assert half == pytest.approx(whole / 4)
+    assert (whole, slips) == pytest.approx((math.log(settings.stands), math.log(settings.stands_slips)))
