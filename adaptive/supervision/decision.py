@@ -172,6 +172,11 @@ class Decision:
     later: bool = False
     all_samples: Numbers | None = None
 
+    @property
+    def verdict(self) -> Proof | None:
+        """`proof` under its former name."""
+        return self.proof
+
     def __repr__(self) -> str:
         return (
             f"Decision({self.number}, {self.loop!r}, {self.region!r}, {self.t_s:.6g} s, {self.action}: {self.reason})"
@@ -246,7 +251,7 @@ def gains_dict(gains: PidGains) -> dict[str, float]:
 
 def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
     """The outcome with the reason why nothing may be changed now, when something was accepted."""
-    if outcome.proof is None or not outcome.proof.accepted:
+    if not outcome.changes:
         return outcome
     words = str(trial.phase)
     if trial.phase == TrialPhase.COOLING:

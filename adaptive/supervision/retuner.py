@@ -552,7 +552,7 @@ class Retuner:
         phase_allows = self.trials.may_change(region, now_s, urgent=urgent) or proposes
         if not phase_allows:
             outcome = held(outcome, self.trials.of(region), now_s)
-        accepted = outcome.proof is not None and outcome.proof.accepted and phase_allows
+        accepted = outcome.changes and phase_allows
         prediction = outcome.prediction
         if accepted and prediction is None:
             at, pattern = (question.record.at, question.record.pattern) if question else (self._finder.scheduled, None)

@@ -5,6 +5,7 @@ import sys
 from datetime import UTC, datetime, timedelta
 from inspect import ismodule
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -98,3 +99,12 @@ def test_what_numpy_would_drop_without_a_word_is_refused() -> None:
         window_of(np.arange(4.0), ones, ones, ones * 1j)
     with pytest.raises(ValueError, match=r"sp has shape \(2,\); give 4 values in one row"):
         window_of(np.arange(4.0), ones[:2], ones, ones)
+
+
+def test_former_names_still_work() -> None:
+    proof: Any = object()
+    names = (1, 0.0, "tank", "all", retuner.Mode.AUTO, retuner.Action.NONE, "ok", "")
+    made = retuner.Decision(*names, retuner.PidGains(1.0, 0.1), proof=proof)
+    assert made.verdict is proof
+    assert retuner.PidController.take_back is retuner.PidController.roll_back
+    assert retuner.Retuner.taken_back is retuner.Retuner.rolled_back
