@@ -115,6 +115,15 @@ def test_less_action_follows_at_once_and_more_only_at_the_second_look() -> None:
     assert 1.0 < second.tuning.gains.ki / scaled(0.2).ki <= 2.5
 
 
+@pytest.mark.parametrize(("tau_d_s", "ratio"), [(3.0, 0.25), (9.0, 0.45)])
+def test_more_integral_action_keeps_a_set_that_a_series_controller_can_hold(tau_d_s: float, ratio: float) -> None:
+    now = PidGains.from_ideal(1.0, 20.0, tau_d_s)  # the second has no series form, and its ratio gets no larger
+    sets = list(settings_by_book._more(now, np.array([1.0]), SETTINGS))
+    assert min(one.kp / one.ki for one in sets) == 10.0
+    assert all(one.kd * one.ki / one.kp**2 <= ratio + 1e-12 for one in sets)
+    assert any(one.kd / one.kp == pytest.approx(tau_d_s) for one in sets if one.kp / one.ki == pytest.approx(20.0))
+
+
 @pytest.mark.parametrize("plane", range(WEIGHED, PLANES[0]))
 def test_less_action_must_not_be_worse_under_any_order_of_the_load(plane: int) -> None:
     tight = scaled(2.6)
