@@ -39,7 +39,7 @@ def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, int, int],
     turned, mean_over = 2.0 * math.pi * top / length * np.arange(n), round(TRACKED * length / top)
     line, phases = np.array([np.cos(turned), np.sin(turned)]), 0.0
     besides = line * np.linspace(-1.0, 1.0, n)
-    if mean_over < n:
+    if mean_over + 2 <= n:
         off = np.unwrap(np.angle(np.convolve(away * np.exp(-1j * turned), np.hanning(mean_over + 2), "same")))
         drifting, phases = np.array([np.cos(turned + off), np.sin(turned + off)]), 2.0 * n / mean_over
         besides = np.vstack([drifting, drifting * np.gradient(off)])

@@ -51,6 +51,13 @@ def test_the_tone_is_found_and_takes_the_error_with_it(period: float) -> None:
     assert taken == (0, 2, len(columns))
 
 
+def test_one_of_which_the_window_holds_hardly_two_periods_has_a_size_that_changes_evenly() -> None:
+    """A mean over two of its periods does not fit into the window; columns of another length broke the decision."""
+    for n in range(540, 580):  # of some, the mean is as long as the window less a sample
+        columns, taken, _ = likeliest_tone(np.sin(4.0 * math.pi * np.arange(n) / 555.0))
+        assert columns.shape == (taken[2], n)
+
+
 def test_the_phase_of_one_that_drifts_is_followed() -> None:
     error = cycle(60.0, 0.05)
     columns, taken, _ = likeliest_tone(error)
