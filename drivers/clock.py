@@ -43,10 +43,7 @@ class SimulatedClock:
         return self._now_s
 
     def advance(self, dt_s: float) -> None:
-        """Let dt_s seconds pass.
-
-        Raises ValueError: dt_s is negative or not finite.
-        """
+        """Let dt_s seconds pass. Raises ValueError: dt_s is negative or not finite."""
         if not (math.isfinite(dt_s) and dt_s >= 0):
             raise ValueError(f"dt_s = {dt_s}: give a positive, finite number of seconds")
         self._now_s += dt_s

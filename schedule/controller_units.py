@@ -252,13 +252,7 @@ class ControllerUnits:
 
 
 def _of_units(name: str) -> tuple[tuple[Dial, Dial, Dial], Form]:
-    """Dials and form of a name that is no vendor's.
-
-    Raises
-    ------
-    ValueError
-        There is no such name.
-    """
+    """Dials and form of a name that is no vendor's. Raises ValueError: there is no such name."""
     parts = name.split("-")
     form = Form(parts.pop()) if parts[-1] in {"series", "ideal"} else Form.SERIES
     if parts == ["parallel"]:

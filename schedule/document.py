@@ -35,10 +35,7 @@ Lines = dict[tuple[str, str], int]
 
 
 def read_toml(text: str) -> "TomlSection":
-    """The top of a document.
-
-    Raises ValueError: the text is not TOML; tomllib says line and column.
-    """
+    """The top of a document. Raises ValueError: the text is not TOML; tomllib says line and column."""
     try:
         values: dict[str, object] = tomllib.loads(text)
     except RecursionError:

@@ -136,10 +136,7 @@ class PidGains:
 def check_form(form: str, kc: float, tau_i_s: float | None, tau_d_s: float) -> None:
     """Refuse a gain or time that makes no controller, with one line that says what to do.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite, kc is 0, tau_i_s is not positive or tau_d_s is negative.
+    Raises ValueError: a number is not finite, kc is 0, tau_i_s is not positive or tau_d_s is negative.
     """
     for name, value in (("kc", kc), ("tau_i_s", tau_i_s), ("tau_d_s", tau_d_s)):
         if value is not None and not math.isfinite(value):
@@ -194,16 +191,11 @@ class Form(StrEnum):
 class SeriesGains:
     """Gains of the series (cascade, interacting) form.
 
-    Parameters
-    ----------
     kc : gain, co units per pv unit.
     tau_i_s : integral time in seconds, None for no integral action.
     tau_d_s : derivative time in seconds.
 
-    Raises
-    ------
-    ValueError
-        A value is not finite, kc is 0, tau_i_s is not positive or tau_d_s is negative.
+    Raises ValueError: a value is not finite, kc is 0, tau_i_s is not positive or tau_d_s is negative.
     """
 
     kc: float
@@ -222,16 +214,11 @@ class SeriesGains:
 class IdealGains:
     """Gains of the ideal (standard, non-interacting) form.
 
-    Parameters
-    ----------
     kc : gain, co units per pv unit.
     tau_i_s : integral time in seconds, None for no integral action.
     tau_d_s : derivative time in seconds.
 
-    Raises
-    ------
-    ValueError
-        A value is not finite, kc is 0, tau_i_s is not positive or tau_d_s is negative.
+    Raises ValueError: a value is not finite, kc is 0, tau_i_s is not positive or tau_d_s is negative.
     """
 
     kc: float
@@ -313,10 +300,7 @@ def from_form(form: str, kc: float, tau_i_s: float | None, tau_d_s: float = 0.0)
         ideal ones (the literature uses both names); the parallel gains themselves are the fields of PidGains.
     kc : gain in co units per pv unit. tau_i_s : integral time in seconds, None for none. tau_d_s : derivative time.
 
-    Raises
-    ------
-    ValueError
-        The form is unknown or a value is outside what SeriesGains or IdealGains takes.
+    Raises ValueError: the form is unknown or a value is outside what SeriesGains or IdealGains takes.
     """
     if _form(form) is Form.SERIES:
         return PidGains.from_series(kc, tau_i_s, tau_d_s)
@@ -328,10 +312,7 @@ def in_form(gains: PidGains, form: str) -> dict[str, float | None]:
 
     A pure integral controller has kc 0, tau_i None, tau_d 0 in every form: its ki exists in parallel form only.
 
-    Raises
-    ------
-    ValueError
-        The form is unknown, or the controller does not exist in it (to_series, to_ideal).
+    Raises ValueError: the form is unknown, or the controller does not exist in it (to_series, to_ideal).
     """
     wanted = _form(form)
     if gains.kp == 0 and gains.kd == 0:
@@ -352,10 +333,7 @@ def proportional_band_pct(kc: float, pv_span: float, co_span: float = 100.0) -> 
 
     kc : gain in co units per pv unit. pv_span, co_span : spans in pv and co units.
 
-    Raises
-    ------
-    ValueError
-        kc is 0, a span is not positive, a value or the band is not finite.
+    Raises ValueError: kc is 0, a span is not positive, a value or the band is not finite.
     """
     for label, span in (("pv_span", pv_span), ("co_span", co_span)):
         if not (span > 0 and math.isfinite(span)):
@@ -371,10 +349,7 @@ def proportional_band_pct(kc: float, pv_span: float, co_span: float = 100.0) -> 
 def repeats_per_min(tau_i_s: float | None) -> float:
     """Integral action in repeats per minute, 60 / tau_i_s; 0 for none.
 
-    Raises
-    ------
-    ValueError
-        tau_i_s is not a positive finite number.
+    Raises ValueError: tau_i_s is not a positive finite number.
     """
     if tau_i_s is None:
         return 0.0

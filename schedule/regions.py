@@ -381,10 +381,7 @@ def enter(law: RegionLaw, x: float, t_s: float, x2: float = 0.0, last: RegionSta
     x, x2 : scheduling variables in their units (x2 counts only where there are two). t_s : time in seconds.
     last : where the loop was; an axis whose value is not finite now keeps its place of then.
 
-    Raises
-    ------
-    ValueError
-        t_s is not finite, or x or x2 is not and there is no `last`.
+    Raises ValueError: t_s is not finite, or x or x2 is not and there is no `last`.
     """
     xs = (x, x2)[: max(len(law.axes), 1)]
     if not math.isfinite(t_s) or (last is None and not all(map(math.isfinite, xs))):

@@ -62,8 +62,6 @@ def foreseen(records: Sequence[Window], models: Sequence[ProcessModel], gains: P
     records : of one loop in automatic. models : of its process, the best first, and others that the record allows.
     gains : the settings that are asked about.
 
-    Returns
-    -------
     None where a record has no error at all, or where the best model is no longer stable under the settings.
     """
     even = [_evenly(record) for record in records]

@@ -137,8 +137,6 @@ def outlooks(
 ) -> list[Outlook]:
     """What each set is expected to do; the first is the one in force.
 
-    Parameters
-    ----------
     allowed : at least one model. decay : see Seen.
     """
     found = sorted(allowed, key=lambda model: model.excess)[:MOST_MODELS]  # stable: the best one stays first
@@ -298,8 +296,6 @@ def choose(
 ) -> Choice:
     """Which set shall run.
 
-    Parameters
-    ----------
     found : the set in force first, then at least one that is proved.
     way : of the whole way on which limits allow a step only; such a step need not bring its price by itself.
     """

@@ -282,8 +282,6 @@ def settings_in_force(
 ) -> SettingsInForce:
     """Recover the settings of the controller that made a record.
 
-    Parameters
-    ----------
     window : closed-loop record. co_min, co_max : limits of co where known; else recognised when co stands at them.
     settings : see LawSettings.
     """

@@ -89,10 +89,7 @@ TRANSITIONS: dict[Phase, dict[Happening, Phase]] = {
 
 
 def after(phase: Phase, happening: Happening) -> Phase:
-    """The next phase.
-
-    Raises ValueError: this cannot happen in this phase.
-    """
+    """The next phase. Raises ValueError: this cannot happen in this phase."""
     try:
         return TRANSITIONS[phase][happening]
     except KeyError:

@@ -416,10 +416,7 @@ class Swing:
 
 
 def swing(window: Window) -> Swing:
-    """Read period and decay off a record.
-
-    Raises ValueError: pv does not swing, or for fewer than three periods.
-    """
+    """Read period and decay off a record. Raises ValueError: pv does not swing, or for fewer than three periods."""
     # The level about which pv swings: the mean of the last half, where a start has died out
     level = float(np.mean(window.pv[len(window.pv) // 2 :]))
     times, spans = _upward(window.t_s, window.pv - level)

@@ -241,8 +241,6 @@ def worst_between(
 ) -> PlaceBetween | None:
     """The worst place by the best models; None where nothing is known beyond any border.
 
-    Parameters
-    ----------
     borders : of the region. own : its process at its knot. gains : its set. filter_s : filter time of the derivative.
     """
     asked = [

@@ -29,10 +29,7 @@ OWN = (*_OF_PI, "tau_d_up_max", "tau_d_down_max", "integral_up_max", "integral_d
 class GuardSettings:
     """Settings. More action is a larger kc, tau_D or kc/tau_I and a shorter tau_I.
 
-    Raises
-    ------
-    ValueError
-        A setting is outside its range, or two of them leave no room between them.
+    Raises ValueError: a setting is outside its range, or two of them leave no room between them.
     """
 
     ms_nominal: float = setting(1.75, "Largest Ms on the identified process", 1.2, 3.0)

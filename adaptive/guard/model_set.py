@@ -29,16 +29,11 @@ def allowed(
 ) -> tuple[Plausible, ...]:
     """The models to prove a change on, the region's own first.
 
-    Parameters
-    ----------
     log : the region's model now, with a covariance that has grown with time.
     around : what the last record allowed, best first; may be empty.
     extra_variance : variance of the log-parameters that time has added since that record.
 
-    Raises
-    ------
-    ValueError
-        extra_variance is negative or not finite.
+    Raises ValueError: extra_variance is negative or not finite.
     """
     if not 0 <= extra_variance < math.inf:
         raise ValueError(f"extra_variance = {extra_variance} must be a finite number, 0 or more")

@@ -29,10 +29,7 @@ class Evidence:
     what was known, and the limit. borrowed : the model comes from a neighbouring region. support : model,
     pattern, or that the set ran before. settled : whether settings may follow from what is known of the process.
 
-    Raises
-    ------
-    ValueError
-        A number is negative or not a number.
+    Raises ValueError: a number is negative or not a number.
     """
 
     records: int = 1
@@ -96,10 +93,7 @@ class NeighbourBorder:
     beside : on a map of two axes, for a neighbour that meets this region in a corner only: the two cells between; the
         weight is then that along both axes.
 
-    Raises
-    ------
-    ValueError
-        reach is outside 0 to 1.
+    Raises ValueError: reach is outside 0 to 1.
     """
 
     name: str
@@ -118,8 +112,6 @@ class NeighbourBorder:
 class ChangeRequest:
     """One change to be proved.
 
-    Parameters
-    ----------
     in_force : gains running now. commissioned : the region's gains as commissioned.
     proposal : what a rule wants; without tau_c there is no slower version of it to try.
     models : what the records still allow, best first (model_set.py); may be empty for a proposal by the pattern.
@@ -129,11 +121,8 @@ class ChangeRequest:
     urgent : a measured oscillation that does not decay. locks : parameters that must stay.
     units : how the controller keeps gains: only what it can hold is proved. None for one that keeps them as they are.
 
-    Raises
-    ------
-    ValueError
-        The sampling time is not positive and finite, an excess is negative or not finite, or the first model is not
-        the best one.
+    Raises ValueError: the sampling time is not positive and finite, an excess is negative or not finite, or the first
+    model is not the best one.
     """
 
     in_force: PidGains

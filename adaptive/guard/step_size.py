@@ -72,8 +72,6 @@ def within_limits(
     goal; a gain that comes or goes has no logarithm and goes its share of the way itself. None when kc lies outside its
     absolute limits there, and no nearer to them than before.
 
-    Parameters
-    ----------
     share : of what the limits allow, above 0, at most 1. less_unlimited : no limit per change towards less action, nor
         on a tau_I that shortens because kc falls: kc, kc/tau_I and tau_D still grow no faster than they may.
     """

@@ -199,10 +199,7 @@ def iae_detection(t_s: FloatArray, e: FloatArray, amplitude: float, w_rad_s: flo
     amplitude : smallest amplitude of an oscillation that matters, pv units, more than 0.
     w_rad_s : frequency of the fastest oscillation of interest (ultimate frequency, or 2 pi / tau_I), rad/s.
 
-    Raises
-    ------
-    ValueError
-        amplitude or w_rad_s is not positive and finite.
+    Raises ValueError: amplitude or w_rad_s is not positive and finite.
 
     Source: Hagglund (1995), Control Engineering Practice 3, 1543-1551.
     """

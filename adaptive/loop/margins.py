@@ -441,10 +441,7 @@ JUST_BELOW = 1 - 1e-6
 def ultimate(process: LinearProcess) -> tuple[float, float]:
     """Ku in co units per pv unit (negative for a reverse-acting process) and Pu in seconds.
 
-    Raises
-    ------
-    ValueError
-        Proportional control never makes the process swing, or never makes it stable.
+    Raises ValueError: proportional control never makes the process swing, or never makes it stable.
     """
     sign = math.copysign(1.0, process.k)
     loop = open_loop(process, PidGains(sign, 0.0))

@@ -332,10 +332,7 @@ def _without_needless_delay(process: LinearProcess, loop: OpenLoop, crossed: lis
 def weighted_cost(found: Performance, best_setpoint: float, best_load: float) -> float:
     """J of these numbers against the reference values IAE_ys*, IAE_d*.
 
-    Raises
-    ------
-    ValueError
-        A reference is not positive and finite.
+    Raises ValueError: a reference is not positive and finite.
     """
     for value in (best_setpoint, best_load):
         if not 0 < value < math.inf:

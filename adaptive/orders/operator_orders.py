@@ -40,10 +40,7 @@ WHOLE = 1.001
 def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
     """A person approved a proposal: the decision to write it, or why not. t_s : now.
 
-    Raises
-    ------
-    ValueError
-        There is no such region.
+    Raises ValueError: there is no such region.
     """
     region = retuner.table.index(proposal.region)
     proof = _proved(retuner, region, proposal.after, t_s)
@@ -261,14 +258,9 @@ WORDS = "pretune, from a commanded step of co"
 def pretune(retuner: Retuner, region: int, window: Window) -> Decision:
     """Learn from the record of a commanded step, and decide; the retuner has seen a sample at least.
 
-    Parameters
-    ----------
     region : index of the region in which the step was made. window : its record, from rest; co as applied.
 
-    Raises
-    ------
-    ValueError
-        There is no such region.
+    Raises ValueError: there is no such region.
     """
     outcome = _outcome(retuner, region, window)
     proof, mode = outcome.proof, retuner.settings.mode_of(region)

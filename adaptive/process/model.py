@@ -37,13 +37,7 @@ class ProcessType(StrEnum):
 
 
 def _type_named(name: str) -> ProcessType:
-    """The structure of that name.
-
-    Raises
-    ------
-    ValueError
-        There is none; the message has the list.
-    """
+    """The structure of that name. Raises ValueError: there is none; the message has the list."""
     try:
         return ProcessType(name)
     except ValueError:
@@ -248,10 +242,7 @@ class StateSpace:
 def state_space(process: LinearProcess, unit_s: float) -> StateSpace:
     """The process without its dead time; time counts in units of unit_s seconds.
 
-    Raises
-    ------
-    ValueError
-        The process has more zeros than poles, so no real plant can be it.
+    Raises ValueError: the process has more zeros than poles, so no real plant can be it.
     """
     # The cascade: fastest poles first, so that rates of the output cancel no digits; slow zeros go to slow poles
     lags = [x / unit_s for x in process.lags_s if x]

@@ -72,10 +72,7 @@ class LeadOverLag(NamedTuple):
 def against(lead_s: float, lags_s: list[float]) -> float:
     """The lag that a lead is set against; integrators are among lags_s as infinite ones.
 
-    Raises
-    ------
-    ValueError
-        There is no lag left.
+    Raises ValueError: there is no lag left.
     """
     larger = [lag for lag in lags_s if lag >= lead_s]
     smaller = [lag for lag in lags_s if lag < lead_s]

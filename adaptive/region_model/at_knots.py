@@ -41,8 +41,6 @@ def at_knots(
 ) -> dict[int, RegionModel]:
     """The models as they are at the centres of their regions; what is borrowed is so already.
 
-    Parameters
-    ----------
     region_models : by region. t_s : now.
     """
     found = dict(region_models)

@@ -25,10 +25,7 @@ MOST_LOG = 500.0
 class CoCurve:
     """What is known of s. slope : in 1/(unit of co). std : its standard deviation.
 
-    Raises
-    ------
-    ValueError
-        slope is not finite, or std not finite and above 0.
+    Raises ValueError: slope is not finite, or std not finite and above 0.
     """
 
     slope: float

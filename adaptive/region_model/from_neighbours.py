@@ -55,8 +55,6 @@ def borrowed(
 ) -> RegionModel | None:
     """What may be assumed of a region's process from the others, None where none knows its own.
 
-    Parameters
-    ----------
     region_models : by region, from records of their own. region : index of the one without.
     t_s : now. sign : of the process gain there, from the controller's direction. own : what its own records say, too
         little for settings alone; the curves go through it as well.

@@ -262,8 +262,6 @@ def proposed_borders(
 ) -> Refinement | None:
     """The proposal; None where every region is served, or too little is known.
 
-    Parameters
-    ----------
     table : in force, steps along one variable. region_models : what is known, by region. t_s : now. sample_time_s : of
         the controller. limits : of Ms and J, those of a schedule's design where nothing is said.
     """

@@ -93,8 +93,6 @@ def curves(
 ) -> dict[ProcessType, RegionCurves]:
     """The curves of every structure that all these regions have, none where there is no region.
 
-    Parameters
-    ----------
     region_models : by region, as `lenders` gives them. t_s : now; what is known has aged until then. of_records : the
         models are of the places where their records were, and not of the centres.
     """

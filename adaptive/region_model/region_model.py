@@ -22,10 +22,7 @@ class Drift:
 
     v : mean, shape (d,). p : covariance, (d, d). along : covariance of the parameters (rows) with it, (d, d).
 
-    Raises
-    ------
-    ValueError
-        A value is not finite, or the shapes do not fit each other.
+    Raises ValueError: a value is not finite, or the shapes do not fit each other.
     """
 
     v: FloatArray

@@ -36,8 +36,6 @@ def update_by_sequences(
 ) -> Learned | None:
     """What is known with one more sequence; None where no loop explains it.
 
-    Parameters
-    ----------
     region_model : what was known. sequences : all of them, the newest last. sign : of the process gain.
     law : setpoint weight, and filter time of the derivative in seconds. at : the scheduling values.
     """

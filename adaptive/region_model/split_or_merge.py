@@ -153,8 +153,6 @@ def region_advice(
 ) -> tuple[RegionAdvice, ...]:
     """All proposals: splits in the order of the regions, then merges in the order of the borders.
 
-    Parameters
-    ----------
     regions : as they are. region_models : what is known, by region. sample_time_s : of the controller.
     """
     splits = (_split(regions, i, region_models[i].points, sample_time_s, settings) for i in sorted(region_models))

@@ -265,8 +265,6 @@ def update_region_model(
 ) -> Learned:
     """Take one record of a region into what is known of it.
 
-    Parameters
-    ----------
     region_model : what was known, None at first; borrowed ones have no records.
     window : the record. in_force : gains under which it was taken: their direction is that of the process.
     at : where the record lay, in the table's scheduling variables.

@@ -107,8 +107,6 @@ def in_motion(
 ) -> tuple[InMotion, ...]:
     """The curves, one or two lags, the more likely first; none where the linear models have no lag.
 
-    Parameters
-    ----------
     window : the record. x : where the process is at its samples, shape (n,). axis : of the table. alone : the linear
         models of the record, from which it starts. curves : what other records say of co's curve.
     """

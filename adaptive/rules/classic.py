@@ -133,10 +133,7 @@ RATIO_RANGE = (0.1, 1.0)
 
 
 def itae_load(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:
-    """ITAE settings for load changes (ideal form).
-
-    Raises ValueError: the dead time is 0.
-    """
+    """ITAE settings for load changes (ideal form). Raises ValueError: the dead time is 0."""
     k, tau, theta = first_order(model)
     r = theta / tau
     if kind == P:

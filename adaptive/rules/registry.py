@@ -18,10 +18,7 @@ ALIASES = {"itae": "itae-load", "zn-quarter-decay": "quarter-decay"}
 
 
 def rule_named(name: str) -> Rule:
-    """The rule of that name.
-
-    Raises ValueError: there is none; the message has the list.
-    """
+    """The rule of that name. Raises ValueError: there is none; the message has the list."""
     found = RULES.get(ALIASES.get(name, name))
     if found is None:
         raise ValueError(f"rule {name!r} is not known; give one of {', '.join(RULES)}")

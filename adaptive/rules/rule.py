@@ -169,10 +169,7 @@ def first_order(model: ProcessModel) -> tuple[float, float, float]:
 
 
 def dead_time(model: ProcessModel) -> float:
-    """The dead time of a model for a rule that divides by it.
-
-    Raises ValueError: it is 0.
-    """
+    """The dead time of a model for a rule that divides by it. Raises ValueError: it is 0."""
     if model.theta_s == 0:
         raise ValueError("theta = 0: this rule divides by the dead time; give theta, or use simc with tau_c")
     return model.theta_s

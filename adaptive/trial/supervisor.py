@@ -303,10 +303,7 @@ class TrialSupervisor:
         return {"at": self._at, "trials": {str(region): trial.to_dict() for region, trial in self._trials.items()}}
 
     def resume(self, body: Mapping[str, Any]) -> None:
-        """Go on from there.
-
-        Raises KeyError, TypeError, ValueError: something is missing, or no value of its kind.
-        """
+        """Go on from there. Raises KeyError, TypeError, ValueError: something is missing, or no value of its kind."""
         self._at = body["at"]
         self._trials = {int(region): Trial.from_dict(trial) for region, trial in body["trials"].items()}
         self._notice()

@@ -46,10 +46,7 @@ class Trial:
 
     @property
     def sets(self) -> SetsThatRan:
-        """The sets among which it is decided what is to run.
-
-        Raises ValueError: nothing was ever changed here.
-        """
+        """The sets among which it is decided what is to run. Raises ValueError: nothing was ever changed here."""
         if self.old is None:
             raise ValueError("nothing was ever changed here")
         said = self.prediction

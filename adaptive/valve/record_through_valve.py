@@ -99,8 +99,6 @@ class RecordThroughValve:
 def valve_believed(window: Window, sign: int, fits: Fits, settings: FitSettings) -> RecordThroughValve | None:
     """The record as the process sees it, where a valve that sticks or has play explains it clearly better.
 
-    Parameters
-    ----------
     window : the record. sign : of the process gain. fits : the linear explanations.
     """
     linear = fits.free[0]

@@ -35,10 +35,7 @@ class StuckValve:
     family : model. stick : S > 0. jump : J, 0 <= J <= 2 S (S at the most in He's model).
     start : where the valve stands in its band when the record begins, -1 to 1 in units of f_s.
 
-    Raises
-    ------
-    ValueError
-        A number is outside its range.
+    Raises ValueError: a number is outside its range.
     """
 
     family: Family

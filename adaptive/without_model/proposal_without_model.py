@@ -52,8 +52,6 @@ def without_model(
 ) -> Proposed:
     """What to try after a response from which no process can be identified.
 
-    Parameters
-    ----------
     response, window : what was recognised, and its samples with some time before.
     gains : in force during it. diagnosis : what is known of the cause; None where nobody looked.
     """

@@ -23,10 +23,7 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 def open_bus(interface: str, channel: str, hop_limit: int, options: Mapping[str, Any]) -> can.BusABC:
-    """Open a python-can bus.
-
-    Raises BusError: it cannot be opened; the line says why and what to do.
-    """
+    """Open a python-can bus. Raises BusError: it cannot be opened; the line says why and what to do."""
     try:
         if interface == UDP_MULTICAST:
             return open_group(channel, hop_limit=hop_limit, **options)

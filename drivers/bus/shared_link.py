@@ -36,10 +36,7 @@ class LinkShare:
         self._whole: list[LinkPort] = []
 
     def port(self, node: int) -> "LinkPort":
-        """The port of a node, made at the first call.
-
-        Raises ValueError: no such node.
-        """
+        """The port of a node, made at the first call. Raises ValueError: no such node."""
         if not 1 <= node <= HIGHEST_NODE:
             raise ValueError(f"node = {node}; give a node from 1 to {HIGHEST_NODE}")
         return self._ports.setdefault(node, LinkPort(self))

@@ -63,14 +63,9 @@ class _Watch(NamedTuple):
 class CanOpenAccess:
     """See the head of this file.
 
-    Parameters
-    ----------
     file : the objects. mapping : what is what. settings : see there.
 
-    Raises
-    ------
-    ProfileError
-        An object is not there, or cannot be what it is said to be.
+    Raises ProfileError: an object is not there, or cannot be what it is said to be.
     """
 
     acknowledges = True

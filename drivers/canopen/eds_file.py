@@ -57,10 +57,7 @@ class PdoEntry(NamedTuple):
 def read_eds(path: Path, node: int) -> Dictionary:
     """The object dictionary of an EDS file, for this node.
 
-    Raises
-    ------
-    ProfileError
-        The file cannot be read, or is no EDS.
+    Raises ProfileError: the file cannot be read, or is no EDS.
     """
     try:
         with path.open("rb") as stream:
@@ -88,10 +85,7 @@ class EdsFile:
 
     source : name of the file. node : number of the node, 1 to 127.
 
-    Raises
-    ------
-    ProfileError
-        No such node number.
+    Raises ProfileError: no such node number.
     """
 
     def __init__(self, dictionary: Dictionary, source: str, node: int) -> None:
@@ -102,10 +96,7 @@ class EdsFile:
     def variable(self, name: str, key: Key, *, written: bool = False, read: bool = True) -> Variable:
         """An object by "6130", "6130:1" or its name in the EDS.
 
-        Raises
-        ------
-        ProfileError
-            There is none, it is no number, or it cannot be read or written as it must be.
+        Raises ProfileError: there is none, it is no number, or it cannot be read or written as it must be.
         """
         found = self._found(name, (*key, "object"))
         where = f"{self.source}: object {text_of(found)} ({found.name})"

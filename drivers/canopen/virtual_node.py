@@ -57,8 +57,6 @@ class _OffLine(canopen.Network):
 class VirtualCanOpenNode:
     """See the head of this file.
 
-    Parameters
-    ----------
     file, mapping : as CanOpenAccess. loop : law and plant.
     """
 

@@ -174,10 +174,7 @@ class Conversation:
     # what is asked
 
     def one(self, wanted: type[Answer], page: int) -> Answer:
-        """The answer to a question.
-
-        Raises NoAnswerError: there is none.
-        """
+        """The answer to a question. Raises NoAnswerError: there is none."""
         found = [frame for frame in self.say(Read(page, self.token())) if isinstance(frame, wanted)]
         if not found:
             raise NoAnswerError(f"no {wanted.__name__} after READ of page {Page(page).name.lower()}")

@@ -64,10 +64,7 @@ class AskFrame:
 def ask_frame(file: DbcFile, ask: Ask, key: Key) -> AskFrame:
     """The frame that asks, as the file describes it.
 
-    Raises
-    ------
-    ProfileError
-        The message, a signal of it, or a value is not there.
+    Raises ProfileError: the message, a signal of it, or a value is not there.
     """
     layout = file.layout(ask.message, (*key, "ask", "message"))
     places = [file.signal(ask.message, name, (*key, "ask")) for name in ask.values]
@@ -86,14 +83,9 @@ def ask_frame(file: DbcFile, ask: Ask, key: Key) -> AskFrame:
 class DbcAccess:
     """See the head of this file.
 
-    Parameters
-    ----------
     file : the messages. mapping : what is what.
 
-    Raises
-    ------
-    ProfileError
-        A signal is not there, or cannot be what it is said to be.
+    Raises ProfileError: a signal is not there, or cannot be what it is said to be.
     """
 
     acknowledges = False

@@ -110,10 +110,7 @@ class DbcFile:
     def layout(self, name: str, key: Key) -> Layout:
         """A message by its name, or by its identifier where a name is not unique ("0x21", "0x18FF0021").
 
-        Raises
-        ------
-        ProfileError
-            There is none, or several of this name.
+        Raises ProfileError: there is none, or several of this name.
         """
         messages = self.database.messages
         number = _identifier(name)
@@ -136,10 +133,7 @@ class DbcFile:
     def place(self, message: str, signal: str, key: Key, scale: float = 1.0, offset: float = 0.0) -> SignalPlace:
         """A signal that carries a number.
 
-        Raises
-        ------
-        ProfileError
-            As signal(), or its number says which other signals are there.
+        Raises ProfileError: as signal(), or its number says which other signals are there.
         """
         found = self.signal(message, signal, key, scale, offset)
         if found.signal.is_multiplexer:
@@ -150,13 +144,7 @@ class DbcFile:
         return found
 
     def signal(self, message: str, signal: str, key: Key, scale: float = 1.0, offset: float = 0.0) -> SignalPlace:
-        """Any signal.
-
-        Raises
-        ------
-        ProfileError
-            There is no such message or signal, or it is no number.
-        """
+        """Any signal. Raises ProfileError: there is no such message or signal, or it is no number."""
         layout = self.layout(message, (*key, "message"))
         if layout.is_container:
             raise ProfileError(f"{self.source}: message {message!r} is a container", (*key, "message"))
@@ -183,13 +171,7 @@ def _selectors(layout: Layout) -> list[Signal]:
 
 
 def read_dbc_file(path: Path) -> Database:
-    """The messages of a DBC file.
-
-    Raises
-    ------
-    ProfileError
-        The file cannot be read, or is no DBC.
-    """
+    """The messages of a DBC file. Raises ProfileError: the file cannot be read, or is no DBC."""
     try:
         with path.open("rb") as stream:
             raw = stream.read(LARGEST + 1)

@@ -22,8 +22,6 @@ Slot = tuple[int, int | None]
 class VirtualDbcDevice:
     """See the head of this file.
 
-    Parameters
-    ----------
     file, mapping : as DbcAccess. loop : law and plant. node : of the device.
     """
 

@@ -62,10 +62,7 @@ class FrameGuard:
 def guard_of(layout: Layout, protection: Protection, source: str, key: tuple[str | int, ...]) -> FrameGuard:
     """The guard of a message.
 
-    Raises
-    ------
-    ProfileError
-        No such signal or algorithm, or a checksum that is no whole byte of its width.
+    Raises ProfileError: no such signal or algorithm, or a checksum that is no whole byte of its width.
     """
     counter = _signal(layout, protection.counter, source, (*key, "counter"))
     checksum = _signal(layout, protection.checksum, source, (*key, "checksum"))

@@ -7,8 +7,6 @@ from retuner.schedule.late_dataclass import dataclass
 class Assumption:
     """One thing that the record left open.
 
-    Parameters
-    ----------
     what : what was taken to be the case, in a few words. key : the key of a RecordForm that fixes it, and its value as
     TOML; empty where it is only told (rows that were dropped).
     """

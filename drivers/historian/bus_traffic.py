@@ -42,10 +42,7 @@ class Frames:
 def traffic_names(path: Path, form: RecordForm) -> list[str]:
     """The signals that a log holds, as its DBC calls them.
 
-    Raises
-    ------
-    RecordingError
-        The log or a DBC cannot be read, or no DBC is given.
+    Raises RecordingError: the log or a DBC cannot be read, or no DBC is given.
     """
     messages = _messages(path, form)
     there = dict.fromkeys((m.arbitration_id, m.is_extended_id) for m in _whole_frames(path, []))
@@ -55,10 +52,7 @@ def traffic_names(path: Path, form: RecordForm) -> list[str]:
 def tables_of_traffic(path: Path, form: RecordForm) -> list[RawTable]:
     """A table of each signal that names a loop's or is wanted by name, times beside it.
 
-    Raises
-    ------
-    RecordingError
-        The log or a DBC cannot be read, or no DBC is given.
+    Raises RecordingError: the log or a DBC cannot be read, or no DBC is given.
     """
     messages, told = _messages(path, form), list[Assumption]()
     tables = []

@@ -34,10 +34,7 @@ OPC_GOOD = 192
 def decimal_mark(table: RawTable, places: Iterable[int], form: RecordForm) -> tuple[str, tuple[Assumption, ...]]:
     """The decimal mark of a table's columns: a comma where one stands inside numbers and no point does.
 
-    Raises
-    ------
-    RecordingError
-        All commas stand before three digits: they may part the thousands.
+    Raises RecordingError: all commas stand before three digits: they may part the thousands.
     """
     if form.decimal:
         return form.decimal, ()
@@ -77,10 +74,7 @@ def _bare(text: str) -> str:
 def unit_beside(table: RawTable, place: int) -> str:
     """The unit that stands in every field of a column beside its value; empty where none does.
 
-    Raises
-    ------
-    RecordingError
-        Values have different units, or only some have one.
+    Raises RecordingError: values have different units, or only some have one.
     """
     first, where = "", ""
     if _plain(_text(table, place)):
@@ -101,10 +95,7 @@ def unit_beside(table: RawTable, place: int) -> str:
 def numbers(table: RawTable, place: int, decimal: str, form: RecordForm) -> FloatArray:
     """A column as numbers, nan where a value is missing, shape (n,).
 
-    Raises
-    ------
-    RecordingError
-        A field is neither a number nor a word for a missing value, or the column holds times.
+    Raises RecordingError: a field is neither a number nor a word for a missing value, or the column holds times.
     """
     column = table.columns[place]
     if isinstance(column, np.ndarray):
@@ -153,10 +144,7 @@ def _fine(status: str) -> bool:
 def good(table: RawTable, place: int, form: RecordForm) -> np.ndarray:
     """Where a quality says that a value is good, shape (n,): words, OPC's numbers, or what the form names.
 
-    Raises
-    ------
-    RecordingError
-        It cannot be told which of its values are good.
+    Raises RecordingError: it cannot be told which of its values are good.
     """
     column = table.columns[place]
     words = [str(f).strip().lower().removesuffix(".0") for f in column]

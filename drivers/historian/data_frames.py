@@ -37,10 +37,7 @@ def is_frame(source: object) -> bool:
 def table_of_frame(frame: object) -> RawTable:
     """A frame of pandas (its index counts as a column where it has times or a name), polars or arrow.
 
-    Raises
-    ------
-    RecordingError
-        A column can be made neither numbers nor times nor text.
+    Raises RecordingError: a column can be made neither numbers nor times nor text.
     """
     given: Any = frame  # of whichever library: nothing is imported to name its type
     if hasattr(given, "reset_index"):

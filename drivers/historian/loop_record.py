@@ -69,16 +69,12 @@ class _Loop(NamedTuple):
 def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_automatic: bool = False) -> LoopRecord:
     """Read one loop.
 
-    Parameters
-    ----------
     sources : paths of text or Parquet files or folders of them, or data frames (pandas, polars, arrow); several are
         signals of one loop apart, or its record in pieces. form : what is known of their form. in_automatic : where the
         record has modes in words, take its longest stretch in automatic.
 
-    Raises
-    ------
-    RecordingError
-        A source cannot be read, holds no loop or several, or is ambiguous: one line with the option that answers it.
+    Raises RecordingError: a source cannot be read, holds no loop or several, or is ambiguous: one line with the option
+    that answers it.
     """
     asked = [*sources]
     tables = [table for source in asked for table in _tables(source, form)]
@@ -94,10 +90,7 @@ def read_records(
 ) -> list[LoopRecord]:
     """Records of one loop: of several sources each one that holds pv and co, where all do; else all as one record.
 
-    Raises
-    ------
-    RecordingError
-        As read_loop_record; or the records are of several loops.
+    Raises RecordingError: as read_loop_record; or the records are of several loops.
     """
     asked = [*sources]
     tables = [_tables(source, form) for source in asked]
@@ -123,10 +116,7 @@ def read_loops(
 
     tags : loops of Parquet files that are wanted; where none is given, all.
 
-    Raises
-    ------
-    RecordingError
-        A source cannot be read at all.
+    Raises RecordingError: a source cannot be read at all.
     """
     read: list[TableSignals] = []
     broken: list[RecordingError] = []
@@ -144,14 +134,9 @@ def read_loops(
 def loop_in_pieces(files: Sequence[Path], form: RecordForm, tag: str, most_rows: int) -> Iterator[LoopRecord]:
     """One loop of wide Parquet files, each of which holds all its signals for a time, so much of it at once.
 
-    Parameters
-    ----------
     files : in the order of time. most_rows : of a piece; small files are put together.
 
-    Raises
-    ------
-    RecordingError
-        A file cannot be read, or holds the loop not at all.
+    Raises RecordingError: a file cannot be read, or holds the loop not at all.
     """
     pending: list[TableSignals] = []
     rows = 0
@@ -208,10 +193,7 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
 def _other(name: str, values: Mapping[str, FloatArray], source: str) -> FloatArray:
     """A further column that is wanted.
 
-    Raises
-    ------
-    RecordingError
-        There is none of that name, or a value of it is out of any range.
+    Raises RecordingError: there is none of that name, or a value of it is out of any range.
     """
     if name not in values:
         raise RecordingError(f"{source}: no column {quoted(name)}; name it as it stands in the head of the record")
@@ -244,10 +226,7 @@ def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[
 def _forms(tables: Sequence[RawTable], form: RecordForm) -> list[tuple[RawTable, RecordForm]]:
     """Each table with what of the named columns is its own: a column of another file, or a file of one signal.
 
-    Raises
-    ------
-    RecordingError
-        No table has a column, or is a file, of a name; or a file of that name holds several signals.
+    Raises RecordingError: no table has a column, or is a file, of a name; or a file of that name holds several signals.
     """
     if len(tables) < 2 or not form.columns:
         return [(table, form) for table in tables]
@@ -294,10 +273,7 @@ def _only_signal(table: RawTable, form: RecordForm) -> str:
 def traffic_tables(path: Path, form: RecordForm) -> list[RawTable]:
     """The signals of a log of bus traffic; what reads it is loaded when it is needed.
 
-    Raises
-    ------
-    RecordingError
-        The log or a DBC cannot be read, or no DBC is given.
+    Raises RecordingError: the log or a DBC cannot be read, or no DBC is given.
     """
     tables: list[RawTable] = import_module("retuner.drivers.historian.bus_traffic").tables_of_traffic(path, form)
     return tables

@@ -48,13 +48,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def parquet_shape(path: Path) -> ParquetShape:
-    """What a Parquet file holds.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or pyarrow is not installed.
-    """
+    """What a Parquet file holds. Raises RecordingError: the file cannot be read, or pyarrow is not installed."""
     with _opened(path) as file:
         return ParquetShape(tuple(file.schema_arrow.names), file.metadata.num_rows, signal_of_folder(path))
 
@@ -73,15 +67,10 @@ def tables_of_parquet(
 ) -> Iterator[list[RawTable]]:
     """The file in pieces, each the tables of its signals.
 
-    Parameters
-    ----------
     form : names columns that are not called by their role. tags : loops that are wanted, all where none is given.
     most_rows : of a piece; None for all in one.
 
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or pyarrow is not installed.
+    Raises RecordingError: the file cannot be read, or pyarrow is not installed.
     """
     with _opened(path) as file:
         schema = file.schema_arrow
@@ -161,10 +150,7 @@ def _long(path: Path, file: Any, at: tuple[str, str], form: RecordForm, tags: se
 def _signals(path: Path, names: Sequence[str], form: RecordForm, tags: set[str]) -> Mapping[str, str]:
     """The names of the wanted loops' signals, with the plain name of each.
 
-    Raises
-    ------
-    RecordingError
-        Two names are the same signal of a loop.
+    Raises RecordingError: two names are the same signal of a loop.
     """
     signals: dict[str, str] = {}
     for tag, roles in _loops(names, form).items():
@@ -181,10 +167,7 @@ def _signals(path: Path, names: Sequence[str], form: RecordForm, tags: set[str])
 def long_names(path: Path, form: RecordForm) -> list[str]:
     """The signals' names in a long file; nothing where it is wide.
 
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or pyarrow is not installed.
+    Raises RecordingError: the file cannot be read, or pyarrow is not installed.
     """
     with _opened(path) as file:
         tag = _place("tag", file.schema_arrow.names, form)

@@ -72,10 +72,7 @@ class RawTable:
 def read_text_table(path: Path, form: RecordForm, most_bytes: int | None = None) -> RawTable:
     """The table of a text file; most_bytes : read no more than so many from its begin, which tells the form.
 
-    Raises
-    ------
-    RecordingError
-        It cannot be read, is no text, or has no rows of values.
+    Raises RecordingError: it cannot be read, is no text, or has no rows of values.
     """
     return text_table(path, *decoded(path, form, most_bytes), form)
 

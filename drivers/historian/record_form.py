@@ -35,8 +35,6 @@ DELIMITERS = MappingProxyType({",": ",", ";": ";", "\t": "\t", "tab": "\t", "|":
 class RecordForm:
     """The form of a record as far as a person fixes it; empty and None leave it to be found.
 
-    Parameters
-    ----------
     columns : column names by role (COLUMN_ROLES). tag : which loop of a table of many, as in FIC101 of FIC101.PV.
     sp : the setpoint where no column has it, in the unit of pv. dt_s : the time between rows where no column tells, s.
     time_format : of stamps as text, in the codes of strptime. time_unit : of stamps as numbers, one of TIME_UNITS.
@@ -48,10 +46,7 @@ class RecordForm:
     as in {"40FT17": "FIC17.PV"}; a name without role is no signal. others : further columns that are wanted by name.
     dbc : files that describe bus traffic.
 
-    Raises
-    ------
-    ValueError
-        A value out of its range; the message names it.
+    Raises ValueError: a value out of its range; the message names it.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -126,10 +121,7 @@ class RecordForm:
 def form_from_toml(path: Path) -> RecordForm:
     """The `[record]` section of a TOML file.
 
-    Raises
-    ------
-    RecordingError
-        No such file or section, a key that is not known, or a value of another kind or out of range.
+    Raises RecordingError: no such file or section, a key that is not known, or a value of another kind or out of range.
     """
     try:
         section = tomllib.loads(path.read_text(encoding="utf-8")).get("record")

@@ -37,10 +37,7 @@ def is_annotated(text: str) -> bool:
 def annotated_table(source: str, text: str) -> RawTable:
     """The values of an annotated file, a row each.
 
-    Raises
-    ------
-    RecordingError
-        A table has no column _time, or a row another number of fields than its head.
+    Raises RecordingError: a table has no column _time, or a row another number of fields than its head.
     """
     rows: list[tuple[str, str, str, str]] = []
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)]

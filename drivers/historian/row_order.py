@@ -29,10 +29,7 @@ class OneSignal:
 def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list[Assumption]]:
     """Rows to be kept in the order of time, their stamps (increasing), and what was assumed.
 
-    Raises
-    ------
-    RecordingError
-        Time goes back too often for rows that were put in a wrong place.
+    Raises RecordingError: time goes back too often for rows that were put in a wrong place.
     """
     told: list[Assumption] = []
     if all_finite(t_s) and bool(np.all(t_s[1:] > t_s[:-1])):

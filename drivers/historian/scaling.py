@@ -27,14 +27,9 @@ FloatArray = npt.NDArray[np.float64]
 class Scaling:
     """A straight line from what is recorded to what it stands for.
 
-    Parameters
-    ----------
     raw_low, raw_high : ends of what is recorded, different. low, high : what they stand for, different.
 
-    Raises
-    ------
-    ValueError
-        An end is not finite, or two of them are the same.
+    Raises ValueError: an end is not finite, or two of them are the same.
 
     Examples
     --------
@@ -56,13 +51,7 @@ class Scaling:
 
     @classmethod
     def of(cls, text: str) -> "Scaling":
-        """The scaling that a text says.
-
-        Raises
-        ------
-        ValueError
-            It is none, see SHAPE.
-        """
+        """The scaling that a text says. Raises ValueError: it is none, see SHAPE."""
         raw, colon, meant = text.partition(":")
         found = FORM.fullmatch(f"{NAMED.get(raw.strip(), raw)}{colon}{meant}")
         if found is None:

@@ -65,10 +65,7 @@ class _Clock:
 def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False) -> TableSignals:
     """Read a table; of a record with modes only its longest stretch in automatic, where that is wanted.
 
-    Raises
-    ------
-    RecordingError
-        A named column is not there, there is no time, or a field is none of a value's forms.
+    Raises RecordingError: a named column is not there, there is no time, or a field is none of a value's forms.
     """
     if not form.columns.keys() & {"t", "value"} and form.dt_s is None:
         table = unpaired(table)
@@ -150,10 +147,7 @@ def _beside(table: RawTable, form: RecordForm) -> dict[str, dict[str, int]]:
 def _plainest(table: RawTable, role: str, places: Sequence[int], form: RecordForm) -> Sequence[int]:
     """The one of several columns for a signal that is called by its own letters: PV beside an actual value.
 
-    Raises
-    ------
-    RecordingError
-        None is, or two are, and nobody named one.
+    Raises RecordingError: None is, or two are, and nobody named one.
     """
     names = {table.names[place] for place in places}
     plain = [p for p in places if last_word(table.names[p]) in OWN_WORDS[role]]
@@ -409,10 +403,7 @@ def _begins(tags: np.ndarray) -> list[int]:
 def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> list[tuple[str, str, str]]:
     """Tag, role and name of the signals among the names of a long table.
 
-    Raises
-    ------
-    RecordingError
-        Two names are the same signal of a loop.
+    Raises RecordingError: two names are the same signal of a loop.
     """
     found = []
     for tag, roles in loops([form.called(name) for name in names]).items():

@@ -72,8 +72,6 @@ class Stamps:
 def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> Stamps:
     """Numeric stamps.
 
-    Parameters
-    ----------
     values : nan where missing. name : of the column. unit : that its name tells, or "".
     """
     values = np.where(np.isfinite(values), values, np.nan)
@@ -114,10 +112,7 @@ def from_text(
 ) -> Stamps:
     """Stamps as text, and where the date stands apart its fields; begins : rows at which another signal's begin.
 
-    Raises
-    ------
-    RecordingError
-        No form fits all rows, or two do that differ.
+    Raises RecordingError: no form fits all rows, or two do that differ.
     """
     joined = [f"{d.strip()} {f.strip()}" for d, f in zip(days, fields, strict=True)] if days is not None else fields
     texts = [text.strip() for text in joined]

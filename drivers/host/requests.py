@@ -347,10 +347,7 @@ class HostRequests:
         return seq is None
 
     def store(self, seq: int) -> None:
-        """Keep the running set over a restart.
-
-        Raises WriteRefusedError: it is on probation.
-        """
+        """Keep the running set over a restart. Raises WriteRefusedError: it is on probation."""
         if seq == self.probation.seq:
             raise WriteRefusedError(f"set {seq} is on probation; store it once it is confirmed")
         self.commands.store(seq)

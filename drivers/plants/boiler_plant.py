@@ -29,10 +29,7 @@ LEAST_FLOW = 0.05  # share of the nominal flow that always runs
 class BoilerSettings:
     """The boiler's physics, in units of the nominal flow's heat capacity rate w c.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite or outside its physical range (named).
+    Raises ValueError: a number is not finite or outside its physical range (named).
     """
 
     inlet_c: float = setting(10.0, "Temperature of the water that comes in", -50, 500, "degC", "plant")
@@ -75,14 +72,9 @@ def flow_of(load: float) -> float:
 class BoilerPlant:
     """The boiler in motion. A load is the change of the flow in percent of its nominal value.
 
-    Parameters
-    ----------
     settings : physics. start_c : temperature everywhere at the start, at nominal flow. seed : of both noises.
 
-    Raises
-    ------
-    ValueError
-        No output holds the boiler at start_c.
+    Raises ValueError: no output holds the boiler at start_c.
     """
 
     def __init__(self, settings: BoilerSettings | None = None, start_c: float = 30.0, seed: int = 0) -> None:

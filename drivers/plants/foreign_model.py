@@ -56,12 +56,8 @@ class PlantModel(Protocol):
     def step(self, inputs: Sequence[float], dt_s: float) -> Sequence[float]:
         """Hold the inputs for dt_s seconds; the outputs at the end.
 
-        Raises
-        ------
-        PlantFaultError
-            It does not go on: nobody asks it again.
-        StillBusyError
-            It has not answered yet: it is asked again at the next step.
+        Raises PlantFaultError: it does not go on: nobody asks it again.
+        Raises StillBusyError: it has not answered yet: it is asked again at the next step.
         """
         ...
 

@@ -26,10 +26,7 @@ LEAST_ROWS = 8
 def model_of(path: Path) -> LinearProcess:
     """The model in what `retuner identify --json` prints.
 
-    Raises
-    ------
-    PlantFaultError
-        There is no such file, or no model in it.
+    Raises PlantFaultError: there is no such file, or no model in it.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -47,10 +44,7 @@ def model_of(path: Path) -> LinearProcess:
 def load_of(process: LinearProcess, t_s: FloatArray, pv: FloatArray, co: FloatArray) -> RecordedLoad:
     """What the record's load did at the output. The record is taken on its own even grid.
 
-    Raises
-    ------
-    PlantFaultError
-        It is too short.
+    Raises PlantFaultError: it is too short.
     """
     dt_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else math.nan
     if len(t_s) < LEAST_ROWS or not dt_s > 0:

@@ -13,18 +13,13 @@ from retuner.drivers.plants.plant import MeasurementNoise, check_step
 class LinearPlant:
     """A linear process about an operating point: pv = pv0 + G (co - co0 + load), clipped co.
 
-    Parameters
-    ----------
     process : the process; its gain is in pv units per percent.
     start_pv, start_co : operating point at the start, at rest.
     noise : standard deviation of the measurement noise, pv units.
     seed : of that noise.
     co_min, co_max : limits of the actuator, percent.
 
-    Raises
-    ------
-    ValueError
-        More leads than lags and integrators (no causal plant), or co limits without room between them.
+    Raises ValueError: more leads than lags and integrators (no causal plant), or co limits without room between them.
     """
 
     def __init__(
@@ -56,10 +51,7 @@ class LinearPlant:
     def step(self, co: float, load: float, dt_s: float) -> float:
         """Hold co and load for dt_s and read the sensor: see plant.Plant. dt_s must stay that of the first step.
 
-        Raises
-        ------
-        ValueError
-            As plant.Plant says, or dt_s differs from the first step's.
+        Raises ValueError: as plant.Plant says, or dt_s differs from the first step's.
         """
         check_step(co, load, dt_s)
         if self._moved is None:

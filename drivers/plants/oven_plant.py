@@ -34,10 +34,7 @@ class OvenSettings:
 
     The file's head has the symbols: w phase_share, Ta jacket_c, h convection_w_k, eps_a radiating_area_m2.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite or outside its physical range (named).
+    Raises ValueError: a number is not finite or outside its physical range (named).
     """
 
     power_w: float = setting(600.0, "Heater power at 100 %", 0, 1e6, "W", "plant", positive=True)
@@ -82,16 +79,11 @@ class OvenSettings:
 class OvenPlant:
     """The oven in motion. A load is in percent of full heater power and acts in the chamber without delay.
 
-    Parameters
-    ----------
     settings : physics.
     start_c : temperature of chamber and sensor at the start, held by the matching co since ever.
     seed : of the measurement noise.
 
-    Raises
-    ------
-    ValueError
-        No output holds the oven at start_c.
+    Raises ValueError: no output holds the oven at start_c.
     """
 
     def __init__(self, settings: OvenSettings | None = None, start_c: float = 25.0, seed: int = 0) -> None:

@@ -18,31 +18,18 @@ class Plant(Protocol):
     def step(self, co: float, load: float, dt_s: float) -> float:
         """Hold co and load for dt_s seconds and read the sensor.
 
-        Parameters
-        ----------
         co : controller output, percent of its range.
         load : disturbance, in percent of controller output that would have the same steady effect on the heat balance.
         dt_s : duration in seconds, positive.
 
-        Returns
-        -------
         Reading at the end of the interval, measurement noise included.
 
-        Raises
-        ------
-        ValueError
-            An argument is not finite or dt_s is not positive; the plant has not moved.
+        Raises ValueError: an argument is not finite or dt_s is not positive; the plant has not moved.
         """
         ...
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
-        """Controller output in percent that holds this pv.
-
-        Raises
-        ------
-        ValueError
-            No output within the range holds it.
-        """
+        """Controller output in percent that holds this pv. Raises ValueError: no output within the range holds it."""
         ...
 
 
@@ -70,10 +57,7 @@ class MeasuresMore(Protocol):
 def check_step(co: float, load: float, dt_s: float) -> None:
     """Refuse a step with a number that is none, before any state moves.
 
-    Raises
-    ------
-    ValueError
-        co or load is not finite, or dt_s is not a positive finite number.
+    Raises ValueError: co or load is not finite, or dt_s is not a positive finite number.
     """
     if not (math.isfinite(co) and math.isfinite(load) and 0.0 < dt_s < math.inf):
         raise ValueError(f"co = {co}, load = {load}, dt_s = {dt_s}: give finite numbers and a positive dt_s")
@@ -82,8 +66,6 @@ def check_step(co: float, load: float, dt_s: float) -> None:
 class MeasurementNoise:
     """White Gaussian noise of a sensor, the same for the same seed.
 
-    Parameters
-    ----------
     sigma : standard deviation in pv units, not negative.
     seed : of the generator.
     """

@@ -35,10 +35,7 @@ class ModelInProcess:
     spec : which. patience_s : of the machine's time for a step, and for the beginning. wait_s : how long a step is
     waited for before the controller goes on without it; None: as long as patience_s. clock : of the machine.
 
-    Raises
-    ------
-    PlantFaultError
-        It cannot be begun.
+    Raises PlantFaultError: it cannot be begun.
     """
 
     def __init__(

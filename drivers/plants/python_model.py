@@ -27,13 +27,7 @@ FIRST_STEP_S = 1e-3
 
 
 def find_object(name: str) -> Any:  # noqa: ANN401  whatever the user has under that name
-    """What "module:Name" or "folder/file.py:Name" stands for.
-
-    Raises
-    ------
-    PlantFaultError
-        There is none.
-    """
+    """What "module:Name" or "folder/file.py:Name" stands for. Raises PlantFaultError: there is none."""
     source, _, inside = name.rpartition(":")
     if not source or not inside:
         raise PlantFaultError(f'= "{name}" names no object; give "module:Class" or "folder/file.py:Class"', "model")

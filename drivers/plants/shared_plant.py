@@ -176,10 +176,7 @@ class PlantPort:
     def steady_co(self, pv: float, load: float = 0.0) -> float:  # noqa: ARG002  only the start is known
         """Output in percent that holds the start; what holds any other pv, nobody knows.
 
-        Raises
-        ------
-        ValueError
-            The plant has moved.
+        Raises ValueError: the plant has moved.
         """
         if self.plant.t_s > 0:
             raise ValueError(f"the output that holds pv = {pv} is not known for the model {self.settings.source}")

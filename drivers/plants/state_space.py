@@ -28,10 +28,7 @@ class StateSpaceModel:
 
     a, b, c, d : matrices as rows; d empty for none. theta_s : dead times, a row an output and a column an input.
 
-    Raises
-    ------
-    PlantFaultError
-        The matrices do not go together, or a number is none; key names the setting.
+    Raises PlantFaultError: the matrices do not go together, or a number is none; key names the setting.
     """
 
     def __init__(self, a: Rows, b: Rows, c: Rows, d: Rows, theta_s: Rows) -> None:
@@ -122,10 +119,7 @@ def _matrix(name: str, rows: Rows, height: int, width: int) -> FloatArray:
 def matrices_of(system: object) -> tuple[Rows, Rows, Rows, Rows]:
     """A, B, C, D of a continuous system of python-control or scipy.signal.
 
-    Raises
-    ------
-    PlantFaultError
-        It is neither, or sampled.
+    Raises PlantFaultError: it is neither, or sampled.
     """
     dt = getattr(system, "dt", None)
     if dt not in {None, 0}:

@@ -68,10 +68,8 @@ class SteppedPlant:
     def linearise(self, pv: float, load: float = 0.0) -> LinearProcess:  # noqa: ARG002  a load moves co alone
         """The process at the rest nearest to a pv.
 
-        Raises
-        ------
-        PlantFaultError
-            The copy does not go on, or its response is that of no process that identification knows.
+        Raises PlantFaultError: the copy does not go on, or its response is that of no process that identification
+        knows.
         """
         at = min(self._rests, key=lambda rest: abs(rest - pv))
         if at not in self._known:

@@ -167,10 +167,7 @@ def _picker(places: list[int]) -> Callable[[Sequence[float]], Sequence[float]]:
 
 
 def _range(frame: str, signal: Signal) -> tuple[float, float]:
-    """Range of a signal that can be laid out.
-
-    Raises ValueError: it cannot.
-    """
+    """Range of a signal that can be laid out. Raises ValueError: it cannot."""
     where = f"{frame}.{signal.name}"
     low, high = signal.minimum, signal.maximum
     if low is None or high is None:

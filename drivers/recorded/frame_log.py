@@ -62,10 +62,8 @@ def is_frame_log(path: Path) -> bool:
 def read_frames(path: Path) -> Iterator[can.Message]:
     """The frames of a log in their order.
 
-    Raises
-    ------
-    RecordingError
-        No such file, a format that cannot be read here, or damage; the line says after how many frames.
+    Raises RecordingError: no such file, a format that cannot be read here, or damage; the line says after how many
+    frames.
     """
     _check(path)
     count = 0
@@ -115,16 +113,11 @@ def _check(path: Path) -> None:
 class Overhearing:
     """One node's traffic, frame by frame.
 
-    Parameters
-    ----------
     node : of the controller. sample_time_s : of the controller, s. variable : what goes into LoopSample.x.
     as_host : listen as the host that recorded the log, see the head of this file. gaps : samples over which time went
     on at each restart of the device, as the host had it; without them the log's own times tell. after_s : as CanDevice.
 
-    Raises
-    ------
-    ValueError
-        No such node or variable.
+    Raises ValueError: no such node or variable.
     """
 
     def __init__(

@@ -32,13 +32,7 @@ def _show_library() -> None:
 
 
 def mf4_reader(stream: BinaryIO) -> "Iterable[can.Message]":
-    """python-can's reader of MF4.
-
-    Raises
-    ------
-    NotImplementedError
-        asammdf is not installed.
-    """
+    """python-can's reader of MF4. Raises NotImplementedError: asammdf is not installed."""
     _show_library()
     reader: Iterable[can.Message] = importlib.import_module("can.io.mf4").MF4Reader(stream)
     return reader

@@ -57,10 +57,7 @@ class LoopFacts:
 def table_samples(path: Path, columns: Mapping[str, str], facts: LoopFacts) -> Iterator[Recorded]:
     """Samples of a CSV or Parquet file; columns : other names of t, sp, pv, co.
 
-    Raises
-    ------
-    RecordingError
-        The file is malformed, or sampled at another rate than the controller.
+    Raises RecordingError: the file is malformed, or sampled at another rate than the controller.
     """
     names = {role: columns.get(role, role) for role in ROLES}
     further = [name for name in FURTHER if name not in names.values()]
@@ -147,10 +144,7 @@ def _gains(path: str, i: int, kp: float, ki: float, kd: float) -> PidGains:
 def frame_samples(path: Path, facts: LoopFacts) -> Iterator[Recorded]:
     """Samples of a log of bus traffic, as a bystander hears them.
 
-    Raises
-    ------
-    RecordingError
-        The log cannot be read, or holds no telemetry of this node.
+    Raises RecordingError: the log cannot be read, or holds no telemetry of this node.
     """
     heard = Overhearing(facts.node, facts.sample_time_s, facts.variable, as_host=False)
     samples = 0

@@ -37,17 +37,12 @@ class RecordingError(ValueError):
 class Recording:
     """One recorded loop.
 
-    Parameters
-    ----------
     source : where it comes from, for messages.
     t_s, pv, co : time in seconds, process value and controller output in their own units, shape (n,) each.
     sp : setpoint, shape (n,), or None when the record has none (an open-loop test).
 
-    Raises
-    ------
-    RecordingError
-        Fewer than three samples, shapes that differ, a value that is not finite or beyond LARGEST, or time that does
-        not increase.
+    Raises RecordingError: fewer than three samples, shapes that differ, a value that is not finite or beyond LARGEST,
+    or time that does not increase.
     """
 
     source: str
@@ -85,13 +80,7 @@ class Recording:
 
 
 def require_setpoint(recording: Recording) -> None:
-    """Refuse a record without a setpoint where a controller was at work.
-
-    Raises
-    ------
-    RecordingError
-        It has none.
-    """
+    """Refuse a record without a setpoint where a controller was at work. Raises RecordingError: it has none."""
     if recording.sp is None:
         raise RecordingError(
             f'{recording.source}: no column "sp"; name it with --columns sp=NAME or give its value with --sp; '
@@ -102,10 +91,7 @@ def require_setpoint(recording: Recording) -> None:
 def require_excitation(recording: Recording) -> None:
     """Refuse a record from which no process can be identified because nothing moved.
 
-    Raises
-    ------
-    RecordingError
-        co or pv is constant (a dead signal).
+    Raises RecordingError: co or pv is constant (a dead signal).
     """
     for name, values in (("co", recording.co), ("pv", recording.pv)):
         low, high = float(values.min()), float(values.max())
@@ -119,15 +105,10 @@ def require_excitation(recording: Recording) -> None:
 def read_recording(path: Path, columns: Mapping[str, str] | None = None) -> Recording:
     """Read a recorded loop from a CSV file (comma, semicolon or tab) or a .parquet file.
 
-    Parameters
-    ----------
     path : file.
     columns : for a role ("t", "sp", "pv", "co") the name of its column, where that is another.
 
-    Raises
-    ------
-    RecordingError
-        The file cannot be read or is malformed: see the head of this file.
+    Raises RecordingError: the file cannot be read or is malformed: see the head of this file.
     """
     named = dict(columns or {})
     for role in named:
@@ -143,14 +124,9 @@ def read_recording(path: Path, columns: Mapping[str, str] | None = None) -> Reco
 def read_columns(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:
     """Columns of a CSV or Parquet file by their names in it, shape (n,) each; the first one is the time.
 
-    Parameters
-    ----------
     names : columns to read where they are there. wanted : those of them that must be there.
 
-    Raises
-    ------
-    RecordingError
-        The file cannot be read or is malformed: see the head of this file.
+    Raises RecordingError: the file cannot be read or is malformed: see the head of this file.
     """
     _check_file(path)
     return (_read_parquet if path.suffix == ".parquet" else _read_csv)(path, names, wanted)
@@ -159,10 +135,7 @@ def read_columns(path: Path, names: list[str], wanted: list[str]) -> dict[str, F
 def column_names(path: Path) -> frozenset[str]:
     """Names of the columns of a CSV or Parquet file; a CSV's are the fields of its first line.
 
-    Raises
-    ------
-    RecordingError
-        The file cannot be read.
+    Raises RecordingError: the file cannot be read.
     """
     _check_file(path)
     if path.suffix == ".parquet":

@@ -209,10 +209,7 @@ def window_of(
 ) -> Window:
     """A record for a fit, out of arrays or as it was read.
 
-    Raises
-    ------
-    ValueError
-        A signal is missing, shapes differ, a value is not finite, or time does not increase.
+    Raises ValueError: a signal is missing, shapes differ, a value is not finite, or time does not increase.
     """
     if isinstance(t, LoopRecord | str | PathLike) or is_frame(t):
         if not (sp is None and pv is None and co is None):
@@ -292,15 +289,10 @@ def identify_by_region(
 ) -> tuple[RegionIdentification, ...]:
     """A process for each region that a record passes through, the lowest first (identification/by_region.py).
 
-    Parameters
-    ----------
     window : the record. by : the signal with the borders, shape (n,): pv for a level whose gain rises with the level.
     bounds : the borders, increasing. The others : see identify.
 
-    Raises
-    ------
-    ValueError
-        The borders are none, or see identify.
+    Raises ValueError: the borders are none, or see identify.
     """
     window = within(window, co_min, co_max)
     sign, found = gains.direction if gains else None, []
@@ -368,10 +360,7 @@ def _no_farther(found: Identification, window: Window, gains: PidGains) -> Ident
 def within(window: Window, co_min: float | None, co_max: float | None) -> Window:
     """The record with co inside the limits of the final element.
 
-    Raises
-    ------
-    ValueError
-        A limit is not finite or they leave no room.
+    Raises ValueError: a limit is not finite or they leave no room.
     """
     low, high = -np.inf if co_min is None else co_min, np.inf if co_max is None else co_max
     if not low < high:

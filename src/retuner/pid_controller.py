@@ -407,10 +407,7 @@ class PidController:
 def _remembered(memory: Mapping[str, Any], table: GainTable, settings: RetunerSettings) -> Retuner:
     """The retuner of a controller before its restart.
 
-    Raises
-    ------
-    ValueError
-        The memory is of another version, damaged, or of another loop.
+    Raises ValueError: the memory is of another version, damaged, or of another loop.
     """
     if memory.get("version") != MEMORY or not {"retuner", "t_s", "co"} <= memory.keys():
         raise ValueError("memory: it is damaged, or of another release; leave it out to begin anew")
@@ -423,10 +420,7 @@ def _remembered(memory: Mapping[str, Any], table: GainTable, settings: RetunerSe
 def _finite(name: str, value: float | str | None) -> float:
     """The number, if it is finite; a sensor that failed may give anything, None too.
 
-    Raises
-    ------
-    ValueError
-        It is no finite number.
+    Raises ValueError: it is no finite number.
     """
     try:
         number = math.nan if value is None else float(value)
@@ -438,13 +432,7 @@ def _finite(name: str, value: float | str | None) -> float:
 
 
 def _range(name: str, ends: tuple[float, float]) -> tuple[float, float]:
-    """Two ends.
-
-    Raises
-    ------
-    ValueError
-        They are not two finite numbers in their order.
-    """
+    """Two ends. Raises ValueError: they are not two finite numbers in their order."""
     try:
         low, high = ends
         ordered = -math.inf < low < high < math.inf
@@ -456,13 +444,7 @@ def _range(name: str, ends: tuple[float, float]) -> tuple[float, float]:
 
 
 def _gains(gains: PidGains) -> PidGains:
-    """Gains; who comes from another library may give three numbers.
-
-    Raises
-    ------
-    TypeError
-        They are something else.
-    """
+    """Gains; who comes from another library may give three numbers. Raises TypeError: they are something else."""
     if not isinstance(gains, PidGains):
         raise TypeError(f"gains = {gains!r}: give PidGains(kp, ki, kd), ki and kd in seconds, or a GainTable")
     return gains
@@ -474,13 +456,7 @@ def _one_region(name: str, gains: PidGains, low: float, high: float) -> GainTabl
 
 
 def _mode(mode: Mode | str) -> Mode:
-    """The mode of that name.
-
-    Raises
-    ------
-    ValueError
-        There is none.
-    """
+    """The mode of that name. Raises ValueError: there is none."""
     if mode not in tuple(Mode):
         raise ValueError(f"mode = {mode!r} is unknown; use {', '.join(Mode)}")
     return Mode(mode)
@@ -489,10 +465,7 @@ def _mode(mode: Mode | str) -> Mode:
 def _begin(law_now: PidLaw, sp: float, pv: float) -> PidState:
     """The state before the first sample: integral at 0, so that the first output is that of the proportional action.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite.
+    Raises ValueError: a number is not finite.
     """
     wish = law_now.kp * (law_now.b * sp - pv)
     if not math.isfinite(wish):

@@ -43,10 +43,7 @@ DIGITS = 5
 class RecordedGains:
     """The gains in force at each sample of the records, one record after the other, parallel: kp, ki, kd.
 
-    Raises
-    ------
-    ValueError
-        They are not of one length, or a value is not finite.
+    Raises ValueError: they are not of one length, or a value is not finite.
     """
 
     kp: FloatArray
@@ -141,10 +138,7 @@ class ScheduleDesign:
     def gains_at(self, x: float, x2: float | None = None) -> PidGains:
         """The gains that the table has in force at x, and x2 of a second variable, when it rests there.
 
-        Raises
-        ------
-        ValueError
-            There is no table, or it follows two variables and x2 is not given.
+        Raises ValueError: there is no table, or it follows two variables and x2 is not given.
         """
         layout = self.layout
         if isinstance(layout, Layout):
@@ -336,13 +330,7 @@ def _names(by: str | Sequence[str], values: Mapping[str, object]) -> list[str]:
 
 
 def windows_of(records: Window | Record | Sequence[Window | Record]) -> tuple[Window, ...]:
-    """Records, one or several, as windows.
-
-    Raises
-    ------
-    ValueError
-        There is none, or one lacks a signal.
-    """
+    """Records, one or several, as windows. Raises ValueError: there is none, or one lacks a signal."""
     several = list(records) if isinstance(records, list | tuple) else [cast("Window | Record", records)]
     if not several:
         raise ValueError("no record; give at least one")

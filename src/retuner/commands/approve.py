@@ -33,10 +33,7 @@ SHORTEST = SHORT
 
 
 def _name(options: ApproveOptions | RevertOptions) -> str:
-    """Who orders, for the ledger.
-
-    Raises UserError: the system knows no name, and none is given.
-    """
+    """Who orders, for the ledger. Raises UserError: the system knows no name, and none is given."""
     if options.by is not None:
         return options.by
     try:

@@ -215,10 +215,7 @@ def on_demand(
 
 
 def plan_for(config: Config, kind: Experiment, options: ControllerOptions, shape: ExperimentSignal) -> Plan:
-    """The plan that options and configuration make.
-
-    Raises UserError: an option is out of its range.
-    """
+    """The plan that options and configuration make. Raises UserError: an option is out of its range."""
     loop, dt = config.loop, config.loop.sample_time_s
     span = loop.pv_max - loop.pv_min
     range_ = span if kind == Experiment.SETPOINT else loop.co_max_pct - loop.co_min_pct

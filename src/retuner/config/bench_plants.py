@@ -60,10 +60,7 @@ class UnusablePlantError(UserError):
 
 
 def plant_of(config: Config) -> PlantConfig:
-    """What a loop's configuration says of its plant.
-
-    Raises UserError: it has no [device] section, or no plant.
-    """
+    """What a loop's configuration says of its plant. Raises UserError: it has no [device] section, or no plant."""
     if config.device is None:
         raise UserError(
             "the configuration has no [device] section: there is no virtual device to run; add one, or give "
@@ -211,10 +208,7 @@ class Plants:
     def begun(self) -> list[list[str]]:
         """What a person should know of each loop's start; the models go on for a few samples.
 
-        Raises
-        ------
-        UnusablePlantError
-            One fails within these.
+        Raises UnusablePlantError: one fails within these.
         """
         ports = [one if isinstance(one, PlantPort) else None for one in self.plants]
         first = [one.pv if one else math.nan for one in ports]

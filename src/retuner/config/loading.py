@@ -212,10 +212,7 @@ def bus_problems(config: Config) -> Iterator[Problem]:
 def signal_source(axis: AxisConfig, node: int) -> SignalSource | None:
     """Where an axis' variable comes from; None when it comes with the samples.
 
-    Raises
-    ------
-    DbcError
-        The DBC cannot be read, or has no such message or signal.
+    Raises DbcError: the DBC cannot be read, or has no such message or signal.
     """
     if axis.variable != CAN:
         return None
@@ -296,10 +293,7 @@ def load_session(path: str | FilePath, *, as_run: bool = False) -> tuple[Session
 
     as_run : a session has run it: the files that it names need not be here.
 
-    Raises
-    ------
-    ConfigError
-        The file cannot be read or used; one line per problem.
+    Raises ConfigError: the file cannot be read or used; one line per problem.
     """
     try:
         text = read_text(path)
@@ -312,12 +306,8 @@ def load_session(path: str | FilePath, *, as_run: bool = False) -> tuple[Session
 def read_text(path: str | FilePath) -> str:
     """The text of a configuration file.
 
-    Raises
-    ------
-    ConfigError
-        The file does not exist or cannot be opened.
-    UnusableError
-        It is too large, or not UTF-8.
+    Raises ConfigError: the file does not exist or cannot be opened.
+    Raises UnusableError: it is too large, or not UTF-8.
     """
     file = FilePath(path)
     try:
@@ -347,10 +337,7 @@ def read_text(path: str | FilePath) -> str:
 def parse_session(text: str) -> SessionConfig:
     """Check a configuration text.
 
-    Raises
-    ------
-    UnusableError
-        With every problem found: of syntax the first, of settings all.
+    Raises UnusableError: with every problem found: of syntax the first, of settings all.
     """
     document = _parsed(text)
     # Another schema gets one line about that, not fifty about its keys
@@ -383,10 +370,7 @@ def parse_config(text: str) -> Config:
 def with_signals(session: SessionConfig, text: str) -> SessionConfig:
     """The configuration, once the signals on the bus that it names have been found in their DBC files.
 
-    Raises
-    ------
-    UnusableError
-        With every signal that is not there.
+    Raises UnusableError: with every signal that is not there.
     """
     return _with(session, text, signal_problems, device_problems)
 
@@ -394,10 +378,7 @@ def with_signals(session: SessionConfig, text: str) -> SessionConfig:
 def usable_here(session: SessionConfig, text: str) -> SessionConfig:
     """The configuration, once what it names is on this machine: signals, the bus's interface, the key file.
 
-    Raises
-    ------
-    UnusableError
-        With everything that is not.
+    Raises UnusableError: with everything that is not.
     """
     return _with(session, text, signal_problems, device_problems, bus_problems)
 
@@ -405,10 +386,7 @@ def usable_here(session: SessionConfig, text: str) -> SessionConfig:
 def plants_here(session: SessionConfig, text: str) -> list[Sequence[str]]:
     """What the models behind the virtual devices say of themselves, a loop each, once they have been begun.
 
-    Raises
-    ------
-    UnusableError
-        One cannot be begun.
+    Raises UnusableError: one cannot be begun.
     """
     behind = product("plants")
     with_plant = [i for i, one in enumerate(session.loops) if one.device is not None and one.device.plant is not None]
@@ -471,8 +449,6 @@ def _placed(problem: Problem, lines: dict[Path, int], loop: int | None) -> Confi
 def text_as_run(text: str, session: SessionConfig, changes: Mapping[tuple[str, str], str | bool]) -> str:
     """The text of a configuration with some settings changed, for all of its loops.
 
-    Parameters
-    ----------
     text : as it was read. session : as it is run, with the changes. changes : (section, key) to its value.
     """
     for (section, key), value in changes.items():

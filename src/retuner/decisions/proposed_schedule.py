@@ -66,10 +66,7 @@ def same_proposal(body: Mapping[str, Any], found: "Refinement | None", *, rounde
 
 
 def table_in(body: Mapping[str, Any]) -> GainTable:
-    """The schedule of a row.
-
-    Raises KeyError, ValueError: the row is not what a session writes.
-    """
+    """The schedule of a row. Raises KeyError, ValueError: the row is not what a session writes."""
     return from_toml(str(body["table"]))
 
 

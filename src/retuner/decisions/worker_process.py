@@ -23,20 +23,14 @@ MOST_EXPENDABLE = "1000"
 
 
 def send(pipe: IO[bytes], message: object) -> None:
-    """Put a message on a pipe.
-
-    Raises OSError: the other end is gone.
-    """
+    """Put a message on a pipe. Raises OSError: the other end is gone."""
     body = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     pipe.write(LENGTH.pack(len(body)) + body)
     pipe.flush()
 
 
 def receive(pipe: IO[bytes]) -> object:
-    """Take the next message from a pipe.
-
-    Raises EOFError: the other end is gone.
-    """
+    """Take the next message from a pipe. Raises EOFError: the other end is gone."""
     head = pipe.read(LENGTH.size)
     if len(head) < LENGTH.size:
         raise EOFError

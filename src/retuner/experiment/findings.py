@@ -107,10 +107,7 @@ class ExperimentFindings:
 
 
 def evaluate(window: Window, question: ExperimentQuestion) -> ExperimentFindings:
-    """Everything that the record says.
-
-    Raises UserError: the rule that was asked for refuses.
-    """
+    """Everything that the record says. Raises UserError: the rule that was asked for refuses."""
     found = ExperimentFindings(question.kind)
     readers = {
         Experiment.STEP: _read_step,

@@ -110,10 +110,7 @@ def _create(connection: sqlite3.Connection) -> None:
 
 
 def _check_version(connection: sqlite3.Connection, path: Path) -> None:
-    """Refuse a file of another program or another version.
-
-    Raises LedgerError: saying which.
-    """
+    """Refuse a file of another program or another version. Raises LedgerError: saying which."""
     application, version = _pragma(connection, "application_id"), _pragma(connection, "user_version")
     if not application and _pragma(connection, "schema_version") == 0:
         raise LedgerError(f"{path}: holds nothing: the run that made it was ended before its first row")

@@ -131,10 +131,7 @@ class Fresh(NamedTuple):
 
 
 class LiveReader:
-    """Reads one, while it is written or afterwards.
-
-    Raises LiveFileError: it is no live file of this release.
-    """
+    """Reads one, while it is written or afterwards. Raises LiveFileError: it is no live file of this release."""
 
     def __init__(self, path: Path) -> None:
         try:

@@ -126,10 +126,7 @@ class Replay:
         self._result = ReplayedSession(engines=(then, here) if then and then != here else None)
 
     def run(self) -> ReplayedSession:
-        """Take the whole log, or what there is of it.
-
-        Raises UserError: there is no log.
-        """
+        """Take the whole log, or what there is of it. Raises UserError: there is no log."""
         result, known = self._result, self._session.bus_log_sha256
         log = self._session.bus_log
         if not log.is_file():

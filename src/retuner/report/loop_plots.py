@@ -26,10 +26,7 @@ OUT_OF_SIGHT = 1e9
 
 @settings("trend")
 def trend_figure(trend: LoopTrend) -> Figure:
-    """Setpoint and pv above, co below; a line where gains changed.
-
-    Raises ValueError: the trend has no samples.
-    """
+    """Setpoint and pv above, co below; a line where gains changed. Raises ValueError: the trend has no samples."""
     if not len(trend.t_s):
         raise ValueError("no samples yet: nothing to draw")
     figure = Figure(figsize=(11, 5.6))

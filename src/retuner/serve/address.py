@@ -32,10 +32,7 @@ class ServeOptions:
 
 
 def listening(options: ServeOptions) -> socket.socket:
-    """A socket that listens.
-
-    Raises UserError: the port is taken, or the address is not of this machine.
-    """
+    """A socket that listens. Raises UserError: the port is taken, or the address is not of this machine."""
     if options.port is None:
         try:
             return listening(replace(options, port=PORT))

@@ -21,10 +21,7 @@ ENDS_WITHIN_S = 3.0
 
 
 def require_page(*, wanted: bool = True) -> None:
-    """Refuse to serve, if that is wanted, where what it takes is not installed.
-
-    Raises UserError: it is not.
-    """
+    """Refuse to serve, if that is wanted, where what it takes is not installed. Raises UserError: it is not."""
     if wanted and not all(importlib.util.find_spec(name) for name in NEEDED):
         raise UserError(MISSING)
 

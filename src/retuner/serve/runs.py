@@ -60,10 +60,7 @@ class WatchedLoop:
 
 
 class WatchedSession:
-    """A session: its ledger, and its loops by key.
-
-    Raises LedgerError: its ledger cannot be read.
-    """
+    """A session: its ledger, and its loops by key. Raises LedgerError: its ledger cannot be read."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.name = folder, folder.resolve().name

@@ -204,10 +204,7 @@ def before(log: Path | None) -> Path | None:
 
 @contextmanager
 def opened(settings: Sequence[LinkSettings], clock: Clock, log: Path | None) -> Iterator[list[CanLink]]:
-    """The host's ends of the buses, each with its log.
-
-    Raises DeviceError: a bus or a log cannot be opened.
-    """
+    """The host's ends of the buses, each with its log. Raises DeviceError: a bus or a log cannot be opened."""
     with ExitStack() as stack:
         yield [
             stack.enter_context(BenchLink(one, clock, log_of_bus(log, number) if log else None))
@@ -267,10 +264,7 @@ class LiveBuses(HostBuses):
 def live_buses(
     config: SessionConfig, speed: float, clock: MonotonicClock, log: Path | None = None
 ) -> Iterator[LiveBuses]:
-    """The configured buses in real time.
-
-    Raises DeviceError: a bus or its log cannot be opened.
-    """
+    """The configured buses in real time. Raises DeviceError: a bus or its log cannot be opened."""
     settings = [_settings(config, loops, speed) for loops in config.buses]
     shortest_s = min(one.loop.sample_time_s for one in config.loops)
     pause_s = min(shortest_s / POLLS_PER_SAMPLE, LONGEST_PAUSE_S * clock.speed)
@@ -305,10 +299,7 @@ def simulated(config: Config, say: Callable[[str], None], log: Path | None = Non
 
 @contextmanager
 def live(config: Config, speed: float, log: Path | None = None) -> Iterator[Bench]:
-    """Whatever answers on the configured bus, some turns a sample.
-
-    Raises DeviceError: the bus does not open.
-    """
+    """Whatever answers on the configured bus, some turns a sample. Raises DeviceError: the bus does not open."""
     clock = MonotonicClock(speed)
     with CanLink(link_settings(config, speed), clock, log) as link:
         device = make_device(config, link, speed)

@@ -177,10 +177,7 @@ class RecordedSession:
 
 
 def ledger_path(session: Path) -> Path:
-    """The ledger of a session given by its folder or by the ledger itself.
-
-    Raises UserError: there is none.
-    """
+    """The ledger of a session given by its folder or by the ledger itself. Raises UserError: there is none."""
     path = session / LEDGER if session.is_dir() else session
     if not path.is_file():
         what = f"holds no {LEDGER}" if session.is_dir() else "no such folder or ledger"

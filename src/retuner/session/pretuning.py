@@ -28,10 +28,7 @@ OrderTaker = Callable[[float], Iterable[Decision]]
 
 
 def pretune_plan(config: Config) -> Plan:
-    """The step that the configuration asks for.
-
-    Raises UserError: a setting is out of its range.
-    """
+    """The step that the configuration asks for. Raises UserError: a setting is out of its range."""
     loop, dt = config.loop, config.loop.sample_time_s
     given = config.adaptation.pretune_step_pct
     with user_input("adaptation.pretune_step_pct"):

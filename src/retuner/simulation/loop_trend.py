@@ -93,14 +93,9 @@ class LoopTrend:
 class History:
     """The newest samples of a loop, in one flat array: 56 bytes each.
 
-    Parameters
-    ----------
     most : samples that are kept at least; 0 for none at all.
 
-    Raises
-    ------
-    ValueError
-        most is negative.
+    Raises ValueError: most is negative.
     """
 
     def __init__(self, most: int) -> None:

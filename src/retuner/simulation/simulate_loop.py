@@ -110,10 +110,7 @@ def simulate(
 def _course(name: str, given: Course) -> Callable[[float], float]:
     """A setpoint or load as a function of the seconds.
 
-    Raises
-    ------
-    ValueError
-        A value is not finite, or times do not increase from 0 on.
+    Raises ValueError: a value is not finite, or times do not increase from 0 on.
     """
     if callable(given):
         return given

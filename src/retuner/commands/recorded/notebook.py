@@ -39,10 +39,7 @@ from retuner.tuning import TuneResult, tuning_lines
 
 @singledispatch
 def text(result: object) -> str:
-    """A result in words.
-
-    Raises TypeError: it is no result of ours.
-    """
+    """A result in words. Raises TypeError: it is no result of ours."""
     raise TypeError(f"{type(result).__name__} is no result that can be shown")
 
 
@@ -150,10 +147,7 @@ def _(result: LoopTrend | PidController) -> str:
 
 
 def _kept(record: Window | None) -> Window:
-    """The record of a result.
-
-    Raises ValueError: it was not kept.
-    """
+    """The record of a result. Raises ValueError: it was not kept."""
     if record is None:
         raise ValueError("this result has no record to draw: it was not made by retuner.diagnose or retuner.identify")
     return record

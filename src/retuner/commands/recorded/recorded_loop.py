@@ -74,10 +74,7 @@ def _checked(read: LoopRecord, options: RecordOptions) -> LoopRecord:
 
 
 def _cut(read: LoopRecord, options: RecordOptions) -> LoopRecord:
-    """The record from --from to --to.
-
-    Raises UserError: a time is none, or hardly anything is left between them.
-    """
+    """The record from --from to --to. Raises UserError: a time is none, or hardly anything is left between them."""
     if not options.begin and not options.end:
         return read
     recording = read.recording
@@ -120,10 +117,7 @@ def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:
 
 
 def require_length(recording: Recording) -> None:
-    """Refuse a record too short for anything.
-
-    Raises UserError: it has fewer than FEWEST_SAMPLES.
-    """
+    """Refuse a record too short for anything. Raises UserError: it has fewer than FEWEST_SAMPLES."""
     n = len(recording.t_s)
     if n < FEWEST_SAMPLES:
         raise UserError(
