@@ -30,12 +30,7 @@ from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_
 from retuner.adaptive.explanations.process_grid import gain_unit, shapes
 from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
-from retuner.adaptive.explanations.settings_by_odds import (
-    Worthwhile,
-    halved,
-    quantile,
-    worthwhile,
-)
+from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, quantile, worthwhile
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (

@@ -288,12 +288,7 @@ class Choice:
     reason: str = field(default="")
 
 
-def choose(
-    found: Sequence[Outlook],
-    way: Outlook | None,
-    seen: ModelEvidence,
-    settings: ChoiceSettings,
-) -> Choice:
+def choose(found: Sequence[Outlook], way: Outlook | None, seen: ModelEvidence, settings: ChoiceSettings) -> Choice:
     """Which set shall run.
 
     found : the set in force first, then at least one that is proved.

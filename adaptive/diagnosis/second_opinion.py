@@ -160,11 +160,7 @@ def unconfirmed(
 
 
 def _diagnosed(
-    seen: list[LoopSample],
-    response: Response,
-    gains: PidGains,
-    swing: SwingSettings,
-    settings: DiagnosisSettings,
+    seen: list[LoopSample], response: Response, gains: PidGains, swing: SwingSettings, settings: DiagnosisSettings
 ) -> Diagnosis:
     """The diagnosis of a stretch; where it holds more than can be explained at once, that of its last two responses."""
     found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis

@@ -233,11 +233,7 @@ class PlaceBetween(NamedTuple):
 
 
 def worst_between(
-    borders: Sequence[NeighbourBorder],
-    own: ProcessModel,
-    gains: PidGains,
-    sample_time_s: float,
-    filter_s: float = 0.0,
+    borders: Sequence[NeighbourBorder], own: ProcessModel, gains: PidGains, sample_time_s: float, filter_s: float = 0.0
 ) -> PlaceBetween | None:
     """The worst place by the best models; None where nothing is known beyond any border.
 

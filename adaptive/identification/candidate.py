@@ -123,10 +123,7 @@ Priors = Mapping[ProcessType, Prior]
 
 
 def with_priors(
-    found: list[Candidate],
-    priors: Priors,
-    inflation: Callable[[Fit], float] | None = None,
-    least_loads: int = 0,
+    found: list[Candidate], priors: Priors, inflation: Callable[[Fit], float] | None = None, least_loads: int = 0
 ) -> list[Candidate]:
     """The candidates of structures with a prior, refitted with it, best first.
 

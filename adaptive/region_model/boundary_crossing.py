@@ -20,13 +20,7 @@ from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.region_model.from_neighbours import spread
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
-from retuner.adaptive.region_model.update import (
-    Agreement,
-    Learned,
-    TrackerSettings,
-    grown,
-    scattered,
-)
+from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings, grown, scattered
 from retuner.adaptive.region_model.varying_process_fit import InMotion, in_motion
 from retuner.adaptive.schedule_design.record_stretches import CurveAxis, CurveShape
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window

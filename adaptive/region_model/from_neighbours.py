@@ -82,14 +82,7 @@ def borrowed(
     names = ", ".join(regions.names[other] for other in sorted(near))
     log = ranked[0].log
     return RegionModel(
-        tuple(ranked),
-        0,
-        t_s,
-        None,
-        (),
-        spread(log),
-        identifiable=True,
-        reason=f"estimated from other regions: {names}",
+        tuple(ranked), 0, t_s, None, (), spread(log), identifiable=True, reason=f"estimated from other regions: {names}"
     )
 
 

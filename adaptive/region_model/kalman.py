@@ -60,9 +60,7 @@ def back_to_mean(known: StructureModel, prior: LogModel, posterior: LogModel) ->
     drift = known.drift
     also = drift.along.T @ root
     later = Drift(
-        drift.v + also @ seen,
-        proper_covariance(drift.p + also @ less @ also.T),
-        drift.along + gain @ less @ also.T,
+        drift.v + also @ seen, proper_covariance(drift.p + also @ less @ also.T), drift.along + gain @ less @ also.T
     )
     return replace(known, log=log, drift=later)
 

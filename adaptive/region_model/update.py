@@ -133,10 +133,7 @@ def of_the_last(together: ModelEstimate, whole: Window, last: Window) -> ModelEs
     unit, began_s = unit_of(last), float(whole.t_s[-1]) - float(last.t_s[-1] - last.t_s[0])
     own = tuple(float(last.t_s[0]) + t - began_s for t in together.load_times_s if t > began_s)
     return replace(
-        together,
-        load_times_s=own,
-        residual_std=together.residual_std * unit,
-        noise_std=together.noise_std * unit,
+        together, load_times_s=own, residual_std=together.residual_std * unit, noise_std=together.noise_std * unit
     )
 
 

@@ -27,10 +27,7 @@ TAU_I_FACTOR_HAUGEN_2010 = 2.0
 
 
 def simc(
-    model: ProcessModel,
-    tau_c_s: float | None = None,
-    kind: ControllerKind = ControllerKind.PI,
-    c: float = TAU_I_FACTOR,
+    model: ProcessModel, tau_c_s: float | None = None, kind: ControllerKind = ControllerKind.PI, c: float = TAU_I_FACTOR
 ) -> Tuning:
     """SIMC settings for any of the six structures.
 

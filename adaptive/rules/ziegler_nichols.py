@@ -134,12 +134,7 @@ REACTION_RULES = (
         formulas={
             P: ("Kc = tau/(K L) = 1/(M L)", "integrating: Kc = 1/(k' L)"),
             PI: ("Kc = 0.9 tau/(K L)", "Ti = L/0.3", "integrating: Kc = 0.9/(k' L), Ti = L/0.3"),
-            PID: (
-                "Kc = 1.2 tau/(K L)",
-                "Ti = 2 L",
-                "Td = 0.5 L",
-                "integrating: Kc = 1.2/(k' L), Ti = 2 L, Td = 0.5 L",
-            ),
+            PID: ("Kc = 1.2 tau/(K L)", "Ti = 2 L", "Td = 0.5 L", "integrating: Kc = 1.2/(k' L), Ti = 2 L, Td = 0.5 L"),
         },
         source="Ziegler & Nichols 1942, Trans. ASME 64, 759",
         valid="0.1 < L/tau < 1 or so; quarter decay, so little robust",

@@ -149,10 +149,7 @@ def _cuts(parts: int) -> Iterator[tuple[int, ...]]:
 
 
 def _sets(
-    grid: PlaceGrid,
-    cut: Sequence[int],
-    cut2: Sequence[int],
-    served: dict[tuple[int, int, int, int], PidGains | None],
+    grid: PlaceGrid, cut: Sequence[int], cut2: Sequence[int], served: dict[tuple[int, int, int, int], PidGains | None]
 ) -> tuple[PidGains, ...] | None:
     """A set for every cell; None where one has none."""
     found = []

@@ -207,13 +207,7 @@ def local_at(form: CurveForm, batch: Batch, z: FloatArray) -> Local:
 
 
 def _at_batch(
-    batch: Batch,
-    loads: Sequence[tuple[int, ...]],
-    form: CurveForm,
-    z: FloatArray,
-    noise: Noise,
-    *,
-    derivatives: bool,
+    batch: Batch, loads: Sequence[tuple[int, ...]], form: CurveForm, z: FloatArray, noise: Noise, *, derivatives: bool
 ) -> At:
     now = local_at(form, batch, z[:, None])
     arriving = form.arriving(batch, now, z[:, None])
@@ -238,12 +232,7 @@ def _at_batch(
 
 
 def _jacobian(
-    batch: Batch,
-    loads: Sequence[tuple[int, ...]],
-    form: CurveForm,
-    now: At,
-    noise: Noise,
-    bases: Sequence[FloatArray],
+    batch: Batch, loads: Sequence[tuple[int, ...]], form: CurveForm, now: At, noise: Noise, bases: Sequence[FloatArray]
 ) -> FloatArray:
     """dr/dz with what is solved for linearly held, then projected."""
     variants = np.concatenate([now.z[:, None], now.z[:, None] + STEP * np.eye(form.size)], axis=1)

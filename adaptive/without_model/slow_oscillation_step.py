@@ -116,11 +116,7 @@ class SlowAdvice:
 
 
 def slow_oscillation_online(
-    response: Response,
-    gains: PidGains,
-    diagnosis: Diagnosis | None,
-    settings: SlowSettings,
-    locks: Locks = NO_LOCKS,
+    response: Response, gains: PidGains, diagnosis: Diagnosis | None, settings: SlowSettings, locks: Locks = NO_LOCKS
 ) -> SlowAdvice:
     """What the rule asks for after a response under these gains.
 

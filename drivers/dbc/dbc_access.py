@@ -219,10 +219,7 @@ class DbcAccess:
         return list(self._told(values if isinstance(values, Mapping) else {}, heard, states))
 
     def _told(
-        self,
-        values: Mapping[str, object],
-        heard: Iterable[tuple[str, SignalPlace]],
-        states: Iterable[_State],
+        self, values: Mapping[str, object], heard: Iterable[tuple[str, SignalPlace]], states: Iterable[_State]
     ) -> Iterable[Told]:
         """Numbers and states of one decoded frame; a number that is none is passed over."""
         yield Alive()

@@ -336,9 +336,7 @@ def _one_after_the_other(role: str, pieces: list[OneSignal], source: str) -> One
                 f"{source}: {role} has two values at the same time; give one file for it, or --columns"
             )
     return OneSignal(
-        np.concatenate([p.t_s for p in pieces]),
-        np.concatenate([p.values for p in pieces]),
-        any(p.held for p in pieces),
+        np.concatenate([p.t_s for p in pieces]), np.concatenate([p.values for p in pieces]), any(p.held for p in pieces)
     )
 
 

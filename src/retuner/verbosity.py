@@ -60,8 +60,7 @@ def _tell_more(count: int) -> None:
 
 
 Quiet = Annotated[
-    bool,
-    typer.Option("--quiet", "-q", callback=_hush, expose_value=False, help="Only the answer and errors."),
+    bool, typer.Option("--quiet", "-q", callback=_hush, expose_value=False, help="Only the answer and errors.")
 ]
 Verbose = Annotated[
     int,

@@ -21,16 +21,7 @@ from retuner.schedule.late_dataclass import dataclass, field, replace
 
 BEGIN_BYTES = 65_536
 """Bytes of a text file that tell its form."""
-ANY_FAULT = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-)
+ANY_FAULT = (ArithmeticError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
 """What costs a file or a loop itself and no other: bad input, and faults of this program in a record like no other."""
 WHOLE = frozenset({"pv", "co"})
 DATED = re.compile(r"^(\d{0,4}[A-Z]{2,5}[-_]?\d{2,6}[A-Z]?)[ _-](?=(?:\d{1,3}[ _-])*\d{4})[\d ._:T-]+$")

@@ -25,13 +25,7 @@ UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 def check(path: ConfigFile, as_json: Json = False) -> int:
     """Check a configuration: each error with file, line, key and limit; without errors, a summary."""
     from retuner.commands.run import foreseen
-    from retuner.config.loading import (
-        UnusableError,
-        parse_session,
-        plants_here,
-        read_text,
-        usable_here,
-    )
+    from retuner.config.loading import UnusableError, parse_session, plants_here, read_text, usable_here
 
     try:
         text = read_text(path)

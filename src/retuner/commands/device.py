@@ -25,10 +25,7 @@ def device(
     interface: Interface = None,
     channel: Channel = None,
     speed: Annotated[float, typer.Option(help="How much faster than real time the simulated plant runs.")] = 1.0,
-    profile: Annotated[
-        str,
-        typer.Option(help="In place of a configuration: a virtual odrive, cia402 or cia404."),
-    ] = "",
+    profile: Annotated[str, typer.Option(help="In place of a configuration: a virtual odrive, cia402 or cia404.")] = "",
     duration: Annotated[float | None, typer.Option(help="Stop after so many simulated seconds.")] = None,
     loop: Loop = None,
 ) -> int:

@@ -63,10 +63,7 @@ def what_next(
     if changed is not None:
         gains, config = (shlex.quote(str(path)) for path in changed)
         told.append(
-            Next(
-                f"{of}to put the final gains into the configuration:",
-                f"retuner export {gains} --into {config}",
-            )
+            Next(f"{of}to put the final gains into the configuration:", f"retuner export {gains} --into {config}")
         )
     return told
 

@@ -79,13 +79,7 @@ def of_diagnosis(window: Window, result: RecordDiagnosis) -> dict[str, object] |
     models = processes_of(result)
     return what_if(
         WhatIfQuestion(
-            window,
-            models,
-            result.model,
-            window.sample_time_s,
-            result.active,
-            result.recommended,
-            result.co_limits,
+            window, models, result.model, window.sample_time_s, result.active, result.recommended, result.co_limits
         )
     )
 

@@ -397,12 +397,7 @@ def _sets(table: GainTable) -> str:
     """The sets, and the section for the configuration."""
     units = chosen_units()
     rows = [
-        (
-            name,
-            table.regions.text(i),
-            *_dialled(gains, units),
-            f"{gains.kp:.5g}, {gains.ki:.5g}, {gains.kd:.5g}",
-        )
+        (name, table.regions.text(i), *_dialled(gains, units), f"{gains.kp:.5g}, {gains.ki:.5g}, {gains.kd:.5g}")
         for i, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True))
     ]
     dialled = ("Kc", "tau_I [s]") if units is None else (units.heads,)

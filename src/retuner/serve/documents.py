@@ -117,12 +117,7 @@ def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]
         if not shown.successor(one) and one.region in regions
     ]
     found += [
-        {
-            "what": "tried",
-            "region": region,
-            "digest": digest,
-            "text": "trial passed: awaiting your approval",
-        }
+        {"what": "tried", "region": region, "digest": digest, "text": "trial passed: awaiting your approval"}
         for region, digest in shown.waiting.items()
         if region in regions
     ]

@@ -41,11 +41,7 @@ class PatientProtocol(H11Protocol):
 
 
 def serve(
-    root: Path,
-    options: ServeOptions,
-    say: Callable[[str], None],
-    ours: socket.socket | None = None,
-    token: str = "",
+    root: Path, options: ServeOptions, say: Callable[[str], None], ours: socket.socket | None = None, token: str = ""
 ) -> None:
     """Serve the page until somebody ends it.
 

@@ -293,10 +293,7 @@ class Run:
             with live_buses(self.config, speed, clock, before(self._log)) as buses:
                 self._pretune(buses, clock, lambda: buses.wait_until(clock.now_s() + pause_s), speed)
         deadlines_s = [one.adaptation.decision_deadline_s for one in self.config.loops]
-        with (
-            DecisionWorkers(len(deadlines_s)) as workers,
-            live_buses(self.config, speed, clock, self._log) as buses,
-        ):
+        with DecisionWorkers(len(deadlines_s)) as workers, live_buses(self.config, speed, clock, self._log) as buses:
             warm_up()  # entering a decision imports what making one does, and by then there are samples to take
             workers.wait_until_warm()
             session = self._begin(buses, [workers.decider(s) for s in deadlines_s], speed, remember=True)

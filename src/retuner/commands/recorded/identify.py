@@ -5,22 +5,11 @@ import sys
 from pathlib import Path
 
 from retuner.adaptive.indexes.days import days_of
-from retuner.api import (
-    NO_STRETCH,
-    Identification,
-    RegionIdentification,
-    identify_by_region,
-    identify_record,
-)
+from retuner.api import NO_STRETCH, Identification, RegionIdentification, identify_by_region, identify_record
 from retuner.commands.options import RecordOptions
 from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_options import days_told, tell_assumed
-from retuner.commands.recorded.recorded_loop import (
-    controller,
-    read_loop,
-    require_fitting,
-    require_length,
-)
+from retuner.commands.recorded.recorded_loop import controller, read_loop, require_fitting, require_length
 from retuner.commands.signatures.identify import IdentifyOptions
 from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.recorded.recording import Recording, require_excitation

@@ -9,9 +9,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.sample import Window
-from retuner.commands.options import (
-    controller_units,
-)
+from retuner.commands.options import controller_units
 from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_options import read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length

@@ -126,12 +126,7 @@ command(
     "Examples: retuner experiment relay examples/oven.toml --amplitude 10 --bias 0.3; "
     "retuner experiment relay --from relay.csv --rule zn-ultimate --kind pid",
 )
-command(
-    app,
-    UltimateOptions,
-    "experiment.ultimate",
-    "Example: retuner experiment ultimate --from swing.csv --kc 3.2",
-)
+command(app, UltimateOptions, "experiment.ultimate", "Example: retuner experiment ultimate --from swing.csv --kc 3.2")
 command(
     app,
     ValveOptions,

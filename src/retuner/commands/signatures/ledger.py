@@ -59,10 +59,7 @@ class RevertOptions:
 
 
 command(
-    app,
-    VerifyOptions,
-    "ledger.verify",
-    "Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b",
+    app, VerifyOptions, "ledger.verify", "Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b"
 )
 command(app, ShowOptions, "ledger.show", "Example: retuner ledger show runs/demo --decision 3")
 command(app, ExportOptions, "ledger.export", "Example: retuner ledger export runs/demo --csv demo.csv")
