@@ -21,6 +21,7 @@ from retuner.drivers.telemetry.signal_source import plant_message
 from retuner.schedule.gains import PidGains
 
 FIRMWARE = Path(str(drivers.__file__)).parent / "firmware"
+HERE = Path(__file__).parent
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-shared", "-fPIC")
 SOURCES = ("retuner_device.c", "retuner_code.c", "test_library.c")
 Nonce = ctypes.CFUNCTYPE(ctypes.c_uint64)
@@ -55,7 +56,7 @@ def library(changes: tuple[tuple[str, str], ...] = ()) -> ctypes.CDLL:
     """
     folder = Path(tempfile.mkdtemp(prefix="firmware-"))
     for name in ("retuner_device.h", *SOURCES):
-        text = (FIRMWARE / name).read_text(encoding="ascii")
+        text = ((HERE if name == SOURCES[-1] else FIRMWARE) / name).read_text(encoding="ascii")
         if name == SOURCES[0]:
             for old, new in changes:
                 if text.count(old) != 1:

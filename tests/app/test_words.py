@@ -1,4 +1,4 @@
-"""The words that people read are the trade's, in short sentences: src/retuner/decision_page/vocabulary.py says which.
+"""The words that people read are the trade's, in short sentences: scripts/document_vocabulary.py says which.
 
 Looked at are the texts in the code that reach a person (all that hold a space, but docstrings and program text that is
 exported), the templates, the page in the browser, README and docs.
@@ -10,12 +10,24 @@ import re
 from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from retuner.decision_page.vocabulary import TERMS
-
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def vocabulary() -> ModuleType:
+    """The script that has the words and writes their page."""
+    place = importlib.util.spec_from_file_location("document_vocabulary", ROOT / "scripts" / "document_vocabulary.py")
+    assert place is not None
+    assert place.loader is not None
+    script = importlib.util.module_from_spec(place)
+    place.loader.exec_module(script)
+    return script
+
+
+TERMS = vocabulary().TERMS
 FOLDERS = ("src", "adaptive", "drivers", "schedule")
 NO_PROSE = ("c_header.py", "structured_text.py", "numbers.py", "store.py", "gate.py", "html.py")
 """Files whose longer texts are C, IEC 61131-3, DBC, SQL, HTTP or CSS."""
@@ -82,7 +94,7 @@ def printed() -> tuple[tuple[str, str], ...]:
         (f"{path.relative_to(ROOT)}:{line}", text)
         for folder in FOLDERS
         for path in sorted((ROOT / folder).rglob("*.py"))
-        if path.name not in {*NO_PROSE, "vocabulary.py"}
+        if path.name not in NO_PROSE
         for line, text in texts(path.read_text(encoding="utf-8"))
     )
 
@@ -186,11 +198,7 @@ def test_the_vocabulary_is_whole() -> None:
 
 
 def test_the_page_of_the_vocabulary_is_what_the_program_says() -> None:
-    place = importlib.util.spec_from_file_location("document_vocabulary", ROOT / "scripts" / "document_vocabulary.py")
-    assert place is not None
-    assert place.loader is not None
-    script = importlib.util.module_from_spec(place)
-    place.loader.exec_module(script)
+    script = vocabulary()
     assert script.PAGE.read_text(encoding="utf-8") == script.page()
 
 
