@@ -15,6 +15,11 @@ def _factor(what: str, absent: str) -> float | None:
     return setting(None, f"Greatest factor of one change of {what}; {absent}", 1.0, 100.0, source="user", absent=True)
 
 
+def _gain(which: str, default: float) -> float:
+    meaning = f"{which} absolute proportional gain; absent: no limit"
+    return setting(default, meaning, 0.0, unit="%/pv", source="user", absent=True)
+
+
 def _bound(what: str, default: float = math.inf) -> float:
     return setting(default, f"{what}; absent: no limit", 0.0, unit="s", source="user", absent=True)
 
@@ -32,16 +37,42 @@ class GuardSettings:
     Raises ValueError: a setting is outside its range, or two of them leave no room between them.
     """
 
-    ms_nominal: float = setting(1.75, "Largest Ms on the identified process", 1.2, 3.0)
-    ms_worst: float = setting(2.1, "Largest Ms on any plausible model", 1.2, 5.0)
-    tau_c_max_ratio: float = setting(1.3, "Largest tau_c over theta that robustness may ask for", 1.0, 3.0)
+    ms_nominal: float = setting(
+        1.75,
+        "Largest Ms on the identified process",
+        1.2,
+        3.0,
+        source="between SIMC's 1.59 (first order) and 1.70 (integrating) and the limit 1.8",
+    )
+    ms_worst: float = setting(
+        2.1,
+        "Largest worst-case Ms over the plausible models",
+        1.2,
+        5.0,
+        source="a phase margin of at least 27 degrees and a gain margin of 1.9 remain",
+    )
+    tau_c_max_ratio: float = setting(
+        1.3,
+        "Largest tau_c over the dead time that the guard may choose before it shortens the step",
+        1.0,
+        3.0,
+        source="slower costs more than a smaller step",
+    )
     corner_std: float = setting(
         2.0, "How many std out the corners lie where nothing but a covariance is known", 0.0, 6.0
     )
-    kc_min: float = setting(0.0, "Least |kc|", 0.0)
-    kc_max: float = setting(math.inf, "Greatest |kc|", 0.0)
-    step_up_max: float = setting(2.0, "Greatest factor of one change of kc, tau_I, tau_D to more action", 1.0, 100.0)
-    step_down_max: float = setting(4.0, "The same to less action, and of kc/tau_I", 1.0, 100.0)
+    kc_min: float = _gain("Least", 0.0)
+    kc_max: float = _gain("Greatest", math.inf)
+    step_up_max: float = setting(
+        2.0,
+        "Greatest factor of one change towards more action",
+        1.0,
+        100.0,
+        source="half of ABB ECA06's permitted factor of 4",
+    )
+    step_down_max: float = setting(
+        4.0, "Greatest factor of one change towards less action", 1.0, 100.0, source="ABB ECA06"
+    )
     total_ratio_max: float = setting(
         4.0,
         "Greatest factor of kc, tau_I and tau_D relative to the baseline gains",

@@ -8,9 +8,20 @@ from retuner.schedule.late_dataclass import dataclass
 class TrialSettings:
     """Settings. Raises ValueError: one is outside its range."""
 
-    responses: int = setting(1, "Responses that must match the prediction", 1, 10)
+    responses: int = setting(
+        1,
+        "Responses that must match a change's prediction before it has passed its trial",
+        1,
+        10,
+        "responses",
+        "more are surer and slower",
+    )
     level: float = setting(
-        3.0, "Deviations of noise beyond the prediction that speak against it; 3: one false alarm in 700 by noise", 2, 6
+        3.0,
+        "Standard deviations of noise beyond the prediction from which a response is worse",
+        2,
+        6,
+        source="one false alarm in 700 by noise alone",
     )
     decay_slack: float = setting(0.15, "Margin in half-cycle decay ratio: a model is never exact", 0, 0.5)
     iae_slack: float = setting(1.5, "Margin in IAE, a factor", 1, 4)
@@ -24,21 +35,48 @@ class TrialSettings:
     )
     rest_share: float = setting(0.05, "Share of a setpoint step that may be left of the upset before it", 0, 0.1)
     cool_down_s: float | None = setting(
-        None, "No change for so long after an abort; None: cool_down_tau_i times tau_I of the set", 0, 1e300, "s"
-    )
-    cool_down_tau_i: float = setting(20.0, "Integral times of the restored set without a change", 1, 1000)
-    cool_down_most: int = setting(6, "Doublings of it by rollbacks at the most", 0, 20)
-    lock_out_after: int = setting(3, "Rollbacks in a row after which a region is locked", 1, 20)
-    inconclusive: int = setting(5, "Responses that may decide nothing; what nothing speaks against stays then", 1, 100)
-    settles: float = setting(
-        50.0, "Predicted settling times after which an undecided trial waits for the operator, where one is", 1, 1e4
-    )
-    edit_hold_s: float = setting(
-        28800.0,
-        "Gains that an operator has set are held for so long, twice as long each further time; a shift",
+        None,
+        "No change of a region for this long after one was rolled back, doubled each time; absent: 20 integral times",
         0,
         1e8,
         "s",
+        "as long as several responses",
+    )
+    cool_down_tau_i: float = setting(20.0, "Integral times of the restored set without a change", 1, 1000)
+    cool_down_most: int = setting(6, "Doublings of it by rollbacks at the most", 0, 20)
+    lock_out_after: int = setting(
+        3,
+        "Changes rolled back in a row after which a region is locked until an operator unlocks it",
+        1,
+        20,
+        "changes",
+        "what fails three times is not a matter of gains",
+    )
+    inconclusive: int = setting(
+        5,
+        "Responses that may say nothing for or against a change before its trial is over: what nothing speaks against "
+        "stays",
+        1,
+        100,
+        "responses",
+        "further ones of that kind say nothing either",
+    )
+    settles: float = setting(
+        50.0,
+        "In mode trial: predicted settling times after which an undecided change waits for operator approval",
+        1,
+        1e4,
+        "settling times",
+        "in the loop's own time; time alone is no verdict on a change",
+    )
+    edit_hold_s: float = setting(
+        28800.0,
+        "Gains that an operator has set stay for this long, while changes are only proposed; doubled each time that an "
+        "operator replaces gains of retuner",
+        0,
+        1e8,
+        "s",
+        "a shift",
     )
     grows: float = setting(1.05, "Half-cycle decay ratio from which two in a row diverge", 1, 2)
     stays: float = setting(0.95, "Half-cycle decay ratio from which `stays_for` in a row do", 0.8, 1)

@@ -12,13 +12,20 @@ from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.supervision.admission import AdmissionSettings
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config.section import Many, Problem, Section, holding, setting
+
+GENERAL = ("ms_nominal", "ms_worst", "tau_c_max_ratio", "kc_min", "kc_max", "step_up_max", "step_down_max")
+"""Settings of the guard that stand in [adaptation] itself."""
+FACTOR = {"high": 10.0, "positive": True}
+NARROWER = {"ms_nominal": {"high": 2.0}, "ms_worst": {"high": 3.0}, "step_up_max": FACTOR, "step_down_max": FACTOR}
+"""Limits in the file of what the guard, in trying ways of a change, sets farther."""
 
 # ---- The sections below [adaptation]
 
 
-@holding(GuardSettings)
+@holding(GuardSettings, but=GENERAL)
 class LimitsConfig(Section):
     """[adaptation.limits]: limits of a change that are seldom needed."""
 
@@ -70,6 +77,8 @@ class BumpsConfig(Section):
             yield Problem(("to_h",), f"= {given['to_h']:g} must differ from from_h, or no bump could ever begin")
 
 
+@holding(TrialSettings, "trial_")
+@holding(GuardSettings, narrower=NARROWER)
 class AdaptationConfig(Section):
     """[adaptation]: mode, rule and limits of changes."""
 
@@ -80,57 +89,13 @@ class AdaptationConfig(Section):
         source="nothing changes until someone allows it",
     )
     rule: Literal["simc"] = setting("Tuning rule", default="simc", source="Skogestad 2003")
-    ms_nominal: float = setting(
-        "Largest Ms on the identified process",
-        unit="1",
-        low=1.2,
-        high=2.0,
-        default=1.75,
-        source="between SIMC's 1.59 (first order) and 1.70 (integrating) and the limit 1.8",
-    )
-    ms_worst: float = setting(
-        "Largest worst-case Ms over the plausible models",
-        unit="1",
-        low=1.2,
-        high=3.0,
-        default=2.1,
-        source="a phase margin of at least 27 degrees and a gain margin of 1.9 remain",
-    )
-    tau_c_max_ratio: float = setting(
-        "Largest tau_c over the dead time that the guard may choose before it shortens the step",
-        unit="1",
-        low=1,
-        high=3,
-        default=1.3,
-        source="slower costs more than a smaller step",
-    )
-    kc_min: float | None = setting(
-        "Least absolute proportional gain; absent: no limit",
-        unit="%/pv",
-        above=0,
-        high=1e9,
-        default=None,
-        source="user",
-    )
-    kc_max: float | None = setting(
-        "Greatest absolute proportional gain; absent: no limit",
-        unit="%/pv",
-        above=0,
-        high=1e9,
-        default=None,
-        source="user",
-    )
-    step_up_max: float = setting(
-        "Greatest factor of one change towards more action",
-        unit="1",
-        above=1,
-        high=10,
-        default=2.0,
-        source="half of ABB ECA06's permitted factor of 4",
-    )
-    step_down_max: float = setting(
-        "Greatest factor of one change towards less action", unit="1", above=1, high=10, default=4.0, source="ABB ECA06"
-    )
+    ms_nominal: float
+    ms_worst: float
+    tau_c_max_ratio: float
+    kc_min: float | None
+    kc_max: float | None
+    step_up_max: float
+    step_down_max: float
     locked: Many[Literal["kc", "tau_i", "tau_d"]] = setting(
         'Parameters that stay as they are: ["tau_d"] for no derivative, ["tau_i", "tau_d"] for kc only',
         default=(),
@@ -171,64 +136,13 @@ class AdaptationConfig(Section):
         default=0,
         source="time stands still there while a decision is made",
     )
-    trial_responses: int = setting(
-        "Responses that must match a change's prediction before it has passed its trial",
-        unit="responses",
-        low=1,
-        high=10,
-        default=1,
-        source="more are surer and slower",
-    )
-    trial_level: float = setting(
-        "Standard deviations of noise beyond the prediction from which a response is worse",
-        unit="1",
-        low=2,
-        high=6,
-        default=3.0,
-        source="one false alarm in 700 by noise alone",
-    )
-    trial_inconclusive: int = setting(
-        "Responses that may say nothing for or against a change before its trial is over: what nothing speaks against "
-        "stays",
-        unit="responses",
-        low=1,
-        high=100,
-        default=5,
-        source="further ones of that kind say nothing either",
-    )
-    trial_settles: float = setting(
-        "In mode trial: predicted settling times after which an undecided change waits for operator approval",
-        unit="settling times",
-        low=1,
-        high=10000,
-        default=50.0,
-        source="in the loop's own time; time alone is no verdict on a change",
-    )
-    edit_hold_s: float = setting(
-        "Gains that an operator has set stay for this long, while changes are only proposed; doubled each time that an "
-        "operator replaces gains of retuner",
-        unit="s",
-        low=0,
-        high=1e8,
-        default=28800.0,
-        source="a shift",
-    )
-    cool_down_s: float | None = setting(
-        "No change of a region for this long after one was rolled back, doubled each time; absent: 20 integral times",
-        unit="s",
-        low=0,
-        high=1e8,
-        default=None,
-        source="as long as several responses",
-    )
-    lock_out_after: int = setting(
-        "Changes rolled back in a row after which a region is locked until an operator unlocks it",
-        unit="changes",
-        low=1,
-        high=20,
-        default=3,
-        source="what fails three times is not a matter of gains",
-    )
+    trial_responses: int
+    trial_level: float
+    trial_inconclusive: int
+    trial_settles: float
+    edit_hold_s: float
+    cool_down_s: float | None
+    lock_out_after: int
     pretune: bool = setting(
         "Before a run: first model and settings from a commanded step of co, the loop restored as it was",
         default=False,

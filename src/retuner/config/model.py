@@ -129,7 +129,9 @@ class Config(Section):
     schema_version: Literal[1] = setting("Version of this file's layout", alias="schema", source="this release")
     loop: LoopConfig = setting("The loop")
     schedule: ScheduleConfig = setting("Which gains apply where")
-    adaptation: AdaptationConfig = setting("What the retuner may do", default=AdaptationConfig(), source="advise only")
+    adaptation: AdaptationConfig = setting(
+        "What the retuner may do", default=AdaptationConfig.model_validate({}), source="advise only"
+    )
     bus: BusConfig = setting("The CAN bus", default=BusConfig(), source="virtual")
     device: AnyDevice | None = setting(
         "The device; absent: a controller of the native protocol is connected", default=None

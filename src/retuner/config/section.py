@@ -5,7 +5,8 @@ the reference page and a reader of the code see the same.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, TypeVar
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, Strict, create_model, model_validator
@@ -101,19 +102,39 @@ def setting(
 
 
 AnySection = TypeVar("AnySection", bound=Section)
+ALL: Mapping[str, dict[str, Any]] = MappingProxyType({})
 GREATEST = 1e9
 """What a setting that is a positive number without a limit may be in the file."""
 
 
-def holding(settings: type) -> Callable[[type[AnySection]], type[AnySection]]:
-    """Give a section the settings of a dataclass that belong into the file: those that are declared with a source."""
+def holding(
+    settings: type, prefix: str = "", but: Collection[str] = (), narrower: Mapping[str, dict[str, Any]] = ALL
+) -> Callable[[type[AnySection]], type[AnySection]]:
+    """Give a section the settings of a dataclass that belong into the file: those that are declared with a source.
+
+    A section that has a few of them names these, with or without the prefix, by their type alone; else all are its own
+    without those of `but`. narrower : the limits of what the file lets a person set less far than the program does.
+    """
 
     def filled(section: type[AnySection]) -> type[AnySection]:
         """The section with its settings; statically it stays what it was."""
-        given: Any = {one.name: _field(one) for one in declared(settings) if one.setting.source}
+        bare = {name for name, field in section.model_fields.items() if field.description is None}
+        given: Any = {}
+        for one in declared(settings):
+            named = next((name for name in (prefix + one.name, one.name) if name in bare), "" if bare else one.name)
+            if one.setting.source and named and one.name not in but:
+                given[named] = _field(one._replace(setting=one.setting._replace(**narrower.get(one.name, {}))))
         return create_model(section.__name__, __base__=section, __doc__=section.__doc__, **given)
 
     return filled
+
+
+def held_by(section: Section, settings: type, prefix: str = "") -> dict[str, Any]:
+    """What a section says of the settings of a dataclass, by their names there; what is absent is left to it."""
+    found = {
+        one.name: getattr(section, prefix + one.name, getattr(section, one.name, None)) for one in declared(settings)
+    }
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _field(one: Declared) -> tuple[object, object]:

@@ -15,9 +15,9 @@ from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
 from retuner.config import Config
-from retuner.config.adaptation import AdaptationConfig
 from retuner.config.foreign import UNPROVED_ORDER
 from retuner.config.loading import signal_source
+from retuner.config.section import held_by
 from retuner.decisions.order_of_writes import OrderOfWrites
 from retuner.drivers.bus.bus import LinkSettings
 from retuner.drivers.bus.link_settings import FramePort
@@ -49,31 +49,12 @@ def _of_foreign(config: Config, name: str) -> Any:  # noqa: ANN401  as the funct
 def guard_settings(config: Config) -> GuardSettings:
     """The guard's limits: those of [adaptation] and of [adaptation.limits]; what is absent is no limit."""
     a = config.adaptation
-    further = a.limits.model_dump(exclude_none=True)
-    general = {
-        name: getattr(a, name)
-        for name in ("ms_nominal", "ms_worst", "tau_c_max_ratio", "step_up_max", "step_down_max", "kc_min", "kc_max")
-        if getattr(a, name) is not None
-    }
-    return GuardSettings(**general, **further)
+    return GuardSettings(**held_by(a, GuardSettings), **held_by(a.limits, GuardSettings))
 
 
 def locks(names: Sequence[str]) -> Locks:
     """Parameters that stay as they are, by name."""
     return Locks(kc="kc" in names, tau_i="tau_i" in names, tau_d="tau_d" in names)
-
-
-def trial_settings(a: AdaptationConfig) -> TrialSettings:
-    """Settings of trial and rollback."""
-    return TrialSettings(
-        responses=a.trial_responses,
-        level=a.trial_level,
-        inconclusive=a.trial_inconclusive,
-        settles=a.trial_settles,
-        edit_hold_s=a.edit_hold_s,
-        cool_down_s=a.cool_down_s,
-        lock_out_after=a.lock_out_after,
-    )
 
 
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
@@ -92,7 +73,7 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         wait_s=a.wait_s,
         setpoint_weight=loop.b,
         filter_s=loop.tau_f_s,
-        trial=trial_settings(a),
+        trial=TrialSettings(**held_by(a, TrialSettings, "trial_")),
         guard=guard_settings(config),
         locks=locks(a.locked),
         region_locks=tuple(
