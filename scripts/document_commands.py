@@ -6,13 +6,12 @@ python scripts/document_commands.py
 import re
 import sys
 from collections.abc import Iterator
-from importlib import import_module
 
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 from typer.main import get_command
 
-from retuner.cli import COMMANDS, module_of
+from retuner.cli import COMMANDS, app_of
 
 HEAD = """# Commands
 
@@ -36,7 +35,7 @@ def page() -> str:
 
 def command(name: str) -> TyperCommand | TyperGroup:
     """A command with its options."""
-    return get_command(import_module(module_of(name)).app)
+    return get_command(app_of(name))
 
 
 def told(name: str, one: TyperCommand | TyperGroup) -> Iterator[str]:

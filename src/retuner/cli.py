@@ -49,15 +49,18 @@ COMMANDS = {
     "doctor": "Check what works on this machine, and what to do about the rest.",
 }
 """Every command and what `retuner --help` says of it."""
-SIGNED = frozenset({"approve", "experiment", "init", "ledger", "replay", "report", "run"}) | frozenset(
-    {"audit", "diagnose", "identify", "reduce", "schedule", "tune"}  # on records and models: commands/recorded/
-)
-"""Commands whose signature stands apart, in commands/signatures/: what they load, `--help` does not need."""
+WHOLE = frozenset({"check", "conformance", "device", "doctor", "export", "serve"})
+"""Commands in one file; what can be typed of the others stands in commands/signatures.py, apart from what they load."""
 
 
-def module_of(command: str) -> str:
-    """The module that has a command's signature."""
-    return f"retuner.commands.{'signatures.' if command in SIGNED else ''}{command}"
+def app_of(command: str) -> typer.Typer:
+    """A command as typer has it, with its options."""
+    if command in WHOLE:
+        found: typer.Typer = import_module(f"retuner.commands.{command}").app
+        return found
+    from retuner.commands.signatures import app_of as typed  # noqa: PLC0415  not for the list of commands
+
+    return typed(command)
 
 
 def _readable(text: str) -> Path:
@@ -115,7 +118,7 @@ class Commands(TyperGroup):
     def resolve_command(self, *given: Any, **named: Any) -> tuple[str | None, Any, list[str]]:
         """The command's own module in place of its entry in the list."""
         name, _, rest = super().resolve_command(*given, **named)
-        return name, with_verbosity(get_command(import_module(module_of(name or "")).app)), rest
+        return name, with_verbosity(get_command(app_of(name or ""))), rest
 
 
 app = typer.Typer(

@@ -18,7 +18,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.cli import main
 from retuner.commands.experiment import ExperimentSignal, plan_for
-from retuner.commands.signatures.experiment import RelayOptions
+from retuner.commands.signatures import RelayOptions
 from retuner.config import load_config
 from retuner.config.bench_plants import known_plant
 from retuner.drivers.bus.bus import CanLink

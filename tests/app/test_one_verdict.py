@@ -20,7 +20,7 @@ from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, audit_task
 from retuner.cli import main
 from retuner.commands.recorded import schedule
-from retuner.commands.signatures.schedule import ScheduleOptions
+from retuner.commands.signatures import ScheduleOptions
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable

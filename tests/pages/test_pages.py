@@ -6,7 +6,6 @@ import shlex
 import subprocess
 import sys
 import tomllib
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ from once import once
 from readme_renderer import markdown
 from typer.main import get_command
 
-from retuner.cli import COMMANDS, module_of
+from retuner.cli import COMMANDS, app_of
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
@@ -62,7 +61,7 @@ def unknown(words: list[str]) -> list[str]:
     name, rest = (words or [""])[0], words[1:]
     if name not in COMMANDS:
         return [] if name.startswith("-") else [name]
-    command = get_command(import_module(module_of(name)).app)
+    command = get_command(app_of(name))
     inside = getattr(command, "commands", None)
     if inside is not None:
         if rest[:1] and rest[0] not in inside:

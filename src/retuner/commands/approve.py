@@ -10,8 +10,7 @@ from pathlib import Path
 
 from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.decision import gains_dict
-from retuner.commands.signatures.approve import ApproveOptions
-from retuner.commands.signatures.ledger import RevertOptions
+from retuner.commands.signatures import ApproveOptions, RevertOptions
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.decision_page.explain import settings_text

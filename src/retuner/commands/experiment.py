@@ -17,7 +17,7 @@ from retuner.adaptive.rules.registry import rule_named
 from retuner.commands.options import on_bus
 from retuner.commands.recorded.plot_option import check_plot
 from retuner.commands.recorded.record_options import read_record, tell_assumed
-from retuner.commands.signatures.experiment import (
+from retuner.commands.signatures import (
     ControllerOptions,
     OnDemandOptions,
     RecordedOptions,

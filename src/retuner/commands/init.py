@@ -19,7 +19,7 @@ from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.api import identify_record
 from retuner.commands.recorded.recorded_loop import SHARE
-from retuner.commands.signatures.init import InitOptions
+from retuner.commands.signatures import InitOptions
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from retuner.commands.signatures.ledger import ExportOptions, ShowOptions, VerifyOptions
+from retuner.commands.signatures import ExportOptions, ShowOptions, VerifyOptions
 from retuner.config.loading import load_session
 from retuner.decision_page.row_values import number, part, parts, words
 from retuner.decision_page.shown_units import show_units_told

@@ -10,7 +10,7 @@ from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.commands.options import FormOptions
 from retuner.commands.recorded.record_options import read_record, renamed, tell_assumed
-from retuner.commands.signatures.replay import ReplayOptions
+from retuner.commands.signatures import ReplayOptions
 from retuner.config import Config, load_config
 from retuner.decision_page.explain import one_line
 from retuner.decision_page.shown_units import show_units_of

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from retuner.commands.signatures.report import ReportOptions
+from retuner.commands.signatures import ReportOptions
 from retuner.config.bench_plants import known_plant, stepped_plant
 from retuner.config.model import Config
 from retuner.decision_page.decision_article import page

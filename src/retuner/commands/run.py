@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from retuner.adaptive.supervision.decision import Mode
 from retuner.commands.options import all_on_bus
-from retuner.commands.signatures.run import RunOptions
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
@@ -44,7 +43,8 @@ from retuner.session.session import Session
 from retuner.stopping import stoppable, unstoppable
 from retuner.verbosity import quiet
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the run itself is called with them
+    from retuner.commands.signatures import RunOptions
     from retuner.live_view.live_screen import LiveScreen
     from retuner.live_view.watching_session import Watching
 
@@ -61,7 +61,7 @@ class RunJob:
     mode: Mode | None
     speed: float
     fresh: FreshFolder
-    options: RunOptions
+    options: "RunOptions"
     unwritten: Unwritten = field(default_factory=Unwritten)
 
     @property
@@ -165,7 +165,7 @@ def _gains_at(config: Config, sp: float) -> PidGains:
 # ---- retuner run
 
 
-def run(options: RunOptions) -> int:
+def run(options: "RunOptions") -> int:
     """Run a configuration; the exit status.
 
     Raises ConfigError, UserError, DeviceError: the configuration, the options, the folder or the bus cannot be used,

@@ -13,7 +13,7 @@ from retuner.audit.results import mean_error, summary, write_joined, write_resul
 from retuner.audit.working import Pass, diagnosing, expected, on_a_cluster, on_this_machine, processes, screening
 from retuner.commands.options import controller_units
 from retuner.commands.recorded.record_options import record_form
-from retuner.commands.signatures.audit import AuditOptions
+from retuner.commands.signatures import AuditOptions
 from retuner.errors import UserError, user_input
 from retuner.report.console import screen_console
 from retuner.verbosity import quiet

@@ -10,7 +10,7 @@ from retuner.commands.options import RecordOptions
 from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_options import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import controller, read_loop, require_fitting, require_length
-from retuner.commands.signatures.identify import IdentifyOptions
+from retuner.commands.signatures import IdentifyOptions
 from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import UserError, user_input

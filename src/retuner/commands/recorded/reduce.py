@@ -7,7 +7,7 @@ import sys
 from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.process.reduction import Leads, Reduction
 from retuner.adaptive.process.reduction import reduce as reduce_process
-from retuner.commands.signatures.reduce import ReduceOptions
+from retuner.commands.signatures import ReduceOptions
 from retuner.errors import UserError, user_input
 
 GAIN_UNIT = {ProcessType.INTEGRATING: "/s", ProcessType.INTEGRATING_LAG: "/s", ProcessType.DOUBLE_INTEGRATING: "/s2"}

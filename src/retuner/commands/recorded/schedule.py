@@ -13,7 +13,7 @@ from retuner.commands.options import controller_units
 from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_options import read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length
-from retuner.commands.signatures.schedule import ScheduleOptions
+from retuner.commands.signatures import ScheduleOptions
 from retuner.decision_page.shown_units import chosen_units, show_units
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.historian.loop_record import LoopRecord

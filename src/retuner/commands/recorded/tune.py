@@ -10,7 +10,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.registry import Explanation
 from retuner.commands.options import controller_units
 from retuner.commands.recorded.plot_option import check_plot
-from retuner.commands.signatures.tune import TuneOptions
+from retuner.commands.signatures import TuneOptions
 from retuner.errors import UserError, user_input
 from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
 from retuner.schedule.controller_units import ControllerUnits

@@ -1,1 +1,0 @@
-"""What can be typed of each command that loads much; its file in commands/ is loaded when it is called."""
