@@ -51,8 +51,7 @@ class Dial(NamedTuple):
         return f"{self.label} {plain}{self.unit}".strip()
 
 
-PLAIN_BELOW = 1e6
-"""Numbers that are written without an exponent."""
+PLAIN_BELOW = 1e6  # numbers that are written without an exponent
 GAINS = {
     "kc": Dial("kc", Quantity.KP, "Kc"),
     "gain": Dial("gain", Quantity.KP, "gain", " %/%", of_span=True),

@@ -30,8 +30,7 @@ KEY = re.compile(r"\s*([A-Za-z0-9_-]+)\s*=")
 SHOWN = 40
 """How many characters of a refused value a message shows."""
 
-Lines = dict[tuple[str, str], int]
-"""Line, counted from 1, of a key in a section; the key "" is the section's header."""
+Lines = dict[tuple[str, str], int]  # Line, counted from 1, of a key in a section; the key "" is the section's header
 
 
 def read_toml(text: str) -> "TomlSection":
@@ -151,12 +150,10 @@ def _short(value: object) -> str:
     return text if len(text) <= SHOWN else text[:SHOWN] + "..."
 
 
-SCHEMA = 1
-"""Version of this document. Older ones will be read, newer ones are refused."""
+SCHEMA = 1  # version of this document. Older ones will be read, newer ones are refused.
 MOST_AXES = 2
 
-PERCENT = "in percent of the output range"
-"""The unit of co in every configuration."""
+PERCENT = "in percent of the output range"  # the unit of co in every configuration
 HEAD = """\
 # Gain table of retuner. Gains are in parallel form, co {co}, times in seconds.
 #   co = kp (b sp - pv) + ki integral(sp - pv) dt - kd d(pv)/dt

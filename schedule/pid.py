@@ -50,10 +50,8 @@ class PidState(NamedTuple):
     limited: int
 
 
-LIMITED = PidState._fields.index("limited")
-"""Where `limited` stands in a state."""
-PV = PidState._fields.index("pv")
-"""Where pv stands in a state."""
+LIMITED = PidState._fields.index("limited")  # where `limited` stands in a state
+PV = PidState._fields.index("pv")  # where pv stands in a state
 
 
 @dataclass(frozen=True, slots=True)

@@ -423,8 +423,7 @@ def choose(law: RegionLaw, state: RegionState, x: float, t_s: float, x2: float =
     return RegionState(bisect_right(law.bounds, x), t_s)
 
 
-_new = tuple.__new__
-"""Half the time of a NamedTuple's own constructor."""
+_new = tuple.__new__  # half the time of a NamedTuple's own constructor
 
 
 def _place_anew(law: RegionLaw, state: RegionState, x: float, x2: float, t_s: float) -> RegionState:

@@ -23,12 +23,9 @@ from retuner.schedule import pid
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 
-PERCENT = (0.0, 100.0)
-"""Range of co, where the record stays in it."""
-FILTERED = 10.0
-"""The derivative's filter: its time over this."""
-MODELS = 7
-"""Models that are asked at most: the best, and some of the others that the record allows."""
+PERCENT = (0.0, 100.0)  # range of co, where the record stays in it
+FILTERED = 10.0  # the derivative's filter: its time over this
+MODELS = 7  # models that are asked at most: the best, and some of the others that the record allows
 
 
 @dataclass(frozen=True, slots=True)

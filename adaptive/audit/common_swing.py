@@ -18,24 +18,17 @@ from collections.abc import Mapping, Sequence
 from retuner.adaptive.audit.tracks import SwingTrack, by_chance, coherence
 from retuner.schedule.late_dataclass import dataclass
 
-SAME_PERIOD = 0.04
-"""Difference of two periods, as a share, below which they are one where nothing else can be compared."""
-LIKE_PERIOD = 0.08
-"""LIKE_PERIOD where the swings are coherent: their periods are known to some per cent."""
-COHERENT = 0.5
-"""Coherence from which two loops swing together."""
-LOUDER = 1.3
-"""Ratio of harmonics from which the loudest loop is named as the root."""
-STICKS = 0.2
-"""What its stretches must say of a valve for it to be the root."""
-BENT = 0.05
-"""Third harmonic over the first, from which something in a loop is not linear."""
+SAME_PERIOD = 0.04  # difference of two periods, as a share, below which they are one where nothing else can be compared
+LIKE_PERIOD = 0.08  # LIKE_PERIOD where the swings are coherent: their periods are known to some per cent
+COHERENT = 0.5  # coherence from which two loops swing together
+LOUDER = 1.3  # ratio of harmonics from which the loudest loop is named as the root
+STICKS = 0.2  # what its stretches must say of a valve for it to be the root
+BENT = 0.05  # third harmonic over the first, from which something in a loop is not linear
 
 
 ONE_MODE = 1.6
 """Ratio of the periods that two loops seem to have by themselves, up to which they may be one oscillation."""
-UNLIKELY = 1e-5
-"""Odds by chance below which two loops that are compared among many keep step."""
+UNLIKELY = 1e-5  # odds by chance below which two loops that are compared among many keep step
 AGAINST = "after every upset they oscillate in step, and each by itself reads as too strong: they act on each other"
 
 

@@ -16,22 +16,14 @@ from retuner.adaptive.indexes.autocovariance import DRIFT_WINDOWS, LEAST_STRENGT
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
 
-WINDOW = 2_048
-"""Points of a window: some ten cycles of a period of two hundred, and fifty of one of forty."""
-PARTS = 8
-"""Windows at one pace."""
-STEP = 8
-"""Ratio of two paces: a window shows periods of 6 to 400 points."""
-BAND = 1.2
-"""Ratio of the edges of a band to its middle."""
-FEWEST_CYCLES = 8.0
-"""Periods in a window: drift makes a few by chance."""
-FASTEST = 6.0
-"""Shortest period that is looked for, in points."""
-STANDS_OUT = LEAST_STRENGTH
-"""Share of the power above its lower edge from which a band is looked into."""
-PEAK = 2.0
-"""Ratio to the bands beside it from which that is done: drift has no peak."""
+WINDOW = 2_048  # points of a window: some ten cycles of a period of two hundred, and fifty of one of forty
+PARTS = 8  # windows at one pace
+STEP = 8  # ratio of two paces: a window shows periods of 6 to 400 points
+BAND = 1.2  # ratio of the edges of a band to its middle
+FEWEST_CYCLES = 8.0  # periods in a window: drift makes a few by chance
+FASTEST = 6.0  # shortest period that is looked for, in points
+STANDS_OUT = LEAST_STRENGTH  # share of the power above its lower edge from which a band is looked into
+PEAK = 2.0  # ratio to the bands beside it from which that is done: drift has no peak
 
 
 @dataclass(frozen=True, slots=True)

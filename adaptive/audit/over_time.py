@@ -19,10 +19,8 @@ MONDAY_S = 4 * DAY_S
 """The first Monday of the calendar that starts on 1970-01-01, a Thursday."""
 FEWEST_DAYS, FEWEST_WEEKS, MOST_WEEKS = 2, 2, 26
 """A record of less than two days has no course; from two weeks on it is told by week, beyond half a year by four."""
-FEWEST_SAMPLES = 100
-"""Least number of samples of a part that is reported."""
-SHOWN = 0.5
-"""A part counts where so much of its time is on record."""
+FEWEST_SAMPLES = 100  # least number of samples of a part that is reported
+SHOWN = 0.5  # A part counts where so much of its time is on record
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +96,7 @@ def joined_parts(parts: Sequence[PartOfTime]) -> list[PartOfTime]:
     return found
 
 
-NUMBERS = fields(PartOfTime)[2:]
-"""What is told of a part."""
+NUMBERS = fields(PartOfTime)[2:]  # what is told of a part
 
 
 # Which stretches of a long record are diagnosed: where something happens, and spread over time.
@@ -111,24 +108,19 @@ NUMBERS = fields(PartOfTime)[2:]
 #     score = max over m of |mean over m samples of e| / (1.4826 median |such means|)
 
 
-CYCLES = 15.0
-"""Ten to twenty show a cause, and drift little."""
+CYCLES = 15.0  # ten to twenty show a cause, and drift little
 FEWEST_WINDOW_SAMPLES, USUAL_WINDOW_SAMPLES, MOST_WINDOW_SAMPLES = 200, 800, 4_000
 """Samples of a stretch: at least, without an oscillation, and from which a slow one is condensed."""
-BEFORE = 0.2
-"""Share of a stretch that lies before the event that it is taken for."""
-WIDTHS = (4, 16, 64)
-"""Widths of events that are looked for, in samples."""
+BEFORE = 0.2  # share of a stretch that lies before the event that it is taken for
+WIDTHS = (4, 16, 64)  # widths of events that are looked for, in samples
 OF_A_WIDTH = 25
 """A stretch in widths of its event: the return from a load takes several, and what is usual must be seen as well."""
 LEAST_SCORE = 4.0
 EVENTS = 20
 """Events of a width at most."""
-SPREAD, LONG = 8, 1_024
-"""Stretches that stand for the whole record, and their samples."""
+SPREAD, LONG = 8, 1_024  # stretches that stand for the whole record, and their samples
 
-Stretch = tuple[int, int]
-"""First sample and number of samples."""
+Stretch = tuple[int, int]  # first sample and number of samples
 
 
 def stretches_of_interest(record: Window, period_s: float | None, most: int) -> list[Window]:

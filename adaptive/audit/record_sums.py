@@ -15,10 +15,8 @@ from retuner.adaptive.indexes.recording_quality import STRAIGHT
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import astuple, dataclass, fields
 
-ONE_SIDED = 0.5
-"""Share of its size that the error at a limit has to keep, where co is there once only."""
-LAGS = 20
-"""Lags of the error's covariances (Desborough & Harris 1992 use 5 to 20)."""
+ONE_SIDED = 0.5  # share of its size that the error at a limit has to keep, where co is there once only
+LAGS = 20  # lags of the error's covariances (Desborough & Harris 1992 use 5 to 20)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,29 +22,19 @@ import numpy as np
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
-OCTAVE = 16
-"""Frequencies of the grid an octave: 4.4 % apart."""
-BESIDE = 1
-"""Frequencies either side of its own at which a loop's track is kept, so that like periods share one."""
-CYCLES = 8.0
-"""Periods of a segment."""
-MOST_SEGMENTS = 96
-"""Segments that are kept, the newest."""
-FEWEST_SEGMENTS = 6
-"""Common segments from which a coherence says anything."""
-POINTS = 96
-"""Moments of a trend's track at most."""
-FEWEST_POINTS = 24
-"""Common moments from which two trends are compared."""
-STILL = 0.5
-"""Share of moments with a change from which a signal moves."""
+OCTAVE = 16  # frequencies of the grid an octave: 4.4 % apart
+BESIDE = 1  # frequencies either side of its own at which a loop's track is kept, so that like periods share one
+CYCLES = 8.0  # periods of a segment
+MOST_SEGMENTS = 96  # segments that are kept, the newest
+FEWEST_SEGMENTS = 6  # common segments from which a coherence says anything
+POINTS = 96  # moments of a trend's track at most
+FEWEST_POINTS = 24  # common moments from which two trends are compared
+STILL = 0.5  # share of moments with a change from which a signal moves
 DIGITS = 4
 
 
-COARSE = 4
-"""Every so many frequencies of the grid one is kept where an oscillation dies away: its peak is broad."""
-FREQUENCIES_KEPT = 3
-"""Frequencies kept either side of the oscillation's own: two thirds of an octave."""
+COARSE = 4  # every so many frequencies of the grid one is kept where an oscillation dies away: its peak is broad
+FREQUENCIES_KEPT = 3  # frequencies kept either side of the oscillation's own: two thirds of an octave
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,10 +163,8 @@ def trend_track(t_s: FloatArray, sp: FloatArray, co: FloatArray) -> TrendTrack:
     return TrendTrack(every_s, first, sp[at], co[at])
 
 
-FOLLOWS = 0.99
-"""Correlation from which a setpoint is another loop's output."""
-AT_ONCE = 256
-"""Slaves that are compared with all masters at once: what that takes stays small with ten thousand loops."""
+FOLLOWS = 0.99  # correlation from which a setpoint is another loop's output
+AT_ONCE = 256  # slaves that are compared with all masters at once: what that takes stays small with ten thousand loops
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,25 +32,19 @@ from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.indexes.condition import SENTENCES, Condition
 from retuner.schedule.late_dataclass import dataclass, replace
 
-HALF = 0.5
-"""What a further stretch counts."""
-CONVINCED = 0.5
-"""Joined confidence from which a fault is told."""
-MOST_SURE = 0.98
-"""No more is claimed of any stretch: something else may always be the case."""
+HALF = 0.5  # what a further stretch counts
+CONVINCED = 0.5  # joined confidence from which a fault is told
+MOST_SURE = 0.98  # no more is claimed of any stretch: something else may always be the case
 LEAST_AT_LIMIT, LEAST_LOSS, LEAST_ONE_SIDED = 0.02, 0.2, 0.7
 """Share of the time at a limit, share of the loss there, and one-sidedness, from which a limit is asked for."""
 TWO_SIDED = 0.3
 """One-sidedness below which no limit binds, whatever a stretch says: co rests there, and the error has both signs."""
-CALM = 0.5
-"""What a share of co's travel counts beside the same share of the error: an actuator wears."""
+CALM = 0.5  # what a share of co's travel counts beside the same share of the error: an actuator wears
 LEAST_BENEFIT = 0.05
 """A fault stays in the list even where settings that cure it take no error away: it is short of margin."""
-SWINGS = 0.5
-"""Share of the stretches in which an oscillation lasts from which the loop swings."""
+SWINGS = 0.5  # share of the stretches in which an oscillation lasts from which the loop swings
 
-WAITS = 0.25
-"""Idle index of a whole record from which its controller waits for the process."""
+WAITS = 0.25  # idle index of a whole record from which its controller waits for the process
 SURE_IT_WAITS = 0.7
 
 

@@ -48,8 +48,7 @@ from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
-MOST_MODELS = 16
-"""Models, the most likely ones, over which a cost is expected."""
+MOST_MODELS = 16  # Models, the most likely ones, over which a cost is expected
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 FARTHEST = 50.0
 """Where an exponential is 0 for every purpose here."""
@@ -369,8 +368,7 @@ def _chance(p: float) -> str:
     return percent(p) if p >= LEAST_SAID else f"less than {percent(LEAST_SAID)}"
 
 
-LEAST_SAID = 0.01
-"""Probability below which its digits say nothing."""
+LEAST_SAID = 0.01  # probability below which its digits say nothing
 
 
 def _ms(ms: float) -> str:

@@ -29,34 +29,23 @@ from retuner.schedule.late_dataclass import dataclass, replace
 # what the plain PI law leaves, and never below the rounding of co. A filter time is the one unknown in which the
 # law is not linear: a coarse grid, then Gauss-Newton steps from its best (law_regression.columns with `at`).
 
-SIGNIFICANT = 3.0
-"""Standard deviations from which a gain is there."""
-WORTH = 10.0
-"""Gain in the criterion that a richer structure must bring."""
-FILTERS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
-"""Filter times that are tried, in samples."""
-GAUSS_NEWTON = 8
-"""Gauss-Newton steps of the filter time from the best of these."""
-NEAR_LIMIT = 0.9
-"""Quantile of |increment of co| within which of a limit, once hit, co is not believed to be the law's."""
+SIGNIFICANT = 3.0  # standard deviations from which a gain is there
+WORTH = 10.0  # gain in the criterion that a richer structure must bring
+FILTERS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # filter times that are tried, in samples
+GAUSS_NEWTON = 8  # Gauss-Newton steps of the filter time from the best of these
+NEAR_LIMIT = 0.9  # quantile of |increment of co| within which of a limit, once hit, co is not believed to be the law's
 DIFFERENCED = -0.25
 """Correlation of what increments leave from which it is rounding, half way to the -1/2 of nothing but rounding."""
-LEVELS_BETTER = 0.8
-"""Ratio of the standard deviations of kp from which levels are taken instead of increments."""
-NO_INTEGRAL = 1.0
-"""An integral time surely longer than this many record lengths is none."""
-NO_PROPORTIONAL = 0.5
-"""A kp surely smaller than what the integral does in this share of a sample is none."""
-NOTHING = 1e-6
-"""Share of the other term below which P or I is a rounding of doubles."""
+LEVELS_BETTER = 0.8  # ratio of the standard deviations of kp from which levels are taken instead of increments
+NO_INTEGRAL = 1.0  # an integral time surely longer than this many record lengths is none
+NO_PROPORTIONAL = 0.5  # A kp surely smaller than what the integral does in this share of a sample is none
+NOTHING = 1e-6  # share of the other term below which P or I is a rounding of doubles
 REMAINDER = 0.8
 """Share of the remainder that may be left by a derivative or filter that is told: the smallest are shifts in time."""
 LEAST_DERIVATIVE = 0.5
 """Derivative times under this share of a sample are none: pv and co are not read at quite the same instant."""
-COMPARED = 0.9
-"""Share of samples that two structures must have in common to be compared."""
-LEAST_SHARE = 1e-9
-"""Rms of the remainder as a share of co's movement below which a fit is exact."""
+COMPARED = 0.9  # share of samples that two structures must have in common to be compared
+LEAST_SHARE = 1e-9  # rms of the remainder as a share of co's movement below which a fit is exact
 
 
 def usable_increments(window: Window, co_min: float | None, co_max: float | None) -> BoolArray:
@@ -214,14 +203,10 @@ class LawSettings:
     largest_lag: int = 1
 
 
-SLOW, FEWEST_SLOW = 5, 60
-"""Samples averaged to see slow movements, and how many such means are needed."""
-ALL_EXPLAINED = 0.9999
-"""Share of co's movement from which slow movements can say nothing new."""
-DIRECTION_EXPLAINED = 0.3
-"""Share of co's movement from which the direction of the controller is told, if nothing else."""
-BEST_STD = 1e-3
-"""No record shows a gain better than to this share of it: clocks and converters are not better."""
+SLOW, FEWEST_SLOW = 5, 60  # samples averaged to see slow movements, and how many such means are needed
+ALL_EXPLAINED = 0.9999  # share of co's movement from which slow movements can say nothing new
+DIRECTION_EXPLAINED = 0.3  # share of co's movement from which the direction of the controller is told, if nothing else
+BEST_STD = 1e-3  # no record shows a gain better than to this share of it: clocks and converters are not better
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,29 +21,23 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, LoopSample
 from retuner.schedule.late_dataclass import dataclass, replace
 
-HYSTERESIS_STD = 3.0
-"""Hysteresis in standard deviations of the noise."""
+HYSTERESIS_STD = 3.0  # hysteresis in standard deviations of the noise
 REST_DRIFT = 0.005
 """pv is at rest when its trend over the watch moves it by less than this share of the band, or than noise explains."""
-TREND_STD = 4.0
-"""A trend within this many of its standard deviations is noise."""
+TREND_STD = 4.0  # A trend within this many of its standard deviations is noise
 SETTLED_SHARE, SWING_SHARE = 0.06, 0.15
 """A response has come to rest when the last part of it surely moves by less than the first share of the whole and
 does not swing by more than the second."""
-SURE_STD = 2.0
-"""Surely: the trend and this many of its standard deviations together."""
-TURN_SHARE = 0.02
-"""A turn is a move back by this share of the range, or by what noise cannot be."""
+SURE_STD = 2.0  # Surely: the trend and this many of its standard deviations together
+TURN_SHARE = 0.02  # A turn is a move back by this share of the range, or by what noise cannot be
 STEP_PART, SWUNG_PART, SMOOTH_PART = 0.33, 0.5, 0.67
 """Shares of a step's response; of a setpoint response that has swung once; and of one that has not, because a peak
 looks flat from near.
 """
-ENOUGH_OF_BAND = 0.6
-"""A response that has gone this share of the way to the edge of the band has shown its slope."""
+ENOUGH_OF_BAND = 0.6  # A response that has gone this share of the way to the edge of the band has shown its slope
 SWUNG, TURNS = 2, 5
 """A swing has turned back this often when peak and undershoot have been seen, and when it need not die down at all."""
-SHORTEST_WATCH = 20
-"""Samples before a response may count as come to rest."""
+SHORTEST_WATCH = 20  # samples before a response may count as come to rest
 
 
 class Experiment(StrEnum):
@@ -55,8 +49,7 @@ class Experiment(StrEnum):
     VALVE = "valve"
 
 
-HELD = (Experiment.SETPOINT, Experiment.VALVE)
-"""Experiments that may hold what they do for a time."""
+HELD = (Experiment.SETPOINT, Experiment.VALVE)  # experiments that may hold what they do for a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,8 +230,7 @@ def _come_to_rest(pv: FloatArray, rest: LoopAtRest, part: float) -> bool:
 
 CLEAR_MOVE_STDS = 4.0
 """A move of this many standard deviations of the noise is one; 1 in 16000 samples of noise alone is further out."""
-SMOOTHED = 0.02
-"""A smoothed record's noise is brought down to this share of the move that is looked for."""
+SMOOTHED = 0.02  # A smoothed record's noise is brought down to this share of the move that is looked for
 
 
 def crossing(t_s: FloatArray, values: FloatArray, level: float, rising: bool) -> float:

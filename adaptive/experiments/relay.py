@@ -26,16 +26,11 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window, trapezoid
 from retuner.schedule.late_dataclass import dataclass
 
-FEWEST_WAVES = 2
-"""Full waves from which a result is given; the first after the start is not among them."""
-LEVEL_WIDTH = 0.05
-"""co within this share of the relay's range belongs to one of its two levels."""
-OFF_LEVEL = 0.02
-"""Share of samples (after the first switching) that may be at neither level."""
-ODD_WAVE = 2.0
-"""Waves that differ from the median by more than this factor in duration are not of the limit cycle."""
-SHORT_HALF = 20.0
-"""A half-wave shorter than this part of a wave is noise at the switching point."""
+FEWEST_WAVES = 2  # full waves from which a result is given; the first after the start is not among them
+LEVEL_WIDTH = 0.05  # co within this share of the relay's range belongs to one of its two levels
+OFF_LEVEL = 0.02  # share of samples (after the first switching) that may be at neither level
+ODD_WAVE = 2.0  # waves that differ from the median by more than this factor in duration are not of the limit cycle
+SHORT_HALF = 20.0  # A half-wave shorter than this part of a wave is noise at the switching point
 OUTLIER, MAD_TO_SIGMA = 3.0, 1.4826
 """Waves further from the median than this many standard deviations, estimated robustly, are left out."""
 SMOOTHED_SHARE, NOISE_LEFT = 20.0, 0.03
@@ -283,8 +278,7 @@ def _fundamental(window: Window, waves: list[tuple[int, int]]) -> complex:
 # itself.
 
 
-SMALLEST_OFFSET = 0.03
-"""The mean of co must be this share of the relay's amplitude away from rest for k to be known."""
+SMALLEST_OFFSET = 0.03  # the mean of co must be this share of the relay's amplitude away from rest for k to be known
 
 
 def first_order(cycle: RelayCycle, pv_rest: float, co_rest: float) -> ProcessModel:

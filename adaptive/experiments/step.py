@@ -29,16 +29,13 @@ T1_SHARE = 1 - math.exp(-1 / 3)
 T2_SHARE = 1 - math.exp(-1)
 SAME_LEVEL = 0.05
 """co within this share of the step belongs to a level (a controller at rest passes noise on); more is another move."""
-REST_SHARE = 0.1
-"""The final level is the mean over this last share of the record."""
+REST_SHARE = 0.1  # the final level is the mean over this last share of the record
 DRIFT_SHARE, REST_DRIFT = 0.2, 0.05
 """pv is at rest when over the last fifth of the record it moves by less than this share of its change."""
-SLOPE_ERROR = 0.05
-"""The steepest slope is taken over enough samples that noise moves it by about this share."""
+SLOPE_ERROR = 0.05  # the steepest slope is taken over enough samples that noise moves it by about this share
 RAMP_PART = 3
 """The slope of a ramp is taken over a third of the record: over a few samples the steepest is that with most noise."""
-STARTED = 0.02
-"""The response has started at this share of its change, or at the edge of the noise where that is wider."""
+STARTED = 0.02  # the response has started at this share of its change, or at the edge of the noise where that is wider
 
 
 class StepMethod(StrEnum):
@@ -199,8 +196,7 @@ def _steepest(response: RecordedStep, fewest: int = 3) -> tuple[float, float, fl
 # reaches the setpoint (B near 0) the process integrates; the limits are theta = 0.309 t_p and
 # k' = k/tau1 = 1/(2 A Kc0 theta).
 
-LARGEST_D = 0.6
-"""Largest overshoot for which the correlations were made (Shamsuzzoha & Skogestad 2010, section 3)."""
+LARGEST_D = 0.6  # largest overshoot for which the correlations were made (Shamsuzzoha & Skogestad 2010, section 3)
 UNDERSHOOT_BY = 3.5
 """The first undershoot lies at about 2 t_p, and before this many t_p however strong the damping (delay and one lag)."""
 LARGEST_UNDERSHOOT = 0.85
@@ -360,12 +356,9 @@ def _check(overshoot: Overshoot, kc0: float) -> None:
 # Periods are read between upward crossings of the mean; a crossing counts only after pv has been on the other side by
 # more than the noise. The decay is the geometric mean of the ratios of successive half-heights.
 
-FEWEST_PERIODS = 3
-"""Whole periods from which a period and a decay are given."""
-SUSTAINED = (0.9, 1.1)
-"""Ratio of successive amplitudes within which a swing is sustained."""
-QUARTER = (0.18, 0.35)
-"""Ratio of successive amplitudes that counts as quarter decay."""
+FEWEST_PERIODS = 3  # whole periods from which a period and a decay are given
+SUSTAINED = (0.9, 1.1)  # ratio of successive amplitudes within which a swing is sustained
+QUARTER = (0.18, 0.35)  # ratio of successive amplitudes that counts as quarter decay
 
 
 @dataclass(frozen=True, slots=True)

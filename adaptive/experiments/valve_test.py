@@ -24,24 +24,16 @@ from retuner.schedule.late_dataclass import dataclass
 
 STAIRCASE = (8, *(1,) * 4, *(-1,) * 8, -4, *(-1,) * 4, *(1,) * 8, -4)
 """Moves of a valve test in small steps; the last leads back to where it began."""
-SHORT = (1, 1, -1, -1)
-"""Moves of the test that a diagnosis proposes: whether pv follows at all."""
-BANDS = np.arange(0.0, 8.01, 0.5)
-"""Dead bands that are tried, in small steps."""
+SHORT = (1, 1, -1, -1)  # moves of the test that a diagnosis proposes: whether pv follows at all
+BANDS = np.arange(0.0, 8.01, 0.5)  # dead bands that are tried, in small steps
 RESOLUTIONS = np.array([0.0, *np.arange(1.25, 4.01, 0.25)])
 """Resolutions that are tried, in small steps: one below a step moves with every step and cannot be told from none."""
-NEITHER = 0.5
-"""Odds beforehand of a valve with neither."""
-RANGE_ODDS = 0.9
-"""Share of the odds that a range holds."""
-FEWEST_HOLDS, FEWEST_SAMPLES = 12, 4
-"""Holds in a record, and samples in each, below which nothing is read."""
-SAME = 0.02
-"""co within this share of the smallest move is held."""
-LAST = 0.25
-"""A hold's level is the mean of its last share of samples."""
-LARGE_MOVE = 2.5
-"""Moves of this many usual ones are large."""
+NEITHER = 0.5  # odds beforehand of a valve with neither
+RANGE_ODDS = 0.9  # share of the odds that a range holds
+FEWEST_HOLDS, FEWEST_SAMPLES = 12, 4  # holds in a record, and samples in each, below which nothing is read
+SAME = 0.02  # co within this share of the smallest move is held
+LAST = 0.25  # A hold's level is the mean of its last share of samples
+LARGE_MOVE = 2.5  # moves of this many usual ones are large
 
 
 @dataclass(frozen=True, slots=True)

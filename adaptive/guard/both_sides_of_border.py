@@ -219,8 +219,7 @@ def _model(slope: float, theta: float, c2: float, c0: float) -> ProcessModel:
 # answers for its own half of every way to a neighbour. Up to a border of a table of steps it is sqrt(r) whole.
 
 
-OWN_HALF = (0.25, 0.5)
-"""Weights of the neighbour at the places that a region answers for."""
+OWN_HALF = (0.25, 0.5)  # weights of the neighbour at the places that a region answers for
 EASED = (1.0, 0.94, 0.88, 0.82, 0.76, 0.7, 0.65, 0.6, 0.55, 0.5)
 """Shares of the wanted gains that are tried: where less is needed, it is the neighbour's set that is too much."""
 

@@ -23,8 +23,7 @@ from retuner.adaptive.guard.ruling import (
 from retuner.adaptive.guard.step_size import MORE_WHEN_LARGER, Parameter, logs, step_limit
 from retuner.schedule.gains import PidGains
 
-ROUNDING = 1e-9
-"""A factor that meets its limit may exceed it by rounding."""
+ROUNDING = 1e-9  # A factor that meets its limit may exceed it by rounding
 
 
 def evidence_checks(request: ChangeRequest, settings: GuardSettings, *, less: bool = False) -> list[Check]:

@@ -221,8 +221,7 @@ def _limiting(cuts: list[Cut], request: ChangeRequest) -> tuple[bool, Ruling | N
     return first
 
 
-TOLERANCE = 1e-9
-"""Rounding of a derivative that is as short as it may be."""
+TOLERANCE = 1e-9  # rounding of a derivative that is as short as it may be
 SLACK = math.log(1.001)
 """A limit that the parameter in force exceeds by no more than rounding on the controller's side is not exceeded."""
 

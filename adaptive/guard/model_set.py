@@ -20,8 +20,7 @@ from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray
 
-MOST_LOG_STEP = math.log(2.0)
-"""Farthest that age or a covariance moves a model in any log-parameter."""
+MOST_LOG_STEP = math.log(2.0)  # farthest that age or a covariance moves a model in any log-parameter
 
 
 def allowed(

@@ -114,10 +114,8 @@ class Loops:
 # The rule's own settings at larger tau_c: the first remedy for what is not robust.
 
 
-STEPS = 3
-"""Equal ratios from the proposal's tau_c to the largest."""
-RULE = "simc"
-"""The rule whose settings the guard can find by itself."""
+STEPS = 3  # equal ratios from the proposal's tau_c to the largest
+RULE = "simc"  # the rule whose settings the guard can find by itself
 
 
 def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence[Tuning]:
@@ -137,10 +135,8 @@ def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence
 
 CALMED = 0.98
 """Share of an Ms over its limit between two knots that a cure may leave; a change that leaves more is none."""
-SHARES = (1.0, 0.5, 0.25)
-"""Full, half and quarter step."""
-SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)
-"""Shares of a step that are tried where the controller rounds."""
+SHARES = (1.0, 0.5, 0.25)  # Full, half and quarter step
+SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)  # shares of a step that are tried where the controller rounds
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,8 +51,7 @@ class Ruling(StrEnum):
 
 CUT = frozenset({Ruling.OUTSIDE_LIMITS, Ruling.OUTSIDE_TOTAL})
 """Rulings of which the notes tell more: which parameter was cut, and by what."""
-NO_ROOM = "refused: the limits leave no room for the change"
-"""What they say then."""
+NO_ROOM = "refused: the limits leave no room for the change"  # what they say then
 
 # What the sentences need, one value for the rulings of one kind.
 

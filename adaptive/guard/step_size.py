@@ -24,8 +24,7 @@ class Parameter(StrEnum):
 
 MORE_WHEN_LARGER = {Parameter.KC: True, Parameter.TAU_I: False, Parameter.TAU_D: True, Parameter.INTEGRAL: True}
 """Whether a larger value is more action."""
-ROUNDING = 1e-12
-"""Difference up to which a parameter counts as unchanged."""
+ROUNDING = 1e-12  # difference up to which a parameter counts as unchanged
 GAIN_NAMES = ("kp", "ki", "kd")
 
 
@@ -119,8 +118,7 @@ def along(old: PidGains, new: PidGains, share: float) -> PidGains:
     return PidGains(*found)
 
 
-SAME_GAINS = 1.00001
-"""Gains closer than this factor are one set: float32 on the wire rounds by 1.0000001."""
+SAME_GAINS = 1.00001  # gains closer than this factor are one set: float32 on the wire rounds by 1.0000001
 
 
 def change_factor(old: PidGains, new: PidGains) -> float:

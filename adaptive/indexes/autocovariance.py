@@ -53,22 +53,14 @@ def detrended(x: FloatArray) -> FloatArray:
     return np.asarray(level - i * (float(i @ level) / float(i @ i)), dtype=np.float64)
 
 
-REGULAR = 1.0
-"""Regularity above which a signal oscillates (Thornhill, Huang & Zhang 2003)."""
-LEAST_STRENGTH = 0.3
-"""Strength from which an oscillation is one: filtered noise and drift stay below."""
-MOST_INTERVALS = 10
-"""Intervals between zero crossings that are used (Thornhill, Huang & Zhang 2003)."""
-FEWEST_INTERVALS = 4
-"""Two full periods; the spread of fewer intervals says nothing."""
-DRIFT_WINDOWS = (0.3, 0.1, 0.03)
-"""Lengths of the running means taken off for slow drifts, as shares of the record."""
-WITHIN_WINDOW = 0.6
-"""Longest period, as a share of that length, that is not the running mean's own doing."""
-FINEST = 0.1
-"""Spread of the intervals in samples below which none is believed: crossings are read between samples."""
-CONFIDENCE = 2.0
-"""Auto-covariances within this many standard deviations of noise, 1 / sqrt(n), count as zero."""
+REGULAR = 1.0  # regularity above which a signal oscillates (Thornhill, Huang & Zhang 2003)
+LEAST_STRENGTH = 0.3  # strength from which an oscillation is one: filtered noise and drift stay below
+MOST_INTERVALS = 10  # intervals between zero crossings that are used (Thornhill, Huang & Zhang 2003)
+FEWEST_INTERVALS = 4  # two full periods; the spread of fewer intervals says nothing
+DRIFT_WINDOWS = (0.3, 0.1, 0.03)  # lengths of the running means taken off for slow drifts, as shares of the record
+WITHIN_WINDOW = 0.6  # longest period, as a share of that length, that is not the running mean's own doing
+FINEST = 0.1  # spread of the intervals in samples below which none is believed: crossings are read between samples
+CONFIDENCE = 2.0  # Auto-covariances within this many standard deviations of noise, 1 / sqrt(n), count as zero
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,10 +160,8 @@ def decay_ratio(x: FloatArray) -> float | None:
 # period.
 
 
-SUPERVISION_PERIODS = 50.0
-"""Supervision time in periods (Hagglund 1995)."""
-DETECTIONS_LIMIT = 10.0
-"""Count above which the loop oscillates (Hagglund 1995)."""
+SUPERVISION_PERIODS = 50.0  # supervision time in periods (Hagglund 1995)
+DETECTIONS_LIMIT = 10.0  # count above which the loop oscillates (Hagglund 1995)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,24 +23,15 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass
 
-DEAD = 1e-9
-"""A signal that varies by less than this share of its magnitude is dead."""
-STILL_SHARE = 0.6
-"""Share of the record in long stretches of constant co from which it counts as manual."""
-STILL_STRETCH = 20
-"""Samples of constant co that make a long stretch, at least."""
-STILL_LENGTH = 0.1
-"""Length of a standstill as a share of the record: a rounded co stands still for a while as well."""
-MOVING_SHARE = 0.3
-"""Share of samples with a setpoint change from which the setpoint moves all the time."""
-OFFSET_RATIO = 6.0
-"""Mean error over its standard deviation from which it stands far on one side."""
-NOISE_RATIO = 1.6
-"""Slow movement over what averaged noise would leave, from which a signal moves."""
-ASKED_SIGMAS = 8.0
-"""A setpoint step of so many standard deviations of the noise shows in any pv that follows."""
-AVERAGED = 16
-"""Samples averaged to see slow movement."""
+DEAD = 1e-9  # A signal that varies by less than this share of its magnitude is dead
+STILL_SHARE = 0.6  # share of the record in long stretches of constant co from which it counts as manual
+STILL_STRETCH = 20  # samples of constant co that make a long stretch, at least
+STILL_LENGTH = 0.1  # length of a standstill as a share of the record: a rounded co stands still for a while as well
+MOVING_SHARE = 0.3  # share of samples with a setpoint change from which the setpoint moves all the time
+OFFSET_RATIO = 6.0  # mean error over its standard deviation from which it stands far on one side
+NOISE_RATIO = 1.6  # slow movement over what averaged noise would leave, from which a signal moves
+ASKED_SIGMAS = 8.0  # A setpoint step of so many standard deviations of the noise shows in any pv that follows
+AVERAGED = 16  # samples averaged to see slow movement
 
 
 class Condition(StrEnum):
@@ -165,8 +156,7 @@ def runs_by_itself(window: Window) -> bool:
     return _escapes(window) and abs(float(np.corrcoef(window.co, window.sp - window.pv)[0, 1])) < PROPORTIONAL
 
 
-PROPORTIONAL = 0.97
-"""Correlation of co with the error from which co is proportional to it."""
+PROPORTIONAL = 0.97  # correlation of co with the error from which co is proportional to it
 
 
 def one_sided(window: Window) -> float | None:
@@ -179,10 +169,8 @@ def one_sided(window: Window) -> float | None:
     return share if share >= ONE_SIDE and way and turned <= back else None
 
 
-ONE_SIDE = 0.9
-"""Share of a record on one side of the setpoint that counts as all of it."""
-ONE_WAY = 0.1
-"""How far co may go back, as a share of how far it went, to have gone one way."""
+ONE_SIDE = 0.9  # share of a record on one side of the setpoint that counts as all of it
+ONE_WAY = 0.1  # how far co may go back, as a share of how far it went, to have gone one way
 
 
 def _dead(x: FloatArray) -> bool:

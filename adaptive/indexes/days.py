@@ -8,16 +8,11 @@ import numpy.typing as npt
 from retuner.adaptive.indexes.output_limits import at_limits
 from retuner.adaptive.signals.sample import Window
 
-GAP = 60.0
-"""Sampling intervals without a sample, from which the record goes on as another one."""
-NIGHT = 0.04
-"""Share of the record in which co stands still without a break, from which it is off."""
-OFF = 0.3
-"""Share of the record that it must be off in all; a shorter stand-still is a loop's own."""
-FEWEST_ROWS = 60
-"""Rows of a day at the least."""
-MOST_DAYS = 8
-"""Most days that are read; of more, the newest."""
+GAP = 60.0  # sampling intervals without a sample, from which the record goes on as another one
+NIGHT = 0.04  # share of the record in which co stands still without a break, from which it is off
+OFF = 0.3  # share of the record that it must be off in all; a shorter stand-still is a loop's own
+FEWEST_ROWS = 60  # rows of a day at the least
+MOST_DAYS = 8  # most days that are read; of more, the newest
 
 
 def days_of(window: Window, most: int = MOST_DAYS) -> list[Window]:

@@ -20,12 +20,9 @@ from retuner.adaptive.indexes.autocovariance import crossings, detrended
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
-HARMONICS = 5
-"""Highest harmonic fitted."""
-SAMPLES_PER_PERIOD = 3.0
-"""A harmonic needs this many samples in its period to be told from its aliases."""
-SEARCH_CYCLES = 0.75
-"""How far the frequency is looked for round the first guess, in cycles over the record."""
+HARMONICS = 5  # highest harmonic fitted
+SAMPLES_PER_PERIOD = 3.0  # A harmonic needs this many samples in its period to be told from its aliases
+SEARCH_CYCLES = 0.75  # how far the frequency is looked for round the first guess, in cycles over the record
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +93,7 @@ def phase_deg(pv: Tone, co: Tone, direction: int) -> float:
     return angle - 360 if angle > 90 else angle
 
 
-FEWEST_CYCLES = 3
-"""Cycles of a tone that is told by itself."""
+FEWEST_CYCLES = 3  # cycles of a tone that is told by itself
 PADDED = 4
 PURE = 0.9
 """Share of a signal's movement from which one sinusoid is what moves it."""
@@ -138,14 +134,10 @@ def pure_tone_s(t_s: FloatArray, x: FloatArray) -> float | None:
 # Here the apex is scanned instead of solved for, and the mean squares are taken over all half waves, so that one
 # odd half wave does not decide.
 
-POINTS = 41
-"""Points per half wave after resampling."""
-FEWEST_SAMPLES = 4.0
-"""A half wave of fewer samples has no shape."""
-FEWEST_HALF_WAVES = 4
-"""Two full periods."""
-SHORT = 0.4
-"""Half waves shorter than this share of the median are noise or a drift across zero."""
+POINTS = 41  # points per half wave after resampling
+FEWEST_SAMPLES = 4.0  # A half wave of fewer samples has no shape
+FEWEST_HALF_WAVES = 4  # two full periods
+SHORT = 0.4  # half waves shorter than this share of the median are noise or a drift across zero
 SMALLEST_MISFIT = 1e-9
 """Mean square below which a fit is exact (of a half wave of unit height), so that 0/0 does not arise."""
 

@@ -14,12 +14,9 @@ import numpy.typing as npt
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
-TOLERANCE = 1e-3
-"""co counts as at its limit within this share of its range in the record."""
-STRETCH = 5
-"""Samples in a row at the extreme value that make a limit recognised."""
-MOVING = 0.3
-"""Share of the other samples in which co must change for a recognised limit."""
+TOLERANCE = 1e-3  # co counts as at its limit within this share of its range in the record
+STRETCH = 5  # samples in a row at the extreme value that make a limit recognised
+MOVING = 0.3  # share of the other samples in which co must change for a recognised limit
 
 
 BACK = 0.75
@@ -107,8 +104,7 @@ def is_limit(samples: int, changes: int, at_it: int, stretches: int, long: int, 
     return moving > MOVING and (long > 1 or (long == 1 and longest >= 4 * STRETCH))
 
 
-BETWEEN = 0.03
-"""Share of the samples between two values up to which co knows only these."""
+BETWEEN = 0.03  # share of the samples between two values up to which co knows only these
 FEWEST_SWITCHES = 8
 
 

@@ -25,20 +25,13 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
-STRAIGHT = 1e-6
-"""A second difference below this share of the signal's range is zero."""
-FURTHER = 10
-"""Samples on either side over which a line of printed values must be straight as well: a slow curve is not."""
-MOST_DECIMALS = 5
-"""Values printed with more decimals than these are straight enough without them."""
-ON_GRID = 0.05
-"""How near to a whole number of quanta a value must be, in quanta."""
-GRID_SHARE = 0.99
-"""Share of values that must fit the grid."""
-FEWEST_LEVELS = 4
-"""Fewer values lie on many grids."""
-FEWER_LEVELS = 0.5
-"""A grid shows in repetition: there must be fewer distinct values than this share of the samples."""
+STRAIGHT = 1e-6  # A second difference below this share of the signal's range is zero
+FURTHER = 10  # samples on either side over which a line of printed values must be straight as well: a slow curve is not
+MOST_DECIMALS = 5  # values printed with more decimals than these are straight enough without them
+ON_GRID = 0.05  # how near to a whole number of quanta a value must be, in quanta
+GRID_SHARE = 0.99  # share of values that must fit the grid
+FEWEST_LEVELS = 4  # fewer values lie on many grids
+FEWER_LEVELS = 0.5  # A grid shows in repetition: there must be fewer distinct values than this share of the samples
 MOST_LEVELS = 1000
 """More steps than these in the range of the record are the number format's, not the sensor's (10 bits)."""
 
@@ -82,8 +75,7 @@ def _on_lines(x: FloatArray) -> npt.NDArray[np.bool_]:
     return straight
 
 
-PRINTED = 2.0 + 1e-6
-"""Digits by which a second difference of rounded values on a line may be off."""
+PRINTED = 2.0 + 1e-6  # digits by which a second difference of rounded values on a line may be off
 
 
 def _kept(x: FloatArray) -> npt.NDArray[np.int64]:
@@ -105,10 +97,8 @@ def _last_digit(x: FloatArray) -> float:
     return 0.0
 
 
-PRINTED_TO = 1e-6
-"""Rounding of doubles, in last digits."""
-LEAST_STRAIGHT = 0.4
-"""Share of the samples on straight lines from which a recorder drew them."""
+PRINTED_TO = 1e-6  # rounding of doubles, in last digits
+LEAST_STRAIGHT = 0.4  # share of the samples on straight lines from which a recorder drew them
 SMALLEST_MISSES = 0.2
 """Quantile of the misses that is taken for the deviation: a few kept points are the ends of the record's gaps."""
 FEWEST_KEPT = 8
@@ -134,8 +124,7 @@ def hidden_sigma(x: FloatArray) -> float:
     return float(np.quantile(misses, SMALLEST_MISSES)) / 3**0.5
 
 
-HELD = 0.5
-"""Share of repeats among the straight pieces from which the last value was held, and no lines were drawn."""
+HELD = 0.5  # share of repeats among the straight pieces from which the last value was held, and no lines were drawn
 
 
 def _misses(x: FloatArray, kept: npt.NDArray[np.int64]) -> FloatArray:
@@ -160,13 +149,11 @@ def quantum(x: FloatArray) -> float:
     return step if float(np.mean(fits)) >= GRID_SHARE and float(np.ptp(x)) < MOST_LEVELS * step else 0.0
 
 
-FEWEST_HELD = 5
-"""Samples in a row without any change that count as held."""
+FEWEST_HELD = 5  # samples in a row without any change that count as held
 FEWEST_HOLDS = 3
 ALIKE = 0.7
 """Share of the holds of each signal that must be holds of both."""
-END = 1
-"""Samples by which the ends of a hold of both may differ."""
+END = 1  # samples by which the ends of a hold of both may differ
 
 
 @dataclass(frozen=True, slots=True)

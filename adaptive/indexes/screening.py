@@ -51,8 +51,7 @@ from retuner.schedule.late_dataclass import dataclass
 
 STEADY = 0.4307
 """Increments within this many of their standard deviations are steady: a third of those of Gaussian noise."""
-LEAST_SPREAD = 1e-9
-"""Determinant of the correlation matrix below which the curve is a straight line."""
+LEAST_SPREAD = 1e-9  # determinant of the correlation matrix below which the curve is a straight line
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,20 +165,15 @@ def kurtosis(x: FloatArray) -> float | None:
     return float(np.mean(flat**4) / np.mean(flat**2) ** 2)
 
 
-FEWEST_CYCLES = 2.0
-"""Cycles in the record for the shape of an oscillation to be looked at."""
+FEWEST_CYCLES = 2.0  # cycles in the record for the shape of an oscillation to be looked at
 SHAPE_STRENGTH = 0.1
 """Strength from which that is done: limit cycles are often irregular, and the evidence is worth having."""
-FEWEST_MOVING = 10
-"""Samples of co off its limits that are needed to judge its recording."""
-STRETCHES_PER_PERIOD = 20
-"""Samples per period that the indexes of movement work on."""
+FEWEST_MOVING = 10  # samples of co off its limits that are needed to judge its recording
+STRETCHES_PER_PERIOD = 20  # samples per period that the indexes of movement work on
 IAE_AMPLITUDE = 0.1
 """Smallest amplitude for the IAE detector as a share of the range of the error (its 1 % of span is not in a record)."""
-NOISE_BAND = 3.0
-"""Standard deviations of noise that the bands of this file hold."""
-SMOOTHED = 25
-"""Samples per period after smoothing, for indexes that look at shape or increments."""
+NOISE_BAND = 3.0  # standard deviations of noise that the bands of this file hold
+SMOOTHED = 25  # samples per period after smoothing, for indexes that look at shape or increments
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,10 +387,8 @@ def _detection(window: Window, gains: PidGains | None, period_s: float | None) -
 # its own.
 
 
-LARGEST = 0.05
-"""Share of the increments that counts as jumps."""
-FEWEST_INCREMENTS = 40
-"""Increments needed: two jumps in a twentieth."""
+LARGEST = 0.05  # share of the increments that counts as jumps
+FEWEST_INCREMENTS = 40  # increments needed: two jumps in a twentieth
 
 
 def jump_share(pv: FloatArray, co: FloatArray, width: int = 1) -> float | None:

@@ -13,18 +13,13 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
-STEP_BAND = 6.0
-"""A setpoint change counts as a step when it exceeds this many standard deviations of pv's noise."""
-PEAK_BAND = 3.0
-"""Extremes within this many standard deviations of noise are none."""
-FEWEST_SAMPLES = 8
-"""Samples that a response needs to have peaks."""
-AT_REST = 0.3
-"""The error before a step, as a share of the step, up to which the loop was at rest enough."""
+STEP_BAND = 6.0  # A setpoint change counts as a step when it exceeds this many standard deviations of pv's noise
+PEAK_BAND = 3.0  # extremes within this many standard deviations of noise are none
+FEWEST_SAMPLES = 8  # samples that a response needs to have peaks
+AT_REST = 0.3  # the error before a step, as a share of the step, up to which the loop was at rest enough
 RAMP, RAMP_GAP = 6, 2
 """Rows of a step that a historian has interpolated, at the most, and from one row that changes to the next."""
-MOST_STEPS = 0.05
-"""When the setpoint changes in a larger share of the samples it moves all the time and has no steps."""
+MOST_STEPS = 0.05  # when the setpoint changes in a larger share of the samples it moves all the time and has no steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +101,8 @@ def _response(e: FloatArray, band: float) -> tuple[float, float | None]:
 # Kuehl & Horch (2005) the signals are smoothed, and increments within the noise count for neither side.
 
 
-NOISE_BAND = 3.0
-"""Standard deviations of noise within which an increment has no sign."""
-FEWEST_INCREMENTS = 10
-"""Increments with a sign that are needed."""
+NOISE_BAND = 3.0  # standard deviations of noise within which an increment has no sign
+FEWEST_INCREMENTS = 10  # increments with a sign that are needed
 
 
 def idle_index(pv: FloatArray, co: FloatArray, direction: int, width: int) -> float | None:

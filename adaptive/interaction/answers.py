@@ -24,14 +24,10 @@ ComplexArray = npt.NDArray[np.complex128]
 
 LAGS, LATE = (0.01, 0.03, 0.08, 0.2, 0.6), (0.0, 0.02, 0.06, 0.15)
 """First guesses of a lag and of a dead time, as shares of the longest window: all pairs are tried with all."""
-REFINED = 2
-"""Best of them that are refined."""
-SLOWEST, QUICKEST = 20.0, 0.2
-"""Largest lag in longest windows, smallest in samples."""
-LATEST = 0.4
-"""Largest dead time as a share of the longest window."""
-MOST_TRIES = 30
-"""Evaluations of a start."""
+REFINED = 2  # best of them that are refined
+SLOWEST, QUICKEST = 20.0, 0.2  # largest lag in longest windows, smallest in samples
+LATEST = 0.4  # largest dead time as a share of the longest window
+MOST_TRIES = 30  # evaluations of a start
 
 
 class Moved(NamedTuple):

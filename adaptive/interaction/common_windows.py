@@ -12,22 +12,15 @@ import numpy as np
 from retuner.adaptive.interaction.answers import Moved, StepAnswers, answers
 from retuner.adaptive.signals.sample import FloatArray
 
-LEAD = 10
-"""Points before a move whose mean is where all stood."""
-POINTS = 120
-"""Most points of a window."""
-FEWEST_POINTS_AFTER_MOVE = 12
-"""Fewest points after a move."""
-NEWEST = 8
-"""Windows that are taken, the newest; an older plant may have been another one."""
+LEAD = 10  # points before a move whose mean is where all stood
+POINTS = 120  # most points of a window
+FEWEST_POINTS_AFTER_MOVE = 12  # fewest points after a move
+NEWEST = 8  # windows that are taken, the newest; an older plant may have been another one
 SETTLED, AS_LONG_AGAIN = 0.1, 1.6
 """A move is over when the error stays below this share of its largest; the window is so many times as long."""
-AT_REST = 0.1
-"""Most that a process value may move in the lead, as a share of what it moves in the window."""
-SPREAD = 10.0
-"""A window may be so many times as long as the shortest one."""
-LEFT = 0.1
-"""Share of a process value's variation that may stay unexplained."""
+AT_REST = 0.1  # most that a process value may move in the lead, as a share of what it moves in the window
+SPREAD = 10.0  # A window may be so many times as long as the shortest one
+LEFT = 0.1  # share of a process value's variation that may stay unexplained
 
 
 class OneLoopRecord(NamedTuple):

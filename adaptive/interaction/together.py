@@ -17,10 +17,8 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 
-POINTS = 600
-"""Frequencies that are looked at."""
-BELOW = 1e-3
-"""Lowest of them, over that of the slowest lag or integral time."""
+POINTS = 600  # frequencies that are looked at
+BELOW = 1e-3  # lowest of them, over that of the slowest lag or integral time
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,20 +42,16 @@ STEP = 1.7
 GROWTH = STEP - 1
 DELAY_STEP = 0.8
 """Largest turn in rad of the dead time from one point to the next."""
-NEGLIGIBLE = 1e-6
-"""|L| below which 1 - |L| < |S| < 1 + |L| is 1 for every purpose."""
-CROSSOVER_STEP = 1e-6
-"""Newton step in ln w^2 after which wc is right to its square, 1e-12."""
+NEGLIGIBLE = 1e-6  # |L| below which 1 - |L| < |S| < 1 + |L| is 1 for every purpose
+CROSSOVER_STEP = 1e-6  # newton step in ln w^2 after which wc is right to its square, 1e-12
 MOST_NEWTON_CROSSOVER = 40
 CLOSE = 2e-4
 """Newton step in ln w after which the value is right to its square, 4e-8, and with the correction to 1e-10."""
 MOST_NEWTON = 12
 BEYOND = 100.0
 """A longer step leaves any bracket: where |S| is all but flat, its exponential would be no number."""
-WORTH = 1.2
-"""Local minima of |1 + L| on the march up to this factor above the least one are refined too."""
-MOST_STEPS = 200
-"""Points on the march before the general method is asked instead."""
+WORTH = 1.2  # local minima of |1 + L| on the march up to this factor above the least one are refined too
+MOST_STEPS = 200  # points on the march before the general method is asked instead
 
 
 def falls_everywhere(loop: OpenLoop) -> bool:
@@ -171,8 +167,7 @@ def _evaluator(loop: OpenLoop) -> Evaluator:
     return at
 
 
-Point = tuple[float, float]
-"""|1 + L| and frequency."""
+Point = tuple[float, float]  # |1 + L| and frequency
 END = (math.inf, math.inf)
 RIGHT_ANGLE, FULL_TURN = math.pi / 2, 2 * math.pi
 
@@ -263,12 +258,10 @@ def _with_derivatives(loop: OpenLoop, w: float) -> tuple[complex, complex, compl
 
 EDGE = 50.0
 """Ms from which its digits say nothing: the loop is at the edge of instability, its gain margin at most some 1.02."""
-PEAKS_LOOKED_AT = 6
-"""How many local peaks of the grid are refined, from the highest down."""
+PEAKS_LOOKED_AT = 6  # how many local peaks of the grid are refined, from the highest down
 ZOOMS, ZOOM_POINTS = 5, 21
 """Refinements of a peak: each cuts its bracket to a tenth, so the value is right to about 1e-10."""
-ZOOM_SHARES = np.linspace(0.0, 1.0, ZOOM_POINTS)
-"""Where the points of a refinement lie in their bracket, in logarithms."""
+ZOOM_SHARES = np.linspace(0.0, 1.0, ZOOM_POINTS)  # where the points of a refinement lie in their bracket, in logarithms
 
 
 @dataclass(frozen=True, slots=True)
@@ -434,8 +427,7 @@ def _phase_margin(loop: OpenLoop, crossings: list[float]) -> tuple[float, float,
 # Ku = 1 / |G(j w180)|,   Pu = 2 pi / w180,   w180 the crossover of phase -180 degrees with the largest |G|
 
 
-JUST_BELOW = 1 - 1e-6
-"""Share of Ku at which the loop must still be stable."""
+JUST_BELOW = 1 - 1e-6  # share of Ku at which the loop must still be stable
 
 
 def ultimate(process: LinearProcess) -> tuple[float, float]:

@@ -18,18 +18,13 @@ import numpy as np
 from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
-PER_DECADE = 200
-"""Frequencies to a decade: Ms is then right to a part in a thousand."""
-SLOWEST, FASTEST = 0.02, 30.0
-"""Frequencies looked at, times the sum of all times, and over the shortest that counts."""
-COUNTS = 0.01
-"""Share of the sum of all times from which a time counts for the fastest frequency."""
+PER_DECADE = 200  # frequencies to a decade: Ms is then right to a part in a thousand
+SLOWEST, FASTEST = 0.02, 30.0  # frequencies looked at, times the sum of all times, and over the shortest that counts
+COUNTS = 0.01  # share of the sum of all times from which a time counts for the fastest frequency
 SHORTEST, LONGEST = 0.02, 4.0
 """Range of tau_I over the sum of all times: from hardly more than an integral to where lags dominate."""
-INTEGRAL_TIMES = 60
-"""Integral times tried: 9 % apart, and the optimum is flat."""
-AS_MUCH = 0.97
-"""Share of the most integral action that counts as the same: of these the longest tau_I swings least."""
+INTEGRAL_TIMES = 60  # integral times tried: 9 % apart, and the optimum is flat
+AS_MUCH = 0.97  # share of the most integral action that counts as the same: of these the longest tau_I swings least
 
 
 def most_integral(process: LinearProcess, ms: float) -> PidGains:

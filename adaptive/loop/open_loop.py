@@ -184,8 +184,7 @@ def open_loop(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> 
 # margins are asked for on line, and scipy.optimize takes longer to load than all of a short command.
 
 
-RELATIVE = 4e-16
-"""Accuracy asked for, relative to the larger end: rounding."""
+RELATIVE = 4e-16  # accuracy asked for, relative to the larger end: rounding
 MOST_STEPS = 120
 
 
@@ -220,20 +219,14 @@ def bracketed_root(f: Callable[[float], float], low: float, high: float, relativ
     return best
 
 
-POINTS_PER_DECADE = 60
-"""Density of the grid; time constants bend |L| and its phase over about a decade."""
-DECADES_BEYOND = 1.5
-"""How far the grid goes beyond the slowest and the fastest corner."""
-BRACKET_STEP = 0.5
-"""Angle in rad by which the dead time turns the phase from one point to the next."""
-DELAY_TURNS = 40
-"""Turns of the dead time for which that holds."""
-RESONANCE_POINTS = 41
-"""Extra points over ten half-widths of a resonance, to either side."""
+POINTS_PER_DECADE = 60  # density of the grid; time constants bend |L| and its phase over about a decade
+DECADES_BEYOND = 1.5  # how far the grid goes beyond the slowest and the fastest corner
+BRACKET_STEP = 0.5  # angle in rad by which the dead time turns the phase from one point to the next
+DELAY_TURNS = 40  # turns of the dead time for which that holds
+RESONANCE_POINTS = 41  # extra points over ten half-widths of a resonance, to either side
 MOST_PHASE_CROSSOVERS = 12
 """Phase crossovers that are worth finding: the dead time makes ever more, with ever smaller |L|."""
-TANGENT = 1e-3
-"""An extreme of ln |L| this close to 0 is looked at for a pair of crossovers between two points."""
+TANGENT = 1e-3  # an extreme of ln |L| this close to 0 is looked at for a pair of crossovers between two points
 
 
 def grid(loop: OpenLoop) -> FloatArray:

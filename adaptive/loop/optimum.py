@@ -21,20 +21,14 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 
-MS_REFERENCE = 1.59
-"""Ms of the reference controllers (that of SIMC with tau_c = theta on a first order process)."""
-GAIN_RATIO = 1.2
-"""Steps in gain on the way down from the limit of stability."""
-GAIN_ACCURACY = 1e-10
-"""Accuracy of ln gain, relative."""
-GAIN_STEPS = 70
-"""Steps at the most: a factor of 3e5."""
-GRID_POINTS = 15
-"""Integral times tried before the search is refined."""
+MS_REFERENCE = 1.59  # Ms of the reference controllers (that of SIMC with tau_c = theta on a first order process)
+GAIN_RATIO = 1.2  # steps in gain on the way down from the limit of stability
+GAIN_ACCURACY = 1e-10  # accuracy of ln gain, relative
+GAIN_STEPS = 70  # steps at the most: a factor of 3e5
+GRID_POINTS = 15  # integral times tried before the search is refined
 CENTRE = 10.0
 """Where the search for PID starts in its own coordinates: its first steps are 5 % of that, half a unit of ln tau."""
-REFINED = 1e-4
-"""Accuracy of ln tau_I; the optima are flat, so the cost is then exact to 1e-7."""
+REFINED = 1e-4  # accuracy of ln tau_I; the optima are flat, so the cost is then exact to 1e-7
 
 
 class Aim(StrEnum):

@@ -31,18 +31,13 @@ from retuner.schedule.late_dataclass import dataclass, replace
 # (powers of the step matrix), so that slow tails cost little however short the dead time is.
 
 
-FIRST_STEPS_LOG2 = 5
-"""2^5 steps are gone through one by one."""
-MOST_DOUBLINGS = 48
-"""Windows at the most: 2^48 steps; a loop that has not settled then never will."""
-SETTLED = 1e-8
-"""Share of the sum that a window may add and still end the search."""
+FIRST_STEPS_LOG2 = 5  # 2^5 steps are gone through one by one
+MOST_DOUBLINGS = 48  # windows at the most: 2^48 steps; a loop that has not settled then never will
+SETTLED = 1e-8  # share of the sum that a window may add and still end the search
 NEGLIGIBLE = 1e-9
 """Share of the sum below which a window is not looked at more closely; rounding makes it useless below."""
-MOST_LOOKS = 6000
-"""Windows looked at before the rest is accepted whole: only rounding asks for so many."""
-AGREES = 0.05
-"""How far Simpson's rule may miss the change over a window that is accepted whole."""
+MOST_LOOKS = 6000  # windows looked at before the rest is accepted whole: only rounding asks for so many
+AGREES = 0.05  # how far Simpson's rule may miss the change over a window that is accepted whole
 
 
 ERROR, OUTPUT = 0, 1

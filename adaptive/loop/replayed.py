@@ -24,10 +24,8 @@ MOST_SAMPLES = 20_000
 """Samples of a replay: of a longer record the newest ones. Thinning would give the controller another interval."""
 MOST_STEPS, FEWEST_MODELS, MOST_MODELS = 120_000, 3, 12
 """Samples over all models that are replayed, and how many models at the least and at the most."""
-GRID_SLACK = 1e-6
-"""Share of an interval by which a time of the grid may miss a sample and still be it."""
-WILD = 100.0
-"""A replay that leaves the record's pv by so many of its ranges runs away, and ends there."""
+GRID_SLACK = 1e-6  # share of an interval by which a time of the grid may miss a sample and still be it
+WILD = 100.0  # A replay that leaves the record's pv by so many of its ranges runs away, and ends there
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,10 +43,8 @@ class SampledLaw:
         return from_sp, from_pv
 
 
-OVERSAMPLED = 4
-"""Points on the circle for each sample."""
-ALIAS = 1e-14
-"""What the first term of the next turn round the circle counts in this one."""
+OVERSAMPLED = 4  # points on the circle for each sample
+ALIAS = 1e-14  # what the first term of the next turn round the circle counts in this one
 BEFORE = 1e-6
 """Share of the largest value that rounding may leave in the last quarter of the turn, which is before the step."""
 

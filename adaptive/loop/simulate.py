@@ -87,16 +87,11 @@ def cut_loop(process: LinearProcess, gains: PidGains, tau_f_s: float, unit_s: fl
     return CutLoop(a, b, r, c, plant.d, u, v - kd * straight, w, m, kd, -kd * straight)
 
 
-NODES = 9
-"""Nodes p in an element."""
-FINE = 33
-"""Points in an element at which signals are looked at."""
-LAYER = 3.0
-"""First element over the fastest time constant; 9 nodes resolve exp(-3 x) to 1e-9."""
-GRADING = 4.0
-"""Ratio of the lengths of neighbouring elements."""
-FASTEST = 1e-5
-"""Time constants below this share of the dead time are not resolved; they hold no area worth counting."""
+NODES = 9  # nodes p in an element
+FINE = 33  # points in an element at which signals are looked at
+LAYER = 3.0  # first element over the fastest time constant; 9 nodes resolve exp(-3 x) to 1e-9
+GRADING = 4.0  # ratio of the lengths of neighbouring elements
+FASTEST = 1e-5  # time constants below this share of the dead time are not resolved; they hold no area worth counting
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,10 +274,8 @@ def plain_steps(loop: CutLoop, setpoint: float, load: float, *, kick: bool) -> P
 # The response of a loop to unit steps of setpoint and load, exact at every point that is drawn.
 
 
-POINTS = 600
-"""Points drawn, about."""
-FINEST = 400
-"""Dead times up to which the response is drawn within each dead time too."""
+POINTS = 600  # points drawn, about
+FINEST = 400  # dead times up to which the response is drawn within each dead time too
 
 
 @dataclass(frozen=True, slots=True)
@@ -354,8 +347,7 @@ def _sampled(
 # Phi, G0, G1 from the matrix exponential; theta = (d - 1) dt + theta', 0 < theta' <= dt, so the delayed input changes
 # once within the sample, theta' after its start (Astrom & Wittenmark, Computer-Controlled Systems, section 2.3).
 
-ROUNDING = 1e-9
-"""Share of a sample by which a dead time may miss a whole number of samples and still count as whole."""
+ROUNDING = 1e-9  # share of a sample by which a dead time may miss a whole number of samples and still count as whole
 
 
 class HeldMatrices(NamedTuple):

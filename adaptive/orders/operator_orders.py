@@ -251,8 +251,7 @@ def set_mode(retuner: Retuner, region: int | None, mode: Mode) -> Decision | Non
 # guard with its limits per change, the mode of the region, and the trial. Foxboro EXACT's pretune did the same by hand:
 # bump, response, settings (TI 039-200, 1995).
 
-WORDS = "pretune, from a commanded step of co"
-"""How its reasons begin."""
+WORDS = "pretune, from a commanded step of co"  # how its reasons begin
 
 
 def pretune(retuner: Retuner, region: int, window: Window) -> Decision:

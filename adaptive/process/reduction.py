@@ -41,8 +41,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 # k' T0 and k' 5 theta/((5 theta - T0) s + 1).
 
 
-CLOSE = 1.6
-"""A smaller lag is close to a lead within this ratio (Skogestad 2003)."""
+CLOSE = 1.6  # A smaller lag is close to a lead within this ratio (Skogestad 2003)
 WITHIN = 5.0
 """Lags beyond this many dead times look like integrators to the closed loop (Skogestad 2003, rules T2 and T3)."""
 ROUNDING = 1e-3
@@ -110,10 +109,8 @@ def _t1(lead_s: float, lag_s: float, theta_s: float) -> str:
 
 SMALLEST_DAMPING = 0.5
 """Pairs of poles with less damping (a step overshoots by more than 16 %) are not reduced; dimensionless."""
-ITERATIONS = 100
-"""Far more than the effective dead time needs: it moves between the few levels that the rules have."""
-SETTLED = 1e-12
-"""Relative change of the effective dead time below which it agrees with itself."""
+ITERATIONS = 100  # far more than the effective dead time needs: it moves between the few levels that the rules have
+SETTLED = 1e-12  # relative change of the effective dead time below which it agrees with itself
 
 
 class Leads(StrEnum):

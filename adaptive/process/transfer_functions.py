@@ -19,8 +19,7 @@ AT_ORIGIN = 1e-9
 """Roots smaller than this share of the largest are at the origin: single precision resolves 1e-7 of a coefficient."""
 REAL_DAMPING = 0.99
 """Zeros of more damping are taken as two real ones: the ring that a double zero's rounding makes of it."""
-UNSTABLE = 1e-6
-"""A pole this share of its size to the right of the imaginary axis is unstable, not rounded."""
+UNSTABLE = 1e-6  # A pole this share of its size to the right of the imaginary axis is unstable, not rounded
 
 Roots = Sequence[complex] | npt.NDArray[np.complex128] | npt.NDArray[np.float64]
 

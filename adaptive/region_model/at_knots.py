@@ -32,8 +32,7 @@ from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.regions import Regions
 
-Step = tuple[FloatArray, FloatArray]
-"""Step of the logarithms from the records to the knot, and its covariance."""
+Step = tuple[FloatArray, FloatArray]  # step of the logarithms from the records to the knot, and its covariance
 
 
 def at_knots(

@@ -17,8 +17,7 @@ from retuner.schedule.late_dataclass import dataclass
 TOO_SURE = 2.0
 """What a record says of s is off by so many times what it claims: the curves over pv have few bends. Looked at while
 this was built: 65 records of tours of a tank and a drive (seeds 77, 79); the worst was off by 2.9 times its claim."""
-MOST_LOG = 500.0
-"""Logarithm of a Bayes factor beyond which it is certainty."""
+MOST_LOG = 500.0  # logarithm of a Bayes factor beyond which it is certainty
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,14 +36,11 @@ from retuner.schedule.table import GainTable, Lookup
 #
 #     P(in spec) = Phi((high - ln Kc)/s) - Phi((low - ln Kc)/s)
 
-MS_END = 2.1
-"""Largest Ms where a set ends, the guard's own limit at a boundary (guard/guard_settings.py)."""
+MS_END = 2.1  # largest Ms where a set ends, the guard's own limit at a boundary (guard/guard_settings.py)
 OVER_OWN = 1.03
 """Times the Ms of a place's own settings that a set may have there, where these are over the limit themselves."""
-KC_TRIED = 25
-"""Gains that are tried of each shape."""
-WIDEST = math.log(8.0)
-"""Widest interval in which a gain keeps its limits, either way from the place's own."""
+KC_TRIED = 25  # gains that are tried of each shape
+WIDEST = math.log(8.0)  # widest interval in which a gain keeps its limits, either way from the place's own
 BISECTIONS = 12
 J_BISECTIONS = 6
 
@@ -156,18 +153,12 @@ def _of_shape(spots: Sequence[Spot], tau_i_s: float) -> Best:
     return Best(PidGains(kc, kc / tau_i_s, 0.0), kept[at])
 
 
-PLACES = 5
-"""Places of a region, from end to end; those between the ends are where a boundary is tried."""
-LEAST_RECORDS = 3
-"""Records that every region must have."""
-LEAST_KNOWN = 3
-"""Places of a region that must be known; the others demand nothing."""
-TOO_WIDE = 0.6
-"""Share of a region's places that its best set must serve, or the region is too wide."""
-WORTH = 0.15
-"""Share of a region's places by which another schedule must serve more of them, in expectation."""
-CALMER = (1.0, 0.92, 0.85)
-"""Factors on the sets of an interpolation: a mean of two sets may be too much between them."""
+PLACES = 5  # places of a region, from end to end; those between the ends are where a boundary is tried
+LEAST_RECORDS = 3  # records that every region must have
+LEAST_KNOWN = 3  # places of a region that must be known; the others demand nothing
+TOO_WIDE = 0.6  # share of a region's places that its best set must serve, or the region is too wide
+WORTH = 0.15  # share of a region's places by which another schedule must serve more of them, in expectation
+CALMER = (1.0, 0.92, 0.85)  # factors on the sets of an interpolation: a mean of two sets may be too much between them
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,10 +25,8 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.regions import Regions
 
-Place = tuple[float, ...]
-"""A value on each axis of the table."""
-OPEN = 0.2
-"""Share that bent curves keep at least: equal regions do not prove that there is nothing between them."""
+Place = tuple[float, ...]  # A value on each axis of the table
+OPEN = 0.2  # share that bent curves keep at least: equal regions do not prove that there is nothing between them
 
 
 @dataclass(frozen=True, slots=True)

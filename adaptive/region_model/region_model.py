@@ -12,8 +12,7 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.schedule.late_dataclass import dataclass, field
 
-POINTS = 12
-"""Records, the last ones, that are remembered by what they said alone."""
+POINTS = 12  # Records, the last ones, that are remembered by what they said alone
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,11 @@ from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 
 WELL_KNOWN = 0.15
 """Standard deviation of ln |C| and of ln ki from which nothing more is asked: settings of that size off are in spec."""
-MOST_SEQUENCES = 6
-"""Sequences that are kept: a process is hardly the same for longer."""
+MOST_SEQUENCES = 6  # sequences that are kept: a process is hardly the same for longer
 ANOTHER_PROCESS = 16.0
 """What all may leave of the newest beyond what it leaves by itself, sum of squares in standard deviations:
 four parameters at four of them."""
-ODD_ONES = 2
-"""Sequences one after the other with which what was known does not agree: then they are what is known."""
+ODD_ONES = 2  # sequences one after the other with which what was known does not agree: then they are what is known
 
 
 def update_by_sequences(

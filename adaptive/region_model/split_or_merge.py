@@ -172,8 +172,7 @@ class _Side:
     left: float
 
 
-_Weighted = tuple[FloatArray, FloatArray]
-"""z of a record, and its weight matrix."""
+_Weighted = tuple[FloatArray, FloatArray]  # z of a record, and its weight matrix
 
 
 def _side(points: Sequence[_Weighted]) -> _Side:

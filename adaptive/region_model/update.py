@@ -59,14 +59,10 @@ from retuner.schedule.late_dataclass import dataclass, replace
 # would outweigh all that was seen at rest. Between two records stands a gap in time, after which the fit has a state
 # and a load of its own (fit/misfit.py).
 
-MOST_RECORDS = 3
-"""Records that are fitted as one; what is known goes on from there as a mean that follows the process."""
-MOST_SAMPLES = 750
-"""A record is kept in no more samples."""
-GAP_SAMPLES = 6
-"""Sampling intervals that stand between two records: a gap to the fit."""
-END_SAMPLES = 5
-"""Where a record ends and the next one begins is the median of so many."""
+MOST_RECORDS = 3  # records that are fitted as one; what is known goes on from there as a mean that follows the process
+MOST_SAMPLES = 750  # A record is kept in no more samples
+GAP_SAMPLES = 6  # sampling intervals that stand between two records: a gap to the fit
+END_SAMPLES = 5  # where a record ends and the next one begins is the median of so many
 LEAST_SAMPLES = 30
 """A record of which fewer are left at the interval of the slowest says too little to be fitted with it."""
 

@@ -38,13 +38,11 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, replace
 
-MOST_ROWS = 300
-"""Rows of the record in the fit; longer ones are condensed."""
+MOST_ROWS = 300  # rows of the record in the fit; longer ones are condensed
 ITERATIONS = 15
 BESIDE = 2.0
 """Dead times from a setpoint step within which no load step is believed."""
-SECOND_LAG = 0.35
-"""Share of theta with which a second lag starts."""
+SECOND_LAG = 0.35  # share of theta with which a second lag starts
 
 
 @dataclass(frozen=True, slots=True)

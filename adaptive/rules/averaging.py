@@ -17,8 +17,7 @@ from retuner.adaptive.rules.rule import ControllerKind, Rule, Tuning, Wishes, tu
 PI = ControllerKind.PI
 PEAK = 2.0 / math.e
 """Largest level times Kc, over the step of flow that moves it."""
-SLOW_ENOUGH = 8.0
-"""1/(k' Kc) over the dead time from which a dead time hardly moves the peak: by a tenth."""
+SLOW_ENOUGH = 8.0  # 1/(k' Kc) over the dead time from which a dead time hardly moves the peak: by a tenth
 
 
 def averaging(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | None = None) -> Tuning:

@@ -23,8 +23,7 @@ from retuner.adaptive.rules.rule import (
 PI, PID = ControllerKind.PI, ControllerKind.PID
 LAMBDA_PER_TAU = 3.0
 """Default lambda over tau for a self-regulating process, the calmer end of the slides' 2 to 3."""
-LAMBDA_PER_DEAD_TIME = 3.0
-"""Default lambda over dead time for an integrating process, which has no tau."""
+LAMBDA_PER_DEAD_TIME = 3.0  # default lambda over dead time for an integrating process, which has no tau
 
 
 def lambda_tuning(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | None = None) -> Tuning:
@@ -90,8 +89,7 @@ LAMBDA_RULES = (
 PI, PID = ControllerKind.PI, ControllerKind.PID
 LAMBDA_PER_THETA = {PI: 1.7, PID: 0.8}
 """Smallest lambda over theta that the source recommends; the default."""
-IMC_LAMBDA_PER_TAU = 0.2
-"""Smallest lambda over tau that the source recommends."""
+IMC_LAMBDA_PER_TAU = 0.2  # smallest lambda over tau that the source recommends
 
 
 def _lambda(model: ProcessModel, kind: ControllerKind, wishes: Wishes | None) -> float:

@@ -13,8 +13,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 MODULES = (simc_family, averaging, optimal, lambda_imc, classic, ziegler_nichols)
 RULES: dict[str, Rule] = {rule.name: rule for module in MODULES for rule in module.RULES}
 """Every rule by its name."""
-ALIASES = {"itae": "itae-load", "zn-quarter-decay": "quarter-decay"}
-"""Other names that people try."""
+ALIASES = {"itae": "itae-load", "zn-quarter-decay": "quarter-decay"}  # other names that people try
 
 
 def rule_named(name: str) -> Rule:

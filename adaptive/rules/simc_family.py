@@ -33,13 +33,10 @@ from retuner.schedule.gains import PidGains
 
 # ---- The closed-loop time constant tau_c of a SIMC rule from what is wanted of the loop
 
-BISECTIONS = 45
-"""Halvings of the range of ln tau_c: to 1e-12."""
-SLOWEST = 1e4
-"""Largest tau_c tried, in units of the process' own slowest time; beyond it the loop does nothing."""
+BISECTIONS = 45  # halvings of the range of ln tau_c: to 1e-12
+SLOWEST = 1e4  # largest tau_c tried, in units of the process' own slowest time; beyond it the loop does nothing
 
-TauCRule = Callable[[float], Tuning]
-"""SIMC settings at a given tau_c in seconds."""
+TauCRule = Callable[[float], Tuning]  # SIMC settings at a given tau_c in seconds
 
 
 def tau_c_for_ms(rule: TauCRule, process: LinearProcess, ms: float) -> Tuning:

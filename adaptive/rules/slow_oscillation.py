@@ -14,10 +14,8 @@ import math
 
 from retuner.schedule.late_dataclass import dataclass
 
-FACTOR = 0.1
-"""The printed coefficient; 1/pi^2 = 0.1013 by derivation."""
-SHORTEST_PERIOD = 3.0
-"""Smallest P0/tau_I for which the rule holds: f is 0.9 there, so it asks for nothing anyway."""
+FACTOR = 0.1  # the printed coefficient; 1/pi^2 = 0.1013 by derivation
+SHORTEST_PERIOD = 3.0  # smallest P0/tau_I for which the rule holds: f is 0.9 there, so it asks for nothing anyway
 
 
 @dataclass(frozen=True, slots=True)

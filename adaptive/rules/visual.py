@@ -15,8 +15,7 @@ from enum import StrEnum
 
 from retuner.schedule.gains import PidGains
 
-HALF_PERIOD, PERIOD = 0.5, 1.0
-"""Limits of tau_I over the oscillation period."""
+HALF_PERIOD, PERIOD = 0.5, 1.0  # limits of tau_I over the oscillation period
 POLLS_PER_TIME_CONSTANT = 10.0
 FILTER_SHARE = 0.2
 

@@ -17,10 +17,8 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.table import Lookup
 
-CALMER = (1.0, 0.92, 0.85)
-"""Factors on a place's own gains that are tried as well: a calmer set may serve more places."""
-LEAST_PART = 0.001
-"""Share of the way from the first knot to the last within which two edges are one."""
+CALMER = (1.0, 0.92, 0.85)  # factors on a place's own gains that are tried as well: a calmer set may serve more places
+LEAST_PART = 0.001  # share of the way from the first knot to the last within which two edges are one
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +101,9 @@ def times(gains: PidGains, factor: float) -> PidGains:
     return PidGains(gains.kp * factor, gains.ki * factor, gains.kd * factor)
 
 
-KEPT = 6
-"""Ways to one knot that are followed further, those that leave the edges most room."""
+KEPT = 6  # ways to one knot that are followed further, those that leave the edges most room
 
-Knot = tuple[int, PidGains]
-"""A place's index, and its set."""
+Knot = tuple[int, PidGains]  # A place's index, and its set
 
 
 def knots_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
@@ -136,8 +132,7 @@ def _row(places: Sequence[Place], factor: float, limits: DesignLimits) -> list[K
     return [(i, gains) for i, gains in found if places[i].keeps(gains, limits)]
 
 
-NEARER = 4
-"""Places short of the farthest that are tried as well: edges must fit between knots."""
+NEARER = 4  # places short of the farthest that are tried as well: edges must fit between knots
 
 
 def _within_reach(places: Sequence[Place], end: Knot, row: Sequence[Knot], limits: DesignLimits) -> list[Knot]:
@@ -189,8 +184,7 @@ def _room(centres: Sequence[float]) -> tuple[float, float] | None:
     return (low, high) if high - low >= LEAST_PART * (centres[-1] - centres[0]) else None
 
 
-EDGES_TRIED = 39
-"""Places of the lowest edge that are tried: that counts with which the outer edges stand out least."""
+EDGES_TRIED = 39  # places of the lowest edge that are tried: that counts with which the outer edges stand out least
 
 
 def _edges(centres: Sequence[float], lowest: float) -> list[float]:

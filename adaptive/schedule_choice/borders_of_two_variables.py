@@ -17,8 +17,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.table import Lookup
 
-COUNT = 7
-"""Places along each of two variables that are looked at."""
+COUNT = 7  # places along each of two variables that are looked at
 KNOTS: tuple[tuple[int, ...], ...] = ((3,), (0, 6), (1, 5), (0, 3, 6), (1, 3, 5), (0, 2, 4, 6))
 """Places out of COUNT that may be knots: at even distances, so that they are the middles of their parts."""
 

@@ -33,17 +33,14 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import Lookup
 
-PLACES = 25
-"""Places along the variable that are looked at."""
+PLACES = 25  # places along the variable that are looked at
 MOST_SETS = 16
 SLOWER = (1.4, 1.6, 2.0)
 """Limits of J that are tried in turn where more than MOST_SETS would be needed."""
 LOADS_A_STRETCH = 1.5
 """Load steps that a stretch may have in the mean; right fits of benchmarks/schedules need up to 0.8, wrong ones 2."""
-BEYOND = 0.1
-"""Share of what the records visit by which a place may lie outside of it and still count as known."""
-LEAST_TRAVEL = 10.0
-"""A variable that moves by no more than so many standard deviations of its noise is none."""
+BEYOND = 0.1  # share of what the records visit by which a place may lie outside of it and still count as known
+LEAST_TRAVEL = 10.0  # A variable that moves by no more than so many standard deviations of its noise is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +154,7 @@ def _able(
     return able
 
 
-MOST_PAIRS = 3
-"""Variables that are tried beside the one for which most speaks."""
+MOST_PAIRS = 3  # variables that are tried beside the one for which most speaks
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,8 +315,7 @@ SMALL_LOAD = 0.03
 
 DIFFERS = 0.5
 """Standard deviation of ln p between stretches from which no curve over the variable serves: a factor of 1.6."""
-ASKS = 0.25
-"""Share from which another variable is tried beside the first."""
+ASKS = 0.25  # share from which another variable is tried beside the first
 TOLD_OF = ("slope gain", "dead time", "lag", "second lag")
 
 
@@ -336,8 +331,7 @@ def _differs(found: Curves) -> str:
     )
 
 
-LEAST_KNOWN = 0.5
-"""Share of the visited places that must be known: fewer say nothing of a schedule over the variable."""
+LEAST_KNOWN = 0.5  # share of the visited places that must be known: fewer say nothing of a schedule over the variable
 
 
 def _hardly_known(places: Sequence[Place], visited: Sequence[bool]) -> str:
@@ -457,19 +451,15 @@ def _step(
 
 # ---- Where the next experiment teaches most: the place whose gain is known least, and a step that shows it there
 
-OVER_NOISE = 20.0
-"""Size of the answer over the noise of pv."""
-LEAST_SHARE = 0.03
-"""Least size of the answer as a share of what pv travels in the records."""
+OVER_NOISE = 20.0  # size of the answer over the noise of pv
+LEAST_SHARE = 0.03  # least size of the answer as a share of what pv travels in the records
 LAGS, DEAD_TIMES = 3.0, 10.0
 """How long the step is held: theta and so many lags, at most so many dead times more (a slow rise shows the slope)."""
 
 
-CO_SHARE = 0.8
-"""Share of the room that co has at a place which a step may use; the rest is left to loads."""
+CO_SHARE = 0.8  # share of the room that co has at a place which a step may use; the rest is left to loads
 
-Range = tuple[float | None, float | None]
-"""Lower and upper limit, each where it is known."""
+Range = tuple[float | None, float | None]  # lower and upper limit, each where it is known
 
 
 @dataclass(frozen=True, slots=True)

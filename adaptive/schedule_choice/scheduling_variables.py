@@ -26,10 +26,8 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-ROWS = 400
-"""Rows wanted in a typical stretch."""
-OWN = ("sp", "pv", "co")
-"""Signals of the loop itself; another variable may move pv on its own."""
+ROWS = 400  # rows wanted in a typical stretch
+OWN = ("sp", "pv", "co")  # signals of the loop itself; another variable may move pv on its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +54,8 @@ class SchedulingVariable:
         return max(0.0 if np.mean(np.diff(v) == 0) > 0.5 else noise_sigma(v) for v in self.values)
 
 
-FOLLOWS = 0.95
-"""Share of a variable's variance that a lag of sp, pv or co explains where it follows the loop."""
-LAGS = 12
-"""Lags that are tried, from a sample to a tenth of the record."""
+FOLLOWS = 0.95  # share of a variable's variance that a lag of sp, pv or co explains where it follows the loop
+LAGS = 12  # lags that are tried, from a sample to a tenth of the record
 
 
 def follows_loop(windows: Sequence[Window], values: Sequence[FloatArray]) -> bool:
@@ -102,8 +98,7 @@ def axis_of(candidate: SchedulingVariable, span: tuple[float | None, float | Non
     return CurveAxis(low, high)
 
 
-LEAST_RATIO = 2.0
-"""High over low of a variable from outside from which its ratios are tried as its steps."""
+LEAST_RATIO = 2.0  # high over low of a variable from outside from which its ratios are tried as its steps
 
 
 def curves_along(windows: Sequence[Window], candidate: SchedulingVariable, axis: CurveAxis, told: Progress) -> Curves:
@@ -191,21 +186,17 @@ def stretches_of(
 # own gains, looked up without delay, for comparison. The controller is
 # the parallel PI in increments, co' = kp e' + ki e: what a bumpless change of gains does.
 
-STEPS_IN_THETA = 6
-"""Simulated steps in the shortest dead time."""
+STEPS_IN_THETA = 6  # simulated steps in the shortest dead time
 MOST_STEPS = 6000
 SETTLING = 8.0
 """Length of a crossing in the longest tau_I + theta."""
-LEAST_SHARE, MOST_SHARE = 0.25, 0.9
-"""Shares of the range that are stepped over, at the least and at the most."""
-STARTS = 3
-"""Places from which it is stepped, each way."""
+LEAST_SHARE, MOST_SHARE = 0.25, 0.9  # shares of the range that are stepped over, at the least and at the most
+STARTS = 3  # places from which it is stepped, each way
 WORSE = 1.25
 """IAE of a crossing over that with every place's own gains, from which the schedule is told to be worse in motion."""
 GRID = 201
 
-Lookup = Callable[[float, float], PidGains]
-"""Gains in force at a setpoint and a pv."""
+Lookup = Callable[[float, float], PidGains]  # gains in force at a setpoint and a pv
 
 
 @dataclass(frozen=True, slots=True)

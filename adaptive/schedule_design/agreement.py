@@ -22,8 +22,7 @@ from retuner.adaptive.schedule_design.record_stretches import LEVEL_STD
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
-DIFFERENCES = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
-"""Standard deviations of ln p between stretches that are tried."""
+DIFFERENCES = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)  # standard deviations of ln p between stretches that are tried
 VARIANCE_ROUNDS = 3
 
 

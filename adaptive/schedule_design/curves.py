@@ -39,13 +39,10 @@ from retuner.adaptive.schedule_design.weighing import SHAPES, SIMPLER, weighed
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
 
-FIRST_ORDER = 3
-"""Parameters of a process without a second lag."""
-SECOND_LAG = 0.35
-"""Share of theta with which a second lag starts."""
+FIRST_ORDER = 3  # parameters of a process without a second lag
+SECOND_LAG = 0.35  # share of theta with which a second lag starts
 
-Progress = Callable[[str, float], None]
-"""Told what is being done, and the share that is done."""
+Progress = Callable[[str, float], None]  # told what is being done, and the share that is done
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,8 +222,7 @@ def _with_second_lag(form: CurveForm, z: FloatArray) -> tuple[CurveForm, FloatAr
     return replace(form, shapes=(*form.shapes, CurveShape.CONSTANT), centre=centre, second=second), np.append(less, 0.0)
 
 
-LOAD_PRICE = 6.0
-"""Nats that a load step costs: its size, and its time among those in which it might have stood."""
+LOAD_PRICE = 6.0  # nats that a load step costs: its size, and its time among those in which it might have stood
 
 
 def _innovations(fit: Fit) -> float:

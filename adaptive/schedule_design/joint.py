@@ -19,13 +19,11 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
 
-STEP = 1e-4
-"""Step of z for derivatives."""
+STEP = 1e-4  # step of z for derivatives
 LIMITS = Limits(30, 12, 0.02, damping=1e-3, least=1e-9, in_all=30)
 LARGEST_MOVE = 0.7
 """Largest change of any ln p in one iteration."""
-WIDTH = 48
-"""Stretches simulated side by side."""
+WIDTH = 48  # stretches simulated side by side
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,10 +361,8 @@ def _lags(x: FloatArray, most: int) -> FloatArray:
 
 # ---- Where to start: one process for all stretches, over a grid of lag and dead time; and load steps, one by one
 
-NODES = 10
-"""Lags and dead times each."""
-MOST_STRETCHES = 40
-"""Stretches that are searched, those that move most; the refinement uses all."""
+NODES = 10  # lags and dead times each
+MOST_STRETCHES = 40  # stretches that are searched, those that move most; the refinement uses all
 WHITENINGS: tuple[tuple[float, ...], ...] = ((), (0.97,))
 """Whitenings of the search: as measurement noise, and nearly differenced, in which slow loads weigh little. Noise
 beside a controller must not be differenced: its output answers the noise at once, as if there were no dead time."""
@@ -435,12 +431,9 @@ def _node(batch: Batch, moved: FloatArray, beside: FloatArray, ar: Sequence[floa
     return float(yy - xy * slope), slope
 
 
-COARSE = 6
-"""Every so many rows a load step is tried, then every row near the best."""
-MOST_LOADS = 4
-"""Load steps in a stretch."""
-LOAD_STEP_PRICE = 12.0
-"""Fall of the misfit, beyond 2 ln n, that a load step must bring."""
+COARSE = 6  # every so many rows a load step is tried, then every row near the best
+MOST_LOADS = 4  # load steps in a stretch
+LOAD_STEP_PRICE = 12.0  # fall of the misfit, beyond 2 ln n, that a load step must bring
 
 
 def with_loads(joint: Joint, form: CurveForm, now: At, noise: Noise) -> Joint:

@@ -159,8 +159,7 @@ def _lagged(tau2: FloatArray, held: FloatArray, h: FloatArray) -> FloatArray:
     return np.asarray(held + (v - held) * (tau2 / h * (1 - decay)), dtype=np.float64)
 
 
-BLOCK = 32
-"""Rows that are gone through at a time."""
+BLOCK = 32  # rows that are gone through at a time
 LEAST_DECAY = 1e-8
 """What has decayed further than this within a row counts as that: products over a block stay far from zero."""
 

@@ -18,14 +18,11 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
-OUT = 2.0
-"""Standard deviations out at which a model is still allowed."""
-LEAST_STD = 0.02
-"""Least standard deviation of every ln p: no curve is known better than that."""
+OUT = 2.0  # standard deviations out at which a model is still allowed
+LEAST_STD = 0.02  # least standard deviation of every ln p: no curve is known better than that
 MOST_MS = 2.2
 """Largest Ms of a place's own settings on any allowed model: above it they are none, whatever the spread says."""
-SECOND_LAG = 3
-"""Place of ln tau2 among ln b, ln theta, ln tau, ln tau2."""
+SECOND_LAG = 3  # place of ln tau2 among ln b, ln theta, ln tau, ln tau2
 LONGEST_LAG = 30.0
 """A lag of so many dead times and more is as good as an integrator; longer ones are cut there, the slope gain kept."""
 
@@ -129,8 +126,7 @@ class Place:
         return Judged(ms, worst, 0.5 * (setpoint / self.iae[0] + load / self.iae[1]))
 
 
-ROUNDED = 0.03
-"""Steps of ln of a gain in which J is looked up in a search; a step changes J by about as much."""
+ROUNDED = 0.03  # steps of ln of a gain in which J is looked up in a search; a step changes J by about as much
 
 
 def _rounded(gain: float) -> float:

@@ -15,16 +15,12 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass
 
-MOST_ROWS = 400
-"""Rows of a stretch at the most; longer ones are cut."""
-FEWEST_ROWS = 24
-"""A shorter stretch shows no dynamics beside its start."""
-LEAD_ROWS = 4
-"""Rows of a stretch before its setpoint change: they tell its start."""
+MOST_ROWS = 400  # rows of a stretch at the most; longer ones are cut
+FEWEST_ROWS = 24  # A shorter stretch shows no dynamics beside its start
+LEAD_ROWS = 4  # rows of a stretch before its setpoint change: they tell its start
 CHANGED = 3.0
 """A setpoint has changed when it moves by so many standard deviations of its noise, and by a hundredth of its range."""
-SMOOTHED_ROWS = 5
-"""The scheduling variable is averaged over so many rows: it only says where the loop is."""
+SMOOTHED_ROWS = 5  # the scheduling variable is averaged over so many rows: it only says where the loop is
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,10 +151,8 @@ def cut(signals: Signals) -> list[Stretch]:
     return [stretch for stretch in found if len(stretch) >= FEWEST_ROWS]
 
 
-BLOCKS = 8
-"""Parts of a stretch whose means are compared."""
-BEYOND_NOISE = 3.0
-"""Standard deviations of such a mean by noise alone, from which pv is seen to move."""
+BLOCKS = 8  # parts of a stretch whose means are compared
+BEYOND_NOISE = 3.0  # standard deviations of such a mean by noise alone, from which pv is seen to move
 
 
 def tells(stretch: Stretch) -> bool:
@@ -173,8 +167,7 @@ def moving(stretches: Sequence[Stretch]) -> list[Stretch]:
     return [s for s in stretches if np.ptp(s.pv) > 0 and np.ptp(np.diff(s.fired(s.t_s))) > 0]
 
 
-GAP = 10.0
-"""Sampling intervals without a sample that are a gap in the record: nothing is known of co in it."""
+GAP = 10.0  # sampling intervals without a sample that are a gap in the record: nothing is known of co in it
 
 
 def without_gaps(window: Window, values: FloatArray) -> list[tuple[Window, FloatArray]]:
@@ -196,8 +189,7 @@ def without_gaps(window: Window, values: FloatArray) -> list[tuple[Window, Float
 
 LEVEL_STD, SLOPE_STD, BEND_STD = 3.0, 0.7, 0.35
 """Spread of ln p: whole level; either end against the middle (a factor of 4 over the range is one); a bend."""
-BENDS = 6
-"""Principal components of a bend."""
+BENDS = 6  # principal components of a bend
 KNOTS = 13
 
 
@@ -286,10 +278,8 @@ _BENT = _bends()
 # place (Hammerstein model; Narendra and Gallman 1966). At rest the two are one: the gain at a place is that of the
 # co which holds it.
 
-GRID = 101
-"""Values of co at which phi is worked out; a straight line between."""
-LEAST_TRAVEL = 1e-6
-"""Travel of co, as a share of its size, below which it has no characteristic."""
+GRID = 101  # values of co at which phi is worked out; a straight line between
+LEAST_TRAVEL = 1e-6  # travel of co, as a share of its size, below which it has no characteristic
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,7 @@ from retuner.adaptive.schedule_design.record_stretches import LEAD_ROWS, Stretch
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
-END = 4
-"""The last one in so many rows of a stretch is its end."""
+END = 4  # the last one in so many rows of a stretch is its end
 MOST_ORDER = 3
 FOR_EACH = 3
 """Stretches for each further power."""

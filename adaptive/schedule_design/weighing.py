@@ -56,8 +56,7 @@ def weighed(form: CurveForm, told: CurvesAgreement) -> Weighed:
     )
 
 
-FOLLOWED = 12.0
-"""Nats below the best so far within which shapes are followed further: rarer ones weigh nothing."""
+FOLLOWED = 12.0  # nats below the best so far within which shapes are followed further: rarer ones weigh nothing
 
 
 def _ranked(
@@ -122,8 +121,7 @@ def _covariance(
     return total / weights
 
 
-LEAST_WEIGHT = 1e-4
-"""Share of the likeliest shape's weight below which shapes say nothing."""
+LEAST_WEIGHT = 1e-4  # share of the likeliest shape's weight below which shapes say nothing
 
 
 def _solved(kept: list[int], told: CurvesAgreement) -> tuple[FloatArray, FloatArray]:

@@ -27,14 +27,10 @@ from retuner.schedule.late_dataclass import dataclass
 SECONDS_PER_HOUR = 3600.0
 SAME = 0.05
 """Share of a bump within which a setpoint is the one that was asked for: devices round."""
-SENT_AGAIN_SAMPLES = 10
-"""Samples after which a setpoint that has not come back is sent once more."""
-NOT_TAKEN_SAMPLES = 40
-"""Samples after which a bump that was not taken is given up."""
-SHORTEST_SAMPLES = 20
-"""Samples for which a bump is held at least, or its response would not have begun."""
-CALM = 0.5
-"""Share of a bump by which pv may be off the setpoint when it begins."""
+SENT_AGAIN_SAMPLES = 10  # samples after which a setpoint that has not come back is sent once more
+NOT_TAKEN_SAMPLES = 40  # samples after which a bump that was not taken is given up
+SHORTEST_SAMPLES = 20  # samples for which a bump is held at least, or its response would not have begun
+CALM = 0.5  # share of a bump by which pv may be off the setpoint when it begins
 RESTLESS = 0.02
 """Share of the samples outside the noise band, since the last evidence, from which loads move a loop all the time."""
 STAYS_SAMPLES = 5
@@ -45,10 +41,8 @@ HOLDS = (5.0, 1.2, 2.4, 0.6, 3.5, 1.8, 0.9, 5.0, 1.2, 3.0, 0.6, 2.4, 1.2, 1.8)
 Long and short ones in turn show slow and fast parts of the process. By the Cramer-Rao bound 86 % of loops under a walk
 and 67 % under coloured loads can be known after six such bumps, 73 and 56 % by five even holds in the same time
 (100 loops each; 42 and 30 % by one step)."""
-RESET_SHARE = 0.1
-"""Share of the integral time: a loop is hardly faster than that, whatever a load makes of the error."""
-MOST_SAMPLES = 2000
-"""Samples of a bump in all; as many before it are to be kept beside it."""
+RESET_SHARE = 0.1  # share of the integral time: a loop is hardly faster than that, whatever a load makes of the error
+MOST_SAMPLES = 2000  # samples of a bump in all; as many before it are to be kept beside it
 
 
 class BumpPhase(StrEnum):

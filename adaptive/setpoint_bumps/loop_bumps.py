@@ -12,14 +12,10 @@ from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
 
-BUMPS_TO_BORDER = 2.0
-"""Bumps between the setpoint and a border of the region or the end of pv's range: it overshoots."""
-ONCE = 1
-"""Records after which a region has shown its process only once: a second one is to agree."""
-WRITES = frozenset({Mode.TRIAL, Mode.AUTO})
-"""Modes in which retuner may write by itself, so a setpoint as well."""
-TO_THE_SETPOINT = frozenset({"sp", "pv"})
-"""Scheduling variables that a bump moves."""
+BUMPS_TO_BORDER = 2.0  # bumps between the setpoint and a border of the region or the end of pv's range: it overshoots
+ONCE = 1  # records after which a region has shown its process only once: a second one is to agree
+WRITES = frozenset({Mode.TRIAL, Mode.AUTO})  # modes in which retuner may write by itself, so a setpoint as well
+TO_THE_SETPOINT = frozenset({"sp", "pv"})  # scheduling variables that a bump moves
 
 
 def hour_of_samples(t_s: float) -> float:

@@ -20,14 +20,10 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 SPAN = 60.0
 """Length of a response over the inverse of the gain crossover: some nine swings of a loop that all but swings."""
-POINTS = 800
-"""Steps; one is 0.075 over the gain crossover, so 2 degrees of phase there."""
-GRID = 241
-"""Frequencies at which the gain crossover is looked for, over eight decades round the loop's own times."""
-LIMIT = 1e12
-"""Where u stops growing: only so that the numbers of a loop that runs away stay finite."""
-LEAST_LAG = 0.05
-"""A process without states gets a lag of this share of its dead time."""
+POINTS = 800  # Steps; one is 0.075 over the gain crossover, so 2 degrees of phase there
+GRID = 241  # frequencies at which the gain crossover is looked for, over eight decades round the loop's own times
+LIMIT = 1e12  # where u stops growing: only so that the numbers of a loop that runs away stay finite
+LEAST_LAG = 0.05  # A process without states gets a lag of this share of its dead time
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,5 +181,4 @@ def _exponentials(a: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-NORM, TERMS = 0.5, 14
-"""The series is taken up to this norm, with so many terms: what is left is below the last digit."""
+NORM, TERMS = 0.5, 14  # the series is taken up to this norm, with so many terms: what is left is below the last digit

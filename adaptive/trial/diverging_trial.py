@@ -27,14 +27,10 @@ from retuner.adaptive.trial.phase import TrialEvent
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.trial_settings import TrialSettings
 
-SEEN_BANDS = 2.0
-"""A half wave counts from this many noise bands."""
-MOVED = 0.25
-"""A setpoint change below this share of the swing under way does not make a half wave of it."""
-MOST_GROWTH = 2.0
-"""Growth per half wave from which a loop runs away whatever was before."""
-TWICE = 2
-"""Growing half waves after the first that make the trial a diverging one."""
+SEEN_BANDS = 2.0  # A half wave counts from this many noise bands
+MOVED = 0.25  # A setpoint change below this share of the swing under way does not make a half wave of it
+MOST_GROWTH = 2.0  # growth per half wave from which a loop runs away whatever was before
+TWICE = 2  # growing half waves after the first that make the trial a diverging one
 
 
 class DivergenceLimits(NamedTuple):

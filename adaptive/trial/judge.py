@@ -44,8 +44,7 @@ from retuner.schedule.late_dataclass import dataclass
 NOT_ITSELF = "the response itself is not judged"
 MEAN_OF_NOISE = 0.8
 """Mean of |n| over the standard deviation of normal noise n."""
-NOISE_RISES = 4.0
-"""Standard deviations in a noise band by default: a band that the user set counts as so many as well."""
+NOISE_RISES = 4.0  # standard deviations in a noise band by default: a band that the user set counts as so many as well
 WORSE_WORDS = "worse than predicted: "
 LIMITED = 0.05
 """Share of limited samples from which the IAE is not the tuning's alone."""

@@ -23,12 +23,9 @@ import numpy as np
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
 
-BLOCK = 100
-"""Samples of a block: some dead times of a loop that is sampled as it should be."""
-FEWEST_BLOCKS = 4
-"""Blocks without which nothing is said."""
-QUIET = 0.25
-"""Share of the blocks in which less happens than in the others."""
+BLOCK = 100  # samples of a block: some dead times of a loop that is sampled as it should be
+FEWEST_BLOCKS = 4  # blocks without which nothing is said
+QUIET = 0.25  # share of the blocks in which less happens than in the others
 
 
 def load_variability(samples: Sequence[LoopSample]) -> float:

@@ -125,8 +125,7 @@ LASTING = (E.SATURATED, E.MANUAL, E.GAP, E.LOST_TELEMETRY, E.LEFT_INTERPOLATED, 
 """Events that every sample or every poll tells anew: once the session ends they ask for nothing more."""
 UNDECIDED = (P.WRITING, P.TRIAL, P.AWAY, P.PAUSED, P.ENSURING)
 """Phases in which a set that has not passed may run, or would be written again."""
-TO_BE_SEEN = (P.RESTORING, P.ENSURING)
-"""Phases that wait until the controller has reported what it runs."""
+TO_BE_SEEN = (P.RESTORING, P.ENSURING)  # phases that wait until the controller has reported what it runs
 
 TRANSITIONS: dict[tuple[TrialPhase, TrialEvent], TrialPhase] = {
     (P.IDLE, E.PROPOSED): P.WRITING,

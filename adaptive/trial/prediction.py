@@ -20,8 +20,7 @@ from retuner.adaptive.trial.response_numbers import ResponseNumbers, shapes, swi
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-MOST_MODELS = 16
-"""Models, the most likely ones, over which a promise is spread."""
+MOST_MODELS = 16  # Models, the most likely ones, over which a promise is spread
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0), Upset(pulse=1.0))
 NAMES = ("overshoot", "damping", "decay", "iae", "travel", "settle_s")
 MOST_DECAY = 0.95

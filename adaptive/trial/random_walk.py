@@ -25,24 +25,15 @@ from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-LONGEST = 2.5
-"""Dead time over that of the first model, up to which models are asked."""
-SAMPLES = 120
-"""Samples of a stretch, at the most."""
-STRETCHES = 8
-"""Stretches at the most, the newest ones."""
-PER_DEAD_TIME = 4.0
-"""Samples to an effective dead time that are kept of faster ones."""
-FEWEST_SAMPLES = 40
-"""Samples of a stretch without which nothing is said."""
-GAP = 5.0
-"""Sampling intervals without a sample, after which the samples begin anew."""
-RATIOS = np.logspace(-4.0, 8.0, 25)
-"""Variance that a step of the walk brings to pv over that of the noise, as tried."""
-STEPS = (0.4, 0.2, 0.1, 0.05)
-"""Steps of the search, in logarithms of gain, lag and dead time."""
-LESS = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2)
-"""Shares of a model's gain from which the search for a robust one starts."""
+LONGEST = 2.5  # dead time over that of the first model, up to which models are asked
+SAMPLES = 120  # samples of a stretch, at the most
+STRETCHES = 8  # stretches at the most, the newest ones
+PER_DEAD_TIME = 4.0  # samples to an effective dead time that are kept of faster ones
+FEWEST_SAMPLES = 40  # samples of a stretch without which nothing is said
+GAP = 5.0  # sampling intervals without a sample, after which the samples begin anew
+RATIOS = np.logspace(-4.0, 8.0, 25)  # variance that a step of the walk brings to pv over that of the noise, as tried
+STEPS = (0.4, 0.2, 0.1, 0.05)  # steps of the search, in logarithms of gain, lag and dead time
+LESS = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2)  # shares of a model's gain from which the search for a robust one starts
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,12 +191,9 @@ def made_for(gains: PidGains) -> list[ProcessModel]:
     ]
 
 
-SHARES = (0.06, 0.125, 0.25, 0.5, 1.0)
-"""Dead times over tau_I for which SIMC's tau_I is the lag, and some longer ones."""
-LOST_LOG_GAIN = 3.0
-"""Logarithm of the gain from which a search has lost its way."""
-MOST_MODELS = 5
-"""Models that are asked which of them explains the samples best."""
+SHARES = (0.06, 0.125, 0.25, 0.5, 1.0)  # dead times over tau_I for which SIMC's tau_I is the lag, and some longer ones
+LOST_LOG_GAIN = 3.0  # logarithm of the gain from which a search has lost its way
+MOST_MODELS = 5  # models that are asked which of them explains the samples best
 
 
 def _searched(

@@ -21,12 +21,9 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Trace, Upset, traces
 from retuner.schedule.late_dataclass import dataclass
 
-SMALL = 0.02
-"""Half waves below this share of the largest error are not counted as peaks of a computed response."""
-TAIL = 4
-"""A loop whose error in the last quarter is as large as before runs away or swings for ever."""
-AT_REST = 0.05
-"""The error has settled when it stays below this share of its largest value."""
+SMALL = 0.02  # half waves below this share of the largest error are not counted as peaks of a computed response
+TAIL = 4  # A loop whose error in the last quarter is as large as before runs away or swings for ever
+AT_REST = 0.05  # the error has settled when it stays below this share of its largest value
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,16 +37,12 @@ from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 
-SWINGS_ON = 0.9
-"""Ratio of successive peaks from which a response was no decaying one (as the guard's urgent_damping)."""
-BY_LOADS = 0.05
-"""Chance that loads make a robust loop look bad, or a bad one calm."""
+SWINGS_ON = 0.9  # ratio of successive peaks from which a response was no decaying one (as the guard's urgent_damping)
+BY_LOADS = 0.05  # chance that loads make a robust loop look bad, or a bad one calm
 BY_LOADS_AFTER = {TrialEvent.RUNAWAY: 0.01, TrialEvent.TIMED_OUT: 0.5}
 """The probability of a run of growing half waves, and of responses that decided nothing: every model explains these."""
-CHANGED = 0.2
-"""Chance that the process is another one than when the set before was calm."""
-SOMETHING_ELSE = 0.1
-"""Probability, before anything is seen of a set, that none of the models is the process."""
+CHANGED = 0.2  # chance that the process is another one than when the set before was calm
+SOMETHING_ELSE = 0.1  # Probability, before anything is seen of a set, that none of the models is the process
 PRICE = 0.05
 """Expected loss by which a set must be better to take the place of the one that would run: as Ms 2.1 to 2.2."""
 

@@ -49,8 +49,7 @@ DECIDED = (E.STAYS, E.ENSURED)
 """What may be decided instead of ending a trial."""
 AFTER_SILENCE = {P.RESTORING: "are rolled back", P.WAITING: "stay, awaiting operator approval"}
 """What becomes of a trial that no response decided; else its gains stay."""
-MOST_EDITS = 6
-"""Doublings of the time for which a person's gains are held."""
+MOST_EDITS = 6  # doublings of the time for which a person's gains are held
 
 
 def nothing_known(region: int) -> StillAllowed:

@@ -11,8 +11,7 @@ from retuner.adaptive.trial.rollback import Rollback, RollbackNumbers, SetsThatR
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-MOST_EARLIER = 4
-"""Sets that are remembered of those that ran in a region."""
+MOST_EARLIER = 4  # sets that are remembered of those that ran in a region
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,27 +48,21 @@ from retuner.adaptive.valve.valve_fit import (
 from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.schedule.late_dataclass import dataclass, replace
 
-BANDS = tuple(np.geomspace(0.02, 0.7, 20).tolist())
-"""Stick bands tried, as shares of co's range."""
+BANDS = tuple(np.geomspace(0.02, 0.7, 20).tolist())  # stick bands tried, as shares of co's range
 JUMP_SHARES = {Family.KANO: (0.0, 0.3, 0.6, 0.9, 1.2), Family.HE: (0.3, 0.6, 0.95)}
 """Slip jumps tried, as shares of the band."""
-STARTS = tuple(np.linspace(-1.0, 1.0, 9).tolist())
-"""Where the valve may stand in its band when the record begins."""
+STARTS = tuple(np.linspace(-1.0, 1.0, 9).tolist())  # where the valve may stand in its band when the record begins
 LAGS, SECOND_LAG = (0.5, 1.5, 4.0, 10.0), 0.6
 """Lags tried, and a second one beside those that are longer, in effective dead times of the linear explanation."""
-THETAS = (0.1, 0.35, 0.7, 1.1)
-"""Dead times tried, in the same unit."""
+THETAS = (0.1, 0.35, 0.7, 1.1)  # dead times tried, in the same unit
 LINEAR = 3
 """Linear explanations that tell how fast the process is; of the first two the processes are tried as they are."""
 OWN, OWN_VALLEYS = 2, 4
 VALVE_UNKNOWNS = 3
 """Band, jump, and where the valve stood."""
-LOADS_BESIDE = 1
-"""Loads that it may need where the linear explanation needs fewer."""
-MOST_SEARCH_ROUNDS = 3
-"""Rounds of search and refinement of the valve."""
-LEAST_FALL = 0.5
-"""A round must lower the criterion by this."""
+LOADS_BESIDE = 1  # loads that it may need where the linear explanation needs fewer
+MOST_SEARCH_ROUNDS = 3  # rounds of search and refinement of the valve
+LEAST_FALL = 0.5  # A round must lower the criterion by this
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,51 +36,33 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 Rows = npt.NDArray[np.int64]
 
-MOST_SLIPS = 24
-"""More slips than this in one record are a regular cycle, or noise."""
-ROWS_PER_STEP = 4
-"""Samples a step at least: it has two unknowns, and as many samples must be left to speak against it."""
-TURN_SHARE = 0.08
-"""co turns where it goes back by this share of its range, and by four times its noise."""
+MOST_SLIPS = 24  # more slips than this in one record are a regular cycle, or noise
+ROWS_PER_STEP = 4  # samples a step at least: it has two unknowns, and as many samples must be left to speak against it
+TURN_SHARE = 0.08  # co turns where it goes back by this share of its range, and by four times its noise
 TURN_NOISE = 4.0
 SECOND_DIFFERENCE_TO_SIGMA = 1.65
 """Median of the absolute second differences of white noise, over its standard deviation."""
 LAGS_PER_PERIOD = (0.03, 0.1, 0.3, 1.0, 10.0)
 THETAS_PER_PERIOD = (0.01, 0.05, 0.12, 0.22)
 """Dynamics tried with the turns of co, as shares of the period that they make."""
-LATE = (0.0, 0.5, 1.0, 2.0)
-"""How long after a slip co turns, in units of the dead time and a tenth of the lag."""
-STEP_ROWS = 400
-"""Rows on which the steps are looked for at first."""
-LAGS = tuple(np.geomspace(0.5, 280.0, 9).tolist())
-"""Lags tried there, in rows."""
-SECOND_SHARES = (0.0, 0.2)
-"""Second lags tried, as shares of the sum of both."""
-THETAS = (0.3, 1.0, 2.0, 3.5, 6.0, 10.0, 16.0, 25.0, 40.0)
-"""Dead times tried, in samples."""
-SHARES = (0.0, 0.3, 0.6)
-"""r tried at first."""
-FINE_SHARES = (-0.15, -0.05, -0.02, 0.02, 0.05, 0.15)
-"""Steps of r."""
+LATE = (0.0, 0.5, 1.0, 2.0)  # how long after a slip co turns, in units of the dead time and a tenth of the lag
+STEP_ROWS = 400  # rows on which the steps are looked for at first
+LAGS = tuple(np.geomspace(0.5, 280.0, 9).tolist())  # lags tried there, in rows
+SECOND_SHARES = (0.0, 0.2)  # second lags tried, as shares of the sum of both
+THETAS = (0.3, 1.0, 2.0, 3.5, 6.0, 10.0, 16.0, 25.0, 40.0)  # dead times tried, in samples
+SHARES = (0.0, 0.3, 0.6)  # r tried at first
+FINE_SHARES = (-0.15, -0.05, -0.02, 0.02, 0.05, 0.15)  # steps of r
 HIGHEST_SHARE, LOWEST_SHARE = 0.98, -0.3
 STARTS = tuple(i / 4 for i in range(-4, 5))
 """Places where the valve may stand first, in units of the usual distance that makes it slip."""
-MOVES = (-16, -6, -2, -1, 1, 2, 6, 16)
-"""Rows by which a slip is moved."""
-TRIED = 40
-"""Rows at which one more slip is tried."""
-MOST_ROUNDS = 5
-"""Rounds of moving, adding and refining at the most."""
-FEWEST_SLIPS = 3
-"""Fewer tell no law."""
-UNIQUE = 1e-6
-"""A step of which less than this share is not explained by the others is no further one."""
-LEAST_GAIN_PER_ROUND = 1.0
-"""A round must lower the criterion by this."""
-SLIP_COST = 2
-"""A slip counts as so many unknowns: its time, and one for having been looked for everywhere."""
-OWN_UNKNOWNS = 2
-"""r, and where the valve stands first."""
+MOVES = (-16, -6, -2, -1, 1, 2, 6, 16)  # rows by which a slip is moved
+TRIED = 40  # rows at which one more slip is tried
+MOST_ROUNDS = 5  # rounds of moving, adding and refining at the most
+FEWEST_SLIPS = 3  # fewer tell no law
+UNIQUE = 1e-6  # A step of which less than this share is not explained by the others is no further one
+LEAST_GAIN_PER_ROUND = 1.0  # A round must lower the criterion by this
+SLIP_COST = 2  # A slip counts as so many unknowns: its time, and one for having been looked for everywhere
+OWN_UNKNOWNS = 2  # r, and where the valve stands first
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,14 +32,10 @@ from retuner.adaptive.valve.plateaus import Plateau, Steps, as_steps, plateaus, 
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 
-MOST_ROWS = 800
-"""Rows that are looked at; of a longer record means over several samples."""
-SMOOTHED = 100
-"""The error is smoothed over one part in so many of the record."""
-MOST_TOLD = 4
-"""Stands and slips that are told with their times."""
-FEWEST_ROWS = 10
-"""Rows of a leg."""
+MOST_ROWS = 800  # rows that are looked at; of a longer record means over several samples
+SMOOTHED = 100  # the error is smoothed over one part in so many of the record
+MOST_TOLD = 4  # stands and slips that are told with their times
+FEWEST_ROWS = 10  # rows of a leg
 ABOUT = 0.5
 """Share of a stand's length from which plateaus are looked for: on them the error is smoothed a little otherwise."""
 STEPS_OF_A_PROCESS = 1
@@ -278,8 +274,7 @@ def _agreed(
     return agreed, ways / sizes
 
 
-LEAST_STEPS = 1e-300
-"""Sizes of steps add up to this at least."""
+LEAST_STEPS = 1e-300  # sizes of steps add up to this at least
 
 
 def _ends(agreed: Sequence[float], legs: Sequence[Leg]) -> list[float]:

@@ -33,38 +33,26 @@ JUMP_SHARES = {Family.KANO: (0.0, 0.3, 0.6, 0.9, 1.2), Family.HE: (0.3, 0.6, 0.9
 LAGS_PER_PERIOD = ((0.02, 0.0), (0.1, 0.0), (0.1, 0.05), (0.4, 0.03), (1.5, 0.03), (20.0, 0.03))
 THETAS_PER_PERIOD = (0.01, 0.06, 0.12, 0.2, 0.32)
 """Dynamics tried for every band, as shares of the period: lag and second lag, dead time."""
-VALLEYS = 8
-"""Valves that are scanned again and refined, each of another valley."""
-VALLEY_WIDTH = 0.09
-"""Bands of one valley differ by less than this (in logarithms)."""
-APART_JUMPS = 0.31
-"""Jumps of one valley differ by less than this share of the band."""
+VALLEYS = 8  # valves that are scanned again and refined, each of another valley
+VALLEY_WIDTH = 0.09  # bands of one valley differ by less than this (in logarithms)
+APART_JUMPS = 0.31  # jumps of one valley differ by less than this share of the band
 NEAR_STICKS, NEAR_JUMPS, NEAR_STARTS = (0.92, 0.96, 1.0, 1.04, 1.08), (-0.15, 0.0, 0.15), (-0.15, 0.0, 0.15)
 NEAR_LAGS, NEAR_THETAS = (0.6, 1.0, 1.7), (-0.03, 0.0, 0.03)
 """The second scan: factors of band and lags; what is added to the share of the jump, to the start and to the dead time
 in periods."""
-FINE = (0.85, 0.93, 0.97, 0.99, 1.01, 1.03, 1.07, 1.15)
-"""Factors of the fine scan."""
-STARTS = tuple(i / 10 for i in range(-10, 11))
-"""Places in the band tried for the beginning of the record."""
-PLAYS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.2)
-"""Play that is tried, as shares of co's range."""
+FINE = (0.85, 0.93, 0.97, 0.99, 1.01, 1.03, 1.07, 1.15)  # factors of the fine scan
+STARTS = tuple(i / 10 for i in range(-10, 11))  # places in the band tried for the beginning of the record
+PLAYS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.2)  # play that is tried, as shares of co's range
 FINE_STARTS = (-0.06, -0.03, -0.015, 0.015, 0.03, 0.06)
 """Steps of it: the first slip comes earlier or later with it, and the beginning of the record hangs on that."""
-POLISHED = 3
-"""Number of starts that are scanned and refined until nothing helps."""
-MOST_POLISH_ROUNDS = 8
-"""Rounds of fine scan and refinement at the most."""
-LEAST_FALL = 0.5
-"""A round must lower the criterion by this."""
-UNKNOWN_START = 0.6
-"""Periods after which a valve has slipped at least once, and where it stood first no longer matters."""
-MOST_ROWS = 350
-"""Rows of the coarse scan."""
+POLISHED = 3  # number of starts that are scanned and refined until nothing helps
+MOST_POLISH_ROUNDS = 8  # rounds of fine scan and refinement at the most
+LEAST_FALL = 0.5  # A round must lower the criterion by this
+UNKNOWN_START = 0.6  # periods after which a valve has slipped at least once, and where it stood first no longer matters
+MOST_ROWS = 350  # rows of the coarse scan
 NOTHING_NEW = 1e-12
 """A column of whose square less than this share is its own says nothing: a valve that stood still in these rows."""
-LEAST_TRAVEL = 0.05
-"""The usual travel of co counts as at least this share of its range."""
+LEAST_TRAVEL = 0.05  # the usual travel of co counts as at least this share of its range
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +128,7 @@ def settled(at: Sticking) -> Sticking:
     return with_lag(at)
 
 
-Ranked = tuple[StuckValve, ProcessType, FloatArray]
-"""A valve with the structure and the parameters of its process."""
+Ranked = tuple[StuckValve, ProcessType, FloatArray]  # A valve with the structure and the parameters of its process
 
 
 def _scanned(record: Record, sign: int, period_s: float) -> list[Ranked]:

@@ -52,10 +52,8 @@ from retuner.schedule.late_dataclass import dataclass, fields, replace
 
 # ---- What a response looks like, in numbers by name
 
-SMOOTHED = 5
-"""Samples of the moving mean before extremes are taken: noise would make them larger."""
-AT_REST_BANDS = 1.5
-"""pv rested where it stayed within this many noise bands of its median."""
+SMOOTHED = 5  # samples of the moving mean before extremes are taken: noise would make them larger
+AT_REST_BANDS = 1.5  # pv rested where it stayed within this many noise bands of its median
 TENTH, MOVED_BANDS = 0.1, 2.0
 """pv has answered when it is this share of its way from where it rested, and at least so many noise bands."""
 
@@ -318,8 +316,7 @@ class PatternReading(StrEnum):
 
 MOVING = frozenset({PatternReading.LIVELY, PatternReading.CALM, PatternReading.OVERDAMPED, PatternReading.SLOW})
 """Readings that change gains."""
-MAY_BE_TUNING = TUNING_CAUSES | {Cause.UNKNOWN}
-"""Causes under which a pattern may speak of the tuning."""
+MAY_BE_TUNING = TUNING_CAUSES | {Cause.UNKNOWN}  # causes under which a pattern may speak of the tuning
 WANTED = {Cause.AGGRESSIVE: -1, Cause.SLUGGISH: 1}
 """Direction that a cause asks for; an integral that is too strong may ask for either."""
 

@@ -97,8 +97,7 @@ def open_log(path: Path) -> can.io.generic.MessageWriter:
 
 WRITING_ERRORS = (OSError, ValueError, OverflowError, struct.error)
 """What python-can's writers raise: the system's refusals, and numbers that their format has no room for."""
-LOOK_EVERY = 1000
-"""Frames between two looks at the size of the file; compressed they are some 20 kB."""
+LOOK_EVERY = 1000  # frames between two looks at the size of the file; compressed they are some 20 kB
 
 
 class LogParts(NamedTuple):

@@ -14,12 +14,10 @@ from types import TracebackType
 from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import Clock
 
-LeaseTimer = Callable[[float], None]
-"""Told the time; sends what keeps a lease, when it is time."""
+LeaseTimer = Callable[[float], None]  # told the time; sends what keeps a lease, when it is time
 TIMER_PAUSES = 8
 """Pauses between two looks at the leases: a lease lasts for 30 samples or more, a pause for a quarter of one."""
-END_S = 5.0
-"""How long the thread may take to end, s of the machine's time."""
+END_S = 5.0  # how long the thread may take to end, s of the machine's time
 
 
 class LinkReader:

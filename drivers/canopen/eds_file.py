@@ -24,8 +24,7 @@ Variable = canopen.objectdictionary.ODVariable
 Dictionary = canopen.objectdictionary.ObjectDictionary
 LARGEST = 16 << 20  # bytes
 WIDEST = 8  # bytes of a number
-EXACT_BITS = 53
-"""Whole numbers of more bits are no longer told apart as floats."""
+EXACT_BITS = 53  # whole numbers of more bits are no longer told apart as floats
 TPDO, RPDO = (0x1800, 0x1A00), (0x1400, 0x1600)
 PDOS = 512
 DISABLED = 1 << 31  # bit of a PDO's COB-ID

@@ -188,10 +188,8 @@ class SdoQueue:
 
 FRAME_BITS = 135
 """Bits of a standard frame of 8 bytes with the most stuff bits (K. Tindell et al., Control Eng. Practice 3, 1995)."""
-BIT_RATE = 500e3
-"""Bits a second that times are told for: the middle of CiA 301's rates."""
-ANSWER_S = 5e-3
-"""How long a node may think before it answers: CiA 301 gives no limit, microcontrollers take 1 to 10 ms."""
+BIT_RATE = 500e3  # bits a second that times are told for: the middle of CiA 301's rates
+ANSWER_S = 5e-3  # how long a node may think before it answers: CiA 301 gives no limit, microcontrollers take 1 to 10 ms
 
 
 def pace_s(variables: Iterable[Variable]) -> tuple[float, float]:

@@ -41,8 +41,7 @@ def chapters(trial_samples: int = 0) -> tuple[tuple[str, Check], ...]:
 
 LONGEST_S = 10.0
 """Wait for a first sample or an answer; a device with longer samples is named by its number and sample time."""
-OTHERS_S = 2.5
-"""Wait for further nodes once one is heard."""
+OTHERS_S = 2.5  # wait for further nodes once one is heard
 LOOK_S, AGAIN_S = 0.05, 1.0
 NODES = range(1, 64)
 

@@ -19,8 +19,7 @@ from retuner.drivers.telemetry.signal_source import DECODING_ERRORS
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.vendor_units import VendorGain, VendorUnits
 
-Slot = tuple[int, int | None]
-"""Identifier of a message and page of it: what one frame carries."""
+Slot = tuple[int, int | None]  # identifier of a message and page of it: what one frame carries
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,8 +25,7 @@ from retuner.drivers.recorded.frame_log import read_frames
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.schedule.late_dataclass import dataclass
 
-Identifier = tuple[int, bool]
-"""Number of a frame, and whether it is an extended one."""
+Identifier = tuple[int, bool]  # number of a frame, and whether it is an extended one
 TIME = "t [s]"
 
 

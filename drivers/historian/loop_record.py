@@ -294,8 +294,7 @@ def _text_table(path: Path, form: RecordForm) -> RawTable:
     return text_table(path, text, assumed, form)
 
 
-Pieces = dict[str, list[OneSignal]]
-"""A loop's signals by role, each in pieces."""
+Pieces = dict[str, list[OneSignal]]  # A loop's signals by role, each in pieces
 
 
 def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, OneSignal]]:

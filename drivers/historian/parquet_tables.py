@@ -18,8 +18,7 @@ from retuner.drivers.historian.tags import loops, named
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.schedule.late_dataclass import dataclass
 
-MOST_ROWS = 1 << 20
-"""Rows of a piece: four months at ten seconds; the memory of a piece is some hundred bytes a row."""
+MOST_ROWS = 1 << 20  # rows of a piece: four months at ten seconds; the memory of a piece is some hundred bytes a row
 
 
 @dataclass(frozen=True, slots=True)

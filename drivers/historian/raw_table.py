@@ -47,8 +47,7 @@ MISSING = frozenset(
     }
 )  # fmt: skip
 """Words for a value that is not there, in small letters; historians write them into the column of the value."""
-LOOKED_AT = 400
-"""Lines that the form is told from: enough to see a preamble of any length beside rows."""
+LOOKED_AT = 400  # lines that the form is told from: enough to see a preamble of any length beside rows
 NOTHING = "nothing"
 
 

@@ -25,8 +25,7 @@ LONG = ("time", "value", "tag")
 ANNOTATIONS = ("#group", "#datatype", "#default")
 INFLUX_OWN = frozenset({"", "result", "table", "_start", "_stop", "_time", "_value", "_field"})
 """Columns of an annotated table that are no tag of the series."""
-Lines = list[tuple[int, list[str]]]
-"""Lines of a file by their number, each as its fields."""
+Lines = list[tuple[int, list[str]]]  # lines of a file by their number, each as its fields
 
 
 def is_annotated(text: str) -> bool:

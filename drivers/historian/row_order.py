@@ -13,8 +13,7 @@ from retuner.schedule.late_dataclass import dataclass
 
 FEW_OUT_OF_ORDER = 0.01
 """Share of rows that may be out of order and are put in place; more of them are two records in one file."""
-SHARED = 0.95
-"""Share of the stamps of pv from which another signal has the same clock."""
+SHARED = 0.95  # share of the stamps of pv from which another signal has the same clock
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,10 +24,8 @@ from retuner.drivers.historian.time_stamps import DIGITS, Stamps, from_numbers, 
 from retuner.drivers.recorded.recording import NUMBER, RecordingError
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
-HELD_FROM = 0.05
-"""Share of blanks from which a column is stored by exception and not full of faults."""
-BESIDE = ("t", "date", "quality", "mode", "tag")
-"""Roles of columns that hold no signal."""
+HELD_FROM = 0.05  # share of blanks from which a column is stored by exception and not full of faults
+BESIDE = ("t", "date", "quality", "mode", "tag")  # roles of columns that hold no signal
 MANUAL = ("man", "hand", "off", "iman", "lo", "track", "init")
 """How words of modes begin in which the controller has not the valve."""
 A_DAY = 0.5
@@ -36,10 +34,8 @@ OWN_WORDS: Mapping[str, frozenset[str]] = MappingProxyType(
     {"sp": frozenset({"sp", "sv"}), "pv": frozenset({"pv"}), "co": frozenset({"co", "op", "out", "output"})}
 )
 """What control systems call a signal itself, beside which a read-back or a target may stand."""
-TICKS = MappingProxyType({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9})
-"""Seconds by the unit that moments are kept in."""
-SILENT = frozenset({"sp", "pv", "co"})
-"""Column names that need no telling."""
+TICKS = MappingProxyType({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9})  # seconds by the unit that moments are kept in
+SILENT = frozenset({"sp", "pv", "co"})  # column names that need no telling
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,12 +45,10 @@ TIME_OF_DAY = re.compile(
 )
 OTHER_ZONE = re.compile(r"[A-Z][A-Za-z/_]+")
 """A zone by any other name behind a time of day."""
-DIGITS = re.compile(r"(?:19|20)[0-9]{12}(?:\.[0-9]+)?")
-"""Date and time written together as 20241015215500."""
+DIGITS = re.compile(r"(?:19|20)[0-9]{12}(?:\.[0-9]+)?")  # date and time written together as 20241015215500
 EPOCHS = MappingProxyType({"s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e15), "ns": (1e18, 4e18)})
 """Range of numbers that count from 1970, from 2001 to 2096, by unit."""
-SPREADSHEET_DAYS = (30_000.0, 60_000.0)
-"""Days since 1899-12-30 from 1982 to 2064: a spreadsheet's stamps as numbers."""
+SPREADSHEET_DAYS = (30_000.0, 60_000.0)  # days since 1899-12-30 from 1982 to 2064: a spreadsheet's stamps as numbers
 SPREADSHEET_1970 = 25_569.0
 MATLAB_DAYS = (723_000.0, 755_000.0)
 """Days of MATLAB's datenum from 1979 to 2067, which counts from the year 0."""

@@ -24,12 +24,9 @@ FMI_TYPES = {CO_SIMULATION: "CoSimulation", MODEL_EXCHANGE: "ModelExchange"}
 REAL, REAL_32 = {"Real", "Float64"}, "Float32"
 MOST_EVENT_ITERATIONS = 1000
 """Iterations that an FMU may take to settle its discrete states at one instant."""
-LEAST_SHARE = 1e-9
-"""Share of a step below which what is left of it counts as rounding."""
-TOLERANCE = 1e-6
-"""Relative tolerance of the integration where the FMU names none."""
-SHOWN = 12
-"""Variables of a kind that are shown; an FMU may have thousands."""
+LEAST_SHARE = 1e-9  # share of a step below which what is left of it counts as rounding
+TOLERANCE = 1e-6  # relative tolerance of the integration where the FMU names none
+SHOWN = 12  # variables of a kind that are shown; an FMU may have thousands
 
 
 class FmuModel:

@@ -23,10 +23,8 @@ from multiprocessing.connection import Connection
 from retuner.drivers.clock import Clock, MonotonicClock
 from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError, StillBusyError
 
-ENDS_S = 2.0
-"""How long a process is given to end by itself when it is no longer needed."""
-FLOATS, TROUBLE = b"n", b"t"
-"""What an answer begins with: numbers, or why there are none."""
+ENDS_S = 2.0  # how long a process is given to end by itself when it is no longer needed
+FLOATS, TROUBLE = b"n", b"t"  # what an answer begins with: numbers, or why there are none
 
 
 class ModelInProcess:

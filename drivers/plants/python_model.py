@@ -20,10 +20,8 @@ from typing import Any
 
 from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError, missing_name
 
-MOST_SHOWN = 60
-"""Letters that are shown of what is no number."""
-FIRST_STEP_S = 1e-3
-"""Length of the step that a class without `pv` makes for its first reading, s."""
+MOST_SHOWN = 60  # letters that are shown of what is no number
+FIRST_STEP_S = 1e-3  # length of the step that a class without `pv` makes for its first reading, s
 
 
 def find_object(name: str) -> Any:  # noqa: ANN401  whatever the user has under that name

@@ -18,12 +18,9 @@ from retuner.drivers.plants.plant import MeasurementNoise, check_step
 from retuner.drivers.plants.recorded_load import RecordedLoads
 from retuner.schedule.late_dataclass import dataclass
 
-MOST_TOLD = 6
-"""How often it is told that readings are lost or are there again."""
-LARGEST = 3e38
-"""What a reading may be: a bus carries 32-bit floating point."""
-SAME_TIME = 1e-6
-"""Share of a step by which times of two devices may differ by rounding."""
+MOST_TOLD = 6  # how often it is told that readings are lost or are there again
+LARGEST = 3e38  # what a reading may be: a bus carries 32-bit floating point
+SAME_TIME = 1e-6  # share of a step by which times of two devices may differ by rounding
 GOES_ON = "the controller goes on without a reading; this is a fault of the bench, not of the device"
 
 

@@ -19,8 +19,7 @@ from retuner.drivers.plants.foreign_model import PlantFaultError
 Rows = Sequence[Sequence[float]]
 STEPS_KEPT = 64
 """Matrices kept for intervals that come again: a loop's own two, and those between loops of other sample times."""
-DIGITS = 9
-"""Digits of an interval that count for that."""
+DIGITS = 9  # digits of an interval that count for that
 
 
 class StateSpaceModel:

@@ -18,14 +18,10 @@ from retuner.drivers.plants.shared_plant import GOES_ON, PlantPort
 
 STEPS_PCT = (1.0, 5.0, 20.0)
 """Sizes of the step of co that are tried: small against its range, large against rounding and a coarse sensor."""
-CHUNK, MOST_CHUNKS = 40, 100
-"""Samples after which it is looked whether pv still moves, and how often at the most."""
-STILL = 0.0005
-"""Share of its whole move that a pv at rest moves in a chunk at the most."""
-LEAD = 20
-"""Samples at rest before the step."""
-FEWEST_AT_SETPOINT = 20
-"""Samples at a setpoint, the last quarter of which shows the co that holds it."""
+CHUNK, MOST_CHUNKS = 40, 100  # samples after which it is looked whether pv still moves, and how often at the most
+STILL = 0.0005  # share of its whole move that a pv at rest moves in a chunk at the most
+LEAD = 20  # samples at rest before the step
+FEWEST_AT_SETPOINT = 20  # samples at a setpoint, the last quarter of which shows the co that holds it
 MOST_RESTS = 5
 EXPLAINED = 0.02
 """What the model may leave of the step response, as a share of its size."""

@@ -60,13 +60,11 @@ from retuner.schedule.regions import CAN
 
 FOLLOW = 0.05
 """Share of an arrival's distance from its place by which the origin moves: jitter of one arrival does little."""
-EARLY = 0.5
-"""Samples by which an arrival may be early and still be the next one."""
+EARLY = 0.5  # samples by which an arrival may be early and still be the next one
 ROUNDING = 1e-9
 LOOKED_AT = 16
 """Samples that were due over which it is looked whether half of them are lost."""
-PAUSE = 8
-"""More samples lost at once than this are a silence, and say nothing of the pace."""
+PAUSE = 8  # more samples lost at once than this are a silence, and say nothing of the pace
 
 
 class SampleGrid:
@@ -128,15 +126,11 @@ ChooseWay = Callable[[Numbers, Numbers, bool], tuple[int, ...]]
 SEQUENCES = 1 << 16
 AT_LIMIT = 1e-6
 """Share of the output's range within which it counts as standing at the limit."""
-AGAIN = 0.75
-"""Samples after which a question that nothing has answered is put again."""
-TOGETHER = 0.5
-"""Samples within which values of one sample come."""
+AGAIN = 0.75  # samples after which a question that nothing has answered is put again
+TOGETHER = 0.5  # samples within which values of one sample come
 
-AGREED = 3
-"""Whole sets that are read without a second answer before anything is believed again."""
-ANSWERS_A_POLL = 16
-"""Questions and answers in one poll, where the answer comes at once."""
+AGREED = 3  # whole sets that are read without a second answer before anything is believed again
+ANSWERS_A_POLL = 16  # questions and answers in one poll, where the answer comes at once
 
 
 def any_way(old: Numbers, new: Numbers, back: bool) -> tuple[int, ...]:

@@ -68,14 +68,10 @@ COURSE: dict[tuple[CoursePhase, CourseInput], CoursePhase] = {
 }
 """Everything that is not here leaves the phase as it is: a late answer."""
 
-TRIES = {P.WRITING: 8, P.CHECKING: 8, P.UNDOING: 4}
-"""Frames and questions together, of one message."""
-SENDINGS = 3
-"""Times that a message is sent which nobody acknowledges and nobody can read back."""
-COUNT_ON = frozenset({C.TAKEN, C.AGAIN})
-"""Inputs after which the tries of a message are counted on."""
-UNKNOWN_AFTER = 3
-"""Questions without an answer after which what runs is said to be unknown."""
+TRIES = {P.WRITING: 8, P.CHECKING: 8, P.UNDOING: 4}  # frames and questions together, of one message
+SENDINGS = 3  # times that a message is sent which nobody acknowledges and nobody can read back
+COUNT_ON = frozenset({C.TAKEN, C.AGAIN})  # inputs after which the tries of a message are counted on
+UNKNOWN_AFTER = 3  # questions without an answer after which what runs is said to be unknown
 
 
 class Sending(NamedTuple):

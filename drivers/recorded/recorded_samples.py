@@ -28,8 +28,7 @@ from retuner.schedule.late_dataclass import dataclass
 GAINS = ("kp", "ki", "kd")
 FURTHER = ("x", "x2", "mode", "limited", *GAINS)
 """What a controller knows beside the signals of its loop: columns of a run's trend."""
-TIME_TOLERANCE = 0.1
-"""Share by which the record's sampling interval may differ from the configured one."""
+TIME_TOLERANCE = 0.1  # share by which the record's sampling interval may differ from the configured one
 
 
 class Recorded(NamedTuple):

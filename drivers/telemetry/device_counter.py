@@ -9,16 +9,11 @@ from collections import deque
 from enum import Enum
 from itertools import pairwise
 
-LONGEST_BEAT = 100
-"""Samples from heartbeat to heartbeat at most, as docs/developers/protocol.md has it."""
-REMEMBERED = 256
-"""Samples over which the rhythm is looked at: more than two of the longest intervals."""
-LATE = 16
-"""Samples by which a heartbeat may come late, behind newer ones."""
-BEATS_LOST = 2
-"""Intervals that telemetry may go on without a heartbeat: one of them may be lost."""
-SHORTEST_REACH = 8
-"""Samples that telemetry may go on in any case."""
+LONGEST_BEAT = 100  # samples from heartbeat to heartbeat at most, as docs/developers/protocol.md has it
+REMEMBERED = 256  # samples over which the rhythm is looked at: more than two of the longest intervals
+LATE = 16  # samples by which a heartbeat may come late, behind newer ones
+BEATS_LOST = 2  # intervals that telemetry may go on without a heartbeat: one of them may be lost
+SHORTEST_REACH = 8  # samples that telemetry may go on in any case
 
 
 class Said(Enum):

@@ -273,8 +273,7 @@ class RegionIdentification:
         return {**ends, "samples": self.samples, **told}
 
 
-NO_STRETCH = f"no stretch of {FEWEST_SAMPLES} samples and more in which pv and co move"
-"""Why a region has no model."""
+NO_STRETCH = f"no stretch of {FEWEST_SAMPLES} samples and more in which pv and co move"  # why a region has no model
 
 
 def identify_by_region(

@@ -21,8 +21,7 @@ from retuner.schedule.late_dataclass import dataclass
 NETWORK = Path("/sys/class/net")
 ARPHRD_CAN = "280"  # linux/if_arp.h
 GROUP = "239.74.163.9"  # of the organisation-local block, as python-can's default is; nothing else here uses it
-LATE_MS = 5.0
-"""A timer later than this in a quarter of a second disturbs loops at 100 Hz."""
+LATE_MS = 5.0  # A timer later than this in a quarter of a second disturbs loops at 100 Hz
 TIMER_TRIES = 50
 FRAME_ID, PAYLOAD = 0x123, b"doctor"
 WAIT_S = 1.0

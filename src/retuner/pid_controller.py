@@ -37,8 +37,7 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("retuner")
 LOG.addHandler(logging.NullHandler())
-MEMORY = 1
-"""Version of what `memory` gives."""
+MEMORY = 1  # version of what `memory` gives
 HARD = Lookup.HARD
 LONGEST_S = 1e9
 """Longest time between two steps: 30 years, and less than the time of day counted from 1970."""

@@ -65,10 +65,8 @@ class RecordedGains:
         return PidGains(*(float(np.median(values[rows])) for values in (self.kp, self.ki, self.kd)))
 
 
-NEAREST = 25
-"""Samples whose median counts."""
-NEAR_SHARE = 0.05
-"""Share of the range within which a sample is near."""
+NEAREST = 25  # samples whose median counts
+NEAR_SHARE = 0.05  # share of the range within which a sample is near
 
 
 @dataclass(frozen=True, slots=True)
@@ -390,8 +388,7 @@ def _axis(variable: str, unit: str, layout: Sequence[float], hysteresis: float, 
     )
 
 
-STANDS = 5
-"""Samples in a row at the lowest or highest co of all, from which that is a limit."""
+STANDS = 5  # samples in a row at the lowest or highest co of all, from which that is a limit
 
 
 def at_limits(windows: Sequence[Window], co_range: tuple[float | None, float | None]) -> float:

@@ -10,8 +10,7 @@ from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
 
-RULES = tuple(REGISTRY)
-"""Names of the tuning rules."""
+RULES = tuple(REGISTRY)  # names of the tuning rules
 
 
 @dataclass(frozen=True, slots=True)

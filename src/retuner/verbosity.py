@@ -15,8 +15,7 @@ from typing import IO, Annotated, Any, TypeVar
 import typer
 from typer.main import get_command
 
-FIRST_S = 2.0
-"""Work that is done within this time shows no progress."""
+FIRST_S = 2.0  # work that is done within this time shows no progress
 EVERY_S = 0.5
 LOGGER = logging.getLogger("retuner")
 FORMAT = "%(relativeCreated)7.0f ms  %(name)s: %(message)s"

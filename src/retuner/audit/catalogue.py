@@ -19,8 +19,7 @@ from retuner.drivers.historian.tags import loops, named
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
-BEGIN_BYTES = 65_536
-"""Bytes of a text file that tell its form."""
+BEGIN_BYTES = 65_536  # bytes of a text file that tell its form
 ANY_FAULT = (ArithmeticError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
 """What costs a file or a loop itself and no other: bad input, and faults of this program in a record like no other."""
 WHOLE = frozenset({"pv", "co"})

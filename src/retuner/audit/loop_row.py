@@ -39,17 +39,13 @@ from retuner.drivers.recorded.recording import RecordingError
 from retuner.report.what_if import of_diagnosis
 from retuner.schedule.late_dataclass import asdict, dataclass, field, replace
 
-SCHEMA = 6
-"""Version of a row's keys."""
-OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
-"""Causes by which a loop oscillates of itself."""
-DRAWN = 1_200
-"""Points of a trend that are drawn: twice as many as a screen has columns, lowest and highest of each."""
+SCHEMA = 6  # version of a row's keys
+OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})  # causes by which a loop oscillates of itself
+DRAWN = 1_200  # points of a trend that are drawn: twice as many as a screen has columns, lowest and highest of each
 DRAWN_OF_A_STRETCH = 600
 FEWEST_PARTS = 2
 """Days or weeks of a loop that are a course."""
-HALF = 0.5
-"""No confidence is told of what is no likelier than not."""
+HALF = 0.5  # no confidence is told of what is no likelier than not
 Row = dict[str, object]
 Trend = dict[str, list[float]]
 """Times and signals of a picture."""

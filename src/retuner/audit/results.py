@@ -84,16 +84,11 @@ NOT_LISTED = frozenset({"trend", "stretches", "what_if", "over_time", TRACKS})
 """What is large of a row: its pictures, and what only the comparison of loops needs."""
 SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Cause.UNKNOWN, Cause.STICTION)})
 """Causes that a swing in step with a root's takes the place of."""
-ROOT_SURE = 0.9
-"""How sure the root of a coherent group is."""
-SMALL = 240
-"""Points of a small picture."""
-MOST_FIRST = 10
-"""Loops that the page tells first, with the reason."""
-AGAIN = "the same record as"
-"""Begin of the action of a loop that was exported twice."""
-WORSE = 1.5
-"""Ratio of errors a day from which a loop became worse, or better: loads differ from month to month."""
+ROOT_SURE = 0.9  # how sure the root of a coherent group is
+SMALL = 240  # points of a small picture
+MOST_FIRST = 10  # loops that the page tells first, with the reason
+AGAIN = "the same record as"  # begin of the action of a loop that was exported twice
+WORSE = 1.5  # ratio of errors a day from which a loop became worse, or better: loads differ from month to month
 
 
 def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], list[CommonSwing]]:

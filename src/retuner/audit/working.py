@@ -19,10 +19,8 @@ from retuner.audit.result_store import signature
 from retuner.errors import UserError
 from retuner.schedule.late_dataclass import dataclass, replace
 
-AHEAD = 3
-"""Tasks that are given out beyond those at work, a process."""
-MOST_GIVEN_OUT = 2_000
-"""Tasks that a cluster has at once."""
+AHEAD = 3  # tasks that are given out beyond those at work, a process
+MOST_GIVEN_OUT = 2_000  # tasks that a cluster has at once
 Work = Callable[[Task], list[Row]]
 
 
@@ -127,8 +125,7 @@ def on_a_cluster(tasks: Sequence[Task], settings: AuditSettings, address: str) -
 
 STRETCH_S, SCREEN_S = 0.3, 0.05
 """Seconds of a core for a stretch, and for reading and screening a loop for a month, on a machine of 2025."""
-LONG_S = 300.0
-"""Work that is told beforehand."""
+LONG_S = 300.0  # work that is told beforehand
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,8 +27,7 @@ from retuner.session.order_queue import SHORT, OrderState, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
 from retuner.session.outputs import CONFIG, GAINS, LEDGER, believed_rows, ledger_path, loop_folder, rows_by_loop
 
-SHORTEST = SHORT
-"""Hexadecimal digits of a hash that a person has to give at least."""
+SHORTEST = SHORT  # hexadecimal digits of a hash that a person has to give at least
 
 
 def _name(options: ApproveOptions | RevertOptions) -> str:

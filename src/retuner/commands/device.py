@@ -15,8 +15,7 @@ if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
 
 app = typer.Typer(add_completion=False)
 
-MANY_OVERRUNS = 0.02
-"""Overruns for each sample from which it is said that the machine is too slow."""
+MANY_OVERRUNS = 0.02  # overruns for each sample from which it is said that the machine is too slow
 
 
 @app.command(epilog="Example: retuner device examples/oven.toml -i udp_multicast -c 239.74.163.2 --speed 50")

@@ -57,8 +57,7 @@ from retuner.session.running import real_time_speed
 from retuner.stopping import stoppable
 from retuner.verbosity import quiet
 
-LARGEST_VALVE_STEP = 5.0
-"""Largest small step, percent of co."""
+LARGEST_VALVE_STEP = 5.0  # largest small step, percent of co
 
 
 class ExperimentSignal(NamedTuple):

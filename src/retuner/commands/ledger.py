@@ -191,8 +191,7 @@ def _left_to_do(folder: Path, rows: list[Row]) -> list[str]:
     return lines
 
 
-TABLE_WIDTH = 160
-"""Characters of a terminal from which a table is easier to read than a list."""
+TABLE_WIDTH = 160  # characters of a terminal from which a table is easier to read than a list
 
 
 def _table(lines: list[LedgerLine]) -> Table:

@@ -158,8 +158,7 @@ def all_on_bus(session: "SessionConfig", interface: str | None, channel: str | N
     return replace(session, loops=tuple(on_bus(config, interface, channel) for config in session.loops))
 
 
-NOT_PERCENT = {(0.0, 1.0): "0..1", (4.0, 20.0): "mA"}
-"""Limits of co that are another unit's, and how --scale calls it."""
+NOT_PERCENT = {(0.0, 1.0): "0..1", (4.0, 20.0): "mA"}  # limits of co that are another unit's, and how --scale calls it
 
 
 def controller_units(

@@ -10,8 +10,7 @@ from retuner.drivers.plants.boiler_plant import BoilerSettings
 from retuner.drivers.plants.foreign_model import Parameter
 from retuner.drivers.plants.oven_plant import OvenSettings
 
-LARGE = 1e9
-"""What a number of a model may be: no physical one is larger in any usual unit."""
+LARGE = 1e9  # what a number of a model may be: no physical one is larger in any usual unit
 
 
 class LoadConfig(Section):

@@ -19,8 +19,7 @@ from retuner.schedule.late_dataclass import dataclass
 
 SECTIONS = ("schedule", "adaptation", "bus", "device", "scenario")
 """Sections that a loop may have for itself: [loop.schedule] and so on below its [[loop]]. [output] is the session's."""
-NO_NAME = re.compile(r"[^A-Za-z0-9._-]+")
-"""What does not go into the name of a folder."""
+NO_NAME = re.compile(r"[^A-Za-z0-9._-]+")  # what does not go into the name of a folder
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,10 +57,8 @@ BASES = {
 """What a proposal rests on, in words."""
 FIRST_GROUPS = ("margins with the active settings", "competing explanations")
 """Groups of evidence that are shown at once; the others unfold."""
-SWINGS = 0.25
-"""Ratio of successive half swings from which a response looks like an oscillation: a quarter decay."""
-SAME = 1e-6
-"""Gains that a formula gives are the proposal's to this share, or the formula is not shown."""
+SWINGS = 0.25  # ratio of successive half swings from which a response looks like an oscillation: a quarter decay
+SAME = 1e-6  # gains that a formula gives are the proposal's to this share, or the formula is not shown
 
 
 def page(view: DecisionView) -> str:

@@ -32,8 +32,7 @@ from retuner.decision_page.row_values import (
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-LAST_SAMPLES = 300
-"""Samples shown of a decision that no response led to."""
+LAST_SAMPLES = 300  # samples shown of a decision that no response led to
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,10 +81,8 @@ OF_OSCILLATION = {
     "stick_band",
 }
 """Numbers for people only where the oscillation is regular: of a transient they say little."""
-REGULAR = 1.0
-"""Regularity from which it is."""
-LONGEST = 44
-"""Width of the words in a table."""
+REGULAR = 1.0  # regularity from which it is
+LONGEST = 44  # width of the words in a table
 
 
 def value_text(name: str, value: float) -> str:

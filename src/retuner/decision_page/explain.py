@@ -15,8 +15,7 @@ from retuner.schedule.gains import PidGains
 if TYPE_CHECKING:
     from retuner.adaptive.supervision.decision import Decision  # loads all that decides
 
-WHOLE_STEP = 0.999
-"""A step of at least this share is the whole one to a reader."""
+WHOLE_STEP = 0.999  # A step of at least this share is the whole one to a reader
 SWINGING_PEAK_RATIO = 3.0
 """Ratio of the second peak to the first, or to the step, from which nobody speaks of overshoot."""
 VERBS = {"commit": "written", "advise": "proposed", "restore": "rolled back"}
@@ -107,8 +106,7 @@ def about_nothing_seen(decision: "Decision | Document") -> str:
     return "" if part(document, "response") else next((told for of, told in WITHOUT.items() if code.startswith(of)), "")
 
 
-EDITED = "edited"
-"""Code of a decision on gains that a person has set: the change is his."""
+EDITED = "edited"  # code of a decision on gains that a person has set: the change is his
 WITHOUT = {
     "edit": "edit", "kept_": "trial", "undo_": "trial", "approv": "order", "order": "order", "revert": "order",
     "action": "action",
@@ -147,10 +145,8 @@ def _why_a_part(verdict: Document, step: float) -> str:
     return ": more is not proved robust" if any(abs(step - share) < AT_LIMIT for share in HALVED) else ""
 
 
-AT_LIMIT = 0.02
-"""A factor that reaches its limit but for so much is held by it: controllers round."""
-HALVED = (0.5, 0.25)
-"""Steps that the guard tries where the whole is not robust."""
+AT_LIMIT = 0.02  # A factor that reaches its limit but for so much is held by it: controllers round
+HALVED = (0.5, 0.25)  # steps that the guard tries where the whole is not robust
 
 
 def _robustness(verdict: Document) -> str:

@@ -9,12 +9,9 @@ from retuner.decision_page.decision_view import DecisionView, Samples
 from retuner.decision_page.row_values import number, numbers
 from retuner.decision_page.svg import AFTER, FAINT, LIMIT, MODEL, SETPOINT, settings, steps, svg, thinned
 
-FAR_SETPOINT_RANGES = 3.0
-"""A setpoint farther from pv than this many ranges of pv would leave no room for the curves."""
-NOISE_STDS = 2.0
-"""Half width of the band in which 95 % of what noise leaves lies."""
-LABEL_SHIFT = 9
-"""Distance of a peak's name from it, in points."""
+FAR_SETPOINT_RANGES = 3.0  # A setpoint farther from pv than this many ranges of pv would leave no room for the curves
+NOISE_STDS = 2.0  # half width of the band in which 95 % of what noise leaves lies
+LABEL_SHIFT = 9  # distance of a peak's name from it, in points
 
 
 def response_svg(view: DecisionView) -> str:

@@ -24,16 +24,11 @@ from retuner.decision_page.svg import AFTER, BEFORE, FAINT, LIMIT, SETPOINT, set
 from retuner.decision_page.text import new_name, old_name
 from retuner.schedule.gains import PidGains
 
-REAL, IMAGINARY = (-2.3, 0.7), (-1.75, 0.75)
-"""The part of the plane that is drawn: round -1."""
-FAR_OUT = 4.0
-"""Points of a curve farther out than this are left out."""
-MOST_MODELS = 24
-"""Other models whose curves are drawn; the first are the most likely ones."""
-MOST_RESPONSES = 8
-"""Other models whose step responses make the spread."""
-SHOWN = 2.0
-"""Largest setpoint response that the axes make room for; an unstable one leaves the picture."""
+REAL, IMAGINARY = (-2.3, 0.7), (-1.75, 0.75)  # the part of the plane that is drawn: round -1
+FAR_OUT = 4.0  # points of a curve farther out than this are left out
+MOST_MODELS = 24  # other models whose curves are drawn; the first are the most likely ones
+MOST_RESPONSES = 8  # other models whose step responses make the spread
+SHOWN = 2.0  # largest setpoint response that the axes make room for; an unstable one leaves the picture
 
 
 def robustness_svg(view: DecisionView, ms_limit: float) -> str:

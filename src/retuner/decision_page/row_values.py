@@ -65,8 +65,7 @@ def in_full(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= WRITTEN_IN_FULL else f"{value:.4g}"
 
 
-WRITTEN_IN_FULL = 1e3
-"""Larger numbers are easier to read with an exponent."""
+WRITTEN_IN_FULL = 1e3  # larger numbers are easier to read with an exponent
 
 
 def words(document: Document, name: str) -> str:

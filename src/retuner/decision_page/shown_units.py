@@ -13,8 +13,7 @@ from retuner.schedule.controller_units import ControllerUnits
 if TYPE_CHECKING:  # slow to load, and records have no configuration
     from retuner.config.session_config import SessionConfig
 
-DEFAULT = ControllerUnits()
-"""Gain in co units per pv unit, times in seconds, series form where it exists."""
+DEFAULT = ControllerUnits()  # gain in co units per pv unit, times in seconds, series form where it exists
 _units: dict[str, ControllerUnits] = {}
 
 

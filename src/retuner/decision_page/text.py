@@ -29,12 +29,9 @@ DONE = {
     "none": "Nothing was changed",
 }
 """What became of a decision."""
-WITHOUT_MODEL = {"pattern", "slow_oscillation", "ran_before"}
-"""What a proposal rests on that needs no model."""
-MS_LIMIT = GuardSettings().ms_nominal
-"""Limit of the nominal Ms where a document names none."""
-SAME = 1e-3
-"""Numbers closer than this share are one to a reader."""
+WITHOUT_MODEL = {"pattern", "slow_oscillation", "ran_before"}  # what a proposal rests on that needs no model
+MS_LIMIT = GuardSettings().ms_nominal  # limit of the nominal Ms where a document names none
+SAME = 1e-3  # numbers closer than this share are one to a reader
 
 
 def seen(view: DecisionView) -> str:

@@ -19,8 +19,7 @@ from retuner.decisions.decider import Decider
 from retuner.decisions.warm_up import warm_up
 from retuner.decisions.worker import DecideInWorker
 
-DEADLINE_S = 30.0
-"""How long a decision may take on a busy machine."""
+DEADLINE_S = 30.0  # how long a decision may take on a busy machine
 
 
 class BackgroundRetuner:

@@ -10,8 +10,7 @@ from retuner.drivers.device import WriteRefusedError
 from retuner.schedule.gains import PidGains
 from retuner.schedule.vendor_units import VendorUnits, Way
 
-Record = Callable[[str, float, Mapping[str, object]], None]
-"""What keeps a row for good: its kind, the time, the body."""
+Record = Callable[[str, float, Mapping[str, object]], None]  # what keeps a row for good: its kind, the time, the body
 
 
 class OrderOfWrites:

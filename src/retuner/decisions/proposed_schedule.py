@@ -21,8 +21,7 @@ from retuner.schedule.table import GainTable
 if TYPE_CHECKING:
     from retuner.adaptive.region_model.proposed_borders import Refinement
 
-ROW = "schedule"
-"""Kind of the row."""
+ROW = "schedule"  # kind of the row
 
 
 def refined(retuner: Retuner) -> "Refinement | None":

@@ -15,8 +15,7 @@ from retuner.schedule.table import GainTable
 GAINS = PidGains(0.6, 0.01)
 K, LAG, DEAD = 1.0, 60.0, 10
 """The process: gain, lag in samples, dead time in samples of a second."""
-STEP_AT, LONGEST = 40, 900
-"""Sample of the setpoint step, and the last one."""
+STEP_AT, LONGEST = 40, 900  # sample of the setpoint step, and the last one
 
 
 def warm_up() -> Decision | None:

@@ -24,14 +24,12 @@ from retuner.decisions.decider import LATE, LOST, Answer, without_decision
 from retuner.decisions.worker_process import receive, send
 from retuner.drivers.clock import Clock, MonotonicClock
 
-NICE = 3
-"""How much the worker gives way: beside two programs that keep two cores busy it still gets a quarter of one."""
+NICE = 3  # how much the worker gives way: beside two programs that keep two cores busy it still gets a quarter of one
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 """What numpy's libraries of linear algebra look at: their threads would take the loop's core."""
 MOST_WARMING_S = 60.0
 """Longest wait for the workers' imports, s; after that the loop is watched, and its first decision waits for them."""
-END_S = 2.0
-"""How long a process whose pipe has ended may take to be gone by itself."""
+END_S = 2.0  # how long a process whose pipe has ended may take to be gone by itself
 
 
 class _Worker:

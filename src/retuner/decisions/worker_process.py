@@ -14,12 +14,9 @@ import sys
 from pathlib import Path
 from typing import IO
 
-LENGTH = struct.Struct("<Q")
-"""Length in bytes that stands before each message."""
-WARM = "warm"
-"""The first message to the loop: all that a decision needs is imported."""
-MOST_EXPENDABLE = "1000"
-"""What the kernel is told when memory runs out: end this process first, not the loop's."""
+LENGTH = struct.Struct("<Q")  # length in bytes that stands before each message
+WARM = "warm"  # the first message to the loop: all that a decision needs is imported
+MOST_EXPENDABLE = "1000"  # what the kernel is told when memory runs out: end this process first, not the loop's
 
 
 def send(pipe: IO[bytes], message: object) -> None:

@@ -24,8 +24,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
 from retuner.tuning import TuneResult, tune, tuning_lines
 
-ULTIMATE = "ultimate"
-"""The experiment that exists as a record only: a swing under proportional control."""
+ULTIMATE = "ultimate"  # the experiment that exists as a record only: a swing under proportional control
 FIT = "fit"
 METHODS = {
     str(Experiment.STEP): (FIT, *(str(method) for method in step.StepMethod)),
@@ -34,10 +33,8 @@ METHODS = {
     ULTIMATE: (FIT,),
 }
 """Methods of each experiment by name."""
-OVERSHOOT_RULE = "setpoint-overshoot"
-"""The direct settings of the setpoint experiment, as a rule."""
-LIKELY = 0.9
-"""Odds from which a fault of a valve is named first."""
+OVERSHOOT_RULE = "setpoint-overshoot"  # the direct settings of the setpoint experiment, as a rule
+LIKELY = 0.9  # odds from which a fault of a valve is named first
 ULTIMATE_RULES = (("zn-ultimate", "pi"), ("zn-ultimate", "pid"))
 """Rules from Ku and Pu that are shown beside the chosen settings."""
 

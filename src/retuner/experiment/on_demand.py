@@ -118,12 +118,9 @@ class SettingsWriter:
         return "" if self._running else "the controller does not answer; which set runs is not known"
 
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
-FEWEST_SAMPLES = 20
-"""Shorter records are not evaluated."""
-AFTER = {Phase.PARKING, Phase.RESTORING, Phase.RESTORED}
-"""Phases behind the excitation."""
+INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
+FEWEST_SAMPLES = 20  # shorter records are not evaluated
+AFTER = {Phase.PARKING, Phase.RESTORING, Phase.RESTORED}  # phases behind the excitation
 OPTION_AT_FAULT = {
     AbortCause.NO_ROOM: "--amplitude",
     AbortCause.WRONG_MODE: "setpoint",

@@ -41,8 +41,7 @@ from retuner.ledger import Recorder
 
 # ---- What ends an experiment
 
-LIMITED_MOST = 2
-"""Samples for which the output may stand at a limit during a setpoint experiment."""
+LIMITED_MOST = 2  # samples for which the output may stand at a limit during a setpoint experiment
 
 Trouble = tuple[AbortCause, str]
 
@@ -116,16 +115,12 @@ class Following:
         return None
 
 
-FEWEST_PATIENT = 6
-"""Samples that a new output, setpoint or mode may take to show at least."""
-LOST_MOST = 3
-"""Samples in a row that may be missing from the record of an experiment."""
-VERIFY_SAMPLES = 3
-"""Samples in a row that must show the old state before it counts as restored."""
+FEWEST_PATIENT = 6  # samples that a new output, setpoint or mode may take to show at least
+LOST_MOST = 3  # samples in a row that may be missing from the record of an experiment
+VERIFY_SAMPLES = 3  # samples in a row that must show the old state before it counts as restored
 RESTORE_SAMPLES, RESTORE_SILENCES = 200, 10
 """Samples, and lengths of silence, within which the old state must have been verified; the longer of the two counts."""
-LIMITED = {Phase.RESTING, Phase.PREPARING, Phase.EXCITING}
-"""Phases that a limit or silence ends."""
+LIMITED = {Phase.RESTING, Phase.PREPARING, Phase.EXCITING}  # phases that a limit or silence ends
 TAKING_OVER = {Phase.PREPARING, Phase.EXCITING}
 """Phases in which a refused command ends the experiment; on the way back it is sent again."""
 

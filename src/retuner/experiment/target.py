@@ -10,12 +10,9 @@ from retuner.decision_page.shown_units import units_of
 from retuner.drivers.device import Device, WriteRefusedError
 from retuner.schedule.gains import PidGains
 
-SAME_SP = 1e-6
-"""Setpoints closer than this share of their size are one: float32 again."""
-CO_SHOWN = 0.001
-"""co is shown when telemetry differs from it by less, percent: ten steps of the wire's resolution."""
-AGAIN_SAMPLES = 5
-"""Samples to wait before what is not shown is sent once more."""
+SAME_SP = 1e-6  # setpoints closer than this share of their size are one: float32 again
+CO_SHOWN = 0.001  # co is shown when telemetry differs from it by less, percent: ten steps of the wire's resolution
+AGAIN_SAMPLES = 5  # samples to wait before what is not shown is sent once more
 
 
 class OldState(NamedTuple):
@@ -160,9 +157,7 @@ class Helm:
 # What an experiment on demand does unless it is told otherwise.
 
 
-DEFAULT_SHARE = 0.05
-"""Amplitude as a share of the range of co (step, relay) or pv (setpoint) unless it is given."""
-DEFAULT_DEVIATION = 0.2
-"""pv may go this share of its range away from rest unless another deviation is given."""
+DEFAULT_SHARE = 0.05  # amplitude as a share of the range of co (step, relay) or pv (setpoint) unless it is given
+DEFAULT_DEVIATION = 0.2  # pv may go this share of its range away from rest unless another deviation is given
 DEFAULT_SAMPLES, REST_WAIT_SAMPLES = 2000, 300
 """Time limits of the excitation and of the wait for rest, in samples, unless they are given."""

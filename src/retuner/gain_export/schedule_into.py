@@ -22,8 +22,7 @@ from retuner.gain_export.into_config import sameness
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.table import GainTable
 
-SAME = ("name", "pv_unit", "pv_min", "pv_max", "sample_time_s")
-"""Keys of [loop] on which a schedule depends."""
+SAME = ("name", "pv_unit", "pv_min", "pv_max", "sample_time_s")  # keys of [loop] on which a schedule depends
 END = "where the proposed schedule ends"
 STRINGS = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'')
 

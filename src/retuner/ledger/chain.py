@@ -107,8 +107,7 @@ def _fault(row: Row, last: str, seq: int) -> str:
 
 # ---- A decision as its row keeps it, and the hash by which other rows name it
 
-PLACE = "samples"
-"""Key that a session adds to the body of each row: the number of samples that had been seen."""
+PLACE = "samples"  # key that a session adds to the body of each row: the number of samples that had been seen
 
 
 def without_place(body: Mapping[str, Any]) -> dict[str, Any]:

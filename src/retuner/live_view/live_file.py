@@ -25,12 +25,9 @@ from retuner.adaptive.signals.sample import FloatArray
 MAGIC = b"retuner live 1\n\0"
 SLOT = 65536
 """Bytes of the head and of the state."""
-RING = 32768
-"""Samples in a ring."""
-RINGS = 7
-"""Rings: at 50 samples a second the first one reaches back 11 minutes and the last one a month."""
-BLOCK = 8
-"""Samples of a ring of which two go on into the next."""
+RING = 32768  # samples in a ring
+RINGS = 7  # Rings: at 50 samples a second the first one reaches back 11 minutes and the last one a month
+BLOCK = 8  # samples of a ring of which two go on into the next
 FIELDS = ("t", "sp", "pv", "co", "region", "limited", "kp", "ki", "kd")
 """t in s, sp and pv in pv units, co in percent, region as index (-1: not known), gains in parallel form."""
 SAMPLE = struct.Struct(f"<{len(FIELDS)}d")

@@ -60,8 +60,7 @@ def _share(values: Sequence[float], i: int, width: int) -> float:
     return sum(part) / len(part)
 
 
-INDENT = 11
-"""Columns before the second line of a decision: as many as its time takes."""
+INDENT = 11  # columns before the second line of a decision: as many as its time takes
 LONGEST_TRACE = 60
 PANEL_LINES = 6
 """Lines of a loop with all that can be seen of it."""
@@ -168,10 +167,8 @@ def loop_line(seen: LoopSeen, unit: str, pv: Iterable[float], width: int, *, asc
 
 RENEW_S = 0.2
 """Time between two pictures: what a person can follow, and less than a thousandth of the control loop's time."""
-TRACED = 600
-"""Samples in the small trace."""
-LEAST_WIDTH = 40
-"""Columns below which lines are cut rather than made shorter."""
+TRACED = 600  # samples in the small trace
+LEAST_WIDTH = 40  # columns below which lines are cut rather than made shorter
 
 
 class LiveScreen:

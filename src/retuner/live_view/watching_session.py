@@ -103,8 +103,7 @@ class Publisher:
         self._say(f"{self._path}: {why}; the session continues, but cannot be watched from outside")
 
 
-TOLD_WHEN_LATE = 3
-"""Decisions that came too late, or were left out for one, after which it is told what helps."""
+TOLD_WHEN_LATE = 3  # decisions that came too late, or were left out for one, after which it is told what helps
 COME_LATE = (
     "decisions take longer than the loop's responses: what is late changes nothing, the gains stay; a lower --speed "
     "(here and at the device), or fewer programs beside this one, lets them come in time"

@@ -27,8 +27,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 NO_VERDICT = "a known disturbance, no verdict on this loop"
 """How it ends what is told of another loop's move in a response."""
-NOT_SURVIVED = "not_survived"
-"""Code: the other loops on the plant do not survive the change."""
+NOT_SURVIVED = "not_survived"  # Code: the other loops on the plant do not survive the change
 
 
 def without_change(outcome: Outcome, reason: str) -> Outcome:
@@ -36,8 +35,7 @@ def without_change(outcome: Outcome, reason: str) -> Outcome:
     return replace(outcome, code=NOT_SURVIVED, reason=reason, proof=None, basis=None, prediction=None)
 
 
-IN_PART = "half of a change that was "
-"""How the reason begins of a change that the other loops survive in half."""
+IN_PART = "half of a change that was "  # how the reason begins of a change that the other loops survive in half
 
 
 def half_way(question: Question, refused: PidGains) -> Question:
@@ -46,8 +44,7 @@ def half_way(question: Question, refused: PidGains) -> Question:
     return replace(question, settings=replace(question.settings, guard=guard), after=None)
 
 
-NO_WORSE = 1.05
-"""Another loop's Ms over the limit may grow by this factor: the plant is known no better."""
+NO_WORSE = 1.05  # another loop's Ms over the limit may grow by this factor: the plant is known no better
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,8 +38,7 @@ from retuner.session.ledger_rows import feed
 from retuner.session.memory_file import started_with
 from retuner.session.outputs import BUS_LOG, TREND, RecordedSession, file_sha256
 
-MISSING = "nothing"
-"""Stands for the side of a difference that has no such key or decision."""
+MISSING = "nothing"  # stands for the side of a difference that has no such key or decision
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,8 +286,7 @@ def first_difference(then: object, now: object, path: str = "") -> tuple[str, ob
 
 # ---- The samples of a recorded session: its trend, or, while it goes on or after it was killed, what its bus log holds
 
-FROM_LOG = ("t", "sp", "pv", "co", "region")
-"""Columns that a bus log gives; the region is not in it and reads 0."""
+FROM_LOG = ("t", "sp", "pv", "co", "region")  # columns that a bus log gives; the region is not in it and reads 0
 
 
 def recorded_columns(session: RecordedSession) -> Columns:

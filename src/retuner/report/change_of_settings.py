@@ -18,10 +18,8 @@ from retuner.schedule.late_dataclass import dataclass
 
 OFF = 2.0 * STRUCTURE_STD
 """How far each parameter of a process is off in the band, as a logarithm, beside what the record by itself allows."""
-SETTLED = 12.0
-"""Length of a step response in dead times, at the least."""
-WITHIN = 0.05
-"""A step response has settled where it stays this near to its end, as a share of the step."""
+SETTLED = 12.0  # length of a step response in dead times, at the least
+WITHIN = 0.05  # A step response has settled where it stays this near to its end, as a share of the step
 LONGER, SURE = (1.0, 4.0, 16.0), 0.9
 """A step response is looked at for so many times the usual length, and has settled where it did in this share of it."""
 

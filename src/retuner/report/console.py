@@ -22,10 +22,8 @@ ROLLED_BACK, KEPT = "ROLLED BACK", "kept"
 COLOURS = {
     ROLLED_BACK: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green",
 }  # fmt: skip
-MOST_CHARACTERS = 1000
-"""Longer lines of a table are folded all the same."""
-REFRESH_SAMPLES = 50
-"""The progress line is renewed every so many samples; more would cost more than the control loop."""
+MOST_CHARACTERS = 1000  # longer lines of a table are folded all the same
+REFRESH_SAMPLES = 50  # the progress line is renewed every so many samples; more would cost more than the control loop
 
 
 def screen_console(*, stderr: bool) -> Console:

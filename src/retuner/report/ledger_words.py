@@ -205,8 +205,7 @@ def _proof(body: Document, action: str, reason: str) -> str:
     return "; ".join(filter(None, (refused, f"the rule gives {settings_text(given)}" if given else "")))
 
 
-ABOUT_A_TRIAL = ("undo_", "kept_")
-"""Beginnings of the codes of decisions on what becomes of a change on trial."""
+ABOUT_A_TRIAL = ("undo_", "kept_")  # beginnings of the codes of decisions on what becomes of a change on trial
 OWN_WORDS = ("refused", "rollback refused", "an operator replaced")
 """Beginnings of reasons that say by themselves what is done."""
 STOOD = {
@@ -442,8 +441,7 @@ def _settings(body: Document, name: str) -> str:
     return settings_text(gains) if gains else ""
 
 
-FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""What a spreadsheet takes for the beginning of a formula."""
+FORMULA = ("=", "+", "-", "@", "\t", "\r")  # what a spreadsheet takes for the beginning of a formula
 
 
 def no_formula(value: object) -> object:

@@ -18,10 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.gridspec import GridSpec
 
-BAND = 0.22
-"""Opacity of the band over the models."""
-OUT_OF_SIGHT = 1e9
-"""Where an unstable answer is cut off; the axes end long before."""
+BAND = 0.22  # opacity of the band over the models
+OUT_OF_SIGHT = 1e9  # where an unstable answer is cut off; the axes end long before
 
 
 @settings("trend")

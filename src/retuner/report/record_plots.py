@@ -17,19 +17,14 @@ from retuner.schedule.late_dataclass import dataclass
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FAR_SETPOINT_RANGES = 2.0
-"""A setpoint further from pv than this many ranges of pv would leave no room for the curves."""
-HEIGHT, HEIGHT_OF_CHANGE = 8.2, 5.4
-"""Inches of the picture, and of what before and after add to it."""
-BELOW = 0.57
-"""Inches for the labels of time."""
+FAR_SETPOINT_RANGES = 2.0  # A setpoint further from pv than this many ranges of pv would leave no room for the curves
+HEIGHT, HEIGHT_OF_CHANGE = 8.2, 5.4  # inches of the picture, and of what before and after add to it
+BELOW = 0.57  # inches for the labels of time
 WHOLE: dict[str, Any] = {"width_ratios": (2.1, 1), "height_ratios": (2, 1.3, 1), "wspace": 0.08}
 CHANGED: dict[str, Any] = {"width_ratios": (2.1, 0.75, 0.75), "height_ratios": (1.6, 1), "wspace": 0.16}
 """Shapes of the two grids of panels."""
-MOST_POINTS = 300
-"""Points of pv over co."""
-LINE_WIDTH, MOST_LINES = 72, 27
-"""Characters in a line of the text beside the curves, and lines that fit."""
+MOST_POINTS = 300  # points of pv over co
+LINE_WIDTH, MOST_LINES = 72, 27  # characters in a line of the text beside the curves, and lines that fit
 
 
 @dataclass(frozen=True, slots=True)

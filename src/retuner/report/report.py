@@ -156,14 +156,10 @@ def _grid(table: GainTable) -> str:
     return f"<h3>{escaped('Settings over both variables')}</h3>{text_table(heads, rows)}"
 
 
-SAME_GAINS = 1e-4
-"""Relative difference up to which gains of a trend are those of the table (the wire rounds them)."""
-SHORTEST_H = 0.01
-"""A shorter run is told in seconds."""
-LONG_S = 3 * 3600.0
-"""Longer runs have times in hours and minutes since their start, as their picture has."""
-MOST_PAGES = 40
-"""Decisions with a page of their own, the newest ones: about 130 kB and a quarter of a second each."""
+SAME_GAINS = 1e-4  # relative difference up to which gains of a trend are those of the table (the wire rounds them)
+SHORTEST_H = 0.01  # A shorter run is told in seconds
+LONG_S = 3 * 3600.0  # longer runs have times in hours and minutes since their start, as their picture has
+MOST_PAGES = 40  # decisions with a page of their own, the newest ones: about 130 kB and a quarter of a second each
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,7 @@ from retuner.adaptive.rules.rule import ControllerKind, Takes
 from retuner.schedule.late_dataclass import dataclass
 from retuner.tuning import TuneResult, tune
 
-OPTION_OF_WISH = {"tau_c_s": "tau_c"}
-"""Argument of tune() for those wishes whose field has another name."""
+OPTION_OF_WISH = {"tau_c_s": "tau_c"}  # argument of tune() for those wishes whose field has another name
 READINGS = {Takes.ULTIMATE: ("ku", "pu"), Takes.QUARTER_DECAY: ("kq", "pq"), Takes.MODEL: ()}
 
 

@@ -23,13 +23,11 @@ from retuner.schedule.table import GainTable
 NOISE_BANDS, CO_FLOOR = 8.0, 10.0
 """Least height of a drawn axis: noise bands of pv (standard deviations), and co units. A loop at rest looks at rest."""
 
-Linearise = Callable[..., LinearProcess]
-"""True process at a pv, and at a load where that is not 0."""
+Linearise = Callable[..., LinearProcess]  # true process at a pv, and at a load where that is not 0
 Columns = dict[str, FloatArray]
 SETTLING = 10
 """Samples after a setpoint step in which another event still counts as the same one."""
-POINTS = 9
-"""Operating points per region at which the true Ms is looked at."""
+POINTS = 9  # operating points per region at which the true Ms is looked at
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,7 @@ from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.decision_page.svg import AFTER, BEFORE, SETPOINT, settings
 from retuner.report.rule_comparison import RuleRow
 
-SHOWN = 1.8
-"""Largest |pv| that the axes make room for; wilder responses leave the picture."""
+SHOWN = 1.8  # largest |pv| that the axes make room for; wilder responses leave the picture
 MS_CURVE = (1.2, 1.25, 1.3, 1.4, 1.5, 1.59, 1.7, 1.8, 1.9, 2.0, 2.2, 2.5)
 TAU_C_CURVE = (0.2, 0.35, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
 TAU_C_MARKED = (0.5, 1.0, 1.5)

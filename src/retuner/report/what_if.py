@@ -33,12 +33,9 @@ from retuner.schedule.late_dataclass import dataclass
 
 MOST_SAMPLES, MOST_MODELS, FREQUENCIES, SPEEDS = 800, 4, 240, 25
 """Sizes of what a page carries: some thirty kilobytes a loop."""
-LEAST_SAMPLES = 50
-"""Samples of a stay in a region, for settings to be tried on it."""
-STEPS = 400
-"""Samples of a step response, at the controller's interval where that is longer."""
-MS_LIMIT = 1.8
-"""Ms above it is shown as too much where the page knows no limit of its own."""
+LEAST_SAMPLES = 50  # samples of a stay in a region, for settings to be tried on it
+STEPS = 400  # samples of a step response, at the controller's interval where that is longer
+MS_LIMIT = 1.8  # Ms above it is shown as too much where the page knows no limit of its own
 FASTEST, SLOWEST = 0.3, 20.0
 """tau_c of the slider over the dead time as the controller sees it, at the least and at the most."""
 FILL = """

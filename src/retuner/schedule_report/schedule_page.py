@@ -55,14 +55,11 @@ def changing_with(found: ScheduleDesign, *, second: bool = False) -> list[str]:
     ]
 
 
-ALONG = 9
-"""Places at which a curve is looked at."""
-MOVES = 0.05
-"""Range of a curve, as a logarithm, from which its parameter is said to change."""
+ALONG = 9  # places at which a curve is looked at
+MOVES = 0.05  # range of a curve, as a logarithm, from which its parameter is said to change
 
 
-HARDLY = 5.0
-"""Nats between two variables below which the records hardly tell them apart."""
+HARDLY = 5.0  # nats between two variables below which the records hardly tell them apart
 
 
 def variable_sentence(found: ScheduleDesign) -> str:
@@ -161,8 +158,7 @@ def aim_sentence(found: ScheduleDesign) -> str:
     return f"Final sets, once the next record confirms: {'; '.join(told)}."
 
 
-TOLD_AT_LIMITS = 0.02
-"""Share of the samples with co at a limit from which it is told."""
+TOLD_AT_LIMITS = 0.02  # share of the samples with co at a limit from which it is told
 
 
 def limit_sentence(found: ScheduleDesign) -> str:
@@ -180,8 +176,7 @@ def limit_sentence(found: ScheduleDesign) -> str:
 FINE = 201
 SHOWN_MS, SHOWN_J = 3.0, 3.0
 """Largest values that the axes make room for."""
-MOST_POINTS = 2400
-"""Points of a record that are drawn."""
+MOST_POINTS = 2400  # points of a record that are drawn
 CURVES = (("k", "process gain k"), ("tau", "lag [s]"), ("theta", "dead time [s]"))
 
 
@@ -271,8 +266,7 @@ def _records(axes: "Axes", found: ScheduleDesign, windows: Sequence[Window]) -> 
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=8, frameon=False, ncols=2)
 
 
-STYLES = ("-", "--", ":")
-"""Line styles at the low end, the middle and the high end of a second variable."""
+STYLES = ("-", "--", ":")  # line styles at the low end, the middle and the high end of a second variable
 
 
 def _at(found: ScheduleDesign, x2: float | None) -> str:

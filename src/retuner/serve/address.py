@@ -9,8 +9,7 @@ from pathlib import Path
 from retuner.errors import UserError
 from retuner.schedule.late_dataclass import dataclass, replace
 
-PORT = 8017
-"""Where it listens unless told otherwise."""
+PORT = 8017  # where it listens unless told otherwise
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,8 +26,7 @@ from retuner.serve.runs import WatchedLoop, WatchedSession
 from retuner.session.orders import Order, OrderKind, proposed_gains, put_order
 from retuner.session.outputs import REPORT
 
-LARGEST = 4096
-"""Bytes of what a browser sends."""
+LARGEST = 4096  # bytes of what a browser sends
 MOST_STREAMS = 200
 STATIC = {
     "/": ("index.html", "text/html; charset=utf-8"),

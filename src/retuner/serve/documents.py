@@ -22,16 +22,12 @@ from retuner.serve.runs import RecordedRuns, WatchedLoop, WatchedSession
 from retuner.session.order_queue import SHORT
 from retuner.session.outputs import REPORT, SUMMARY
 
-MOST_POINTS = 4000
-"""Samples of a trend in one answer."""
+MOST_POINTS = 4000  # samples of a trend in one answer
 SILENT_S, SILENT_SAMPLES = 10.0, 10
 """A loop is silent when so long, and for so many sampling intervals, nothing has come."""
-NEWEST = 200
-"""Decisions in a loop's list."""
-TRIED = 30_000
-"""Newest samples in which the stays are looked for that settings are tried on."""
-ROWS = 500
-"""Ledger rows in one answer."""
+NEWEST = 200  # decisions in a loop's list
+TRIED = 30_000  # newest samples in which the stays are looked for that settings are tried on
+ROWS = 500  # ledger rows in one answer
 
 
 def overview(runs: RecordedRuns) -> Document:

@@ -13,16 +13,11 @@ from secrets import token_hex
 from retuner.live_view.live_file import thinned
 from retuner.serve.runs import RecordedRuns, WatchedLoop
 
-TICK_S = 0.04
-"""Time between two looks: a sample waits for half of that on average."""
-LOOK_TICKS = 25
-"""Ticks between two looks for new sessions, and for new rows of ledgers."""
-KEPT = 500
-"""Messages kept for those who come back: 20 s of them."""
-AT_ONCE = 250
-"""Samples of a loop in a message; where there are more (simulated time) they are thinned."""
-SILENT_TICKS = 125
-"""Ticks after which a word is said though nothing has moved, so that a dead connection is noticed."""
+TICK_S = 0.04  # time between two looks: a sample waits for half of that on average
+LOOK_TICKS = 25  # ticks between two looks for new sessions, and for new rows of ledgers
+KEPT = 500  # messages kept for those who come back: 20 s of them
+AT_ONCE = 250  # samples of a loop in a message; where there are more (simulated time) they are thinned
+SILENT_TICKS = 125  # ticks after which a word is said though nothing has moved, so that a dead connection is noticed
 DECIMALS = 6
 COLUMNS = 6
 """The first so many FIELDS go out: t, sp, pv, co, region, limited."""

@@ -11,8 +11,7 @@ from retuner.ledger.chain import GENESIS, next_row, without_place
 from retuner.report.ledger_words import LedgerLine, Teller
 from retuner.session.order_queue import OrderState, shown
 
-ROWS_KEPT = 20_000
-"""Rows in words that are kept, the newest ones; `retuner ledger` has all of them."""
+ROWS_KEPT = 20_000  # rows in words that are kept, the newest ones; `retuner ledger` has all of them
 DECISIONS_KEPT = 2_000
 AT_ONCE = 500
 """Rows read in one turn: nobody holds the file longer than that takes."""

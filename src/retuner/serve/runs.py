@@ -14,10 +14,8 @@ from retuner.live_view.live_file import LiveFileError, LiveReader
 from retuner.serve.ledger_tail import LedgerTail
 from retuner.session.outputs import LEDGER, is_live_file, loop_folder
 
-NOBODY_S = 1e9
-"""The age of what is not there."""
-MOST_SESSIONS = 64
-"""Sessions that are shown, the newest ones."""
+NOBODY_S = 1e9  # the age of what is not there
+MOST_SESSIONS = 64  # sessions that are shown, the newest ones
 
 
 class WatchedLoop:

@@ -20,8 +20,7 @@ from retuner.serve.hub import Hub
 from retuner.serve.page_access import PageAccess
 from retuner.serve.runs import RecordedRuns
 
-SILENT_S = 10.0
-"""A connection that asks for nothing is closed after this."""
+SILENT_S = 10.0  # A connection that asks for nothing is closed after this
 MOST_CONNECTIONS = 4000
 
 

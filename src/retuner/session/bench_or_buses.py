@@ -36,8 +36,7 @@ from retuner.stopping import unstoppable
 if TYPE_CHECKING:
     from retuner.config.bench_plants import Plants
 
-POLLS_PER_SAMPLE = 4
-"""Looks of the host per sample in real time, at the least, even when no frame wakes it."""
+POLLS_PER_SAMPLE = 4  # looks of the host per sample in real time, at the least, even when no frame wakes it
 _channels = itertools.count()
 
 
@@ -223,8 +222,7 @@ def _settings(config: SessionConfig, loops: Sequence[int], speed: float = 1.0) -
     return replace(wanted[0], silent_after_s=max(one.silent_after_s for one in wanted))
 
 
-LONGEST_PAUSE_S = 0.005
-"""Longest time for which frames gather before they are taken together, s of the machine's time."""
+LONGEST_PAUSE_S = 0.005  # longest time for which frames gather before they are taken together, s of the machine's time
 
 
 class LiveBuses(HostBuses):

@@ -23,12 +23,10 @@ from retuner.schedule.table import Lookup
 
 INTERPOLATION_STEP = 1.02
 """An interpolated schedule is written when a gain has moved by this factor: a write costs about ten frames."""
-RETRY_SAMPLES = 30
-"""Samples to wait after a refused or failed write before the schedule asks again."""
+RETRY_SAMPLES = 30  # samples to wait after a refused or failed write before the schedule asks again
 RESTORE_RETRY_SAMPLES = 5
 """Sample times to wait after a refused write of the verified set before it is tried again; doubled each time,"""
-RESTORE_DOUBLINGS = 5
-"""and so many times at the most."""
+RESTORE_DOUBLINGS = 5  # and so many times at the most
 HOLD_SAMPLES = 30
 """Samples without trouble on the link before a decision is written again; what was decided meanwhile is dropped."""
 

@@ -41,8 +41,7 @@ from retuner.session.scenario import ScenarioPlayer
 
 __all__ = ["HOLD_SAMPLES", "RETRY_SAMPLES", "LoopSession"]
 
-DECISIONS_KEPT = 5000
-"""Decisions that are kept for report and summary, the newest ones; the ledger has all of them."""
+DECISIONS_KEPT = 5000  # decisions that are kept for report and summary, the newest ones; the ledger has all of them
 UNSEEN_SAMPLES = 30
 """Sample times without a sample after which nobody watches a trial any more, though the link may live."""
 END_PATIENCE_SAMPLES = 200

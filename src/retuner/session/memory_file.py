@@ -25,8 +25,7 @@ from retuner.ledger import Recorder, Row
 from retuner.session.ledger_rows import feed
 from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE, MEMORY_START, believed_rows, loop_folder
 
-ROW = "memory"
-"""Kind of the rows that know a memory by its hash."""
+ROW = "memory"  # kind of the rows that know a memory by its hash
 TOLD_AGAIN = frozenset(
     {"committed", "refused", "dropped", "abort", "restored", "foreign", "action", "order", "pretune"}
 )

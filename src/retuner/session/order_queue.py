@@ -30,8 +30,7 @@ from retuner.session.outputs import LEDGER, ORDERS, believed_rows, loop_folder
 # Of a region's proposals only the newest may be taken up: it knows more than those before it.
 
 
-SHORT = 8
-"""Hexadecimal digits of a hash by which people are told of a proposal."""
+SHORT = 8  # hexadecimal digits of a hash by which people are told of a proposal
 
 
 LOOK_EVERY_S = 0.25

@@ -30,18 +30,13 @@ from retuner.session.outputs import ORDERS
 TAKEN, REFUSED = "taken", "refused"
 LARGEST = 4096
 """Bytes of an order file."""
-LONGEST = 200
-"""Characters of a text in it."""
-MOST_DECISIONS = 10**9
-"""Largest number of a decision."""
-MOST_AT_ONCE = 16
-"""Files looked at in one turn; the rest waits for the next one."""
+LONGEST = 200  # characters of a text in it
+MOST_DECISIONS = 10**9  # largest number of a decision
+MOST_AT_ONCE = 16  # files looked at in one turn; the rest waits for the next one
 LOOK_ANYWAY = 32
 """Turns after which the folder is listed even if its time has not changed: two files within one tick look like one."""
-MOST_OF_A_MOMENT = 999
-"""Orders of one kind and second."""
-RANDOM_BYTES = 8
-"""Bytes of the random part of a file's name."""
+MOST_OF_A_MOMENT = 999  # orders of one kind and second
+RANDOM_BYTES = 8  # bytes of the random part of a file's name
 HASH = re.compile(r"[0-9a-f]{64}")
 MOMENT = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z")
 
@@ -57,10 +52,8 @@ class OrderKind(StrEnum):
     PROPOSE = "propose"
 
 
-HASHED = (OrderKind.APPROVE, OrderKind.REJECT)
-"""Orders that name a decision by its hash."""
-REGIONAL = (OrderKind.UNLOCK, OrderKind.PROPOSE)
-"""Orders that need a region."""
+HASHED = (OrderKind.APPROVE, OrderKind.REJECT)  # orders that name a decision by its hash
+REGIONAL = (OrderKind.UNLOCK, OrderKind.PROPOSE)  # orders that need a region
 GAINS = ("kp", "ki", "kd")
 KINDS = {str: "text", int: "a whole number", dict: "kp, ki, kd"}
 MODES = ("off", "advise", "trial", "auto")

@@ -256,8 +256,7 @@ def read_loops(session: Path) -> tuple[tuple[RecordedSession, ...], SessionConfi
 # The same frames give the same decisions byte for byte where all of this is equal: linear algebra libraries round
 # differently from release to release and from processor to processor.
 
-ROOMS = (schedule, adaptive, drivers)
-"""The code that lies between frames and decisions."""
+ROOMS = (schedule, adaptive, drivers)  # the code that lies between frames and decisions
 PACKAGES = ("retuner", "numpy", "scipy", "filterpy", "python-can", "cantools")
 """What the way from frames to decisions goes through."""
 BLOCK = 1 << 20  # bytes read at a time

@@ -36,8 +36,7 @@ class Watched(Protocol):
 
 Process = ProcessModel | LinearProcess | Callable[[float, float], float]
 """A model; or a function of co (loads included) and dt_s that moves a process by one sample and gives its pv."""
-MOST_SAMPLES = 10_000_000
-"""Samples of a simulation."""
+MOST_SAMPLES = 10_000_000  # samples of a simulation
 
 
 def simulate(

@@ -119,8 +119,7 @@ def diagnose(options: DiagnoseOptions) -> int:
 
 AIMS = {"tight": None, "smooth": "simc-smooth", "averaging": "averaging"}
 """Rules of the aims; tight control is what is recommended anyway."""
-USUAL = (5.0, 95.0)
-"""Percentiles of co between which it moves because of loads."""
+USUAL = (5.0, 95.0)  # percentiles of co between which it moves because of loads
 
 
 class Aimed(NamedTuple):
@@ -203,10 +202,8 @@ def described(found: DiagnosedRecord) -> list[str]:
     return [lines[0], *(f"  {line}" for line in lines[1:])]
 
 
-NAME = 13
-"""Width of the names of lines."""
-WORTH_NAMING = 0.1
-"""Probability from which a second cause is named in the headline."""
+NAME = 13  # width of the names of lines
+WORTH_NAMING = 0.1  # probability from which a second cause is named in the headline
 
 
 def _headline(told: Diagnosis) -> str:
@@ -222,8 +219,7 @@ def _odds(p: float) -> str:
     return "over 99 %" if p > SUREST else f"{100.0 * p:.0f} %"
 
 
-SUREST = 0.99
-"""No probability is told larger."""
+SUREST = 0.99  # no probability is told larger
 
 
 def _recommended_lines(found: DiagnosedRecord) -> list[str]:
@@ -295,8 +291,7 @@ def test_words(test: DecidingTest) -> str:
     return f"{what.format(size=test.size, hold=hold)} with {_odds(test.decides)} probability"
 
 
-MINUTES_FROM_S = 600.0
-"""Times from here on are told in minutes."""
+MINUTES_FROM_S = 600.0  # times from here on are told in minutes
 
 
 def command_for(test: DecidingTest) -> str:

@@ -18,14 +18,11 @@ from retuner.errors import UserError, user_input
 from retuner.schedule.controller_units import Acting
 from retuner.schedule.gains import Form, PidGains, from_form
 
-MOST_BEYOND = 0.9
-"""Share of co beyond a limit from which the limit is meant in another unit."""
-SHARE = (-0.05, 1.05)
-"""Ends between which co may be a share of its range."""
+MOST_BEYOND = 0.9  # share of co beyond a limit from which the limit is meant in another unit
+SHARE = (-0.05, 1.05)  # ends between which co may be a share of its range
 PER_CENT, PER_CENT_WITHIN = 100.0, 2.0
 """Ratio of a gain for co in percent to one for its share, and the factor within which it is taken for that."""
-FEWEST_SAMPLES = 20
-"""Shorter records are refused: a model has four numbers, a load two, and noise must show besides."""
+FEWEST_SAMPLES = 20  # shorter records are refused: a model has four numbers, a load two, and noise must show besides
 
 
 def read_loop(options: RecordOptions) -> LoopRecord:

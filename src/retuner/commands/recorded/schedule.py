@@ -35,8 +35,7 @@ from retuner.schedule_report.schedule_page import (
 from retuner.scheduling import AUTO, OWN, RecordedGains, ScheduleDesign, design_schedule
 from retuner.verbosity import quiet
 
-PATIENCE_S = 2.0
-"""Work that takes longer says what it is at."""
+PATIENCE_S = 2.0  # work that takes longer says what it is at
 
 
 def schedule(options: ScheduleOptions) -> int:
