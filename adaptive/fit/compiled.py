@@ -23,13 +23,9 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
 TYPES = (
-    ProcessType.FOPDT,
-    ProcessType.SOPDT,
-    ProcessType.INTEGRATING,
-    ProcessType.INTEGRATING_LAG,
-    ProcessType.SOPDT_INVERSE,
-    ProcessType.TOPDT,
-)
+    ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG,
+    ProcessType.SOPDT_INVERSE, ProcessType.TOPDT,
+)  # fmt: skip
 """Structures in the order of their numbers."""
 NOTHING = np.zeros(0)
 

@@ -36,13 +36,9 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, replace
 
 FIRST, SECOND, INTEGRATING, INTEGRATING_LAG, INVERSE, THIRD = (
-    ProcessType.FOPDT,
-    ProcessType.SOPDT,
-    ProcessType.INTEGRATING,
-    ProcessType.INTEGRATING_LAG,
-    ProcessType.SOPDT_INVERSE,
-    ProcessType.TOPDT,
-)
+    ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG,
+    ProcessType.SOPDT_INVERSE, ProcessType.TOPDT,
+)  # fmt: skip
 ROUGH = 12
 """Evaluations of a refinement that only ranks the starts."""
 RELATIVE_MOVES = 2

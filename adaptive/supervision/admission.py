@@ -419,14 +419,6 @@ def _frozen_co(seen: _JudgedWindow) -> Ground:
 
 
 _RULES = (
-    _kept_whole,
-    _in_automatic,
-    _measured,
-    _telemetry,
-    _sensor_lives,
-    _in_region,
-    _same_gains,
-    _own_setpoint,
-    _free_output,
-    _excited,
-)
+    _kept_whole, _in_automatic, _measured, _telemetry, _sensor_lives, _in_region, _same_gains, _own_setpoint,
+    _free_output, _excited,
+)  # fmt: skip

@@ -91,35 +91,16 @@ P, E = TrialPhase, TrialEvent
 ROLLBACK_CAUSES = (E.WORSE, E.RUNAWAY)
 """Causes that speak against the tried set: each doubles the cool-down, and many lock the region."""
 SILENT = (
-    E.SATURATED,
-    E.MANUAL,
-    E.GAP,
-    E.LOST_TELEMETRY,
-    E.LINK_LOST,
-    E.LEASE_LOST,
-    E.RESTARTED,
-    E.DEVICE_REVERTED,
-    E.DEVICE_STOPPED,
-    E.ACTION_TURNED,
-    E.WRITE_UNKNOWN,
-    E.LEFT_INTERPOLATED,
-    E.TIMED_OUT,
-    E.STOPPED,
-)
+    E.SATURATED, E.MANUAL, E.GAP, E.LOST_TELEMETRY, E.LINK_LOST, E.LEASE_LOST, E.RESTARTED, E.DEVICE_REVERTED,
+    E.DEVICE_STOPPED, E.ACTION_TURNED, E.WRITE_UNKNOWN, E.LEFT_INTERPOLATED, E.TIMED_OUT, E.STOPPED,
+)  # fmt: skip
 """Causes that say nothing of the set."""
 ABORTS = (*ROLLBACK_CAUSES, *SILENT, E.ORDERED_BACK)
 """Causes that end an undecided trial where the tried set does not stay."""
 UNSURE = (
-    E.LINK_LOST,
-    E.LEASE_LOST,
-    E.LOST_TELEMETRY,
-    E.RESTARTED,
-    E.DEVICE_REVERTED,
-    E.DEVICE_STOPPED,
-    E.ACTION_TURNED,
-    E.WRITE_UNKNOWN,
-    E.STOPPED,
-)
+    E.LINK_LOST, E.LEASE_LOST, E.LOST_TELEMETRY, E.RESTARTED, E.DEVICE_REVERTED, E.DEVICE_STOPPED, E.ACTION_TURNED,
+    E.WRITE_UNKNOWN, E.STOPPED,
+)  # fmt: skip
 """Events after which the controller may run something else, or may come to."""
 LASTING = (E.SATURATED, E.MANUAL, E.GAP, E.LOST_TELEMETRY, E.LEFT_INTERPOLATED, E.TIMED_OUT)
 """Events that every sample or every poll tells anew: once the session ends they ask for nothing more."""

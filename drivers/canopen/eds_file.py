@@ -29,17 +29,9 @@ TPDO, RPDO = (0x1800, 0x1A00), (0x1400, 0x1600)
 PDOS = 512
 DISABLED = 1 << 31  # bit of a PDO's COB-ID
 PARSING_ERRORS = (
-    configparser.Error,
-    canopen.ObjectDictionaryError,
-    ValueError,
-    LookupError,
-    TypeError,
-    ArithmeticError,
-    AttributeError,
-    OSError,
-    RecursionError,
-    AssertionError,
-)
+    configparser.Error, canopen.ObjectDictionaryError, ValueError, LookupError, TypeError, ArithmeticError,
+    AttributeError, OSError, RecursionError, AssertionError,
+)  # fmt: skip
 SHOWN = 120
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())

@@ -8,15 +8,9 @@ from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.late_dataclass import dataclass, field
 
 TIMES = (
-    "sample_time_s",
-    "reply_samples",
-    "reply_floor_s",
-    "silent_samples",
-    "connect_samples",
-    "connect_floor_s",
-    "lease_samples",
-    "lease_floor_s",
-)
+    "sample_time_s", "reply_samples", "reply_floor_s", "silent_samples", "connect_samples", "connect_floor_s",
+    "lease_samples", "lease_floor_s",
+)  # fmt: skip
 OWNERS = 65535  # the owner's number has 16 bits; 0 is nobody
 LEASE_SAMPLES_MAX = 65535
 KEY_BYTES_MIN = 16

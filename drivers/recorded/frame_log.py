@@ -38,19 +38,9 @@ TEXT = (".asc", ".log")
 SIZE_MAX = 1 << 34
 """Largest file in bytes: a month of one loop at 100 samples a second is about as long."""
 READING_ERRORS = (
-    can.CanError,
-    BLFParseError,
-    OSError,
-    ValueError,
-    TypeError,
-    KeyError,
-    IndexError,
-    AttributeError,
-    OverflowError,
-    EOFError,
-    struct.error,
-    zlib.error,
-)
+    can.CanError, BLFParseError, OSError, ValueError, TypeError, KeyError, IndexError, AttributeError,
+    OverflowError, EOFError, struct.error, zlib.error,
+)  # fmt: skip
 """What python-can's readers raise on bytes that they did not expect."""
 
 

@@ -64,22 +64,9 @@ SILENT_UP_TO = {
 }
 """Numbers that say nothing up to here, and are left to the JSON then."""
 OF_OSCILLATION = {
-    "period_s",
-    "cycles",
-    "regularity",
-    "strength",
-    "period_to_tau_i",
-    "phase_deg",
-    "amplitude_pv",
-    "amplitude_co",
-    "triangle_co",
-    "triangle_pv",
-    "relay_pv",
-    "tone_share",
-    "distortion",
-    "horch_drho",
-    "stick_band",
-}
+    "period_s", "cycles", "regularity", "strength", "period_to_tau_i", "phase_deg", "amplitude_pv", "amplitude_co",
+    "triangle_co", "triangle_pv", "relay_pv", "tone_share", "distortion", "horch_drho", "stick_band",
+}  # fmt: skip
 """Numbers for people only where the oscillation is regular: of a transient they say little."""
 REGULAR = 1.0  # regularity from which it is
 LONGEST = 44  # width of the words in a table

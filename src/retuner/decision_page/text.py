@@ -148,12 +148,10 @@ def parameters(model: ProcessModel, std: dict[str, float], unit: str) -> list[tu
     integrating = model.type in {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
     gain, per = ("k' (slope gain)", f" {unit}/(% s)") if integrating else ("k (gain)", f" {unit}/%")
     rows = [
-        (gain, "k", model.k, per),
-        ("tau1 (lag)", "tau1", model.tau1_s, " s"),
-        ("tau2 (second lag)", "tau2", model.tau2_s, " s"),
-        ("tau3 (third lag)", "tau3", model.tau3_s, " s"),
+        (gain, "k", model.k, per), ("tau1 (lag)", "tau1", model.tau1_s, " s"),
+        ("tau2 (second lag)", "tau2", model.tau2_s, " s"), ("tau3 (third lag)", "tau3", model.tau3_s, " s"),
         ("theta (dead time)", "theta", model.theta_s, " s"),
-    ]
+    ]  # fmt: skip
     return [(label, f"{value:.4g}{_spread(value, std.get(name))}{unit}") for label, name, value, unit in rows if value]
 
 

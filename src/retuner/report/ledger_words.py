@@ -51,26 +51,9 @@ BY = {
 BY_ORDER = {"approved", "order_proposed", "ordered_back"}
 """Codes of decisions that a person stands behind; the order before them says who."""
 HIDDEN = {
-    "samples",
-    "gains",
-    "before",
-    "reason",
-    "region",
-    "loop",
-    "why",
-    "by",
-    "decision",
-    "proposal",
-    "crc",
-    "running",
-    "record",
-    "of",
-    "on_trial",
-    "in_place_of",
-    "said",
-    "pv_unit",
-    "kind",
-}
+    "samples", "gains", "before", "reason", "region", "loop", "why", "by", "decision", "proposal", "crc", "running",
+    "record", "of", "on_trial", "in_place_of", "said", "pv_unit", "kind",
+}  # fmt: skip
 """Values of other rows that have a column of their own, or say nothing to a person."""
 
 

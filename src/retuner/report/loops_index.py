@@ -43,14 +43,9 @@ def loop_line(
 def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
     """The page as text. facts : provenance, name to value."""
     heads = (
-        "loop",
-        "decisions",
-        "changes",
-        "rolled back",
-        "proposals",
-        "IAE relative to fixed gains",
+        "loop", "decisions", "changes", "rolled back", "proposals", "IAE relative to fixed gains",
         "needs attention",
-    )
+    )  # fmt: skip
     rows = [
         (
             f'<a href="{escaped(one.report)}">{escaped(one.name)}</a>' if one.report else escaped(one.name),

@@ -30,14 +30,8 @@ from retuner.ledger.lock import WriterLock
 from retuner.schedule.late_dataclass import dataclass, replace
 
 LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
-    "ledger.sqlite",
-    "report.html",
-    "summary.json",
-    "gains.toml",
-    "bus.blf",
-    "trend",
-    "config.toml",
-)
+    "ledger.sqlite", "report.html", "summary.json", "gains.toml", "bus.blf", "trend", "config.toml",
+)  # fmt: skip
 MEMORY, MEMORY_BEFORE, MEMORY_START = "memory.json", "memory-before.json", "memory-start.json"
 ORDERS = "orders"
 LIVE = "live"
