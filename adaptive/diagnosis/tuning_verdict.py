@@ -115,7 +115,7 @@ def _by_margins(loop: JudgedLoop, found: RecordVerdict, oscillates: bool) -> Rec
     far = not estimate.identifiable and spread > settings.spread_limit
     if far and not estimate.log.model().linear().integrators:
         return found
-    tuning = robust_simc(estimate, window.sample_time_s, settings.robust)
+    tuning = robust_simc(estimate, window.sample_time_s, settings.robust, loop.gains)
     verdict = weighed(estimate, loop.gains, tuning, window.sample_time_s, settings.cause)
     verdict = replace(verdict, evidence=verdict.evidence | found.diagnosis.evidence)
     if far:
@@ -155,7 +155,7 @@ def _in_order(loop: JudgedLoop, found: RecordVerdict) -> RecordVerdict:
         return found
     told = f"the loop follows its setpoint without much overshoot, Ms {peaks[0]:.2f}"
     open_because = CONTRADICTED if verdict.reason == UNSTABLE else verdict.reason
-    room = robust_simc(estimate, dt, settings.robust).tuning.gains.ki / gains.ki if gains.ki else math.inf
+    room = robust_simc(estimate, dt, settings.robust, gains).tuning.gains.ki / gains.ki if gains.ki else math.inf
     seen = margins(estimate.plausible[0].model.seen_by_controller(dt).linear(), gains)  # of the model that is told of
     kept = {name: value for name, value in verdict.evidence.items() if name not in RATIOS}
     evidence = kept | {"ms": seen.ms, "gm": seen.gm, "pm_deg": seen.pm_deg}
@@ -321,7 +321,7 @@ def second_opinion(loop: JudgedLoop, verdict: Diagnosis) -> bool:
     estimate = estimate_of(loop.fits.barred, float(loop.window.t_s[0]), {}, FitSettings())
     if len(estimate.load_times_s) > settings.second_loads:
         return False
-    tuning = robust_simc(estimate, loop.window.sample_time_s, settings.robust)
+    tuning = robust_simc(estimate, loop.window.sample_time_s, settings.robust, loop.gains)
     other = weighed(estimate, loop.gains, tuning, loop.window.sample_time_s, settings.cause)
     calms = asks_for_less(other, settings.cause)
     same = calms == asks_for_less(verdict, settings.cause) and (calms or other.cause is verdict.cause)

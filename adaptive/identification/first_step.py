@@ -62,7 +62,7 @@ def first_step(
         span = 1 / (plain.slope * most * in_force.kp)
         share = most * in_force.kp / wanted.kp
         calmer = replace(tuning, gains=PidGains(share * wanted.kp, share * wanted.ki, share * wanted.kd))
-        tuning = simc(model, span - plain.theta_s) if span > 2 * plain.theta_s else calmer
+        tuning = simc(model, span - plain.theta_s) if span > 2 * plain.theta_s and not wanted.kd else calmer
     gains = tuning.gains
     if in_force.ki and gains.ki / in_force.ki > most:
         share = 1.0 if in_force.kp else most * in_force.ki / gains.ki  # without P in force nothing else bounds it

@@ -9,6 +9,9 @@ gains make such a loop unstable at any tau_c. There the settings have the most i
 
 The first remedy for doubt is a larger tau_c (by at most so much); what is still not robust then is for the guard, or
 for the user, to judge by the Ms that comes with the settings. Half a sampling interval counts as dead time.
+
+A loop that has derivative action gets SIMC's PID settings (tau_D is the second lag; Skogestad 2003, table 1) where that
+lag is known well enough for them to be robust by the same limits, and where they reject loads better than PI does.
 """
 
 from collections.abc import Sequence
@@ -19,10 +22,12 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.loop.most_integral import most_integral
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.rules.rule import ControllerKind, Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
+PI, PID = ControllerKind.PI, ControllerKind.PID
 BISECTIONS = 8
 """Bisections for tau_c between its limits: to a few thousandths."""
 SWINGS = 0.85
@@ -67,24 +72,41 @@ class RobustTuning:
     ms_worst: float
 
 
-def robust_simc(estimate: ModelEstimate, sample_time_s: float, settings: RobustSettings) -> RobustTuning:
-    """PI settings for an estimate."""
-    return robust_simc_on(estimate.log.model(), estimate.plausible, sample_time_s, settings)
+def robust_simc(
+    estimate: ModelEstimate, sample_time_s: float, settings: RobustSettings, in_force: PidGains | None = None
+) -> RobustTuning:
+    """Settings for an estimate; PI, or PID where the gains in force have derivative action."""
+    return robust_simc_on(estimate.log.model(), estimate.plausible, sample_time_s, settings, in_force)
 
 
 def robust_simc_on(
-    process: ProcessModel, allowed: Sequence[Plausible], sample_time_s: float, settings: RobustSettings
+    process: ProcessModel,
+    allowed: Sequence[Plausible],
+    sample_time_s: float,
+    settings: RobustSettings,
+    in_force: PidGains | None = None,
 ) -> RobustTuning:
-    """PI settings for the most likely model and all that are still allowed."""
+    """Settings for the most likely model and all that are still allowed; PI, or PID as said at the head of the file."""
     model = less_damped(process.seen_by_controller(sample_time_s))
-    theta = without_second_lag(model).theta_s
     others = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, settings.believed)]
+    plain, _ = _tightest(model, others, settings, PI)
+    if in_force is None or not in_force.kd or not model.tau2_s or asks_for_integral(model):
+        return plain
+    with_derivative, robust = _tightest(model, others, settings, PID)
+    better = abs(with_derivative.tuning.gains.ki) > abs(plain.tuning.gains.ki)
+    return with_derivative if robust and better else plain
 
+
+def _tightest(
+    model: ProcessModel, others: Sequence[ProcessModel], settings: RobustSettings, kind: ControllerKind
+) -> tuple[RobustTuning, bool]:
+    """Settings with the smallest tau_c that is robust, or with the largest; and whether they are robust."""
+    theta = model.theta_s if kind is PID else without_second_lag(model).theta_s
     third = third_lag(model, settings.hidden_share)
     calmer = 1.0 / model.zeta if swings(model) else 1.0  # the less damped, the larger tau_c may become
 
     def at(ratio: float) -> RobustTuning:
-        given = by_integral(model, ratio) if asks_for_integral(model) else simc(model, ratio * theta)
+        given = by_integral(model, ratio) if asks_for_integral(model) else simc(model, ratio * theta, kind)
         ms = sensitivity_peak(model.linear(), given.gains)
         worst = max([ms, *(sensitivity_peak(m.linear(), given.gains) for m in others)])
         return RobustTuning(given, ms, worst)
@@ -97,7 +119,7 @@ def robust_simc_on(
 
     tightest = at(1.0)
     if proper(tightest, 1.0):
-        return tightest
+        return tightest, True
     low, high = 1.0, settings.tau_c_most * calmer
     best = at(high)
     for _ in range(BISECTIONS):
@@ -107,7 +129,7 @@ def robust_simc_on(
             high, best = middle, found
         else:
             low = middle
-    return best
+    return best, best.ms_worst <= settings.ms_worst and proper(best, high)
 
 
 def less_damped(model: ProcessModel) -> ProcessModel:

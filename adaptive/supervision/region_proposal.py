@@ -152,7 +152,7 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
     """
     dt_s, best, cause = settings.sample_time_s, log.model(), settings.cause
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
-    tuning = robust_simc_on(best, region_model.plausible, dt_s, robust).tuning
+    tuning = robust_simc_on(best, region_model.plausible, dt_s, robust, in_force).tuning
     given, lagged = (in_force, tuning.gains, log.gain_uncertainty(dt_s)), with_second_lag(region_model.plausible, dt_s)
     as_well = [best, *(p.model for p in region_model.plausible[1:] if not p.excess)]
 

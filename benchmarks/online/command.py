@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from online import batch, changes, harm, injected, loads, own_fault, real_loads, tours
+from online import batch, changes, derivative, harm, injected, loads, own_fault, real_loads, tours
 from online.runner import collect, rows_of
 
 ALL = "all"
@@ -77,6 +77,12 @@ PARTS = {
         "loops that swing by their own fault, Ms over 3",
         lambda options, kind: own_fault.tasks(options.seed, kind, options.loops, verbose=options.verbose),
         20,
+    ),
+    "derivative": Part(
+        derivative,
+        "loops with derivative action, gains off",
+        lambda options, _: derivative.tasks(options.seed, options.loops, verbose=options.verbose),
+        16,
     ),
     "real": Part(real_loads, "wrong and good gains under the loads of real loops", _real, 8),
 }

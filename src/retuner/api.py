@@ -314,8 +314,8 @@ def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, o
         estimate = _unless_one_tone(window, _unless_pv_stands(window, gains, estimate))
     if not estimate.identifiable:
         return Identification(estimate, None, None)
-    found = robust_simc(estimate, window.sample_time_s, RobustSettings())
-    settings = TuneResult(found.tuning, found.tuning.form, margins(estimate.log.model().linear(), found.tuning.gains))
+    found = robust_simc(estimate, window.sample_time_s, RobustSettings(), gains)
+    settings = TuneResult.on(found.tuning, estimate.log.model())
     if gains is None:
         return Identification(estimate, settings, None)
     return _no_farther(Identification(estimate, settings, margins(estimate.log.model().linear(), gains)), window, gains)
@@ -349,7 +349,7 @@ def _no_farther(found: Identification, window: Window, gains: PidGains) -> Ident
     """What was identified, with no more gain at once than the record's events carry."""
     estimate, dt = found.estimate, window.sample_time_s
     events = len(setpoint_changes(window)) + len(estimate.load_times_s)
-    aim = robust_simc(estimate, dt, RobustSettings())
+    aim = robust_simc(estimate, dt, RobustSettings(), gains)
     step = first_step(aim, gains, events, estimate.log.model(), dt)
     if step is None:
         return found
@@ -371,4 +371,4 @@ def followed_settings(estimate: ModelEstimate | None, found: RobustTuning | None
     """Settings with their margins on the best model, where there are any."""
     if found is None or estimate is None:
         return None
-    return TuneResult(found.tuning, found.tuning.form, margins(estimate.log.model().linear(), found.tuning.gains))
+    return TuneResult.on(found.tuning, estimate.log.model())

@@ -12,7 +12,7 @@ from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.indexes.days import days_of
-from retuner.adaptive.loop.margins import Margins, margins
+from retuner.adaptive.loop.margins import Margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
 from retuner.api import Record, followed_settings, window_of, within
@@ -187,7 +187,7 @@ def diagnose_windows(
     fits = {name: c.fit.at.explained for name, c in found.fits.items()}
     now, aim = (followed_settings(found.estimate, tuning) for tuning in (found.tuning, found.aim))
     if worth is not None:
-        now = TuneResult(worth.tuning, worth.tuning.form, margins(worth.models[0].linear(), worth.tuning.gains))
+        now = TuneResult.on(worth.tuning, worth.models[0])
     return RecordDiagnosis(
         found.diagnosis,
         found.estimate,

@@ -43,6 +43,12 @@ class TuneResult:
     def _repr_html_(self) -> str:
         return display_hook.html(self)
 
+    @classmethod
+    def on(cls, tuning: Tuning, process: ProcessModel) -> "TuneResult":
+        """Settings in the form of their rule, with the margins of that process under them."""
+        kind = ControllerKind.PID if tuning.gains.kd else ControllerKind.PI
+        return cls(tuning, tuning.form, margins(process.linear(), tuning.gains), kind)
+
     @property
     def gains(self) -> PidGains:
         """The settings as parallel gains."""

@@ -18,6 +18,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.from_neighbours import spread
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import predicted
+from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.region_proposal import no_more_action, propose
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -134,3 +135,33 @@ def test_a_dead_time_too_short_to_be_seen_bounds_more_action_and_says_nothing_ag
     assert of(replace(bound, plausible=bound.plausible[:1]), best)[1] is Cause.AGGRESSIVE
     assert predicted(bound, 100.0, S.tracker).model().theta_s == pytest.approx(late.theta_s)
     assert bound.known[0].log is log
+
+
+TWO_LAGS = ProcessModel(ProcessType.SOPDT, 1.0, 100.0, 40.0, 8.0)
+ONE_LAG = ProcessModel(ProcessType.FOPDT, 1.0, 120.0, 0.0, 28.0)
+"""What a first-order fit sees of the first."""
+PID_LOOP, PI_LOOP = PidGains(3.0, 0.03, 60.0), PidGains(3.0, 0.03)
+
+
+def test_a_loop_with_derivative_action_gets_simcs_pid_where_the_second_lag_is_known() -> None:
+    gains, cause, _ = of(known(TWO_LAGS, 1e-3), PID_LOOP)
+    best = simc(TWO_LAGS.seen_by_controller(S.sample_time_s), kind=ControllerKind.PID).gains
+    assert (gains.kp, gains.ki, gains.kd) == pytest.approx((best.kp, best.ki, best.kd), rel=0.02)
+    assert ms(TWO_LAGS, gains) < 1.68
+    assert cause is Cause.SLUGGISH
+    assert of(known(TWO_LAGS, 1e-3), PI_LOOP)[0].kd == 0.0  # nobody asked for a derivative
+
+
+def test_no_derivative_is_proposed_that_a_model_without_a_second_lag_does_not_bear() -> None:
+    def proposed(excess: float) -> PidGains:
+        allowed = [Plausible(TWO_LAGS, 0.0), Plausible(ONE_LAG, excess)]
+        return robust_simc_on(TWO_LAGS, allowed, S.sample_time_s, RobustSettings(), PID_LOOP).tuning.gains
+
+    assert ms(ONE_LAG, proposed(9.0)) > 1.8 > ms(ONE_LAG, proposed(1.0))
+    assert proposed(9.0).kd > 0.0 == proposed(1.0).kd
+
+
+def test_a_second_lag_shorter_than_the_dead_time_brings_next_to_nothing_by_derivative_action() -> None:
+    plain = ProcessModel(ProcessType.SOPDT, 1.0, 100.0, 5.0, 30.0)
+    found = [of(known(plain, 1e-3), gains)[0] for gains in (PID_LOOP, PI_LOOP)]
+    assert found[0].ki == pytest.approx(found[1].ki, rel=0.15)

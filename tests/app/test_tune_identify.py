@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import retuner
-from retuner import PidGains, ProcessModel, ProcessType, identify, tune
+from retuner import PidController, PidGains, ProcessModel, ProcessType, identify, tune
 from retuner.cli import main
 
 HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
@@ -182,6 +182,25 @@ def test_the_python_interface() -> None:
         _ = retuner.nonsense
     with pytest.raises(ValueError, match="kind 'pd'"):
         tune(ProcessModel(ProcessType.FOPDT, 2.0, 10.0, 0.0, 1.0), kind="pd")
+
+
+def test_settings_for_a_loop_with_derivative_action_have_one_too() -> None:
+    gains, noise = PidGains.from_series(2.0, 60.0, 30.0), np.random.default_rng(4).normal(0.0, 0.02, 1200)
+    pid, late = PidController(gains, dt_s=1.0, pv_range=(0, 100), mode="off", tau_f_s=3.0), [0.0] * 6
+    first = second = 0.0
+    rows = []
+    for t, more in enumerate(noise):  # lags of 60 and 30 s, gain 1, dead time 6 s
+        sp, pv = (50.0 if t % 600 < 50 else 55.0), 50.0 + second + float(more)
+        late.append(pid.step(sp, pv) - 50.0)
+        rows.append((float(t), sp, pv, late[-1] + 50.0))
+        first += (late.pop(0) - first) / 60.0
+        second += (first - second) / 30.0
+    record = np.array(rows).T
+    found, plain = (identify(*record, gains=given).settings for given in (gains, PidGains(gains.kp, gains.ki)))
+    assert found is not None
+    assert plain is not None
+    assert (found.kind, plain.kind) == ("pid", "pi")
+    assert found.to_dict()["gains"]["tau_d"] == pytest.approx(30.0, rel=0.2)  # type: ignore[index]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from retuner.adaptive.experiments.plan import Experiment
 from retuner.adaptive.experiments.relay import RelayCycle, relay_cycle
 from retuner.adaptive.experiments.step import swing
 from retuner.adaptive.experiments.valve_test import ValveReading
-from retuner.adaptive.loop.margins import margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.registry import rule_named
 from retuner.adaptive.rules.rule import Takes
@@ -180,7 +179,7 @@ def _read_setpoint(found: ExperimentFindings, window: Window, question: Experime
     if "two-step" in found.models:
         direct = step.direct_settings(seen, kc0)
         best = found.model or found.models["two-step"]
-        found.offers[OVERSHOOT_RULE] = TuneResult(direct, direct.form, margins(best.linear(), direct.gains))
+        found.offers[OVERSHOOT_RULE] = TuneResult.on(direct, best)
 
 
 def _read_relay(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:
