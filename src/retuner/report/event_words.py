@@ -16,56 +16,31 @@ def event_line(kind: str, body: Mapping[str, object]) -> str:
     return tell(dict(body)) if tell else ""
 
 
-def _after(what: str) -> Callable[[Document], str]:
-    return lambda body: _because(what, body)
-
-
 def _because(what: str, body: Document) -> str:
     reason = words(body, "reason")
     return f"{what}: {reason}" if reason else what
 
 
-def _link(body: Document) -> str:
-    return _because(LINK.get(words(body, "state"), "CAN link"), body)
+def _after(what: str) -> Callable[[Document], str]:
+    """An event with its reason; what : its words, with {values of the row} in them."""
+    return lambda body: _because(what.format(**{name: words(body, name) for name in NAMED}), body)
 
 
-def _refused(body: Document) -> str:
-    return _because(f"write refused, region {words(body, 'region')}", body)
+NAMED = ("region", "name", "command")
 
 
-def _dropped(body: Document) -> str:
-    return _because(f"change not written, region {words(body, 'region')}", body)
-
-
-def _restart(body: Document) -> str:
-    return f"controller restarted (start {int(number(body, 'epoch') or 0)})"
-
-
-def _lost(body: Document) -> str:
-    count = int(number(body, "count") or 0)
-    return _because(f"{count} sample{'s' * (count != 1)} lost", body)
+def _count(body: Document, name: str) -> int:
+    return int(number(body, name) or 0)
 
 
 def _foreign(body: Document) -> str:
     gains = gains_of(part(body, "gains"))
-    return f"gains changed by someone else: {settings_text(gains)}" if gains else "gains changed by someone else"
+    return "gains changed by someone else" + (f": {settings_text(gains)}" if gains else "")
 
 
 def _bus(body: Document) -> str:
     times = int(number(body, "times") or 1)
     return f"bus fault: {words(body, 'fault')}{f' ({times} times)' * (times > 1)}"
-
-
-def _variable(body: Document) -> str:
-    return _because(f"scheduling variable {words(body, 'name')}", body)
-
-
-def _command(body: Document) -> str:
-    return _because(f"command {words(body, 'command')} failed", body)
-
-
-def _lockout(body: Document) -> str:
-    return f"region {words(body, 'region')} locked after {int(number(body, 'undos') or 0)} rollbacks"
 
 
 def _regions(what: str) -> Callable[[Document], str]:
@@ -90,10 +65,6 @@ def _restored(body: Document) -> str:
     return _because("; ".join(told) or "gains read back and active", body)
 
 
-def _trial(body: Document) -> str:
-    return f"trial: {reason}" if (reason := words(body, "reason")) else ""
-
-
 def _request(body: Document) -> str:
     """What an operator asked for, and whether it was accepted."""
     what = " ".join(filter(None, (words(body, "order") or "unreadable file", words(body, "mode"))))
@@ -102,22 +73,22 @@ def _request(body: Document) -> str:
 
 
 EVENTS: dict[str, Callable[[Document], str]] = {
-    "refused": _refused,
-    "link": _link,
-    "restart": _restart,
-    "lost": _lost,
-    "command": _command,
+    "refused": _after("write refused, region {region}"),
+    "link": lambda body: _because(LINK.get(words(body, "state"), "CAN link"), body),
+    "restart": lambda body: f"controller restarted (start {_count(body, 'epoch')})",
+    "lost": lambda body: _because(f"{(lost := _count(body, 'count'))} sample{'s' * (lost != 1)} lost", body),
+    "command": _after("command {command} failed"),
     "worker": _after("decision process"),
     "unknown": _after("write not confirmed"),
     "foreign": _foreign,
     "action": _after("ALARM"),
-    "dropped": _dropped,
+    "dropped": _after("change not written, region {region}"),
     "bus": _bus,
-    "variable": _variable,
+    "variable": _after("scheduling variable {name}"),
     "abort": _after("trial interrupted"),
     "restored": _restored,
-    "trial": _trial,
-    "lockout": _lockout,
+    "trial": lambda body: f"trial: {reason}" if (reason := words(body, "reason")) else "",
+    "lockout": lambda body: f"region {words(body, 'region')} locked after {_count(body, 'undos')} rollbacks",
     "unrestored": _regions("gains not known to be active"),
     "order": _request,
     "bump": lambda body: words(body, "reason"),

@@ -7,6 +7,7 @@ Works on the documents that rows hold, whatever release wrote them: what a row l
 """
 
 from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 from retuner.adaptive.trial.judge import TrialFinding
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
@@ -149,7 +150,16 @@ def _who(kind: str, body: Document) -> str:
     return BY.get(kind, PROGRAM)
 
 
-Words = tuple[str, str, str, str, str]
+class Words(NamedTuple):
+    """A row in words: the last five columns of its line."""
+
+    why: str
+    old: str = ""
+    new: str = ""
+    evidence: str = ""
+    verdict: str = ""
+
+
 ACTIONS = {"commit": "to be written", "advise": "proposed", "restore": "rolled back", "none": "no change"}
 """What a decision does."""
 
@@ -166,7 +176,7 @@ def _decision(body: Document) -> Words:
     said += f"; in place of {older}" if older else ""
     title = f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}"
     seen = (response_text(body), _explained(body), _known(body))
-    return (
+    return Words(
         title,
         "" if stays(body) else _settings(body, "gains_before"),
         _settings(body, "gains_after") if action != "none" else "",
@@ -251,7 +261,7 @@ def _write(body: Document) -> Words:
     why, of = words(body, "why"), words(body, "of")
     done = "active, as read back" if "crc" in body else ""
     what = f"the gains of {of}" if of else WRITTEN.get(why, why)
-    return what, _settings(body, "before"), _settings(body, "gains"), done, words(body, "reason")
+    return Words(what, _settings(body, "before"), _settings(body, "gains"), done, words(body, "reason"))
 
 
 WRITTEN = {
@@ -273,7 +283,7 @@ def _order(body: Document) -> Words:
     new = _settings(proposal, "after") or _settings(body, "gains")
     verdict = "accepted" if body.get("accepted") is True else f"refused: {words(body, 'reason')}"
     why = f"{kind} {about}{f': {note}' if note else ''}".strip()
-    return why, _settings(proposal, "before"), new, f"requested {words(body, 'at')}".strip(), verdict
+    return Words(why, _settings(proposal, "before"), new, f"requested {words(body, 'at')}".strip(), verdict)
 
 
 def _trial(body: Document) -> Words:
@@ -286,7 +296,7 @@ def _trial(body: Document) -> Words:
         told += [f"{upset} {brief(now[0])} {per} ({was})"] if now and now[0] is not None and was else []
     verdict = f"predicted IAE per unit step: {', '.join(told)}" if told else ""
     why = words(body, "reason") or f"{words(body, 'of') or 'a change'} is on trial"
-    return why, _settings(body, "verified"), _settings(body, "gains"), "", verdict
+    return Words(why, _settings(body, "verified"), _settings(body, "gains"), verdict=verdict)
 
 
 def _judged(body: Document) -> Words:
@@ -294,7 +304,7 @@ def _judged(body: Document) -> Words:
     reason, said = words(body, "reason"), body.get("said")
     if isinstance(said, list) and len(said) == 2 and reason and reason in said[1]:
         reason = f"why: {said[0]}"
-    return f"the trial of {words(body, 'on_trial') or 'a change'} {_outcome(body)}", "", "", "", reason
+    return Words(f"the trial of {words(body, 'on_trial') or 'a change'} {_outcome(body)}", verdict=reason)
 
 
 def _outcome(body: Document) -> str:
@@ -318,24 +328,13 @@ def _in_unit(text: str, unit: str) -> str:
     return text.replace(" pv s per unit", f" {unit} s per unit").replace(" in units of pv", f" {unit}")
 
 
-def _over(_body: Document) -> Words:
-    """A loop of several whose samples are at their end."""
-    return "the samples of this loop are at their end", "", "", "", ""
-
-
-def _restore(body: Document) -> Words:
-    """Verified gains that are to come back."""
-    of = words(body, "of")
-    why = f"the gains that {of} asks for are to run" if of else words(body, "reason")
-    return why, "", _settings(body, "gains"), "", ""
-
-
 def _session(body: Document) -> Words:
     """What the run is made with."""
     made_with = ", ".join(f"{name} {version}" for name, version in part(body, "versions").items())
     config = part(body, "config")
     loops = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
-    return f"begins: {', '.join(loops)}", "", "", made_with, "; ".join(map(_taken_up, parts(body, "schedules")))
+    taken_up = "; ".join(map(_taken_up, parts(body, "schedules")))
+    return Words(f"begins: {', '.join(loops)}", evidence=made_with, verdict=taken_up)
 
 
 def _taken_up(schedule: Document) -> str:
@@ -344,25 +343,20 @@ def _taken_up(schedule: Document) -> str:
     return f"{words(schedule, 'loop')}: schedule of proposal {words(schedule, 'hash')[:8]}, {standing}"
 
 
-def _schedule(body: Document) -> Words:
-    """Another schedule that the records ask for."""
-    return words(body, "reason"), "", "", f"proposal {words(body, 'hash')[:8]}", "proposed"
-
-
 def _event(body: Document) -> Words:
     """What happened beside decisions, in the words of the screen."""
     told = event_line(words(body, "kind"), body)
     regions, waits = body.get("regions"), part(body, "waits")  # regions whose set runs when the loop comes
     runs = not waits or (isinstance(regions, list) and any(name not in waits for name in regions))
     new = "" if words(body, "kind") == "foreign" or not runs else _settings(body, "gains")
-    return told or words(body, "reason"), "", new, "", ""
+    return Words(told or words(body, "reason"), new=new)
 
 
 def _end(body: Document) -> Words:
     """How the run came to its end, and the log that belongs to it."""
     how = "the run was stopped" if body.get("interrupted") is True else "the run is complete"
     log = words(body, "bus_log")
-    return how, "", "", f"bus log {log}, SHA-256 {words(body, 'bus_log_sha256')}" if log else "", ""
+    return Words(how, evidence=f"bus log {log}, SHA-256 {words(body, 'bus_log_sha256')}" if log else "")
 
 
 def _order_of_writes(body: Document) -> Words:
@@ -371,23 +365,7 @@ def _order_of_writes(body: Document) -> Words:
     why = f"one set of gains in {count} message{'s' * (count != 1)}"
     between = "" if ms is None else f"Ms of the sets between them at most {ms:.2f}"
     proved = "proved stable on every plausible model" if body.get("proved") is True else "not proved"
-    return why, "", "", between, proved if count > 1 else ""
-
-
-def _question(body: Document) -> Words:
-    """A response goes to the process that decides."""
-    return f"the response up to sample {int(number(body, 'asked') or 0):,} is being evaluated", "", "", "", ""
-
-
-def _answer(body: Document) -> Words:
-    """What comes back from there."""
-    asked = int(number(body, "asked") or 0)
-    return f"the evaluation of sample {asked:,} is there", "", "", "", words(body, "reason")
-
-
-def _memory(body: Document) -> Words:
-    """What is known was saved for a restart."""
-    return "saved for a restart", "", "", f"SHA-256 {words(body, 'sha256')}", ""
+    return Words(why, evidence=between, verdict=proved if count > 1 else "")
 
 
 def _other(body: Document) -> Words:
@@ -395,7 +373,11 @@ def _other(body: Document) -> Words:
     plain = {key: value for key, value in body.items() if isinstance(value, str | int | float)}
     plain |= {key: ", ".join(map(str, value)) for key, value in body.items() if isinstance(value, list)}
     more = ", ".join(f"{key} {value}" for key, value in plain.items() if key not in HIDDEN)
-    return words(body, "reason"), "", _settings(body, "gains"), more, ""
+    return Words(words(body, "reason"), new=_settings(body, "gains"), evidence=more)
+
+
+def _asked(body: Document) -> str:
+    return f"{int(number(body, 'asked') or 0):,}"
 
 
 WORDS: dict[str, Callable[[Document], Words]] = {
@@ -407,14 +389,19 @@ WORDS: dict[str, Callable[[Document], Words]] = {
     "session": _session,
     "trial": _trial,
     "judged": _judged,
-    "restore": _restore,
-    "over": _over,
-    "schedule": _schedule,
+    "restore": lambda body: Words(
+        f"the gains that {of} asks for are to run" if (of := words(body, "of")) else words(body, "reason"),
+        new=_settings(body, "gains"),
+    ),
+    "over": lambda _: Words("the samples of this loop are at their end"),
+    "schedule": lambda body: Words(
+        words(body, "reason"), evidence=f"proposal {words(body, 'hash')[:8]}", verdict="proposed"
+    ),
     "end": _end,
     "order_of_writes": _order_of_writes,
-    "question": _question,
-    "answer": _answer,
-    "memory": _memory,
+    "question": lambda body: Words(f"the response up to sample {_asked(body)} is being evaluated"),
+    "answer": lambda body: Words(f"the evaluation of sample {_asked(body)} is there", verdict=words(body, "reason")),
+    "memory": lambda body: Words("saved for a restart", evidence=f"SHA-256 {words(body, 'sha256')}"),
 }
 
 
