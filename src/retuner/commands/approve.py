@@ -2,14 +2,13 @@
 
 import datetime as dt
 import getpass
-import json
 import os
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.decision import gains_dict
+from retuner.commands.options import tell
 from retuner.commands.signatures import ApproveOptions, RevertOptions
 from retuner.config.loading import load_session
 from retuner.config.model import Config
@@ -150,7 +149,7 @@ def approve(options: ApproveOptions) -> int:
     if not reason:
         document["file"] = str(place.put(OrderKind.APPROVE, options, digest=full))
     text = f"{full[:SHORTEST]} is not approved: {reason}" if reason else f"{full[:SHORTEST]}: {place.who_acts()}"
-    _tell(document, text, as_json=as_json)
+    tell(document, [text], as_json=as_json)
     return 1 if reason else 0
 
 
@@ -178,7 +177,7 @@ def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
     told = f"{into}: has the schedule {full[:SHORTEST]} now, {parts}; its next run uses it"
     if written.comments:
         told += f"; comments on {written.comments} lines of the old section were lost with it"
-    _tell(document, told, as_json=options.as_json)
+    tell(document, [told], as_json=options.as_json)
     return 0
 
 
@@ -223,11 +222,8 @@ def revert(options: RevertOptions) -> int:
         "gains": gains_dict(change.before),
         "file": str(file),
     }
-    _tell(
-        document,
-        f"{change.region} back to {settings_text(change.before)}, as before decision {decision}: {place.who_acts()}",
-        as_json=options.as_json,
-    )
+    back = f"{change.region} back to {settings_text(change.before)}, as before decision {decision}"
+    tell(document, [f"{back}: {place.who_acts()}"], as_json=options.as_json)
     return 0
 
 
@@ -240,7 +236,7 @@ def _unlock(place: LoopPlace, region: str, options: ApproveOptions) -> int:
         raise UserError(f"--unlock {region}: there is no such region; there are {', '.join(names)}")
     file = place.put(OrderKind.UNLOCK, options, region=region)
     document = {"session": str(place.session), "unlocked": region, "file": str(file)}
-    _tell(document, f"{region}: {place.who_acts()}", as_json=options.as_json)
+    tell(document, [f"{region}: {place.who_acts()}"], as_json=options.as_json)
     return 0
 
 
@@ -273,9 +269,9 @@ def _list(found: Sequence[LoopPlace], options: ApproveOptions) -> int:
         documents.append(document)
         lines += text
     if not found[0].name:
-        _tell(documents[0], "\n".join(lines), as_json=options.as_json)
+        tell(documents[0], lines, as_json=options.as_json)
         return 0
-    _tell({"session": str(found[0].session), "loops": documents}, "\n".join(lines), as_json=options.as_json)
+    tell({"session": str(found[0].session), "loops": documents}, lines, as_json=options.as_json)
     return 0
 
 
@@ -335,8 +331,3 @@ def _listed(place: LoopPlace, proposal: Proposal) -> dict[str, object]:
         "gains_after": gains_dict(proposal.after),
         "superseded_by": place.shown.successor(proposal) or None,
     }
-
-
-def _tell(document: Mapping[str, object], text: str, *, as_json: bool) -> None:
-    """Either form of an answer."""
-    sys.stdout.write((json.dumps(document, indent=2, allow_nan=False) if as_json else text) + "\n")

@@ -14,7 +14,7 @@ from retuner.adaptive.experiments.plan import Experiment, Plan
 from retuner.adaptive.experiments.valve_test import SHORT, STAIRCASE, read_valve_test
 from retuner.adaptive.explanations.proposed_test import TestKind
 from retuner.adaptive.rules.registry import rule_named
-from retuner.commands.options import on_bus
+from retuner.commands.options import on_bus, tell
 from retuner.commands.recorded.plot_option import check_plot
 from retuner.commands.recorded.record_options import read_record, tell_assumed
 from retuner.commands.signatures import (
@@ -266,10 +266,7 @@ def valve(options: ValveOptions) -> int:
     tell_assumed(read.assumed, options)
     with user_input(str(options.file)):
         found = read_valve_test(read.recording.window())
-    if options.as_json:
-        sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
-    else:
-        sys.stdout.write("\n".join(valve_described(found)) + "\n")
+    tell(found.to_dict(), valve_described(found), as_json=options.as_json)
     decided = max(found.sound, found.dead_band_odds, found.resolution_odds) >= LIKELY
     return 0 if decided else 1
 

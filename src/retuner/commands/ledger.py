@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from retuner.commands.options import tell
 from retuner.commands.signatures import ExportOptions, ShowOptions, VerifyOptions
 from retuner.config.loading import load_session
 from retuner.decision_page.row_values import number, part, parts, words
@@ -58,20 +59,10 @@ def verify(options: VerifyOptions) -> int:
     path = ledger_path(options.file)
     with LedgerReader(path) as ledger:
         report = ledger.verify(head or "")
-    if options.as_json:
-        document = {
-            "file": str(path),
-            "ok": report.ok,
-            "rows": report.rows,
-            "head": report.head,
-            "broken_seq": report.broken_seq,
-            "reason": report.reason or None,
-        }
-        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-    elif report.ok:
-        sys.stdout.write(f"{path}: ok, {report.rows} rows, head {report.head}\n")
-    else:
-        sys.stdout.write(f"{path}: broken: {report.reason}; {report.rows} rows before it hold\n")
+    same = {name: getattr(report, name) for name in ("ok", "rows", "head", "broken_seq")}
+    broken = f"broken: {report.reason}; {report.rows} rows before it hold"
+    line = f"{path}: {f'ok, {report.rows} rows, head {report.head}' if report.ok else broken}"
+    tell({"file": str(path), **same, "reason": report.reason or None}, [line], as_json=options.as_json)
     return 0 if report.ok else 1
 
 

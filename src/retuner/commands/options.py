@@ -1,6 +1,8 @@
 """Options that several commands share, and how a dataclass of options becomes a command's signature."""
 
-from collections.abc import Callable
+import json
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from importlib import import_module
 from inspect import signature
@@ -137,6 +139,11 @@ def command(app: typer.Typer, options: type[Any], work: str, epilog: str) -> Non
         return int(getattr(import_module(f"retuner.commands.{module}"), name)(given))
 
     app.command(name, epilog=epilog)(called)
+
+
+def tell(document: Mapping[str, object], lines: Iterable[str], *, as_json: bool) -> None:
+    """The answer of a command: one JSON document, or lines."""
+    sys.stdout.write((json.dumps(document, indent=2, allow_nan=False) if as_json else "\n".join(lines)) + "\n")
 
 
 def on_bus(config: "Config", interface: str | None, channel: str | None) -> "Config":

@@ -4,8 +4,6 @@ Where the settings in force are not given they are read off the record (adaptive
 without them nothing can be said of the tuning.
 """
 
-import json
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +20,7 @@ from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
-from retuner.commands.options import RecordOptions
+from retuner.commands.options import RecordOptions, tell
 from retuner.commands.recorded.record_options import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import controller, read_records_of_loop, require_fitting, require_length
 from retuner.commands.signatures import DiagnoseOptions
@@ -103,17 +101,10 @@ def diagnose(options: DiagnoseOptions) -> int:
     assumed += days_told(len(windows), len(records))
     tell_assumed(assumed, options)
     aimed = _aimed(found, options)
-    if options.as_json:
-        read_as = {"records": len(records), "assumed": [a.what for a in assumed]}
-        told = {**document(found), "aimed": aimed.document, **read_as}
-        sys.stdout.write(json.dumps(told, indent=2, allow_nan=False) + "\n")
-    else:
-        lines = (
-            described(found)
-            + [f"  {line}" for line in aimed.lines]
-            + (evidence_of(found) if options.with_evidence else [])
-        )
-        sys.stdout.write("\n".join(lines) + "\n")
+    read_as = {"records": len(records), "assumed": [a.what for a in assumed]}
+    lines = [*described(found), *(f"  {line}" for line in aimed.lines)]
+    lines += evidence_of(found) if options.with_evidence else []
+    tell({**document(found), "aimed": aimed.document, **read_as}, lines, as_json=options.as_json)
     return 1 if found.result.diagnosis.cause == Cause.UNKNOWN else 0
 
 

@@ -1,12 +1,10 @@
 """retuner identify: the process behind a recorded response."""
 
-import json
-import sys
 from pathlib import Path
 
 from retuner.adaptive.indexes.days import days_of
 from retuner.api import NO_STRETCH, Identification, RegionIdentification, identify_by_region, identify_record
-from retuner.commands.options import RecordOptions
+from retuner.commands.options import RecordOptions, tell
 from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_options import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import controller, read_loop, require_fitting, require_length
@@ -47,11 +45,9 @@ def identify(options: IdentifyOptions) -> int:
             by = signals[options.region_by]
             regions = identify_by_region(window, by, bounds, open_loop=options.open_loop, gains=gains, **limits)
         tell_assumed(read.assumed, options)
-        if options.as_json:
-            document = {"regions": [region.to_dict() for region in regions], "assumed": [a.what for a in read.assumed]}
-            sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-        else:
-            sys.stdout.write("\n".join(line for region in regions for line in _region_lines(region, options)) + "\n")
+        document = {"regions": [region.to_dict() for region in regions], "assumed": [a.what for a in read.assumed]}
+        lines = [line for region in regions for line in _region_lines(region, options)]
+        tell(document, lines, as_json=options.as_json)
         return 0 if all(region.found is not None and region.found.estimate.identifiable for region in regions) else 1
     with user_input(recording.source), busy(f"identifying {recording.source}"):
         found = identify_record(
@@ -63,11 +59,8 @@ def identify(options: IdentifyOptions) -> int:
         write_whole(options.plot, _picture(recording, found, options))
     assumed = read.assumed + (() if options.open_loop else days_told(len(days_of(recording.window())), 1))
     tell_assumed(assumed, options)
-    if options.as_json:
-        said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
-        sys.stdout.write(json.dumps(found.to_dict() | said, indent=2, allow_nan=False) + "\n")
-    else:
-        sys.stdout.write("\n".join([*described(found), *contradiction(other)]) + "\n")
+    said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
+    tell(found.to_dict() | said, [*described(found), *contradiction(other)], as_json=options.as_json)
     return 0 if found.estimate.identifiable else 1
 
 

@@ -1,12 +1,11 @@
 """retuner reduce: a process of any order to a first- or second-order model."""
 
-import json
 import math
-import sys
 
 from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.process.reduction import Leads, Reduction
 from retuner.adaptive.process.reduction import reduce as reduce_process
+from retuner.commands.options import tell
 from retuner.commands.signatures import ReduceOptions
 from retuner.errors import UserError, user_input
 
@@ -34,10 +33,7 @@ def reduce(options: ReduceOptions) -> int:
     with user_input("retuner reduce"):
         process = LinearProcess(options.k, lags, zeros, options.delay, options.integrators)
         found = reduce_process(process, options.order, Leads(options.leads))
-    if options.as_json:
-        sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
-    else:
-        sys.stdout.write("\n".join(described(found)) + "\n")
+    tell(found.to_dict(), described(found), as_json=options.as_json)
     return 0
 
 

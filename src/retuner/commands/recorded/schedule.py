@@ -1,6 +1,5 @@
 """retuner schedule: a gain schedule from ordinary records of a loop."""
 
-import json
 import sys
 import time
 from pathlib import Path
@@ -9,7 +8,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.sample import Window
-from retuner.commands.options import controller_units
+from retuner.commands.options import controller_units, tell
 from retuner.commands.recorded.other_cause import contradiction, other_cause
 from retuner.commands.recorded.record_options import read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length
@@ -168,13 +167,9 @@ def _tell(
     options: ScheduleOptions,
 ) -> None:
     """The result on the screen."""
-    if options.as_json:
-        said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
-        document = found.to_dict() | said | {"files": [str(p) for p in written]}
-        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-        return
+    said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
     lines = [*described(found), *contradiction(other), *(f"{path} written" for path in written)]
-    sys.stdout.write("\n".join(lines) + "\n")
+    tell(found.to_dict() | said | {"files": [str(p) for p in written]}, lines, as_json=options.as_json)
 
 
 def described(found: ScheduleDesign) -> list[str]:

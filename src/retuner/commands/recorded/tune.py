@@ -1,14 +1,12 @@
 """retuner tune: settings for a known process by a tuning rule, or by every rule that applies in one table."""
 
-import json
 import math
-import sys
 from pathlib import Path
 
 from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.registry import Explanation
-from retuner.commands.options import controller_units
+from retuner.commands.options import controller_units, tell
 from retuner.commands.recorded.plot_option import check_plot
 from retuner.commands.signatures import TuneOptions
 from retuner.errors import UserError, user_input
@@ -75,14 +73,10 @@ def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
     dial = dialled(result, options.pv_span) if options.pv_span is not None and units is None else {}
     dial |= dialled_in(result, units) if units is not None else {}
     why = result.explanation if options.explain else None
-    if options.as_json:
-        shown = {"model": model.to_dict() if model else None, **result.to_dict()}
-        shown |= ({"dialled": dial} if dial else {}) | ({"explanation": why.to_dict()} if why else {})
-        sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
-    else:
-        sys.stdout.write(
-            "\n".join([*tuning_lines(result, units), *_dial_lines(dial), *(explained(why) if why else [])]) + "\n"
-        )
+    shown = {"model": model.to_dict() if model else None, **result.to_dict()}
+    shown |= ({"dialled": dial} if dial else {}) | ({"explanation": why.to_dict()} if why else {})
+    lines = [*tuning_lines(result, units), *_dial_lines(dial), *(explained(why) if why else [])]
+    tell(shown, lines, as_json=options.as_json)
     return 0 if result.margins is None or result.margins.stable else 1
 
 
@@ -94,11 +88,8 @@ def _by_every_rule(model: ProcessModel | None, options: TuneOptions) -> int:
         found = compare_rules(model, kind=options.kind, form=options.form, **_wishes(options))
     if options.plot is not None:
         _draw(model, found.rows, options.plot)
-    if options.as_json:
-        shown = {"model": model.to_dict(), **found.to_dict(), "plot": str(options.plot) if options.plot else None}
-        sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
-    else:
-        sys.stdout.write("\n".join(table(found)) + "\n")
+    shown = {"model": model.to_dict(), **found.to_dict(), "plot": str(options.plot) if options.plot else None}
+    tell(shown, table(found), as_json=options.as_json)
     return 0 if any(row.result.margins and row.result.margins.stable for row in found.rows) else 1
 
 
