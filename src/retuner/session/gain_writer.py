@@ -11,7 +11,7 @@ While a change is being rolled back the table has the set to run already, so not
 from enum import Enum, StrEnum
 
 from retuner.adaptive.guard import SAME_GAINS, change_factor
-from retuner.adaptive.supervision.decision import Decision, gains_dict
+from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.device import Device, RunningSet, WriteDone, WriteFailed, WriteRefusedError
@@ -154,11 +154,24 @@ class GainWriter:
         return bool(self.retuner.trials.restoring)
 
     def ask(self, decision: Decision) -> None:
-        """A decision wants its gains written; it waits for the wire, unless another one is ahead of it.
+        """A decision wants its gains to run. A change waits for the wire, unless another one is ahead of it.
 
+        A way back waits for nothing: the table has its set already, and `keep` has it run before everything else.
         What a person ordered is not on trial: the set before it would count as verified for the change behind it.
         """
         if decision.gains_after is None:
+            return
+        if decision.action is Action.RESTORE:
+            cause = decision.code.removeprefix("undo_")
+            if cause != decision.code:
+                body = {
+                    "region": decision.region,
+                    "cause": cause,
+                    "reason": decision.reason,
+                    "gains": gains_dict(decision.gains_after),
+                    "decision": decision.digest(),
+                }
+                self._record("restore", decision.t_s, body)
             return
         region = self.retuner.table.regions.names.index(decision.region)
         later = region != self.retuner.region and self.retuner.table.lookup is Lookup.HARD
@@ -328,9 +341,8 @@ class GainWriter:
         region, gains = self.retuner.region, self._in_table()
         if region is None or gains is None:
             return None
-        near = (
-            self._tolerance if self._newest == Why.RESTORE else SAME_GAINS
-        )  # a tried set may lie within the schedule's step
+        # a tried set may lie within the schedule's step
+        near = self._tolerance if self._newest == Why.RESTORE else SAME_GAINS
         if change_factor(running.gains, gains) <= near:
             if self.device.confirm(now_s):
                 self._restored(running)
@@ -402,16 +414,8 @@ class GainWriter:
     def _dropped(self, wanted: WantedSet, reason: str) -> None:
         """A decision is not written: recorded, and told."""
         if wanted.decision is not None:
-            self._record(
-                "dropped",
-                self.t_s,
-                {
-                    "why": wanted.why,
-                    "region": self._name(wanted.region),
-                    "decision": wanted.decision.digest(),
-                    "reason": reason,
-                },
-            )
+            about = {"why": wanted.why, "region": self._name(wanted.region), "decision": wanted.decision.digest()}
+            self._record("dropped", self.t_s, {**about, "reason": reason})
             self.retuner.not_written(wanted.region)
 
     def _give_up(

@@ -298,7 +298,7 @@ class LoopSession:
         self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
 
     def _decided(self, decision: Decision) -> None:
-        """Record a decision; a change goes to the writer, which takes a set to restore from the trial (keep)."""
+        """Record a decision; a change and a way back go to the writer."""
         self.decisions.append(decision)
         if self.bumps is not None:
             self.bumps.decided(decision)
@@ -309,17 +309,7 @@ class LoopSession:
             self._record(
                 "judged", decision.t_s, {"region": decision.region, **judged.to_dict(), "trial": decision.trial}
             )
-        undone = decision.code.removeprefix("undo_")
-        if decision.action == Action.RESTORE and decision.gains_after is not None and undone != decision.code:
-            body = {
-                "region": decision.region,
-                "cause": undone,
-                "reason": decision.reason,
-                "gains": gains_dict(decision.gains_after),
-                "decision": decision.digest(),
-            }
-            self._record("restore", decision.t_s, body)
-        elif decision.action == Action.COMMIT:
+        if decision.action in {Action.COMMIT, Action.RESTORE}:
             self.writer.ask(decision)
 
     def _event(self, event: Event, now_s: float) -> None:
