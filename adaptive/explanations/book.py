@@ -189,6 +189,25 @@ def doubted(book: Book, change: float) -> Book:
     return replace(book, levels=levels, whole=whole)
 
 
+def heard(book: Book, sure: float, *, tone: bool) -> Book:
+    """Where the diagnosis of a response has found a tone, or a swing of the loop's own. sure : share of the first
+    answers that are right.
+
+    It compares them under loads that are steps, by samples that stand in the windows and in the next response's
+    diagnosis as well: so its likelihood ratio is tempered as theirs are.
+    """
+    lead = (math.log(sure / (1.0 - sure)) - math.log(TONE / (1.0 - TONE))) / TEMPER
+    more = np.array([0.0, lead if tone else -lead])[:, None, None, None]
+    levels, whole = (_with(known, more) for known in (book.levels, book.whole))
+    return replace(book, levels=levels, whole=whole)
+
+
+def _with(known: bytes, more: FloatArray) -> bytes:
+    logs = np.where(_array(known) == DEEPEST, -math.inf, -STEP * _array(known))
+    logs[:WEIGHED] += more
+    return _levels(logs)
+
+
 def _mixed(weights: FloatArray, prior: bytes, change: float) -> bytes:
     weights = (1.0 - change) * weights + change * _weights(prior)
     return _levels(np.where(weights > 0.0, np.log(np.maximum(weights, 1e-300)), -math.inf))

@@ -18,9 +18,9 @@ import numpy as np
 
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, move, update
+from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, move, update
 from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.settings_by_odds import cost_at
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
@@ -47,7 +47,7 @@ from retuner.schedule.table import Lookup
 LOOKED = "looked"
 """Code: all samples were looked at, without a response."""
 OPEN = frozenset({
-    LOOKED, "not_identifiable", "unconfirmed", "unknown", "external", "low_excitation", "contradicted", "one_record",
+    LOOKED, "not_identifiable", "unconfirmed", "unknown", "low_excitation", "contradicted", "one_record",
     OTHER_LOOP, "setpoint_led", "too_long",
 })  # fmt: skip
 """Codes of outcomes that cannot tell."""
@@ -149,9 +149,18 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
         known = look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)
         known = doubted(known, settings.changed_odds) if changed else move(known, now_s - first_s, settings.hazard_s)
         book = update(known, look.window, grows=look.grows)
+    if book is not None and (tone := _finds_tone(found, own)) is not None:
+        book = heard(book, MOST[Cause.EXTERNAL], tone=tone)
     seen = AllSamples(look, book, book is not record.book, None, shown)
     asked = book is not None and (own.changes or not seen.silent)
     return replace(seen, told=by_book(book, gains, settings)) if book is not None and asked else seen
+
+
+def _finds_tone(found: Findings, own: Outcome) -> bool | None:
+    """Whether the response's own diagnosis has found a tone, or a swing of the loop's own; None for neither."""
+    if own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL:
+        return True
+    return False if found.foreign is not None and found.foreign < found.record.foreign else None
 
 
 def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:

@@ -296,7 +296,7 @@ def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to:
 def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
     at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None, settled: bool = True,
-    grows: bool = True, leans: int = 0,
+    grows: bool = True, leans: int = 0, diagnosis: Diagnosis | None = None,
 ) -> Outcome:  # fmt: skip
     """A change that follows from a response, or with a code none, put to the book. times : of the good gains, in force.
 
@@ -317,7 +317,7 @@ def put_to_the_book(
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
     known: Any = SimpleNamespace(identifiable=settled)
     learned: Any = SimpleNamespace(agreement=agreement, valve=None)
-    own = Outcome(code, "") if code else Outcome("accepted", "", proof=verdict)
+    own = Outcome(code, "", diagnosis=diagnosis) if code else Outcome("accepted", "", proof=verdict)
     if expected is not None:
         own = replace(own, numbers=ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8))
     with pytest.MonkeyPatch.context() as patched:
@@ -477,6 +477,18 @@ def test_more_action_is_proved_on_what_responses_have_shown(
         outcome = by_book_stage._proved_by_book(Findings(question), own, AllSamples(look, book, told=told, shown=shown))
     assert (outcome is not None) is changes
     assert outcome is None or (outcome.numbers, outcome.prediction) == (NO_NUMBERS, None), "of the dropped change"
+
+
+@pytest.mark.parametrize(("cause", "more"), [(Cause.EXTERNAL, True), (Cause.UNKNOWN, False)])
+def test_a_tone_that_a_response_is_diagnosed_as_counts_in_the_book(cause: Cause, *, more: bool) -> None:
+    """A loop at Ms 1.67 was cut to J 3.9 over such a response."""
+    assert str(Cause.EXTERNAL) not in by_book_stage.OPEN
+    tones = []
+    for told in (None, Diagnosis(cause, 0.5, {}, "")):
+        found = put_to_the_book(2.6, 1.0, None, shown=False, code="unknown", diagnosis=told)
+        assert found.book is not None
+        tones.append(found.book.tone)
+    assert (tones[1] > 1.2 * tones[0]) is more
 
 
 def test_more_action_needs_room(monkeypatch: pytest.MonkeyPatch) -> None:
