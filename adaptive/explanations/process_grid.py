@@ -163,11 +163,13 @@ def robustness(gains: PidGains, sample_time_s: float, unit: float | None = None)
     size, phase = np.abs(loop), _phases()[: len(shapes())] + np.angle(law)
     ultimate = _ultimate(size, phase)[:, :, None]
     scale = own / (own if unit is None else unit)
-    ms = np.empty((*loop.shape[:2], len(GAINS)))
+    longest = np.argsort(-ultimate, axis=None)  # those that stay stable longest come first: the others need no margin
+    loop, limits = loop.reshape(-1, len(FREQUENCIES))[longest], ultimate.ravel()[longest]
+    ms = np.full((len(loop), len(GAINS)), np.inf)
     for i, gain in enumerate(GAINS * scale):
-        ms[:, :, i] = 1.0 / np.min(np.abs(1.0 + gain * loop), axis=2)
-    ms[ultimate <= GAINS * scale] = np.inf
-    return LoopRobustness(ms, ultimate, scale)
+        stable = int(np.sum(limits > gain))
+        ms[longest[:stable], i] = 1.0 / np.min(np.abs(1.0 + gain * loop[:stable]), axis=1)
+    return LoopRobustness(ms.reshape(*size.shape[:2], len(GAINS)), ultimate, scale)
 
 
 def _ultimate(size: FloatArray, phase: FloatArray) -> FloatArray:

@@ -5,10 +5,11 @@
 
 #include "misfit.h"
 
-enum { LANES = 8, MOST_DEGREE = 3, MOST_FALLS = 4, MOST_TONES = 8, MOST_DEADS = 64, MOST_MIXED = 64 };
+enum { LANES = 8, STRETCH = 64, MOST_DEGREE = 3, MOST_FALLS = 4, MOST_TONES = 8, MOST_DEADS = 64, MOST_MIXED = 64 };
 enum { MOST_BASIS = 1 + MOST_DEGREE + MOST_FALLS + MOST_TONES };
 enum { DEGREE, ROOTS, BOTTOM = ROOTS + MOST_DEGREE, LOAD = BOTTOM + MOST_DEGREE };
 static const double SILENT = 1e-200;          /* what is left in a filter is nothing below this */
+static const double FADED = 1e-30;            /* what is left of a start is nothing below this: it began at 1 */
 static const double DEPENDENT_SHARE = 1e-10;  /* less of a column than this is round-off: the others have it already */
 static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHARE = -30;
 
@@ -25,100 +26,135 @@ typedef struct {
     double *gain, *information, *left;
 } Walk;
 
-/* Signals lie LANES abreast, (blocks, n, LANES): pv, the impulse, the falls, the inputs as they come out of the lags.
- * rows : the inputs once whitened, each with `pad` zeros before it. basis : (MOST_BASIS, wide), pv first; wide : n and
- * zeros, so many that LANES divides it. columns : of the basis without the tones. starts : those that are not zero,
- * without pv's. toned : pv along each tone. */
+/* source : what does not depend on the load, (2 + fall_count + seconds by inputs, n): pv, the impulse, falls, inputs out of
+ * the lags.
+ * reduced : through A, LANES abreast, (blocks, n, LANES): pv, the impulse, the `free` falls whose poles A lacks, inputs;
+ * twice, for two loads at once, where they fill half a block. Whitened, a load each: the impulses (wide), the rows of the
+ * inputs, each with `pad` zeros before it, and the bases, `base` numbers apart: columns of n and zeros (wide), pv first, so
+ * many that LANES divides it. columns : of the basis without the tones; it is nothing after `reach` but in pv. starts : columns
+ * that are not zero, without pv's. toned : pv along each tone. */
 typedef struct {
-    Py_ssize_t blocks, pad, wide, columns, starts;
-    double *source, *reduced, *white, *rows, *basis, *sums, *memory, toned[MOST_TONES];
+    Py_ssize_t pad, wide, base, inputs, columns, reach, starts, free;
+    int at_once, fall[MOST_FALLS];
+    double *source, *reduced, *impulse, *rows, *basis, *spare, *sums, *memory, toned[MOST_TONES];
 } Lanes;
 
-static double *lane(double *from, Py_ssize_t n, Py_ssize_t which) {
-    return from + which / LANES * n * LANES + which % LANES;
-}
-
-/* What held inputs do at gain one through the lags. */
-static void through_lags(const Walk *w, Lanes *lanes) {
-    Py_ssize_t which = 2 + w->fall_count;
-    for (Py_ssize_t s = 0; s < w->second_count; s++)
-        for (Py_ssize_t k = 0; k < w->input_count; k++, which++) {
-            const double *u = w->inputs + k * w->n;
-            double *out = lane(lanes->source, w->n, which), first = 0, last = 0, other = w->seconds[s];
-            for (Py_ssize_t i = 0; i < w->n; i++) {
-                last = other * last + (1 - other) * first;
-                out[i * LANES] = last;
-                first = (w->pole > 1 ? 0 : w->pole) * first + w->rise * u[i];
-                first = fabs(first) < SILENT ? 0 : first;
-                last = fabs(last) < SILENT ? 0 : last;
+/* What held inputs do at gain one through the lags, for `many` rows from one on, in steps that do not wait for each other. */
+static void through_lags(const Walk *w, Py_ssize_t row, int many, double *out) {
+    double first[LANES] = {0}, last[LANES] = {0}, other[LANES], stays = w->pole > 1 ? 0 : w->pole, rise = w->rise;
+    const double *u[LANES];
+    for (int l = 0; l < many; l++)
+        u[l] = w->inputs + (row + l) % w->input_count * w->n, other[l] = w->seconds[(row + l) / w->input_count];
+    for (Py_ssize_t start = 0; start < w->n; start += STRETCH) {
+        for (Py_ssize_t i = start; i < w->n && i < start + STRETCH; i++)
+            for (int l = 0; l < many; l++) {
+                last[l] = other[l] * last[l] + (1 - other[l]) * first[l];
+                first[l] = stays * first[l] + rise * u[l][i];
+                out[l * w->n + i] = last[l];
             }
+        for (int l = 0; l < many; l++) {
+            first[l] = fabs(first[l]) < SILENT ? 0 : first[l];
+            last[l] = fabs(last[l]) < SILENT ? 0 : last[l];
         }
+    }
 }
 
 static void lay_sources(const Walk *w, Lanes *lanes) {
-    double *pv = lane(lanes->source, w->n, 0);
-    for (Py_ssize_t i = 0; i < w->n; i++)
-        pv[i * LANES] = w->pv[i];
-    lane(lanes->source, w->n, 1)[0] = 1;
+    memcpy(lanes->source, w->pv, (size_t)w->n * sizeof *w->pv), lanes->source[w->n] = 1;
     for (Py_ssize_t k = 0; k < w->fall_count; k++) {
-        double *fall = lane(lanes->source, w->n, 2 + k), now = 1;
+        double *fall = lanes->source + (2 + k) * w->n, now = 1;
         for (Py_ssize_t i = 0; i < w->n && now > SILENT; i++, now *= w->falls[k])
-            fall[i * LANES] = now;
+            fall[i] = now;
     }
-    through_lags(w, lanes);
+    for (Py_ssize_t row = 0; row < lanes->inputs; row += LANES)
+        through_lags(w, row, row + LANES < lanes->inputs ? LANES : (int)(lanes->inputs - row),
+                     lanes->source + (2 + w->fall_count + row) * w->n);
 }
 
-/* x - root x(before it), in place, in lanes before `end`; the impulse (lane 1 of the first block) stays. */
-WIDE static void reduce(double *restrict x, Py_ssize_t n, double each, Py_ssize_t end) {
-    double before[LANES] = {0}, now[LANES], root[LANES];
-    for (int l = 0; l < LANES; l++)
-        root[l] = l < end ? each : 0;
-    for (Py_ssize_t i = 0; i < n; i++)
+/* x - root x(before it). */
+WIDE static void reduce(const double *restrict x, Py_ssize_t n, double root, double *restrict out) {
+    out[0] = x[0];
+    for (Py_ssize_t i = 1; i < n; i++)
+        out[i] = x[i] - root * x[i - 1];
+}
+
+/* All that a load's A makes of the sources. What falls at a pole of A is what the impulse is already. */
+static void lay_reduced(const Walk *w, Lanes *lanes, const double *load) {
+    int degree = (int)load[DEGREE], known;
+    lanes->free = 0;
+    for (int k = 0; k < (int)w->fall_count; k++) {
+        for (known = 0; known < degree && load[ROOTS + known] != w->falls[k];)
+            known++;
+        if (known == degree)
+            lanes->fall[lanes->free++] = k;
+    }
+    Py_ssize_t n = w->n, first = 2 + lanes->free, signals = first + lanes->inputs;
+    lanes->at_once = 2 * signals <= LANES ? 2 : 1;
+    for (Py_ssize_t begin = 0; begin < signals; begin += LANES) {
+        const double *x[LANES];
         for (int l = 0; l < LANES; l++) {
-            now[l] = x[i * LANES + l];
-            x[i * LANES + l] = now[l] - root[l] * before[l];
-            before[l] = now[l];
+            Py_ssize_t s = begin + l, of = s < 2 ? s : s < first ? 2 + lanes->fall[s - 2] : 2 + w->fall_count + s - first;
+            if (s >= signals || (lanes->at_once > 1 && l >= LANES / 2)) {
+                x[l] = x[l % (LANES / 2) < signals ? l % (LANES / 2) : 0];
+                continue;
+            }
+            x[l] = lanes->source + of * n;
+            for (int j = s >= first && w->pole > 1; s != 1 && j < degree; j++) {
+                double *out = lanes->spare + (2 * l + j % 2) * n;
+                reduce(x[l], n, load[ROOTS + j], out);
+                x[l] = out;
+            }
         }
+        double *block = lanes->reduced + begin * n;
+        for (Py_ssize_t i = 0; i < n; i++)
+            for (int l = 0; l < LANES; l++)
+                block[i * LANES + l] = x[l][i];
+    }
 }
 
-WIDE static void through_bottom(const double *restrict x, Py_ssize_t n, const double *bottom, double *restrict y) {
-    double one[LANES] = {0}, two[LANES] = {0}, three[LANES] = {0}, c1 = bottom[0], c2 = bottom[1], c3 = bottom[2];
-    for (Py_ssize_t start = 0; start < n; start += 64) {
-        Py_ssize_t end = start + 64 < n ? start + 64 : n;
-        for (Py_ssize_t i = start; i < end; i++)
+/* 1/C on each lane. bottom : (MOST_DEGREE, LANES). out : where each lane goes, NULL for nowhere. */
+WIDE static void through_bottom(const double *restrict x, Py_ssize_t n, const double *restrict bottom, double **out) {
+    double one[LANES] = {0}, two[LANES] = {0}, three[LANES] = {0}, c1[LANES], c2[LANES], c3[LANES], kept[STRETCH * LANES];
+    for (int l = 0; l < LANES; l++)
+        c1[l] = bottom[l], c2[l] = bottom[LANES + l], c3[l] = bottom[2 * LANES + l];
+    for (Py_ssize_t start = 0; start < n; start += STRETCH) {
+        Py_ssize_t many = n - start < STRETCH ? n - start : STRETCH;
+        for (Py_ssize_t i = 0; i < many; i++)
             for (int l = 0; l < LANES; l++) {
-                double out = x[i * LANES + l] + one[l];
-                one[l] = two[l] - c1 * out;
-                two[l] = three[l] - c2 * out;
-                three[l] = -c3 * out;
-                y[i * LANES + l] = out;
+                double now = x[(start + i) * LANES + l] + one[l];
+                one[l] = two[l] - c1[l] * now;
+                two[l] = three[l] - c2[l] * now;
+                three[l] = -c3[l] * now;
+                kept[i * LANES + l] = now;
             }
-        for (int l = 0; l < LANES; l++)
+        for (int l = 0; l < LANES; l++) {
             if (fabs(one[l]) < SILENT && fabs(two[l]) < SILENT && fabs(three[l]) < SILENT)
                 one[l] = two[l] = three[l] = 0;
+            double *to = out[l] ? out[l] + start : NULL;
+            for (Py_ssize_t i = 0; to && i < many; i++)
+                to[i] = kept[i * LANES + l];
+        }
     }
 }
 
-/* All lanes whitened under a load. before : the load that `reduced` holds, NULL for none. */
-static void whiten_all(const Walk *w, Lanes *lanes, const double *load, const double *before) {
-    Py_ssize_t size = w->n * LANES;
-    if (!before || memcmp(before, load, BOTTOM * sizeof *load)) {
-        memcpy(lanes->reduced, lanes->source, (size_t)(lanes->blocks * size) * sizeof(double));
-        for (Py_ssize_t b = 0; b < lanes->blocks; b++)
-            for (int j = 0; j < (int)load[DEGREE]; j++)
-                reduce(lanes->reduced + b * size, w->n, load[ROOTS + j],
-                       j == 0 && w->pole > 1 ? 2 + w->fall_count - b * LANES : LANES);
-        double *impulse = lane(lanes->reduced, w->n, 1);
-        for (Py_ssize_t i = 0; i < w->n; i++)
-            impulse[i * LANES] = i == 0;
-    }
-    for (Py_ssize_t b = 0; b < lanes->blocks; b++)
-        through_bottom(lanes->reduced + b * size, w->n, load + BOTTOM, lanes->white + b * size);
-    for (Py_ssize_t r = 0; r < w->second_count * w->input_count; r++) {
-        const double *from = lane(lanes->white, w->n, 2 + w->fall_count + r);
-        double *row = lanes->rows + r * (lanes->pad + lanes->wide) + lanes->pad;
-        for (Py_ssize_t i = 0; i < w->n; i++)
-            row[i] = from[i * LANES];
+/* All lanes whitened under `many` loads of one A, of which the reduced ones are. */
+static void whiten_all(const Walk *w, Lanes *lanes, const double *load, int many) {
+    Py_ssize_t first = 2 + lanes->free, signals = first + lanes->inputs, long_row = lanes->pad + lanes->wide;
+    for (Py_ssize_t begin = 0; begin < signals; begin += LANES) {
+        double bottom[MOST_DEGREE * LANES] = {0}, *out[LANES] = {NULL};
+        for (int which = 0; which < many; which++) {
+            double *basis = lanes->basis + which * lanes->base;
+            for (Py_ssize_t s = begin; s < signals && s < begin + LANES; s++) {
+                Py_ssize_t l = s - begin + which * LANES / 2;
+                for (int c = 0; c < MOST_DEGREE; c++)
+                    bottom[c * LANES + l] = load[which * LOAD + BOTTOM + c];
+                out[l] = s == 0       ? basis
+                         : s == 1     ? lanes->impulse + which * lanes->wide
+                         : s < first  ? basis + (s - 1 + (Py_ssize_t)load[DEGREE]) * lanes->wide
+                                      : lanes->rows + (which * lanes->inputs + s - first) * long_row + lanes->pad;
+            }
+        }
+        through_bottom(lanes->reduced + begin * w->n, w->n, bottom, out);
     }
 }
 
@@ -135,34 +171,34 @@ static int made_orthonormal(double *columns, Py_ssize_t j, Py_ssize_t wide, Py_s
 }
 
 /* What unknown starts and tones add, orthonormal, and pv free of the starts. Returns pv'pv. */
-static double put_starts(const Walk *w, Lanes *lanes, int degree) {
-    Py_ssize_t n = w->n, k = degree + w->fall_count;
-    double *y = lanes->basis, *columns = y + lanes->wide;
-    const double *impulse = lane(lanes->white, n, 1), *pv = lane(lanes->white, n, 0);
-    for (Py_ssize_t i = 0; i < n; i++)
-        y[i] = pv[i * LANES];
-    lanes->starts = 0, lanes->columns = 1 + k;
+static double put_starts(const Walk *w, Lanes *lanes, double *y, const double *impulse, int degree) {
+    Py_ssize_t n = w->n, k = degree + lanes->free, reach = w->tone_count ? n : 1, apart = lanes->wide;
+    double *columns = y + apart;
+    for (Py_ssize_t j = degree - 1; j < k; j++) /* the last sample that is something, of the impulse and each fall */
+        for (Py_ssize_t i = n; i > reach; i--)
+            reach = fabs(j < degree ? impulse[i - 1] : columns[j * apart + i - 1]) < FADED ? reach : i;
+    lanes->reach = (reach + degree + LANES - 2) / LANES * LANES, lanes->reach = lanes->reach < n ? lanes->reach : apart;
+    reach = lanes->reach < n ? lanes->reach : n, lanes->starts = 0, lanes->columns = 1 + k;
     for (Py_ssize_t j = 0; j < k; j++) {
-        double *column = columns + j * lanes->wide;
-        const double *from = j < degree ? impulse : lane(lanes->white, n, 2 + j - degree);
-        Py_ssize_t late = j < degree ? j : 0;
-        for (Py_ssize_t i = 0; i < n; i++)
-            column[i] = i < late ? 0 : from[(i - late) * LANES];
-        lanes->starts += made_orthonormal(columns, j, lanes->wide, n);
-        add(y, -dot(column, y, n), column, n);
+        double *column = columns + j * apart;
+        for (Py_ssize_t i = 0; j < degree && i < reach; i++)
+            column[i] = i < j ? 0 : impulse[i - j];
+        lanes->starts += made_orthonormal(columns, j, apart, reach);
+        add(y, -dot(column, y, reach), column, reach);
     }
     for (Py_ssize_t j = 0; j < w->tone_count; j++) {
-        memcpy(columns + (k + j) * lanes->wide, w->tones + j * n, (size_t)n * sizeof *y);
-        made_orthonormal(columns, k + j, lanes->wide, n);
-        lanes->toned[j] = dot(columns + (k + j) * lanes->wide, y, n);
+        memcpy(columns + (k + j) * apart, w->tones + j * n, (size_t)n * sizeof *y);
+        made_orthonormal(columns, k + j, apart, n);
+        lanes->toned[j] = dot(columns + (k + j) * apart, y, n);
     }
     k += w->tone_count;
-    memset(columns + k * lanes->wide, 0, (size_t)((MOST_BASIS - 1 - k) * lanes->wide) * sizeof *y);
+    for (Py_ssize_t j = 1 + k; j % 4 && k % 4; j++) /* the last four; one that is left goes by itself */
+        memset(y + j * apart, 0, (size_t)lanes->reach * sizeof *y);
     return dot(y, y, n);
 }
 
-/* Inner products of four columns with a row, each as `dot` makes it, bit for bit; the row is read once for all four. n : a
- * multiple of LANES; columns lie n apart. */
+/* Inner products of four columns with a row, each as `dot` makes it, bit for bit; the row is read once for all four. upto,
+ * n : multiples of LANES; of the first column there are n numbers. */
 #if defined(__GNUC__)
 typedef double Four __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
 
@@ -171,20 +207,27 @@ static inline double summed(Four low, Four high) {
     return (both[0] + both[1]) + (both[2] + both[3]);
 }
 
-WIDE static void four_dots(const double *restrict columns, const double *restrict row, Py_ssize_t n, double *restrict out) {
+WIDE static void four_dots(const double *restrict columns, Py_ssize_t apart, const double *restrict row, Py_ssize_t upto,
+                           Py_ssize_t n, double *restrict out) {
     Four a = {0}, b = {0}, c = {0}, d = {0}, e = {0}, f = {0}, g = {0}, h = {0};
-    for (Py_ssize_t i = 0; i < n; i += LANES) {
-        const Four *x = (const Four *)(row + i), *one = (const Four *)(columns + i), *two = (const Four *)(columns + n + i);
-        const Four *three = (const Four *)(columns + 2 * n + i), *four = (const Four *)(columns + 3 * n + i);
+    const double *second = columns + apart, *third = second + apart, *fourth = third + apart;
+    for (Py_ssize_t i = 0; i < upto; i += LANES) {
+        const Four *x = (const Four *)(row + i), *one = (const Four *)(columns + i), *two = (const Four *)(second + i);
+        const Four *three = (const Four *)(third + i), *four = (const Four *)(fourth + i);
         a += one[0] * x[0], b += one[1] * x[1], c += two[0] * x[0], d += two[1] * x[1];
         e += three[0] * x[0], f += three[1] * x[1], g += four[0] * x[0], h += four[1] * x[1];
+    }
+    for (Py_ssize_t i = upto; i < n; i += LANES) {
+        const Four *x = (const Four *)(row + i), *one = (const Four *)(columns + i);
+        a += one[0] * x[0], b += one[1] * x[1];
     }
     out[0] = summed(a, b), out[1] = summed(c, d), out[2] = summed(e, f), out[3] = summed(g, h);
 }
 #else
-static void four_dots(const double *columns, const double *row, Py_ssize_t n, double *out) {
+static void four_dots(const double *columns, Py_ssize_t apart, const double *row, Py_ssize_t upto, Py_ssize_t n,
+                      double *out) {
     for (int j = 0; j < 4; j++)
-        out[j] = dot(columns + j * n, row, n);
+        out[j] = dot(columns + j * apart, row, j ? upto : n);
 }
 #endif
 
@@ -220,12 +263,17 @@ static void own_sums(const double *row, Py_ssize_t n, Py_ssize_t pad, double *su
 }
 
 /* Least squares of pv on one row at every dead time and number of tones, `cells` apart; information as it comes. */
-static void fit_row(const Walk *w, const Lanes *lanes, const double *row, const Py_ssize_t *late, int count,
-                    const int *place, Py_ssize_t cells, double *gain, double *information) {
+static void fit_row(const Walk *w, const Lanes *lanes, const double *basis, const double *row, const Py_ssize_t *late,
+                    int count, const int *place, Py_ssize_t cells, double *gain, double *information) {
     double along[(2 * MOST_DEADS) * MOST_BASIS];
-    for (int k = 0; k < count; k++)
-        for (Py_ssize_t j = 0; j < lanes->columns + w->tone_count; j += 4)
-            four_dots(lanes->basis + j * lanes->wide, row - late[k], lanes->wide, along + k * MOST_BASIS + j);
+    Py_ssize_t all = lanes->columns + w->tone_count, wide = lanes->wide, reach = lanes->reach;
+    for (int k = 0; k < count; k++) {
+        double *to = along + k * MOST_BASIS;
+        for (Py_ssize_t j = 0; j + 1 < all; j += 4)
+            four_dots(basis + j * wide, wide, row - late[k], reach, j ? reach : wide, to + j);
+        if (all % 4 == 1)
+            to[all - 1] = dot(basis + (all - 1) * wide, row - late[k], reach);
+    }
     own_sums(row, w->n, lanes->pad, lanes->sums);
     for (Py_ssize_t d = 0; d < w->dead_count; d++) {
         double part = w->deads[d] - floor(w->deads[d]), whole = 1 - part, most, both;
@@ -251,18 +299,19 @@ static int open_lanes(const Walk *w, Lanes *lanes) {
     double latest = 0;
     for (Py_ssize_t d = 0; d < w->dead_count; d++)
         latest = fmax(latest, w->deads[d]);
-    size_t n = (size_t)w->n, rows = (size_t)(w->second_count * w->input_count);
-    lanes->blocks = (Py_ssize_t)((2 + (size_t)w->fall_count + rows + LANES - 1) / LANES);
-    lanes->pad = (Py_ssize_t)latest + 2;
-    size_t wide = (n + LANES - 1) / LANES * LANES, block = (size_t)lanes->blocks * n * LANES;
-    size_t all = rows * (wide + (size_t)lanes->pad);
-    lanes->wide = (Py_ssize_t)wide;
-    lanes->memory = calloc(3 * block + all + wide * MOST_BASIS + 2 * (size_t)lanes->pad + 2, sizeof(double));
+    size_t n = (size_t)w->n, rows = (size_t)(w->second_count * w->input_count), signals = 2 + (size_t)w->fall_count + rows;
+    size_t wide = (n + LANES - 1) / LANES * LANES, reduced = (signals + LANES - 1) / LANES * LANES * n;
+    lanes->pad = (Py_ssize_t)latest + 2, lanes->wide = (Py_ssize_t)wide, lanes->inputs = (Py_ssize_t)rows;
+    size_t twins = 2 * (2 + rows) <= LANES ? 2 : 1, long_rows = twins * rows * (wide + (size_t)lanes->pad);
+    lanes->base = (Py_ssize_t)((1 + MOST_DEGREE + (size_t)(w->fall_count + w->tone_count) + 3) / 4 * 4 * wide);
+    size_t bases = twins * (size_t)lanes->base;
+    lanes->memory = calloc((signals + 2 * LANES) * n + reduced + 2 * wide + long_rows + bases + 2 * (size_t)lanes->pad +
+                               2, sizeof(double));
     if (!lanes->memory)
         return -1;
-    lanes->source = lanes->memory, lanes->reduced = lanes->source + block, lanes->white = lanes->reduced + block;
-    lanes->rows = lanes->white + block, lanes->basis = lanes->rows + all;
-    lanes->sums = lanes->basis + wide * MOST_BASIS;
+    lanes->source = lanes->memory, lanes->spare = lanes->source + signals * n;
+    lanes->reduced = lanes->spare + 2 * LANES * n, lanes->impulse = lanes->reduced + reduced;
+    lanes->rows = lanes->impulse + 2 * wide, lanes->basis = lanes->rows + long_rows, lanes->sums = lanes->basis + bases;
     return 0;
 }
 
@@ -280,29 +329,39 @@ static void put_left(double *gain, double *information, double *left, Py_ssize_t
     }
 }
 
+/* Least squares under load l, which of those whitened. */
+static void fit_rows(const Walk *w, Lanes *lanes, Py_ssize_t which, Py_ssize_t l, const Py_ssize_t *late, int count,
+                     const int *place) {
+    Py_ssize_t cells = lanes->inputs * w->dead_count, first = l * w->end_count * cells, taken = 0;
+    double *gain = w->gain + first, *information = w->information + first, *left = w->left + first;
+    double *basis = lanes->basis + which * lanes->base;
+    double whole = put_starts(w, lanes, basis, lanes->impulse + which * lanes->wide, (int)w->loads[l * LOAD + DEGREE]);
+    const double *row = lanes->rows + which * lanes->inputs * (lanes->pad + lanes->wide) + lanes->pad;
+    for (Py_ssize_t r = 0; r < lanes->inputs; r++, row += lanes->pad + lanes->wide)
+        fit_row(w, lanes, basis, row, late, count, place, cells, gain + r * w->dead_count, information + r * w->dead_count);
+    for (Py_ssize_t e = 0; e < w->end_count; e++, gain += cells, information += cells, left += cells) {
+        for (; taken < (Py_ssize_t)w->ends[e]; taken++)
+            whole -= lanes->toned[taken] * lanes->toned[taken];
+        put_left(gain, information, left, cells, fmax(whole, 0), (double)(w->n - lanes->starts - taken) * w->noise);
+    }
+}
+
 /* The least squares of every load, number of tones, row and dead time; -1 without memory. */
 static int walk(const Walk *w) {
     Lanes lanes;
-    Py_ssize_t late[2 * MOST_DEADS], rows = w->second_count * w->input_count, cells = rows * w->dead_count;
+    Py_ssize_t late[2 * MOST_DEADS];
     int place[2 * MOST_DEADS], count = whole_delays(w, late, place);
     if (open_lanes(w, &lanes))
         return -1;
     lay_sources(w, &lanes);
-    for (Py_ssize_t l = 0; l < w->load_count; l++) {
+    for (Py_ssize_t l = 0, many; l < w->load_count; l += many) {
         const double *load = w->loads + l * LOAD;
-        Py_ssize_t first = l * w->end_count * cells;
-        double *gain = w->gain + first, *information = w->information + first, *left = w->left + first;
-        whiten_all(w, &lanes, load, l ? load - LOAD : NULL);
-        double whole = put_starts(w, &lanes, (int)load[DEGREE]);
-        for (Py_ssize_t r = 0; r < rows; r++)
-            fit_row(w, &lanes, lanes.rows + r * (lanes.pad + lanes.wide) + lanes.pad, late, count, place, cells,
-                    gain + r * w->dead_count, information + r * w->dead_count);
-        Py_ssize_t taken = 0;
-        for (Py_ssize_t e = 0; e < w->end_count; e++, gain += cells, information += cells, left += cells) {
-            for (; taken < (Py_ssize_t)w->ends[e]; taken++)
-                whole -= lanes.toned[taken] * lanes.toned[taken];
-            put_left(gain, information, left, cells, fmax(whole, 0), (double)(w->n - lanes.starts - taken) * w->noise);
-        }
+        if (!l || memcmp(load - LOAD, load, BOTTOM * sizeof *load))
+            lay_reduced(w, &lanes, load);
+        many = lanes.at_once > 1 && l + 1 < w->load_count && !memcmp(load, load + LOAD, BOTTOM * sizeof *load) ? 2 : 1;
+        whiten_all(w, &lanes, load, (int)many);
+        for (Py_ssize_t which = 0; which < many; which++)
+            fit_rows(w, &lanes, which, l + which, late, count, place);
     }
     free(lanes.memory);
     return 0;

@@ -241,6 +241,19 @@ def test_the_compiled_least_squares_of_a_load_through_both_lags_are_those_of_num
         assert np.max(np.abs(found[-2] - found[-1]) / largest) < 1e-7, lag
 
 
+@pytest.mark.parametrize("lag", [3.0, 250.0])
+def test_loads_whitened_together_are_those_of_each_by_itself(lag: float) -> None:
+    pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
+    given = drawn_record(21)
+    with engine.using("c"):
+        together = under_loads(given, given.co[None], lag, LOADS_OF_BOOK, DEAD_TIMES, through=1)
+        for i, load in enumerate(LOADS_OF_BOOK):
+            alone = under_loads(given, given.co[None], lag, [load], DEAD_TIMES, through=1)
+            if load[1] or load == LOADS_OF_BOOK[-1]:  # a load at pv adds a start to all that are asked for with it
+                assert np.array_equal(alone.left[0], together.left[i]), load
+                assert np.array_equal(alone.gain[0], together.gain[i]), load
+
+
 @pytest.mark.parametrize("lag", [3.0, math.inf])
 def test_the_compiled_least_squares_beside_tones_are_those_of_numpy(lag: float) -> None:
     pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
