@@ -17,9 +17,8 @@ from operator import mul
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import legendre
 
-from retuner.adaptive.process.model import LinearProcess, state_space
+from retuner.adaptive.process.model import LinearProcess, exponentials, state_space
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -110,6 +109,8 @@ class Collocation:
 @cache
 def collocation() -> Collocation:
     """Radau IIA nodes (zeros of P_p - P_{p-1}, right end included) and their matrices, by Legendre polynomials."""
+    from numpy.polynomial import legendre  # beside its use: few commands step a loop
+
     zeros = legendre.legroots(np.concatenate([np.zeros(NODES - 1), [-1.0, 1.0]]))
     x = np.sort(np.real(zeros))
     values = legendre.legvander(x, NODES - 1)
@@ -266,9 +267,7 @@ def plain_steps(loop: CutLoop, setpoint: float, load: float, *, kick: bool) -> P
         start[:n] = loop.b * loop.kd * setpoint * gain
     area = np.zeros(n + 1)
     area[loop.z] = 1.0
-    from scipy.linalg import expm
-
-    return PlainSteps(expm(rate * length), error, area, output, output @ rate, length, start)
+    return PlainSteps(exponentials(rate[None] * length)[0], error, area, output, output @ rate, length, start)
 
 
 # The response of a loop to unit steps of setpoint and load, exact at every point that is drawn.
@@ -410,7 +409,5 @@ def held_over(a: FloatArray, b: FloatArray, length: float) -> tuple[FloatArray, 
     n, m = len(b), b.reshape(len(b), -1).shape[1] if b.size else 1
     augmented = np.zeros((n + m, n + m))
     augmented[:n, :n], augmented[:n, n:] = a, b.reshape(n, m)
-    from scipy.linalg import expm
-
-    whole = np.asarray(expm(augmented * length), dtype=np.float64)
+    whole = exponentials(augmented[None] * length)[0]
     return whole[:n, :n], whole[:n, n:].reshape(b.shape)

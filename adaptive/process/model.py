@@ -282,3 +282,24 @@ def state_space(process: LinearProcess, unit_s: float) -> StateSpace:
 
 Section = tuple[tuple[float, ...], list[float]]
 """Denominator coefficients a0 + a1 s (+ a2 s^2), and the zeros' time constants put into the section."""
+
+
+def exponentials(a: FloatArray) -> FloatArray:
+    """e^A of each matrix, shape (n, m, m): Taylor's series of A / 2^s, squared s times (Moler & Van Loan 2003).
+
+    That of scipy goes from matrix to matrix, wakes all threads of its algebra, and takes as long to load as numpy.
+    """
+    most = float(np.max(np.sum(np.abs(a), axis=2), initial=0.0))
+    if not math.isfinite(most):
+        return np.full_like(a, math.nan)
+    halvings = max(math.ceil(math.log2(most / NORM)), 0) if most > 0.0 else 0
+    small, one = a / 2.0**halvings, np.eye(a.shape[1])
+    found = one + small / TERMS
+    for k in range(TERMS - 1, 0, -1):
+        found = one + (small / k) @ found
+    for _ in range(halvings):
+        found = found @ found
+    return np.asarray(found)
+
+
+NORM, TERMS = 0.5, 14  # the series is taken up to this norm, with so many terms: what is left is below the last digit

@@ -7,13 +7,12 @@ over the points serves all of them. The hold of u over a step is half a step of 
 performance.py is exact, for one loop at a time, and takes as long for one as this for all.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from retuner.adaptive.fit.engine import compiled
-from retuner.adaptive.process.model import LinearProcess, state_space
+from retuner.adaptive.process.model import LinearProcess, exponentials, state_space
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -112,7 +111,7 @@ class _Lanes:
         for i, space in enumerate(spaces):
             m = len(space.b)
             whole[i, :m, :m], whole[i, :m, most], c[:m, i] = space.a, space.b, space.c
-        moved = _exponentials(whole)
+        moved = exponentials(whole)
         phi, gamma, b = moved[:, :most, :most], moved[:, :most, most], whole[:, :most, most]
         spread = (
             np.repeat(phi, n, axis=0).transpose(1, 2, 0),
@@ -161,24 +160,3 @@ class _Lanes:
             arrives = (1 - self.share) * u[row, lanes] + self.share * u[row - 1, lanes] + self.loads
             self.x = np.einsum("ijn,jn->in", self.phi, self.x) + self.gamma * arrives
         return e, u[self.lead :]
-
-
-def _exponentials(a: FloatArray) -> FloatArray:
-    """e^A of each matrix, shape (n, m, m): Taylor's series of A / 2^s, squared s times (Moler & Van Loan 2003).
-
-    That of scipy goes from matrix to matrix, and wakes all threads of its algebra for each.
-    """
-    most = float(np.max(np.sum(np.abs(a), axis=2), initial=0.0))
-    if not math.isfinite(most):
-        return np.full_like(a, math.nan)
-    halvings = max(math.ceil(math.log2(most / NORM)), 0) if most > 0.0 else 0
-    small, one = a / 2.0**halvings, np.eye(a.shape[1])
-    found = one + small / TERMS
-    for k in range(TERMS - 1, 0, -1):
-        found = one + (small / k) @ found
-    for _ in range(halvings):
-        found = found @ found
-    return np.asarray(found)
-
-
-NORM, TERMS = 0.5, 14  # the series is taken up to this norm, with so many terms: what is left is below the last digit

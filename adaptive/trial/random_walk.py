@@ -19,8 +19,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType, state_space
-from retuner.adaptive.signals.sample import FloatArray, LoopSample
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType, exponentials, state_space
+from retuner.adaptive.signals.sample import FloatArray, LoopSample, median
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -54,7 +54,7 @@ def stretches_of(samples: Sequence[LoopSample], theta_s: float) -> Stretches | N
     if len(samples) < FEWEST_SAMPLES:
         return None
     t, pv, co = (np.array([sample[i] for sample in samples]) for i in (0, 2, 3))
-    every = float(np.median(np.diff(t)))
+    every = median(np.diff(t))
     since = np.flatnonzero(np.diff(t) > GAP * every)
     if since.size:
         t, pv, co = (values[since[-1] + 1 :] for values in (t, pv, co))
@@ -122,9 +122,7 @@ def _responses(process: LinearProcess, n: int, dt_s: float) -> tuple[FloatArray,
     dead = process.theta_s / dt_s
     part = math.ceil(dead) - dead
     # exp(A) of states with a held input, over a whole step and over a part of it
-    from scipy.linalg import expm
-
-    moved, begun = np.asarray(expm(whole)), np.asarray(expm(whole * part))
+    moved, begun = exponentials(np.array([whole, whole * part]))
     late, prompt, free = np.zeros(n), np.zeros(n), np.zeros((n, m))
     x, y, row = begun[:m, m], np.zeros(m), space.c.copy()
     first = math.ceil(dead)

@@ -22,9 +22,9 @@ from retuner.adaptive.identification.candidate import judged
 from retuner.adaptive.identification.loads import linear_gains
 from retuner.adaptive.identification.structure_choice import _ramps
 from retuner.adaptive.loop.sampled import SampledLaw
-from retuner.adaptive.process.model import LinearProcess, ProcessType
+from retuner.adaptive.process.model import LinearProcess, ProcessType, exponentials
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, _exponentials, traces
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
 from retuner.adaptive.valve.plateaus import as_steps
 from retuner.adaptive.valve.slips import Co, Slips, _greedy, explained_by
 from retuner.adaptive.valve.valve_fit import Nodes, _grid, _moved, _through, _travel, valve_costs
@@ -280,5 +280,5 @@ def test_exponentials_of_matrices_are_those_of_scipy() -> None:
     drawn = rng.normal(size=(20, 4, 4))
     stiff = np.diag([-1.0, -3e3, -0.1, 0.0]) + np.triu(np.ones((4, 4)), 1)
     for a in (drawn, drawn / 1e3, stiff[None], np.zeros((2, 3, 3))):
-        np.testing.assert_allclose(_exponentials(a), expm(a), rtol=1e-10, atol=1e-12)
-    assert np.isnan(_exponentials(np.full((1, 2, 2), np.inf))).all()
+        np.testing.assert_allclose(exponentials(a), expm(a), rtol=1e-10, atol=1e-12)
+    assert np.isnan(exponentials(np.full((1, 2, 2), np.inf))).all()
