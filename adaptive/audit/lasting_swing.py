@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.indexes.autocovariance import DRIFT_WINDOWS, LEAST_STRENGTH, Regularity, regularity
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, distinct
 from retuner.schedule.late_dataclass import dataclass, replace
 
 WINDOW = 2_048  # points of a window: some ten cycles of a period of two hundred, and fifty of one of forty
@@ -104,5 +104,5 @@ def _edges(length: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Bins of the bands' edges, and those below which a slow drift is taken off, of a window twice as long."""
     last = 2 * length / FASTEST
     count = max(int(np.log(last / 4) / np.log(BAND)), 0) if last > 4 else 0
-    edges = np.unique((4 * BAND ** np.arange(count + 1)).astype(np.intp))
+    edges = distinct(np.floor(4 * BAND ** np.arange(count + 1))).astype(np.intp)
     return edges, np.array([0, *(bin_ for share in DRIFT_WINDOWS if (bin_ := int(2 / share)) <= length)])

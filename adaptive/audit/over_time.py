@@ -11,7 +11,7 @@ from retuner.adaptive.audit.loop_screen import DAY_S, GAP, in_automatic, measure
 from retuner.adaptive.audit.record_sums import record_sums
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.late_dataclass import dataclass, fields
 
 WEEK_S = 7 * DAY_S
@@ -185,11 +185,11 @@ def _wanted(record: Window, length: int, gap: np.ndarray, *, events: bool) -> It
 
 def _events(error: FloatArray, longest: int) -> list[Stretch]:
     """Stretches round events, the most unusual first."""
-    level = error - np.median(error)
+    level = error - median(error)
     found: list[tuple[float, Stretch]] = []
     for width in WIDTHS:
         means = np.abs(running_mean(level, width))
-        usual = 1.4826 * float(np.median(means))
+        usual = 1.4826 * median(means)
         many = min(max(OF_A_WIDTH * width, FEWEST_WINDOW_SAMPLES), USUAL_WINDOW_SAMPLES, longest)
         if usual <= 0 or many <= 0:
             continue

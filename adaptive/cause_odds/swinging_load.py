@@ -29,7 +29,7 @@ from retuner.adaptive.explanations.wandering_load import (
     under_loads,
 )
 from retuner.adaptive.indexes.autocovariance import regularity
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 
 LOADS = (*((one, VALUE) for one in (0.02, 0.1, 0.4, 1.6, math.inf)), *((one, AT_PV) for one in (0.1, 0.8, math.inf)))
 """Walks beside it: every third of those that are tried where nothing swings."""
@@ -55,7 +55,7 @@ def swing_frequency(record: Prepared, setpoint: FloatArray, likelihood: FloatArr
     parts = np.array([white[first : first + half] for first in range(0, n - half + 1, half // 2)]) * np.hanning(half)
     power = np.sum(np.abs(np.fft.rfft(parts)) ** 2, axis=0)[FEWEST_PERIODS - 1 :]
     wave = regularity(setpoint - record.pv)
-    if float(np.max(power)) < STANDS_OUT * float(np.median(power)) and (wave is None or not wave.lasting):
+    if float(np.max(power)) < STANDS_OUT * median(power) and (wave is None or not wave.lasting):
         return None
     length = FINER << (n - 1).bit_length()
     first = math.ceil(FEWEST_PERIODS * length / n)

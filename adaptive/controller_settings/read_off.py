@@ -19,7 +19,7 @@ from retuner.adaptive.controller_settings.regression import BoolArray, Regressio
 from retuner.adaptive.indexes.condition import Condition, record_condition, still_stretches
 from retuner.adaptive.indexes.output_limits import TOLERANCE, at_limits
 from retuner.adaptive.indexes.recording_quality import quantum, recording_quality
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import Window, quantile
 from retuner.schedule.gains import Form, PidGains, in_form
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -55,7 +55,7 @@ def usable_increments(window: Window, co_min: float | None, co_max: float | None
     reach = TOLERANCE * float(np.ptp(co))
     low = co_min if co_min is not None else float(np.min(co)) if limits.low else -math.inf
     high = co_max if co_max is not None else float(np.max(co)) if limits.high else math.inf
-    reach = max(reach, float(np.quantile(np.abs(np.diff(co)), NEAR_LIMIT))) if limits.hit else reach
+    reach = max(reach, quantile(np.abs(np.diff(co)), NEAR_LIMIT)) if limits.hit else reach
     inside = (co > low + reach) & (co < high - reach)  # nearer to a limit, anti-windup has its hand in it
     for start, end in still_stretches(co):
         inside[start:end] = False
@@ -138,7 +138,7 @@ def _better(rich: Regression, simple: Regression, window: Window) -> bool:
 
 def _size(found: Regression, usable: BoolArray) -> float:
     """Size of what is left: of increments without their largest twentieth, so that other samples kept do not matter."""
-    return found.rms if found.levels else float(np.quantile(np.abs(found.remainder[usable]), 0.95))
+    return found.rms if found.levels else quantile(np.abs(found.remainder[usable]), 0.95)
 
 
 def _filter_found(window: Window, usable: BoolArray, start: Structure, *, levels: bool) -> Regression:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.signals.recursion import recursion
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median, quantile
 from retuner.schedule.late_dataclass import dataclass, replace
 
 BLOCKS = 30  # blocks of consecutive samples whose scores count as independent
@@ -128,7 +128,7 @@ def columns(window: Window, structure: Structure, at: dict[str, float] | None = 
         bend = (further - x) @ np.array([at[name] for name in names]) / step
         return [*names, "tau"], np.column_stack([x, bend])
     dt, lag = np.diff(window.t_s), structure.lag
-    typical = float(np.median(dt))
+    typical = median(dt)
     pv, sp = _late(filtered(window.pv, structure.pv_filter_s, typical), lag), _late(window.sp, lag)
     e = sp - pv
     named: dict[str, FloatArray] = {}
@@ -173,7 +173,7 @@ def by_increments(
     remainder = y - x @ values
     for _ in range(OUTLIER_ROUNDS if trim else 0):
         size = np.abs(remainder)
-        sigma = max(MAD_TO_SIGMA * float(np.median(size[kept])), float(np.quantile(size[kept], 0.95)) / 1.96)
+        sigma = max(MAD_TO_SIGMA * median(size[kept]), quantile(size[kept], 0.95) / 1.96)
         fresh = usable & (size <= OUTLIER * sigma + EXACT * float(np.max(np.abs(y))))
         if np.array_equal(fresh, kept):
             break

@@ -23,7 +23,7 @@ from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.signals.growth import half_waves
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.signals.sample import LoopSample, Window, median
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -186,12 +186,12 @@ def alike_on_both_sides(samples: Sequence[LoopSample], period_s: float, band: fl
         waves = half_waves(side, band) if side else []
         if len(waves) < FEWEST_WAVES:
             return False
-        half_s = float(np.median(np.diff([wave.t_s for wave in waves])))
+        half_s = median(np.diff([wave.t_s for wave in waves]))
         if max(2.0 * half_s, period_s) > SAME_PERIOD * min(2.0 * half_s, period_s):
             return False
     heights = [wave.height for wave in half_waves(sides[1], band)]
     middle = len(heights) // 2
-    return float(np.median(heights[middle:])) <= STEADY * float(np.median(heights[:middle]))
+    return median(heights[middle:]) <= STEADY * median(heights[:middle])
 
 
 FEWEST_WAVES = 3

@@ -28,7 +28,7 @@ from retuner.adaptive.diagnosis.rival_fits import (
 )
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.screening import Screening
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import Window, quantile
 from retuner.adaptive.valve.slips import Slipping, slipping
 from retuner.adaptive.valve.stand_still import MOST_TOLD, StandStill, stand_still
 from retuner.adaptive.valve.valve_fit import Sticking, sticking, turns_s
@@ -206,7 +206,7 @@ def irregular_stiction_verdict(
         return None
     told = dict(evidence) | {"slips": float(count), "slips_left": left, "stand_travel": slips.travel}
     told["valve_turns"] = float(count)
-    narrow, wide = np.quantile(slips.bands, [0.1, 0.9])
+    narrow, wide = (quantile(slips.bands, share) for share in (0.1, 0.9))
     reason = (
         f"a sticking valve explains the record: {count} slips, each after co moved by {narrow:.3g} to {wide:.3g}; "
         f"residual {left:.1f} times the noise with it, {evidence['linear_left']:.1f} without"

@@ -18,7 +18,7 @@ import numpy as np
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -137,7 +137,7 @@ def _one_step(window: Window) -> tuple[int, float] | None:
     """Sample and size of the only setpoint step, in a record of even samples that is long enough after it."""
     moves = np.flatnonzero(np.diff(window.sp))
     spacing = np.diff(window.t_s)
-    usual = float(np.median(spacing))
+    usual = median(spacing)
     if len(moves) != 1 or float(np.max(np.abs(spacing - usual))) > UNEVEN * usual:
         return None
     at = int(moves[0]) + 1

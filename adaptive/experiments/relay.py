@@ -23,7 +23,7 @@ import numpy as np
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window, trapezoid
+from retuner.adaptive.signals.sample import FloatArray, Window, median, trapezoid
 from retuner.schedule.late_dataclass import dataclass
 
 FEWEST_WAVES = 2  # full waves from which a result is given; the first after the start is not among them
@@ -129,7 +129,7 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
         raise ValueError(f"hysteresis = {hysteresis}: give 0 or a positive number of pv units")
     upper = _levels(window.co)
     waves = _waves(window, _full_waves(window.t_s, upper), hysteresis)
-    co_high, co_low = float(np.median(window.co[upper])), float(np.median(window.co[~upper]))
+    co_high, co_low = median(window.co[upper]), median(window.co[~upper])
     d = (co_high - co_low) / 2
     point = _fundamental(window, waves.spans)
     # mean durations of the upper and of the lower half-wave
@@ -182,7 +182,7 @@ def _full_waves(t_s: FloatArray, upper: np.ndarray[tuple[int], np.dtype[np.bool_
     # indices into switches at which a full wave of usual duration begins, without the first half-wave
     times = t_s[switches]
     halves = np.diff(times)
-    middle = float(np.median(halves[1:] + halves[:-1]))
+    middle = median(halves[1:] + halves[:-1])
     kept = []
     for i in range(1, len(switches) - 2):
         usual = all(h > middle / SHORT_HALF for h in halves[i : i + 2])
@@ -198,12 +198,12 @@ def _waves(window: Window, spans: list[tuple[int, int]], hysteresis: float) -> _
     """Measure the waves, each of which must rise above the hysteresis, and leave outliers out."""
     t, dt = window.t_s, window.sample_time_s
     periods = np.array([t[b] - t[a] for a, b in spans])
-    pv = _peaks_kept(window.pv, float(np.median(periods)) / dt)
+    pv = _peaks_kept(window.pv, median(periods) / dt)
     highs = np.array([float(np.max(pv[a:b])) for a, b in spans])
     lows = np.array([float(np.min(pv[a:b])) for a, b in spans])
     steps = np.abs(np.diff(window.pv))
     quantum = float(np.min(steps[steps > 0], initial=np.inf))
-    usual = _near_median(periods, dt) & _near_median(highs - lows, min(2 * quantum, float(np.median(highs - lows))))
+    usual = _near_median(periods, dt) & _near_median(highs - lows, min(2 * quantum, median(highs - lows)))
     spans = [span for span, kept in zip(spans, usual, strict=True) if kept]
     waves = _Waves(spans, periods[usual], highs[usual], lows[usual])
     if np.min(waves.amplitudes) <= hysteresis * NEXT_TO_HYSTERESIS:
@@ -216,8 +216,8 @@ def _waves(window: Window, spans: list[tuple[int, int]], hysteresis: float) -> _
 
 def _near_median(values: FloatArray, slack: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Which values are no outliers; slack is what rounding may move a value by."""
-    off = np.abs(values - np.median(values))
-    spread = max(MAD_TO_SIGMA * float(np.median(off)), 0.01 * float(np.median(np.abs(values))))
+    off = np.abs(values - median(values))
+    spread = max(MAD_TO_SIGMA * median(off), 0.01 * median(np.abs(values)))
     return np.asarray(off <= OUTLIER * spread + slack)
 
 

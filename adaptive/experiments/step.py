@@ -22,7 +22,7 @@ from retuner.adaptive.experiments.plan import CLEAR_MOVE_STDS, crossing, peak, s
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning, tuning
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.late_dataclass import dataclass
 
 T1_SHARE = 1 - math.exp(-1 / 3)
@@ -169,7 +169,7 @@ def _steepest(response: RecordedStep, fewest: int = 3) -> tuple[float, float, fl
     sigma sqrt(12)/(dt m^1.5) over m samples.
     """
     t, pv = response.t_s, response.pv
-    dt = float(np.median(np.diff(t)))
+    dt = median(np.diff(t))
     rise = max(1.5 * (_share_time(response, T2_SHARE) - _share_time(response, T1_SHARE)), dt)
     wanted = (math.sqrt(12) * response.sigma * rise / (SLOPE_ERROR * abs(response.pv_change) * dt)) ** (2 / 3)
     m = int(min(max(fewest, min(max(3.0, wanted), max(rise / (2 * dt), 3.0))), len(t)))

@@ -19,7 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.late_dataclass import dataclass
 
 STAIRCASE = (8, *(1,) * 4, *(-1,) * 8, -4, *(-1,) * 4, *(1,) * 8, -4)
@@ -82,7 +82,7 @@ def read_valve_test(window: Window) -> ValveReading:
     moves = np.abs(np.diff(window.co))
     if not np.any(moves > 0):
         raise ValueError("co does not move in the whole record: not a valve test")
-    least = SAME * float(np.median(moves[moves > np.max(moves) / 50]))
+    least = SAME * median(moves[moves > np.max(moves) / 50])
     begins = [0, *(np.flatnonzero(moves > least) + 1).tolist()]
     ends = [*begins[1:], len(window.co)]
     kept = [(a, b) for a, b in zip(begins, ends, strict=True) if b - a >= FEWEST_SAMPLES]
@@ -91,7 +91,7 @@ def read_valve_test(window: Window) -> ValveReading:
     u = np.array([window.co[b - 1] for _, b in kept])
     y = np.array([float(np.mean(window.pv[b - max(round(LAST * (b - a)), 1) : b])) for a, b in kept])
     moves = np.abs(np.diff(u))
-    step = float(np.median(moves[moves > 0]))
+    step = median(moves[moves > 0])
     if not np.ptp(y) > 0:
         raise ValueError("pv does not move in the whole record: the valve is stuck, or pv does not depend on it")
     bands, resolutions = np.meshgrid(BANDS * step, RESOLUTIONS * step, indexing="ij")
@@ -158,8 +158,8 @@ def _stroke(window: Window, holds: list[tuple[int, int]], step: float) -> float 
             sizes += [size] if size > LARGE_MOVE * step else []
     if not large or not small:
         return None
-    later = float(np.median(large)) - float(np.median(small))
-    return 2.0 * max(later, window.sample_time_s) * 100.0 / (float(np.median(sizes)) - step)
+    later = median(large) - median(small)
+    return 2.0 * max(later, window.sample_time_s) * 100.0 / (median(sizes) - step)
 
 
 def _half_time(window: Window, before: tuple[int, int], after: tuple[int, int]) -> float | None:

@@ -124,7 +124,8 @@ class Book:
         weights = self.weights() if order is None else _weights(self.levels)[WEIGHED + ORDERS.index(order)]
         whole = np.cumsum(weights.ravel())
         at = np.searchsorted(whole, (np.arange(count) + 0.5) / count * whole[-1])
-        index, counts = np.unique(np.minimum(at, len(whole) - 1), return_counts=True)
+        times = np.bincount(np.minimum(at, len(whole) - 1))
+        index, counts = np.flatnonzero(times), times[times > 0]
         rows, dead, gain = np.unravel_index(index, GRID)
         responses: ComplexArray = responses_of(rows, dead) * (GAINS[gain] / self.unit)[:, None]
         places = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))

@@ -21,7 +21,7 @@ import numpy as np
 from retuner.adaptive.explanations.process_grid import GAINS, INTEGRATING
 from retuner.adaptive.explanations.valve_odds import DEAD_TIMES, LAGS, LOADS, log_mean
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, under_loads
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, quantile
 from retuner.schedule.late_dataclass import dataclass, replace
 
 RATIOS = (0.2, 0.4, 2.5, 5.0)
@@ -53,7 +53,7 @@ def gain_along_pv(records: Sequence[Prepared], direction: int, weights: Sequence
     likelihood, by how far the setpoint moves it.
     """
     pv = np.concatenate([record.first + record.pv for record in records])
-    low, high = (float(x) for x in np.quantile(pv, [TAILS, 1.0 - TAILS]))
+    low, high = (quantile(pv, share) for share in (TAILS, 1.0 - TAILS))
     moved = sum(float(np.var(record.co)) for record in records)
     unit = direction * math.sqrt(sum(float(np.var(record.pv)) for record in records) / moved)
     total = [np.zeros(())] * len(LAGS)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, TuningOdds, class_of
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.schedule.late_dataclass import dataclass, replace
 
 READING = 0.1
@@ -39,7 +39,7 @@ class RecordOvershoot:
     @classmethod
     def of(cls, error: FloatArray, overshoot: float, step: float) -> "RecordOvershoot":
         """error : sp - pv of the record, shape (n,). step : size of its setpoint steps, pv units."""
-        usual = 1.4826 * float(np.median(np.abs(error - np.median(error))))
+        usual = 1.4826 * median(np.abs(error - median(error)))
         return cls(overshoot, math.hypot(READING, LOADS * usual / step))
 
 

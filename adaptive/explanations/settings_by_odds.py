@@ -142,7 +142,8 @@ def likely_processes(odds: TuningOdds, most: int) -> LikelyProcesses:
     kept = np.flatnonzero(flat > NEXT_TO_NONE * float(flat.max()))
     kept = kept[np.argsort(odds.robustness.ms.ravel()[kept], kind="stable")]
     drawn = np.searchsorted(np.cumsum(flat[kept]), (np.arange(most) + 0.5) / most * float(flat[kept].sum()))
-    chosen, counts = np.unique(kept[np.minimum(drawn, len(kept) - 1)], return_counts=True)
+    times = np.bincount(kept[np.minimum(drawn, len(kept) - 1)])
+    chosen, counts = np.flatnonzero(times), times[times > 0]
     order = np.lexsort((-flat[chosen], -counts))
     chosen, counts = chosen[order], counts[order]
     rows, dead, gain = np.unravel_index(chosen, odds.weights.shape)

@@ -12,7 +12,7 @@ from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.noise import noise_sigma, quantum_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.late_dataclass import dataclass
 
 # ---- Load steps that stand where a setpoint change could have done it, and the model without them.
@@ -247,7 +247,7 @@ class Record:
         longest = np.argsort(-lengths, kind="stable")[:MOST_GAPS]
         # Travel of pv in the first samples beyond its noise, as a share of its range, and somewhat more
         m = min(max(START_SAMPLES, len(window.pv) // START_SHARE), len(window.pv))
-        travel = abs(float(np.median(window.pv[m - 3 : m]) - np.median(window.pv[:3]))) - 2 * noise
+        travel = abs(median(window.pv[m - 3 : m]) - median(window.pv[:3])) - 2 * noise
         share = travel / (float(np.ptp(window.pv)) or 1.0)
         return cls(
             np.ascontiguousarray(window.pv),

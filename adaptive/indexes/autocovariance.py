@@ -22,7 +22,7 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.schedule.late_dataclass import dataclass
 
 # Where a signal passes through zero, noise not counted.
@@ -127,7 +127,7 @@ def _of_autocovariance(r: FloatArray, n: int) -> Regularity | None:
     mean, spread = float(np.mean(intervals)), float(np.std(intervals, ddof=1))
     heights = np.maximum.reduceat(np.abs(r), at.astype(np.intp))[: len(intervals)]
     regular = mean / (3 * max(spread, FINEST))
-    return Regularity(2 * mean, regular, n / (2 * mean), min(float(np.median(heights)), 1.0))
+    return Regularity(2 * mean, regular, n / (2 * mean), min(median(heights), 1.0))
 
 
 def decay_ratio(x: FloatArray) -> float | None:

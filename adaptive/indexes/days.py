@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.indexes.output_limits import at_limits
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import Window, median
 
 GAP = 60.0  # sampling intervals without a sample, from which the record goes on as another one
 NIGHT = 0.04  # share of the record in which co stands still without a break, from which it is off
@@ -19,7 +19,7 @@ def days_of(window: Window, most: int = MOST_DAYS) -> list[Window]:
     """The stretches in which a loop was at work, each a record of its own; the record itself where it is only one."""
     n = len(window.t_s)
     step = np.diff(window.t_s)
-    cut = (step > GAP * float(np.median(step))) | (np.diff(off_in(window).astype(np.int8)) != 0)
+    cut = (step > GAP * median(step)) | (np.diff(off_in(window).astype(np.int8)) != 0)
     if not cut.any():
         return [window]
     edges = [0, *(np.flatnonzero(cut) + 1).tolist(), n]
@@ -46,6 +46,6 @@ def off_in(window: Window) -> npt.NDArray[np.bool_]:
 def at_gaps(window: Window) -> list[slice]:
     """The rows of a record between gaps in its time, none left out; all in one where a part of it would be short."""
     step = np.diff(window.t_s)
-    edges = [0, *(np.flatnonzero(step > GAP * float(np.median(step))) + 1).tolist(), len(window.t_s)]
+    edges = [0, *(np.flatnonzero(step > GAP * median(step)) + 1).tolist(), len(window.t_s)]
     parts = [slice(a, b) for a, b in pairwise(edges)]
     return parts if min(part.stop - part.start for part in parts) >= FEWEST_ROWS else [slice(0, len(window.t_s))]

@@ -12,7 +12,7 @@ by the same factor.
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 
 DAYS = (20000.0, 80000.0)
 LONGEST_STEP_DAYS = 1 / 24
@@ -32,7 +32,7 @@ def doubtful_units(window: Window) -> tuple[str, ...]:
 
 
 def _times(t: FloatArray) -> str:
-    step = float(np.median(np.diff(t)))
+    step = median(np.diff(t))
     if DIGITS[0] < t[0] and t[-1] < DIGITS[1]:
         return "the times look like dates written as one number (YYYYMMDDhhmmss): give them as text, or in seconds"
     if t[0] > LEAST_MILLISECONDS:

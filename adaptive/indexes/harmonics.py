@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.indexes.autocovariance import crossings, detrended
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.schedule.late_dataclass import dataclass
 
 HARMONICS = 5  # highest harmonic fitted
@@ -59,7 +59,7 @@ def tones(t_s: FloatArray, w_rad_s: float, *signals: FloatArray) -> list[Tone] |
     Harmonics of fewer than three samples a period are left out. t_s and each signal of shape (n,).
     """
     t = t_s - t_s[0]
-    dt = float(np.median(np.diff(t_s)))
+    dt = median(np.diff(t_s))
     highest = min(HARMONICS, int(2 * math.pi / (w_rad_s * dt * SAMPLES_PER_PERIOD)))
     x = np.stack([detrended(s) for s in signals], axis=1)
     power = np.mean(x * x, axis=0)
@@ -175,7 +175,7 @@ def half_wave_shape(x: FloatArray, band: float) -> HalfWaveShape | None:
     best = min(mse[1], mse[2]) ** 0.5
     apex = np.abs(_APEX[np.argmin(triangle, axis=1)] - 0.5)
     index = mse[0] / (mse[0] + mse[1])
-    return HalfWaveShape(index, (mse[0] ** 0.5 - best) / (mse[0] ** 0.5 + best), len(waves), float(np.median(apex)))
+    return HalfWaveShape(index, (mse[0] ** 0.5 - best) / (mse[0] ** 0.5 + best), len(waves), median(apex))
 
 
 def _waves(x: FloatArray, at: FloatArray) -> FloatArray:
@@ -183,7 +183,7 @@ def _waves(x: FloatArray, at: FloatArray) -> FloatArray:
     lengths = np.diff(at)
     if not lengths.size:
         return np.zeros((0, POINTS))
-    typical = float(np.median(lengths))
+    typical = median(lengths)
     kept = (lengths >= max(FEWEST_SAMPLES, SHORT * typical)) & (lengths <= typical / SHORT)
     starts, lengths = at[:-1][kept], lengths[kept]
     places = starts[:, None] + lengths[:, None] * _S[None, :]

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, distinct, kept_of_signal, median, quantile
 from retuner.schedule.late_dataclass import dataclass
 
 STRAIGHT = 1e-6  # A second difference below this share of the signal's range is zero
@@ -46,6 +46,7 @@ class RecordingQuality:
     compression: float
 
 
+@kept_of_signal
 def recording_quality(x: FloatArray) -> RecordingQuality | None:
     """Judge one signal, shape (n,); None for a constant one."""
     span = float(np.ptp(x))
@@ -104,6 +105,7 @@ SMALLEST_MISSES = 0.2
 FEWEST_KEPT = 8
 
 
+@kept_of_signal
 def hidden_sigma(x: FloatArray) -> float:
     """Standard deviation of what compression took away from a signal, in its units; 0 where it was not compressed.
 
@@ -121,7 +123,7 @@ def hidden_sigma(x: FloatArray) -> float:
     misses = misses[misses > _last_digit(x)]
     if not misses.size:
         return 0.0
-    return float(np.quantile(misses, SMALLEST_MISSES)) / 3**0.5
+    return quantile(misses, SMALLEST_MISSES) / 3**0.5
 
 
 HELD = 0.5  # share of repeats among the straight pieces from which the last value was held, and no lines were drawn
@@ -134,9 +136,10 @@ def _misses(x: FloatArray, kept: npt.NDArray[np.int64]) -> FloatArray:
     return np.abs(x[at] - x[before] - part * (x[after] - x[before]))
 
 
+@kept_of_signal
 def quantum(x: FloatArray) -> float:
     """Step of the grid on which the values lie, in their units; 0 when they lie on none."""
-    values = np.unique(x)
+    values = distinct(x)
     if not FEWEST_LEVELS <= len(values) <= FEWER_LEVELS * len(x):
         return 0.0
     gaps, above = np.diff(values), values[1:] - values[0]
@@ -172,7 +175,7 @@ def held_together(pv: FloatArray, co: FloatArray) -> HeldStretches | None:
     if len(both) < max(FEWEST_HOLDS, ALIKE * len(of_pv), ALIKE * len(of_co)):
         return None
     lengths = [end - first for first, end in both]
-    return HeldStretches(sum(lengths) / len(pv), float(np.median(lengths)))
+    return HeldStretches(sum(lengths) / len(pv), median(lengths))
 
 
 def _holds(still: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:

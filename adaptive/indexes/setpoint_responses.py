@@ -10,7 +10,7 @@ import numpy as np
 
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.schedule.late_dataclass import dataclass
 
 STEP_BAND = 6.0  # A setpoint change counts as a step when it exceeds this many standard deviations of pv's noise
@@ -63,8 +63,8 @@ def setpoint_responses(sp: FloatArray, pv: FloatArray) -> SetpointResponses | No
     if not read:
         return None
     damped = [d for _, d, _ in read if d is not None]
-    overshoot, size = (float(np.median([one[i] for one in read])) for i in (0, 2))
-    return SetpointResponses(len(read), overshoot, float(np.median(damped)) if damped else None, size)
+    overshoot, size = median([one[0] for one in read]), median([one[2] for one in read])
+    return SetpointResponses(len(read), overshoot, median(damped) if damped else None, size)
 
 
 def _cut_short(e: FloatArray) -> bool:

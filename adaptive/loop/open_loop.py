@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.process.model import ComplexArray, LinearProcess
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, distinct
 from retuner.schedule.gains import PidGains
 
 
@@ -241,7 +241,7 @@ def grid(loop: OpenLoop) -> FloatArray:
         if c2 > 0 and c1**2 < c2:
             centre, half_width = 1 / math.sqrt(c2), max(abs(c1), 1e-9 * math.sqrt(c2)) / (2 * c2)
             points.append(centre + half_width * np.linspace(-10, 10, RESONANCE_POINTS))
-    w = np.unique(np.concatenate(points)) if len(points) > 1 else points[0]
+    w = distinct(np.concatenate(points)) if len(points) > 1 else points[0]
     return w[w > 0]
 
 

@@ -41,7 +41,7 @@ from retuner.adaptive.region_model.kalman import back_to_mean, gate, moved_on, s
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
 from retuner.adaptive.schedule_design.record_stretches import SLOPE_STD
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.adaptive.valve.record_through_valve import ValveInLoop, valve_believed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -120,7 +120,7 @@ def _after(before: Window | None, window: Window, dt_s: float) -> Window:
 
 
 def _going_on(values: FloatArray, before: FloatArray) -> FloatArray:
-    step = float(np.median(before[-END_SAMPLES:])) - float(np.median(values[:END_SAMPLES]))
+    step = median(before[-END_SAMPLES:]) - median(values[:END_SAMPLES])
     return np.asarray(values + step, dtype=np.float64)
 
 

@@ -28,7 +28,7 @@ from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
 from retuner.adaptive.schedule_design.record_stretches import CurveAxis, CurveShape, tells
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import Lookup
@@ -105,7 +105,7 @@ def design(
     evidence = [_evidence(name, c) for name, c in found.items()]
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = _Chosen(next(c for c in able if c.name == best.variable), None, found[best.variable])
-    dt = float(np.median([w.sample_time_s for w in windows]))
+    dt = median([w.sample_time_s for w in windows])
     settles = len(able) == 1 or _settles(chosen, _places(chosen, ends, dt, limits))
     for both in _pairs(chosen.one, able, {e.variable for e in evidence if e.changes}, settles=settles):
         progress(f"{both[0].name} and {both[1].name}", len(able) / stages)
@@ -116,7 +116,7 @@ def design(
     progress("the fewest sets", (stages - 0.3) / stages)
     # places, sets and the numbers of the lookup. ends : of each variable's places
     curves = chosen.curves
-    dt = float(np.median([w.sample_time_s for w in windows]))
+    dt = median([w.sample_time_s for w in windows])
     places = _places(chosen, ends, dt, limits)
     second = "" if chosen.two is None else chosen.two.name
     none = Design(chosen.one.name, curves, places, None, 0.0, 0.0, tuple(evidence), "", second=second)

@@ -22,7 +22,7 @@ from retuner.adaptive.schedule_design.record_stretches import (
 )
 from retuner.adaptive.schedule_design.weighing import SIMPLER
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median, quantile
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -45,8 +45,8 @@ class SchedulingVariable:
 
     def span(self) -> tuple[float, float]:
         """Lowest and highest value visited, noise apart."""
-        low = min(float(np.quantile(v, 0.001)) for v in self.values)
-        high = max(float(np.quantile(v, 0.999)) for v in self.values)
+        low = min(quantile(v, 0.001) for v in self.values)
+        high = max(quantile(v, 0.999) for v in self.values)
         return low, high
 
     def noise(self) -> float:
@@ -65,7 +65,7 @@ def follows_loop(windows: Sequence[Window], values: Sequence[FloatArray]) -> boo
     outside, its push would explain what the process does.
     """
     varied = max(float(np.var(np.concatenate(list(values)))), 1e-300)
-    dt = float(np.median([w.sample_time_s for w in windows]))
+    dt = median([w.sample_time_s for w in windows])
     longest = max(0.1 * float(windows[0].t_s[-1] - windows[0].t_s[0]), 2 * dt)
     for lag in (0.0, *np.geomspace(dt, longest, LAGS).tolist()):
         for name in OWN:

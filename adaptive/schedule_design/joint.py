@@ -16,7 +16,7 @@ from retuner.adaptive.fit.damped import Limits, descended
 from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_ways, response
 from retuner.adaptive.schedule_design.record_stretches import Characteristic, CurveAxis, CurveShape, Second, Stretch
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.schedule.late_dataclass import dataclass, replace
 
 STEP = 1e-4  # step of z for derivatives
@@ -348,7 +348,7 @@ def noise_of(left: Sequence[FloatArray], floor: float) -> Noise:
         if criterion < best:
             best, ar = criterion, tuple(coefficients.tolist())
     variances = [max(float(np.mean(white(x, ar) ** 2)), floor**2) if len(x) > len(ar) + 3 else floor**2 for x in left]
-    common = float(np.median(variances))
+    common = median(variances)
     sizes = np.array([len(x) for x in left])
     sigma = np.sqrt((PRIOR_SAMPLES * common + sizes * np.array(variances)) / (PRIOR_SAMPLES + sizes))
     return Noise(ar, np.maximum(sigma, floor))
@@ -383,7 +383,7 @@ def starts(
     form = CurveForm(axis, (CurveShape.CONSTANT,) * 3, (0.0, 0.0, 0.0), 1, pushed=pushed, second=second)
     chosen = sorted(stretches, key=_excitation, reverse=True)[:MOST_STRETCHES]
     batch = Batch.of(chosen)
-    h = float(np.median(batch.h_s))
+    h = median(batch.h_s)
     longest = h * max(map(len, chosen))
     lags = np.geomspace(2 * h, 3 * longest, NODES)
     thetas = np.geomspace(0.5 * h, 0.3 * longest, NODES)
@@ -445,9 +445,7 @@ def with_loads(joint: Joint, form: CurveForm, now: At, noise: Noise) -> Joint:
         arriving = form.arriving(batch, local, now.z[:, None])
         explained = (response(local, arriving, batch.h_s) + form.drift(batch, local, now.z[:, None]))[..., 0]
         waves = _waves(batch, local, form.outside(batch))
-        theta, tau = (
-            float(np.exp(np.median(p))) for p in (local.theta, local.b * 0 if local.tau is None else local.tau)
-        )
+        theta, tau = (float(np.exp(median(p))) for p in (local.theta, local.b * 0 if local.tau is None else local.tau))
         for j, stretch in enumerate(batch.stretches):
             n, h = len(stretch), stretch.signals.h_s
             y = white(stretch.pv - explained[:n, j], noise.ar) / noise.sigma[done]

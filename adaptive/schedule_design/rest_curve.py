@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from retuner.adaptive.schedule_design.record_stretches import LEAD_ROWS, Stretch
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.schedule.late_dataclass import dataclass
 
 END = 4  # the last one in so many rows of a stretch is its end
@@ -36,7 +36,7 @@ class RestCurve:
         order = min(MOST_ORDER, max(len(stretches) // FOR_EACH, 1), len(np.unique(x)) - 1)
         coefficients = np.polyfit((x - middle) / half, co, order)
         left = co - np.polyval(coefficients, (x - middle) / half)
-        return cls(tuple(coefficients.tolist()), middle, half, float(np.median(np.abs(left))) * 1.5)
+        return cls(tuple(coefficients.tolist()), middle, half, median(np.abs(left)) * 1.5)
 
     @classmethod
     def on_the_way(cls, stretch: Stretch) -> "RestCurve":

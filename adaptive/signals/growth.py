@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.declared_setting import require_in_range, setting
-from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopSample, median
 from retuner.schedule.late_dataclass import dataclass
 
 
@@ -135,7 +135,7 @@ def _as_high_before(before: list[HalfWave], first: HalfWave, found: Growth, sett
             break
         heights.append(wave.height)
         after_s = wave.t_s
-    return len(heights) >= settings.fewest_before and float(np.median(heights)) >= first.height
+    return len(heights) >= settings.fewest_before and median(heights) >= first.height
 
 
 def lasting(samples: Sequence[LoopSample], band: float, settings: GrowthSettings) -> float | None:
@@ -150,7 +150,7 @@ def lasting(samples: Sequence[LoopSample], band: float, settings: GrowthSettings
     if apart.max() > settings.even * apart.min() or max(heights) > settings.like * min(heights):
         return None
     during = [abs(s.sp - s.pv) > band for s in samples if waves[0].t_s <= s.t_s <= waves[-1].t_s]
-    return 2 * float(np.median(apart)) if sum(during) >= settings.restless * len(during) else None
+    return 2 * median(apart) if sum(during) >= settings.restless * len(during) else None
 
 
 def _growth(waves: list[HalfWave], settings: GrowthSettings) -> Growth | None:
@@ -171,7 +171,7 @@ def _growth(waves: list[HalfWave], settings: GrowthSettings) -> Growth | None:
     earlier, later = heights[middle] - heights[0], heights[-1] - heights[middle]
     if later * middle < settings.steady * earlier * (n - 1 - middle):
         return None
-    return Growth(math.exp(rise), n, 2 * float(np.median(apart)))
+    return Growth(math.exp(rise), n, 2 * median(apart))
 
 
 @lru_cache(maxsize=64)

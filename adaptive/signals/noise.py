@@ -18,7 +18,7 @@ import numpy as np
 
 from retuner.adaptive.signals.recogniser import START_BANDS
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import FloatArray, LoopSample
+from retuner.adaptive.signals.sample import FloatArray, LoopSample, kept_of_signal, median
 
 MEDIAN_TO_SIGMA = 1.4826 / math.sqrt(6.0)
 QUANTUM_TO_SIGMA = 1.0 / math.sqrt(12.0)
@@ -38,18 +38,20 @@ ADAPT_FACTOR = 1.02
 """Growth per sample of the streaming median: settles from a factor 50 in about 400 samples, scatters by 5 %."""
 
 
+@kept_of_signal
 def noise_sigma(pv: FloatArray) -> float:
     """Standard deviation of the noise on pv, in pv units; pv has shape (n,), n >= 3. Zero for a constant signal."""
     d = np.abs(pv[:-2] - 2 * pv[1:-1] + pv[2:])
-    return max(MEDIAN_TO_SIGMA * float(np.median(d)), quantum_sigma(pv))
+    return max(MEDIAN_TO_SIGMA * median(d), quantum_sigma(pv))
 
 
+@kept_of_signal
 def quantum_sigma(pv: FloatArray) -> float:
     """Standard deviation that quantisation alone gives, q / sqrt(12); zero where the signal is not quantised.
 
     A grid shows by repetition, and in a short record by its moves: they are one, two, three and more whole quanta.
     """
-    ordered = np.sort(pv)  # not np.unique, which loads numpy.ma: a tenth of the time that `identify` takes to start
+    ordered = np.sort(pv)
     steps = np.diff(ordered)
     apart = steps[steps > QUANTUM_ROUNDING * (ordered[-1] - ordered[0])]
     if not apart.size:
@@ -87,7 +89,7 @@ def coloured_sigma(pv: FloatArray, longest: int) -> float:
     first, most, k = noise_sigma(pv), 0.0, 2
     while k <= min(longest, len(pv) // LAGS):
         d = np.abs(pv[: -2 * k] - 2 * pv[k:-k] + pv[2 * k :])
-        most, k = max(most, MEDIAN_TO_SIGMA * float(np.median(d))), 2 * k
+        most, k = max(most, MEDIAN_TO_SIGMA * median(d)), 2 * k
     return most if most > COLOURED * first else 0.0
 
 

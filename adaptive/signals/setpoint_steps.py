@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample
+from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample, median
 from retuner.adaptive.signals.step_sequence import SetpointMove, StepSequence
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -90,7 +90,7 @@ def setpoint_steps(
     if found.opened - begin < LEAST_LEAD or not _follows(own, gains, law):
         return None
     t_s, pv = (np.array([getattr(s, name) for s in own], dtype=np.float64) for name in ("t_s", "pv"))
-    dt_s = float(np.median(np.diff(t_s)))
+    dt_s = median(np.diff(t_s))
     even = np.arange(t_s[0], t_s[-1] + dt_s / 2, dt_s)
     places = [found.opened, *found.whole, *([found.closed] if found.closed is not None else [])]
     moves = [(round((samples[at].t_s - t_s[0]) / dt_s), samples[at].sp - samples[at - 1].sp) for at in places]

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.signals.response import Ending, Response
-from retuner.adaptive.signals.sample import FloatArray, Window, trapezoid
+from retuner.adaptive.signals.sample import FloatArray, Window, median, trapezoid
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, PosteriorNumbers, against, in_favour
 from retuner.adaptive.trial.prediction import Expected, Prediction
 from retuner.adaptive.trial.response_numbers import storable, swing, three
@@ -272,7 +272,7 @@ def _unlike_a_step(seen: JudgedResponse, settings: TrialSettings) -> str:
     error = (window.sp - window.pv)[before]
     if not error.size:
         return ""
-    step = abs(float(np.median(later)) - float(window.sp[before][-1])) if later.size else 0.0
+    step = abs(median(later) - float(window.sp[before][-1])) if later.size else 0.0
     if abs(float(np.mean(error[-max(len(error) // 4, 1) :]))) > max(response.band, settings.rest_share * step):
         return "not judged: the loop was not at rest when the setpoint changed"
     return ""
@@ -345,7 +345,7 @@ def _unit(seen: JudgedResponse, gains: PidGains, e: FloatArray, t: FloatArray, l
     """
     if seen.response.sp_changed:
         before = seen.window.sp[seen.window.t_s < seen.response.t_start_s]
-        after = float(np.median(seen.window.sp[_during(seen)]))
+        after = median(seen.window.sp[_during(seen)])
         return abs(after - float(before[-1])) if before.size else 0.0
     taken_over = abs(_area(e, t))
     return abs(gains.ki) * taken_over if taken_over >= least else 0.0

@@ -20,7 +20,7 @@ from itertools import islice, takewhile
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopSample, quantile
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
 
 BLOCK = 100  # samples of a block: some dead times of a loop that is sampled as it should be
@@ -44,7 +44,7 @@ def load_variability(samples: Sequence[LoopSample]) -> float:
     line = np.stack([np.full(BLOCK, BLOCK**-0.5), np.linspace(-1.0, 1.0, BLOCK)])
     line[1] /= np.linalg.norm(line[1])
     left = error - error @ line.T @ line
-    return float(np.quantile(np.std(left, axis=1), QUIET))
+    return quantile(np.std(left, axis=1), QUIET)
 
 
 def load_variability_there(seen: float, noise_std: float, here: ClosedLoop, there: ClosedLoop) -> float:

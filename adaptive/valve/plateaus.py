@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.fit.engine import compiled
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.schedule.late_dataclass import dataclass
 
 LAGS = (0.0, 3.0, 8.0, 20.0, 45.0, 100.0)  # T tried at first, in rows
@@ -62,7 +62,7 @@ class Steps:
 def rough_sigma(pv: FloatArray) -> float:
     """Noise of pv by its first and second differences, in pv units, at least LEAST_SIGMA of the range."""
     first, second = np.diff(pv), np.diff(pv, 2)
-    spreads = [MEDIAN_TO_SIGMA * float(np.median(np.abs(d - np.median(d)))) for d in (first, second)]
+    spreads = [MEDIAN_TO_SIGMA * median(np.abs(d - median(d))) for d in (first, second)]
     return max(min(spreads[0] / 2**0.5, spreads[1] / 6**0.5), LEAST_SIGMA * float(np.ptp(pv)))
 
 
@@ -227,10 +227,10 @@ def plateaus(pv: FloatArray, steps: Steps) -> list[Plateau]:
         settled = min(first + round(SETTLED * steps.lag), end - 1) if first else 0
         if end <= first:
             continue
-        level = float(np.median(pv[settled:end]))
+        level = median(pv[settled:end])
         if found and abs(level - found[-1].level) < LEVEL * steps.range:
             merged = found.pop()
-            found.append(Plateau(merged.first, end, float(np.median(pv[merged.first : end]))))
+            found.append(Plateau(merged.first, end, median(pv[merged.first : end])))
         else:
             found.append(Plateau(settled, end, level))
     return found

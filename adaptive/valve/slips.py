@@ -30,7 +30,7 @@ from retuner.adaptive.fit.structure import SLOPE, THETA
 from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, CandidateList, judged
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, distinct, median
 from retuner.adaptive.valve.valve_fit import with_best_gain
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -110,7 +110,7 @@ class Co:
     def turns(self) -> list[int]:
         """Rows at which it turns round, and then goes back by more than its noise and a share of its range."""
         u = self.u
-        noise = float(np.median(np.abs(np.diff(u, 2)))) / SECOND_DIFFERENCE_TO_SIGMA
+        noise = median(np.abs(np.diff(u, 2))) / SECOND_DIFFERENCE_TO_SIGMA
         least = max(TURN_SHARE * float(np.ptp(u)), TURN_NOISE * noise)
         found: list[int] = []
         high = low = 0
@@ -266,7 +266,7 @@ def _from_steps(misfit: Misfit, co: Co, steps: FreeSteps) -> Iterator[Start]:
     """Slips a dead time before every step of pv, for dead times and shares on a grid."""
     dt, n = misfit.record.sample_time_s, len(misfit.record.pv)
     for theta in (dt * rows for rows in THETAS):
-        rows = np.unique(np.clip(np.round((steps.times_s - theta) / dt), 1, n - 1).astype(int))
+        rows = distinct(np.clip(np.round((steps.times_s - theta) / dt), 1, n - 1)).astype(int)
         x = steps.x.copy()
         x[SLOPE], x[THETA] = 0.0, math.log(theta)
         yield from _with_shares(misfit, co, tuple(rows.tolist()), x)
@@ -327,7 +327,7 @@ def _settled(start: Start, co: Co) -> Slipping:
 def _varied(trial: TriedSlips, co: Co) -> Slips:
     """Shares, starts and times in turn, then a slip less and one more where they pay."""
     at, n = trial.at, len(co.u)
-    typical = float(np.median(co.bands(at))) if at.rows else 0.0
+    typical = median(co.bands(at)) if at.rows else 0.0
     shares = [at.share + step for step in FINE_SHARES if LOWEST_SHARE <= at.share + step <= HIGHEST_SHARE]
     trial.better([replace(at, share=share) for share in shares])
     trial.better([replace(trial.at, first=float(co.u[0]) + part * typical) for part in STARTS])

@@ -27,7 +27,7 @@ import numpy as np
 
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.indexes.recording_quality import runs
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.adaptive.valve.plateaus import Plateau, Steps, as_steps, plateaus, price
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -292,7 +292,7 @@ def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandStillSettin
         step = float(rows.sp[at] - rows.sp[at - 1])
         if abs(step) <= settings.step_sigmas * steps.sigma:
             continue
-        moved = (rows.pv[at:until] - float(np.median(rows.pv[max(at - 5, 0) : at]))) / step
+        moved = (rows.pv[at:until] - median(rows.pv[max(at - 5, 0) : at])) / step
         answers = np.flatnonzero(running_mean(moved, 3) > settings.answered)
         if not answers.size or answers[0] < settings.silent * tau_i:
             continue

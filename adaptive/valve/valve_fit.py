@@ -21,7 +21,7 @@ from retuner.adaptive.fit.search import with_second_lag
 from retuner.adaptive.identification.candidate import Candidate, CandidateList, judged
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -214,7 +214,7 @@ def _travel(record: Record, period_s: float) -> float:
     """Usual travel of co within a period."""
     n = max(int(period_s / record.sample_time_s), 3)
     pieces = [record.co[i : i + n] for i in range(0, max(len(record.co) - n, 1), n)]
-    return max(float(np.median([np.ptp(piece) for piece in pieces])), LEAST_TRAVEL * record.co_range)
+    return max(median([np.ptp(piece) for piece in pieces]), LEAST_TRAVEL * record.co_range)
 
 
 @dataclass(frozen=True, slots=True)

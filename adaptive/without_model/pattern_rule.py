@@ -46,7 +46,7 @@ from retuner.adaptive.declared_setting import setting
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Ending, Response
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, fields, replace
 
@@ -145,7 +145,7 @@ def _tenth_s(response: Response, window: Window) -> float | None:
     before = window.pv[t_s < 0]
     if not len(before):
         return None
-    rest = float(np.median(before))
+    rest = median(before)
     if np.max(np.abs(before - rest)) > AT_REST_BANDS * response.band:
         return None
     way = abs(float(window.sp[-1]) - rest)
@@ -181,7 +181,7 @@ def _of_co(co: FloatArray, during: npt.NDArray[np.bool_]) -> tuple[float, float 
     """How far co ended from where it began, as a share of its travel; how far it went beyond, as a share of that."""
     first, last = (int(i) for i in np.flatnonzero(during)[[0, -1]])
     own = _smooth(co[first : last + 1])
-    before = float(np.median(co[: max(first, SMOOTHED)]))
+    before = median(co[: max(first, SMOOTHED)])
     way = float(np.mean(co[last + 1 - 2 * SMOOTHED : last + 1])) - before
     travel = max(float(np.max(own)), before) - min(float(np.min(own)), before)
     if way == 0 or travel == 0:

@@ -10,12 +10,10 @@ The same names stand in a `[record]` section of a TOML file:
 """
 
 import math
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from retuner.drivers.historian.scaling import Scaling
 from retuner.drivers.historian.tags import SEPARATED, SEPARATORS
@@ -113,8 +111,10 @@ class RecordForm:
             raise ValueError(f"encoding = {self.encoding!r}: not known; give utf-8, utf-16, cp1252, ...") from None
         try:
             if self.zone:
+                from zoneinfo import ZoneInfo  # noqa: PLC0415  few records need it
+
                 ZoneInfo(self.zone)
-        except (ZoneInfoNotFoundError, ValueError, OSError):
+        except (KeyError, ValueError, OSError):
             raise ValueError(f"zone = {self.zone!r}: not known; give a name as Europe/Berlin") from None
 
 
@@ -123,6 +123,8 @@ def form_from_toml(path: Path) -> RecordForm:
 
     Raises RecordingError: no such file or section, a key that is not known, or a value of another kind or out of range.
     """
+    import tomllib  # noqa: PLC0415  few records need it
+
     try:
         section = tomllib.loads(path.read_text(encoding="utf-8")).get("record")
     except OSError as error:

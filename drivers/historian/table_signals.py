@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.indexes.days import GAP
-from retuner.adaptive.signals.sample import FloatArray, all_finite
+from retuner.adaptive.signals.sample import FloatArray, all_finite, median
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.cells import decimal_mark, good, numbers, unit_beside
 from retuner.drivers.historian.raw_table import VALUE, RawTable, repeated
@@ -306,7 +306,7 @@ def _automatic(
     lengths = stretches[:, 1] - stretches[:, 0]
     days = stretches[lengths >= A_DAY * np.max(lengths)]
     nights_s = clock.t_s[days[1:, 0]] - clock.t_s[days[:-1, 1] - 1]
-    if len(days) == 1 or np.min(nights_s) <= GAP * float(np.median(np.diff(clock.t_s))):
+    if len(days) == 1 or np.min(nights_s) <= GAP * median(np.diff(clock.t_s)):
         days = stretches[[int(np.argmax(lengths))]]
     everything[:] = False
     for begin, end in days.tolist():

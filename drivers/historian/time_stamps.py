@@ -8,14 +8,13 @@ their size says nothing else: seconds, milliseconds, ... since 1970, days of a s
 import math
 import re
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from types import MappingProxyType
-from zoneinfo import ZoneInfo
 
 import numpy as np
 import numpy.typing as npt
 
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.record_form import TIME_UNITS, RecordForm
 from retuner.drivers.recorded.recording import NUMBER, RecordingError
@@ -84,7 +83,7 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
             return Stamps(values * TIME_UNITS[known], (told,))
     finite = values[np.isfinite(values)]
     apart = np.abs(np.diff(finite))
-    step = float(np.median(apart[apart > 0])) if np.any(apart > 0) else 1.0  # rounded stamps repeat
+    step = median(apart[apart > 0]) if np.any(apart > 0) else 1.0  # rounded stamps repeat
     origin = _days_at_1970(values)
     if origin and 0 < step < 1.0 / 24:
         whose = "a spreadsheet" if origin == SPREADSHEET_1970 else "MATLAB"
@@ -96,7 +95,7 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
 
 def _typical(values: FloatArray) -> float:
     """The size of the numbers; 0 where there are none."""
-    return float(np.nanmedian(np.abs(values))) if np.isfinite(values).any() else 0.0
+    return median(np.abs(values[~np.isnan(values)])) if np.isfinite(values).any() else 0.0
 
 
 def _days_at_1970(values: FloatArray) -> float:
@@ -301,7 +300,11 @@ def _timed(
     texts: Sequence[str], read: Callable[[str], datetime], form: RecordForm, source: str, begins: Sequence[int]
 ) -> FloatArray:
     """Seconds since 1970 of each text, nan where there is none."""
-    zone = ZoneInfo(form.zone) if form.zone else None
+    zone: tzinfo | None = None
+    if form.zone:
+        from zoneinfo import ZoneInfo  # noqa: PLC0415  few records need it
+
+        zone = ZoneInfo(form.zone)
     found, last, zoned = np.full(len(texts), math.nan), -math.inf, zone is not None
     first = frozenset(begins)
     for i, text in enumerate(texts):
@@ -323,7 +326,7 @@ def _hour_comes_twice(t_s: FloatArray) -> bool:
     return len(back) == 1 and bool(back[0] >= -HOUR_S) and bool(known[-1] > np.max(known[:-1]))
 
 
-def _seconds(moment: datetime, zone: ZoneInfo | None, last: float) -> float:
+def _seconds(moment: datetime, zone: tzinfo | None, last: float) -> float:
     """Seconds since 1970; of the two hours of one name in autumn the one that goes on after the last stamp."""
     if moment.tzinfo is None and zone is None:
         return (moment.replace(tzinfo=UTC) - EPOCH).total_seconds()

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import LARGEST, FloatArray, LoopMode, LoopSample
+from retuner.adaptive.signals.sample import LARGEST, FloatArray, LoopMode, LoopSample, median
 from retuner.drivers.recorded.frame_log import Overhearing, read_frames
 from retuner.drivers.recorded.recording import (
     ROLES,
@@ -100,7 +100,7 @@ def _samples(
         )
     if max(float(np.max(np.abs(signal))) for signal in (t, *(sp, pv, co))) > LARGEST:
         raise RecordingError(f"{path}: a value is beyond {LARGEST:g}; give the record in its engineering units")
-    interval = float(np.median(np.diff(t)))
+    interval = median(np.diff(t))
     if abs(interval - facts.sample_time_s) > TIME_TOLERANCE * facts.sample_time_s:
         raise RecordingError(
             f"{path}: is sampled every {interval:g} s, loop.sample_time_s is {facts.sample_time_s:g} s; make them equal"

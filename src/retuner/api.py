@@ -227,7 +227,8 @@ def _reals(name: str, values: Numbers) -> FloatArray:
     if np.iscomplexobj(given):
         raise ValueError(f"{name} is complex; give real numbers, as they were measured")
     reals = given.astype(np.float64)
-    return np.asarray(reals.filled(np.nan) if isinstance(reals, np.ma.MaskedArray) else reals)
+    filled = getattr(reals, "filled", None)  # of a masked array; np.ma is loaded by who has one
+    return np.asarray(reals if filled is None else filled(np.nan))
 
 
 def identify_record(

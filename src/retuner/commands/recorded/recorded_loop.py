@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from datetime import UTC, datetime
-from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -109,6 +108,8 @@ def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:
     if read.begin_s is None:
         raise UserError(f"{option} {text}: {read.recording.source} has no dates; give seconds of the record")
     if moment.tzinfo is None:
+        from zoneinfo import ZoneInfo
+
         moment = moment.replace(tzinfo=ZoneInfo(zone) if zone else UTC)
     return moment.timestamp() - read.begin_s
 
