@@ -28,14 +28,22 @@ def shown_by(name: str, load: Callable[[str], object]) -> None:
     _module[:] = [lambda: cast("Shows", load(name))]
 
 
-def text(result: object) -> str:
-    """A result in words."""
-    return _module[0]().text(result)
+class Drawn:
+    """A result of which a notebook shows a picture."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        return _module[0]().html(self)
 
 
-def html(result: object) -> str:
-    """A result as a part of an HTML page."""
-    return _module[0]().html(result)
+class Shown(Drawn):
+    """A result of which print gives the lines of its command besides."""
+
+    __slots__ = ()
+
+    def __str__(self) -> str:
+        return _module[0]().text(self)
 
 
 def figure(result: object) -> Any:  # noqa: ANN401  matplotlib's Figure, which this package does not import

@@ -117,7 +117,7 @@ class Delay(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class Decision(display_hook.Shown):
     """One decision on one response.
 
     Attributes
@@ -181,12 +181,6 @@ class Decision:
         return (
             f"Decision({self.number}, {self.loop!r}, {self.region!r}, {self.t_s:.6g} s, {self.action}: {self.reason})"
         )
-
-    def __str__(self) -> str:
-        return display_hook.text(self)
-
-    def _repr_html_(self) -> str:
-        return display_hook.html(self)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values: what the ledger keeps. Keys that are not always there: `delay` where a decision was entered

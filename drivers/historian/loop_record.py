@@ -37,7 +37,7 @@ WHOLE = RecordForm()
 
 
 @dataclass(frozen=True, slots=True)
-class LoopRecord:
+class LoopRecord(display_hook.Drawn):
     """A record with what was assumed in reading it.
 
     tag : of the loop, "" where the record names none. others : further columns that were wanted, by name, at its
@@ -54,9 +54,6 @@ class LoopRecord:
     def __repr__(self) -> str:
         assumed = f"; assumed: {in_a_line(self.assumed)}" if self.assumed else ""
         return f"LoopRecord({f'{self.tag}, ' * bool(self.tag)}{self.recording.summary}{assumed})"
-
-    def _repr_html_(self) -> str:
-        return display_hook.html(self)
 
 
 class _Loop(NamedTuple):

@@ -49,7 +49,7 @@ Record = LoopRecord | Frame | str | PathLike[str]
 
 
 @dataclass(frozen=True, slots=True)
-class Identification:
+class Identification(display_hook.Shown):
     """What a record says of its process, and the settings that follow (None when it does not say enough).
 
     Attributes
@@ -74,12 +74,6 @@ class Identification:
         times = (("tau1", m.tau1_s), ("tau2", m.tau2_s), ("tau3", m.tau3_s))
         lags = "".join(f" {name} {lag:.4g} s" for name, lag in times if lag)
         return f"Identification({m.type}: k {m.k:.4g}{lags} theta {m.theta_s:.4g} s; settings {self.settings!r})"
-
-    def __str__(self) -> str:
-        return display_hook.text(self)
-
-    def _repr_html_(self) -> str:
-        return display_hook.html(self)
 
     @property
     def identifiable(self) -> bool:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class RecordDiagnosis:
+class RecordDiagnosis(display_hook.Shown):
     """The cause of a loop's behaviour, the process where it could be told, and the settings that would cure it.
 
     Attributes
@@ -58,12 +58,6 @@ class RecordDiagnosis:
     def __repr__(self) -> str:
         told = self.diagnosis
         return f"RecordDiagnosis({told.cause}, confidence {told.confidence:.0%}: {told.reason})"
-
-    def __str__(self) -> str:
-        return display_hook.text(self)
-
-    def _repr_html_(self) -> str:
-        return display_hook.html(self)
 
     @property
     def cause(self) -> Cause:

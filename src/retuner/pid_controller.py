@@ -56,7 +56,7 @@ class _Place:
     pv: float
 
 
-class PidController:
+class PidController(display_hook.Drawn):
     """A PID controller with scheduled gains, and the retuner that watches it.
 
     Not thread-safe: guard calls with your own lock.
@@ -216,9 +216,6 @@ class PidController:
         """The picture of the newest samples, as a notebook shows it."""
         figure: Figure = display_hook.figure(self)
         return figure
-
-    def _repr_html_(self) -> str:
-        return display_hook.html(self)
 
     @property
     def decision(self) -> Decision | None:

@@ -70,7 +70,7 @@ NEAR_SHARE = 0.05  # share of the range within which a sample is near
 
 
 @dataclass(frozen=True, slots=True)
-class ScheduleDesign:
+class ScheduleDesign(display_hook.Shown):
     """A gain schedule and what it rests on.
 
     design : curves, places, sets and the evidence of each candidate variable. table : the gain table, None where
@@ -93,12 +93,6 @@ class ScheduleDesign:
     def __repr__(self) -> str:
         sets = 0 if self.table is None else len(self.table.gains)
         return f"ScheduleDesign(by {self.variable}: {self.reason}; {sets} sets, {len(self.places)} places)"
-
-    def __str__(self) -> str:
-        return display_hook.text(self)
-
-    def _repr_html_(self) -> str:
-        return display_hook.html(self)
 
     @property
     def variable(self) -> str:

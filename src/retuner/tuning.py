@@ -14,7 +14,7 @@ RULES = tuple(REGISTRY)  # names of the tuning rules
 
 
 @dataclass(frozen=True, slots=True)
-class TuneResult:
+class TuneResult(display_hook.Shown):
     """Settings of a rule, in a named form, with the margins of the model under them (None without a model).
 
     Attributes
@@ -36,12 +36,6 @@ class TuneResult:
     def __repr__(self) -> str:
         g, ms = self.tuning.gains, "" if self.margins is None else f", Ms {self.margins.ms:.3g}"
         return f"TuneResult({self.tuning.rule} {self.kind}: kp {g.kp:.4g}, ki {g.ki:.4g}, kd {g.kd:.4g}{ms})"
-
-    def __str__(self) -> str:
-        return display_hook.text(self)
-
-    def _repr_html_(self) -> str:
-        return display_hook.html(self)
 
     @classmethod
     def on(cls, tuning: Tuning, process: ProcessModel) -> "TuneResult":

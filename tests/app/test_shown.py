@@ -104,9 +104,12 @@ def test_a_decision_shows_its_reason_and_its_page() -> None:
 
 
 def test_what_is_no_result_is_refused() -> None:
-    for show in (display_hook.text, display_hook.html):
-        with pytest.raises(TypeError, match="int is no result"):
-            show(3)
+    class Other(display_hook.Shown):
+        """Nothing that has words."""
+
+    for show in (str, lambda result: result._repr_html_()):
+        with pytest.raises(TypeError, match="Other is no result"):
+            show(Other())
 
 
 def test_three_lists_of_names_agree() -> None:

@@ -21,7 +21,7 @@ Frame: TypeAlias = Any
 
 
 @dataclass(frozen=True, slots=True)
-class LoopTrend:
+class LoopTrend(display_hook.Drawn):
     """What a loop did, sample by sample; all arrays of shape (n,).
 
     Attributes
@@ -43,9 +43,6 @@ class LoopTrend:
     def __repr__(self) -> str:
         told = f"mean error {self.error:.3g}, co travel {self.travel:.4g}" if len(self.t_s) else "nothing yet"
         return f"LoopTrend({len(self.t_s)} samples: {told}, gains changed {len(self.changes_s)} times)"
-
-    def _repr_html_(self) -> str:
-        return display_hook.html(self)
 
     def plot(self) -> "Figure":
         """The picture: setpoint and pv above, co below, a line where gains changed."""
