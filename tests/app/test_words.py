@@ -29,7 +29,7 @@ def vocabulary() -> ModuleType:
 
 TERMS = vocabulary().TERMS
 FOLDERS = ("src", "adaptive", "drivers", "schedule")
-NO_PROSE = ("c_header.py", "structured_text.py", "numbers.py", "store.py", "gate.py", "html.py")
+NO_PROSE = ("numbers.py", "store.py", "gate.py", "html.py")
 """Files whose longer texts are C, IEC 61131-3, DBC, SQL, HTTP or CSS."""
 DOCS = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
 STATIC = tuple(

@@ -1,6 +1,7 @@
 """Templates of configurations and pages, and the starter configurations among them."""
 
 from importlib.resources import files
+from typing import Any
 
 from retuner.errors import UserError
 
@@ -21,3 +22,14 @@ def starter(profile: str = "") -> str:
     if profile and profile not in profiles():
         raise UserError(f"--profile {profile}: there is {', '.join(profiles())}")
     return files("retuner").joinpath("templates", f"{profile or STARTER}.toml").read_text(encoding="utf-8")
+
+
+def rendered(name: str, **values: Any) -> str:
+    """The text of a template (Jinja) with these values; of a name that is not given it is an error."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  slow to load, for few commands
+
+    loader = PackageLoader("retuner", "templates")
+    made = Environment(  # noqa: S701  a page escapes what it shows: {% autoescape %}
+        loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    return made.get_template(name).render(zip=zip, **values)
