@@ -34,8 +34,7 @@ class Numbers:
         return replace(self, **{name: value for name, value in said.items() if value is not None})
 
 
-NO_NUMBERS = Numbers()
-"""The numbers of a decision that weighed nothing."""
+NO_NUMBERS = Numbers()  # the numbers of a decision that weighed nothing
 
 
 class Basis(StrEnum):

@@ -47,8 +47,5 @@ class Shown(Drawn):
 
 
 def figure(result: object) -> Any:  # noqa: ANN401  matplotlib's Figure, which this package does not import
-    """The picture of a result.
-
-    Raises ValueError: there is nothing to draw: the record was not kept.
-    """
+    """The picture of a result. Raises ValueError: there is nothing to draw: the record was not kept."""
     return _module[0]().figure(result)

@@ -17,8 +17,7 @@ from retuner.adaptive.explanations.valve_odds import DEAD_TIMES, LAGS, LOADS
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihood, under_loads
 from retuner.adaptive.signals.sample import FloatArray
 
-SMOOTHINGS = (0.5, 0.85)
-"""f that are tried: lines between samples that fall anywhere, and averages."""
+SMOOTHINGS = (0.5, 0.85)  # f that are tried: lines between samples that fall anywhere, and averages
 
 
 def with_smoothing(

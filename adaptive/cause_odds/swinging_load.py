@@ -33,8 +33,7 @@ from retuner.adaptive.signals.sample import FloatArray, median
 
 LOADS = (*((one, VALUE) for one in (0.02, 0.1, 0.4, 1.6, math.inf)), *((one, AT_PV) for one in (0.1, 0.8, math.inf)))
 """Walks beside it: every third of those that are tried where nothing swings."""
-NARROW, WIDER = (0.01, 0.1), 12.0
-"""-ln r as a share of w, and how many times as much -ln s is."""
+NARROW, WIDER = (0.01, 0.1), 12.0  # -ln r as a share of w, and how many times as much -ln s is
 FEWEST_PERIODS, FEWEST_SAMPLES, FINER = 3, 6, 8
 """Periods in a record, samples to a period, and how much closer than those of a Fourier series lines are looked at."""
 STANDS_OUT = 20.0

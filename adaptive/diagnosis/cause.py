@@ -32,8 +32,7 @@ TUNING_CAUSES = frozenset({Cause.AGGRESSIVE, Cause.SLUGGISH, Cause.SLOW_INTEGRAT
 """Causes that a change of gains can cure."""
 
 
-SUM_WITHIN = 1e-6
-"""Rounding that a sum of probabilities may have."""
+SUM_WITHIN = 1e-6  # rounding that a sum of probabilities may have
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +44,7 @@ class Diagnosis:
     causes : probability of every cause that was weighed, the largest first, sum 1; empty where none were weighed.
     next : the test that would settle what stays open; None where none is needed or known.
 
-    Raises
-    ------
-    ValueError
-        The confidence is outside 0 to 1, or a number of the evidence is NaN.
+    Raises ValueError: the confidence is outside 0 to 1, or a number of the evidence is NaN.
     """
 
     cause: Cause
@@ -170,8 +166,6 @@ def tuning_cause(
 ) -> Diagnosis:
     """Diagnose the gains in force on an identified process.
 
-    Parameters
-    ----------
     model : the process. gains : in force. best : what the rule gives for it.
     gain_uncertainty : standard deviation of ln |G(j/theta)|, for the confidence. lagged : models with a second lag that
         the same records allow.
@@ -200,8 +194,7 @@ Skogestad 2003)."""
 WITH_LAG = {ProcessType.FOPDT: ProcessType.SOPDT, ProcessType.INTEGRATING: ProcessType.INTEGRATING_LAG}
 
 
-TWICE = 2.0
-"""A second lag is known to this factor where the best fit with one names it."""
+TWICE = 2.0  # A second lag is known to this factor where the best fit with one names it
 
 
 def cured(model: ProcessModel, gains: PidGains, limit: float, lagged: Sequence[ProcessModel] = ()) -> bool:

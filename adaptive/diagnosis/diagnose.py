@@ -80,8 +80,6 @@ def diagnose_window(
 ) -> RecordVerdict:
     """Name the cause of a loop's behaviour in a record.
 
-    Parameters
-    ----------
     window : the record. gains : in force; without them nothing can be said of the tuning.
     co_min, co_max : limits of co where known. direction : sign of the controller's gain where no more is known.
     rough_law : gains by the record itself, where none are given: whether pv stands is asked with them.

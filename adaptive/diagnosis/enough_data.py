@@ -10,25 +10,17 @@ from retuner.adaptive.indexes.screening import Screening
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
 
-FEWEST_SAMPLES = 100
-"""Samples of a record that holds a response or a few cycles, well sampled."""
-FEWEST_CYCLES = 3.0
-"""Cycles of an oscillation below which its cause is a guess."""
-WANTED_CYCLES = 5.0
-"""Cycles that are asked for."""
-SAMPLES_PER_PERIOD = 10.0
-"""Samples in a period below which its shape does not show."""
-SAMPLES_PER_TIME = 4.0
-"""Samples in the dead time and in the lag of a process that are needed to tell them."""
-COMPRESSED = 3.0
-"""Compression from which shapes are the recorder's (Thornhill, Choudhury & Shah 2004)."""
+FEWEST_SAMPLES = 100  # samples of a record that holds a response or a few cycles, well sampled
+FEWEST_CYCLES = 3.0  # cycles of an oscillation below which its cause is a guess
+WANTED_CYCLES = 5.0  # cycles that are asked for
+SAMPLES_PER_PERIOD = 10.0  # samples in a period below which its shape does not show
+SAMPLES_PER_TIME = 4.0  # samples in the dead time and in the lag of a process that are needed to tell them
+COMPRESSED = 3.0  # compression from which shapes are the recorder's (Thornhill, Choudhury & Shah 2004)
 
 
 def shortcomings(window: Window, seen: Screening, model: ProcessModel | None = None) -> tuple[str, ...]:
     """What is wanting, the gravest first; empty when nothing is.
 
-    Parameters
-    ----------
     window : the record. seen : its screening. model : the identified process, where there is one.
     """
     found: list[str] = []

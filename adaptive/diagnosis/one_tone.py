@@ -13,8 +13,7 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass
 
-PADDED = 4
-"""Zero padding of the spectrum: peaks to a quarter of a line."""
+PADDED = 4  # zero padding of the spectrum: peaks to a quarter of a line
 
 
 @dataclass(frozen=True, slots=True)

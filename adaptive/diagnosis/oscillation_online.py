@@ -194,14 +194,10 @@ def alike_on_both_sides(samples: Sequence[LoopSample], period_s: float, band: fl
     return median(heights[middle:]) <= STEADY * median(heights[:middle])
 
 
-FEWEST_WAVES = 3
-"""Half waves on each side of which a period may be told."""
-SAME_PERIOD = 1.25
-"""Ratio up to which two periods are one."""
-STEADY = 1.3
-"""Ratio of later half waves to earlier ones from which a swing grows; noise is a quarter of the least."""
-ON_EACH_SIDE = 2.0
-"""Periods of a tone that both sets of gains must have seen."""
+FEWEST_WAVES = 3  # half waves on each side of which a period may be told
+SAME_PERIOD = 1.25  # ratio up to which two periods are one
+STEADY = 1.3  # ratio of later half waves to earlier ones from which a swing grows; noise is a quarter of the least
+ON_EACH_SIDE = 2.0  # periods of a tone that both sets of gains must have seen
 
 
 RANDOM = (

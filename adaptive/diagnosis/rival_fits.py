@@ -26,18 +26,12 @@ from retuner.adaptive.identification.structure_choice import StructureSettings, 
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
-HARMONICS = 5
-"""Harmonics of an outside oscillation: five tell a triangle or a saw to two percent."""
-SINUSOID = 1
-"""Harmonics of a plain sinusoid: eight numbers fewer to pay for, which a short record may be too short for."""
-MORE_HARMONICS = 11
-"""Harmonics where a loop shows the oscillation's slope instead, as squares with sharp corners."""
-SHARP = 4
-"""Samples in the shortest wave of those, at least."""
-PADDED = 4
-"""Zero padding of the spectrum: peaks to a quarter of a line."""
-FEWEST_CYCLES = 2
-"""Cycles in the record of a tone that is looked for."""
+HARMONICS = 5  # harmonics of an outside oscillation: five tell a triangle or a saw to two percent
+SINUSOID = 1  # harmonics of a plain sinusoid: eight numbers fewer to pay for, which a short record may be too short for
+MORE_HARMONICS = 11  # harmonics where a loop shows the oscillation's slope instead, as squares with sharp corners
+SHARP = 4  # samples in the shortest wave of those, at least
+PADDED = 4  # zero padding of the spectrum: peaks to a quarter of a line
+FEWEST_CYCLES = 2  # cycles in the record of a tone that is looked for
 WEAKENED = 3.0
 """The process is also tried with a gain e^-3 of the linear one: next to a tone it may have no part at all."""
 
@@ -95,8 +89,7 @@ def sharper(tone: Candidate) -> Candidate:
 FRESH_LAGS = (2.0, 8.0, 30.0, 120.0)
 FRESH_THETAS = (1.0, 4.0, 16.0)
 """Samples in the lag and dead time that a process beside a tone is looked for with."""
-FRESH_GAINS = (0.1, 0.3, 1.0, 3.0)
-"""Gains tried for a process beside a tone, in ranges of pv over ranges of co."""
+FRESH_GAINS = (0.1, 0.3, 1.0, 3.0)  # gains tried for a process beside a tone, in ranges of pv over ranges of co
 
 
 def _afresh(plain: Misfit, w: float) -> tuple[Misfit, FloatArray]:

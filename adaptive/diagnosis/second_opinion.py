@@ -25,8 +25,7 @@ from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-TOWARDS_SAFETY = frozenset({Ruling.SAFER, Ruling.URGENT})
-"""Rulings of the guard that make a loop over its limit safer."""
+TOWARDS_SAFETY = frozenset({Ruling.SAFER, Ruling.URGENT})  # rulings of the guard that make a loop over its limit safer
 SWINGING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
 """Causes of tuning by which a loop swings; by the other it is slow."""
 

@@ -35,8 +35,7 @@ from retuner.adaptive.valve.valve_fit import Sticking, sticking, turns_s
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-SAME_TONE = 0.03
-"""Two frequencies closer than this (in logarithms) lead to the same fit."""
+SAME_TONE = 0.03  # two frequencies closer than this (in logarithms) lead to the same fit
 TRIANGLE, SINE = 0.6, 0.4
 """Triangle index from which a swing has a valve's shape, and up to which a sine's (He et al. 2007)."""
 

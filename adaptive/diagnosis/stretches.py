@@ -24,10 +24,8 @@ from retuner.adaptive.signals.sample import Window
 SAMPLES_A_CYCLE = 12
 CYCLES = 15.0
 """Length of a stretch: ten to twenty show a cause, and drift little."""
-CONDENSED = 2
-"""How many samples would become one before setpoint changes part a record."""
-CHANGES = 3
-"""Setpoint changes of a stretch."""
+CONDENSED = 2  # how many samples would become one before setpoint changes part a record
+CHANGES = 3  # setpoint changes of a stretch
 MOST_STRETCHES = 5
 FEWEST_SAMPLES = 100
 
@@ -93,5 +91,4 @@ def _told(causes: list[Cause], parts: list[Window]) -> str:
     return ", ".join(f"{cause} from {some[0].t_s[0]:.7g} to {some[-1].t_s[-1]:.7g} s" for cause, some in runs)
 
 
-OPEN = frozenset({Cause.UNKNOWN, Cause.NOISE})
-"""Answers that leave open what the loop does when something happens."""
+OPEN = frozenset({Cause.UNKNOWN, Cause.NOISE})  # answers that leave open what the loop does when something happens

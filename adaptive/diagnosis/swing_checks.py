@@ -25,8 +25,7 @@ from retuner.adaptive.trial.response_numbers import peaks_of
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-MOST_HALVINGS = 8
-"""Halvings of the gain that are tried for a stable loop."""
+MOST_HALVINGS = 8  # halvings of the gain that are tried for a stable loop
 FOREIGN_SWINGS = frozenset({Cause.EXTERNAL, Cause.SATURATION, Cause.UNKNOWN})
 """Verdicts on a swing that do not count when it is held up by the output's limits; a stuck valve does."""
 
@@ -93,15 +92,12 @@ def _crossover(model: ProcessModel, gains: PidGains) -> tuple[float, float]:
 # such a process explains any response to the noise. What it says of the loop itself can be looked at.
 
 
-THIRD = 3
-"""Peaks that tell a swing."""
+THIRD = 3  # peaks that tell a swing
 
 
 def not_seen(response: Response, foretold: Trace, settings: SwingSettings) -> str:
     """Why a response refutes a model that says the loop swings, empty when it does not.
 
-    Parameters
-    ----------
     foretold : the error after an upset like this one, by the model (see `foretold`).
     """
     seen = [abs(peak.e) for peak in response.peaks]

@@ -166,8 +166,7 @@ def _in_order(loop: JudgedLoop, found: RecordVerdict) -> RecordVerdict:
     return replace(found, diagnosis=Diagnosis(Cause.OK, 0.6, evidence, reason))
 
 
-RATIOS = frozenset({"ki_ratio", "kp_ratio"})
-"""Evidence of how much faster a loop could be."""
+RATIOS = frozenset({"ki_ratio", "kp_ratio"})  # evidence of how much faster a loop could be
 
 
 def _if_agreed(loop: JudgedLoop, found: RecordVerdict, *, asked: bool = False) -> RecordVerdict:
@@ -470,8 +469,7 @@ def _grows(window: Window) -> bool:
     return float(np.std(error[-third:])) > GROWTH * float(np.std(error[third:-third]))
 
 
-GROWTH = 1.3
-"""Ratio of the last third's standard deviation to the middle third's from which a loop is running away."""
+GROWTH = 1.3  # ratio of the last third's standard deviation to the middle third's from which a loop is running away
 
 
 def _undisturbed(window: Window, estimate: ModelEstimate, evidence: dict[str, float], oscillates: bool) -> Diagnosis:
@@ -496,8 +494,7 @@ def _undisturbed(window: Window, estimate: ModelEstimate, evidence: dict[str, fl
 
 HARDLY_NOISE, EXPLAINED = 0.05, 0.95
 """Share of noise, and of pv that a model explains, from which a record without a step is the loop's own motion."""
-NOISY = 0.5
-"""Share of white noise in the movement of pv from which noise is what moves it."""
+NOISY = 0.5  # share of white noise in the movement of pv from which noise is what moves it
 
 
 def weighed(

@@ -22,30 +22,18 @@ from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-SIGMAS = 4.0
-"""Standard deviations by which the pole must lie on the wrong side."""
-MODEL_ERROR = 0.003
-"""Share of the step that no model explains."""
-EXPLAINED = 1.5
-"""What the fit may leave, in times the noise."""
-FEWEST_STEP_SAMPLES = 30
-"""Samples after the step of which it may be asked."""
-MOST_SAMPLES = 1500
-"""The first samples after the step, so many of them."""
-UNEVEN = 0.5
-"""How far an interval may be from the usual one, as a share of it."""
-POLES = (0.1, -0.05, -0.2)
-"""First guesses of the pole times the time that pv takes for half a setpoint step."""
-LEAST = 1e-9
-"""Least product of a pole and a time; a smaller one counts as none."""
-APART = 1e-4
-"""Distance by which two equal poles are set apart."""
-LOST = 10.0
-"""Residual, in steps, of a process that the gains would not have held."""
-LONGER = 4
-"""Lengths of the record for which a loop with other gains is followed."""
-GONE = 0.01
-"""Share of a setpoint step that is none."""
+SIGMAS = 4.0  # standard deviations by which the pole must lie on the wrong side
+MODEL_ERROR = 0.003  # share of the step that no model explains
+EXPLAINED = 1.5  # what the fit may leave, in times the noise
+FEWEST_STEP_SAMPLES = 30  # samples after the step of which it may be asked
+MOST_SAMPLES = 1500  # the first samples after the step, so many of them
+UNEVEN = 0.5  # how far an interval may be from the usual one, as a share of it
+POLES = (0.1, -0.05, -0.2)  # first guesses of the pole times the time that pv takes for half a setpoint step
+LEAST = 1e-9  # least product of a pole and a time; a smaller one counts as none
+APART = 1e-4  # distance by which two equal poles are set apart
+LOST = 10.0  # Residual, in steps, of a process that the gains would not have held
+LONGER = 4  # lengths of the record for which a loop with other gains is followed
+GONE = 0.01  # share of a setpoint step that is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +76,6 @@ WIDE, POINTS = (0.03, 6.0), 600
 def unstable_process(window: Window, law: SampledLaw) -> UnstableProcess | None:
     """The process, where a setpoint step from rest shows that it runs away by itself; else None.
 
-    Parameters
-    ----------
     window : it holds one setpoint step. law : that ran.
     """
     step = _one_step(window)
@@ -116,8 +102,7 @@ def unstable_process(window: Window, law: SampledLaw) -> UnstableProcess | None:
     return None
 
 
-SHARES = (1.0, 0.5, 0.25)
-"""Parts of what followed on the step that are looked at, until one is explained."""
+SHARES = (1.0, 0.5, 0.25)  # parts of what followed on the step that are looked at, until one is explained
 
 
 def worse_on(
@@ -158,8 +143,7 @@ def _starts(fit: "_Fit") -> list[FloatArray]:
 HALF = 0.5
 DEAD, LAGS, STRENGTHS = (0.3, 0.8), (0.1, 0.5), (0.1, 0.2, 0.4, 0.8, 1.6)
 """First guesses of the dead time and of the lag over that time, and of kp k' times it."""
-STARTS = 3
-"""First guesses that are refined."""
+STARTS = 3  # first guesses that are refined
 
 
 def _answer(process: UnstableProcess, law: SampledLaw, n: int) -> FloatArray:
@@ -241,9 +225,6 @@ class _Fit:
         return cost, x, float(scale[3]) * math.sqrt(max(float(covariance[3, 3]) * variance, 0.0))
 
 
-LARGEST_LN_PARAMETER = 40.0
-"""Largest logarithm of a parameter."""
-MOST_TRIES = 150
-"""Evaluations of one refinement, those for its slopes among them."""
-TINY = 0.01
-"""Least share that white noise has in a remainder."""
+LARGEST_LN_PARAMETER = 40.0  # largest logarithm of a parameter
+MOST_TRIES = 150  # evaluations of one refinement, those for its slopes among them
+TINY = 0.01  # least share that white noise has in a remainder

@@ -18,20 +18,13 @@ from retuner.adaptive.identification.structure_choice import candidates, too_few
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 
-PARTS = 5
-"""The beginning and the end of a record are a fifth of it each."""
-RUNS = 3.0
-"""Ratio of the error at the end to that at the beginning from which it has run away."""
-SIGMAS = 6.0
-"""Standard deviations by which the growth must stand out of the noise."""
-LEAD = 25.0
-"""Lead of the other sign's criterion that is needed: odds of e^12."""
-EXPLAINED = 0.9
-"""Share of pv's variance that it must explain."""
-LEAST_SAMPLES = 5 * PARTS
-"""A part has at least five samples; a record that is shorter is taken whole."""
-MOST_LOADS = 1
-"""Load steps that it may need: what goes the wrong way runs away from the smallest one."""
+PARTS = 5  # the beginning and the end of a record are a fifth of it each
+RUNS = 3.0  # ratio of the error at the end to that at the beginning from which it has run away
+SIGMAS = 6.0  # standard deviations by which the growth must stand out of the noise
+LEAD = 25.0  # lead of the other sign's criterion that is needed: odds of e^12
+EXPLAINED = 0.9  # share of pv's variance that it must explain
+LEAST_SAMPLES = 5 * PARTS  # A part has at least five samples; a record that is shorter is taken whole
+MOST_LOADS = 1  # load steps that it may need: what goes the wrong way runs away from the smallest one
 
 
 def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Diagnosis | None:

@@ -54,14 +54,12 @@ TONE, TONE_LASTS = 0.3, 20000
 GRID = (len(shapes(EVERY_LAG)), len(DEAD_TIMES), len(GAINS))
 PLANES, WEIGHED = (2 + len(ORDERS), *GRID), 2
 """Every process without a tone and with one, whose weights count; then, without, under each order of load by itself."""
-WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))
-"""Planes whose weights are one together."""
+WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))  # planes whose weights are one together
 BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 """Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
 keep Ms under this. A loop at work comes from neither: one that does next to nothing has a co that undoes its load, too.
 """
-SHARES = (1.0, 0.5, 0.25)
-"""Shares of the gains in force, one of which must hold a process that runs away."""
+SHARES = (1.0, 0.5, 0.25)  # shares of the gains in force, one of which must hold a process that runs away
 RUNAWAYS = 0.02
 """Odds that a process runs away by itself, before any record: exothermic reactors, some tanks and vehicles."""
 
@@ -140,10 +138,7 @@ class Book:
     def from_dict(cls, body: Mapping[str, Any]) -> "Book":
         """The book of these plain values.
 
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            Something is missing, of the wrong kind, or of another grid.
+        Raises KeyError, TypeError, ValueError: something is missing, of the wrong kind, or of another grid.
         """
         levels, whole, prior = (_unpacked(str(body[name])) for name in ("levels", "whole", "prior"))
         unit, dt_s, t_s = (float(body[name]) for name in ("unit", "dt_s", "t_s"))

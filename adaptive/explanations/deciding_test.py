@@ -39,14 +39,10 @@ SIZES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 ENOUGH_TO_DECIDE, LEAST_TO_DECIDE = 0.8, 0.25
 """The smallest step with the first probability to decide is proposed; where none has it, the largest, if it has the
 second: a test that decides next to nothing only upsets a plant. (With a half, three loops far too slow had no test.)"""
-DECIDED = math.log(9.0)
-"""Odds that decide."""
-DRAWN = 32
-"""Processes that stand for all."""
-LONG_ENOUGH = 0.8
-"""Share of them that settle while a step is held."""
-SHORTEST, LONGEST = 30, 250
-"""Samples that the step is held."""
+DECIDED = math.log(9.0)  # odds that decide
+DRAWN = 32  # processes that stand for all
+LONG_ENOUGH = 0.8  # share of them that settle while a step is held
+SHORTEST, LONGEST = 30, 250  # samples that the step is held
 SETTLED = 0.05
 
 

@@ -24,12 +24,9 @@ from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, under
 from retuner.adaptive.signals.sample import FloatArray, quantile
 from retuner.schedule.late_dataclass import dataclass, replace
 
-RATIOS = (0.2, 0.4, 2.5, 5.0)
-"""Gain at the top of pv's range over that at the bottom, where it changes evenly."""
-STEP_RATIOS = (0.3, 3.0)
-"""Ratios where the gain changes in the middle of the range."""
-TAILS = 0.01
-"""Share of the samples at either end that the range of pv leaves out."""
+RATIOS = (0.2, 0.4, 2.5, 5.0)  # gain at the top of pv's range over that at the bottom, where it changes evenly
+STEP_RATIOS = (0.3, 3.0)  # ratios where the gain changes in the middle of the range
+TAILS = 0.01  # share of the samples at either end that the range of pv leaves out
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,5 +85,4 @@ def _straightened(record: Prepared, slope: FloatArray) -> tuple[Prepared, FloatA
     return replace(record, pv=z - z[0]), record.co[None], (len(z) * narrower - float(np.sum(np.log(slope)))) / TEMPER
 
 
-LEAST_RANGE = 1e-300
-"""A range of pv is at least this."""
+LEAST_RANGE = 1e-300  # A range of pv is at least this

@@ -26,12 +26,9 @@ LAGS = (0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0, 50.0, 80.0, 130.0,
 """First lag in samples; without end the process integrates."""
 RUNAWAY_LAGS = (-8.0, -16.0, -33.0, -66.0, -130.0)
 """Lags of processes that run away, each growing by a factor of e in so many samples. The book has them."""
-SECOND_SHARES = (0.0, 0.15, 0.4, 0.8)
-"""Second lag as a share of the first."""
-SECOND_OF_INTEGRATING = 40.0
-"""The lag of which the same shares are a second lag where the process integrates, samples."""
-LEAST_SECOND = 0.6
-"""A second lag that is shorter (in samples) cannot be seen."""
+SECOND_SHARES = (0.0, 0.15, 0.4, 0.8)  # second lag as a share of the first
+SECOND_OF_INTEGRATING = 40.0  # the lag of which the same shares are a second lag where the process integrates, samples
+LEAST_SECOND = 0.6  # A second lag that is shorter (in samples) cannot be seen
 DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 17.0, 25.0, 40.0)
 """Dead times of the grid, in samples."""
 GAINS = np.logspace(-2.5, 2.5, 61)

@@ -19,14 +19,11 @@ from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, Tun
 from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.schedule.late_dataclass import dataclass, replace
 
-READING = 0.1
-"""Standard deviation of an overshoot as it is read where nothing disturbs it."""
-LOADS = 2.0
-"""A load moves the peak and the step before it: usual errors by which both together are off."""
+READING = 0.1  # standard deviation of an overshoot as it is read where nothing disturbs it
+LOADS = 2.0  # A load moves the peak and the step before it: usual errors by which both together are off
 LIKELIEST = 60
 """Processes of each class whose overshoot is worked out; the others of the class count as these do together."""
-LONGEST = 400
-"""Samples of a step response that are looked at."""
+LONGEST = 400  # samples of a step response that are looked at
 
 
 @dataclass(frozen=True, slots=True)

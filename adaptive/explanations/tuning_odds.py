@@ -127,8 +127,7 @@ def _usual(
     return np.asarray(np.exp(-0.5 * far), dtype=np.float64)
 
 
-FINITE = 1e9
-"""A lag in samples that has an end."""
+FINITE = 1e9  # A lag in samples that has an end
 
 
 @cache

@@ -109,8 +109,7 @@ def searched(grid: SearchGrid, sigma: float, most_loads: int) -> Iterator[Node]:
                 yield Node(left[m], gains[m], lag, theta, sorted(at[int(j)] for j in places[:m]))
 
 
-Valve = tuple[float, float, float, float]
-"""Family (0 Kano, 1 He), stick, jump and start."""
+Valve = tuple[float, float, float, float]  # family (0 Kano, 1 He), stick, jump and start
 
 
 class ScanNodes(Protocol):

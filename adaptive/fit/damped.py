@@ -6,8 +6,7 @@ from typing import NamedTuple, TypeVar
 
 from retuner.adaptive.signals.sample import FloatArray
 
-LESS, MORE = 0.2, 5.0
-"""Factors on lambda after a step that helped, and one that did not (Marquardt 1963)."""
+LESS, MORE = 0.2, 5.0  # factors on lambda after a step that helped, and one that did not (Marquardt 1963)
 
 
 class Limits(NamedTuple):

@@ -24,16 +24,12 @@ from retuner.adaptive.signals.recursion import Array, recursion
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
 
-EVEN = 1e-6
-"""Sampling intervals that differ by less than this fraction of the interval count as equal (the fast path)."""
+EVEN = 1e-6  # sampling intervals that differ by less than this fraction of the interval count as equal (the fast path)
 LEAST_DISCRIMINANT = 1e-8
 """Equal lags are told apart by this much, or the partial fractions would cancel; the response changes by 1e-9."""
-SERIES = 1e-4
-"""Below this s t the integral of a mode is computed from its series; the next term is (s t)^2 / 12."""
-STILL = 1e-200
-"""A rate below this is none: products with it would lose their digits."""
-LEAST_APART = 1e-5
-"""Least distance of a load's lag from one of the process that it equals."""
+SERIES = 1e-4  # below this s t the integral of a mode is computed from its series; the next term is (s t)^2 / 12
+STILL = 1e-200  # A rate below this is none: products with it would lose their digits
+LEAST_APART = 1e-5  # least distance of a load's lag from one of the process that it equals
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,8 +203,7 @@ def run_mode(clock: SamplingInstants, u: FloatArray, s: complex) -> Array:
 # and the derivative of h(s) = int_0^x exp(-s y) dy is (x exp(-s x) - h) / s. Near equal lags all this cancels;
 # there the derivative is that of lags a little further apart (LEAST_LAG_DIFFERENCE in D changes it by a millionth).
 
-LEAST_LAG_DIFFERENCE = 1e-5
-"""Equal lags are told apart by this much in D when derivatives are asked for."""
+LEAST_LAG_DIFFERENCE = 1e-5  # equal lags are told apart by this much in D when derivatives are asked for
 
 
 class By(IntEnum):

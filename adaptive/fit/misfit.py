@@ -54,12 +54,9 @@ from retuner.schedule.late_dataclass import dataclass
 # autocovariance, so the filter is always stable), its order chosen by the information criterion of Schwarz (1978).
 
 
-MOST_ORDER = 4
-"""Highest order: a random walk through two lags with white noise on top needs no more."""
-WHITE = 0
-"""Filter order where causes are compared: a filter would whiten any slow oscillation without naming its cause."""
-LEAST_SAMPLES = 12
-"""Below this many samples colour is not told from white."""
+MOST_ORDER = 4  # highest order: a random walk through two lags with white noise on top needs no more
+WHITE = 0  # filter order where causes are compared: a filter would whiten any slow oscillation without naming its cause
+LEAST_SAMPLES = 12  # below this many samples colour is not told from white
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,12 +112,10 @@ have one. At the price of one unknown it took the second lag's place in a tenth 
 went wrong both ways; with loads that did come through a lag, naming the other one costs little."""
 AT_REST = 1e-4
 """A start_spread of zero (a record known to begin at rest) counts as this, so that its weight stays finite."""
-RAMP_SPREAD = 0.5
-"""Prior standard deviation of a drift over the whole record, as a share of pv's range."""
+RAMP_SPREAD = 0.5  # prior standard deviation of a drift over the whole record, as a share of pv's range
 PARABOLA_SPREAD = 30.0
 """Spread for an integrating process: what a drifting load would do to it is large, for the loop takes it back."""
-USEFUL = 1e-10
-"""A column of which less than this share is its own, against the largest, says nothing."""
+USEFUL = 1e-10  # A column of which less than this share is its own, against the largest, says nothing
 SWING_WEIGHT = 30.0
 """Residual, in standard deviations, per e-fold beyond the least damping: a wall, but one with a slope."""
 

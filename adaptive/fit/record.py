@@ -33,14 +33,11 @@ LEAST_CHANGE, LEAST_SIGMAS = 0.02, 2.0
 """A setpoint change counts from this share of pv's range, and from so many standard deviations of its noise."""
 MOST_CHANGES = 0.1
 """A setpoint that changes in a larger share of the samples moves all the time: there are no instants to stand at."""
-NEAR_SAMPLES = 3.0
-"""Sampling intervals round a setpoint change that are as good as the change itself."""
-LONGEST_LAG = 0.05
-"""Lags count up to this share of the record, or the interval would cover all of it."""
+NEAR_SAMPLES = 3.0  # sampling intervals round a setpoint change that are as good as the change itself
+LONGEST_LAG = 0.05  # lags count up to this share of the record, or the interval would cover all of it
 LAG_OF_INTEGRATOR = 4.0
 """The lag of an integrating process counts so many times: its closed loop answers that much later."""
-SLACK_OF_TIMES = 1.4
-"""Dead times are known less well than gains: their ratio counts by this much less."""
+SLACK_OF_TIMES = 1.4  # dead times are known less well than gains: their ratio counts by this much less
 
 
 def setpoint_changes(window: Window) -> tuple[float, ...]:
@@ -109,14 +106,10 @@ def apart(one: ProcessModel, other: ProcessModel, dt_s: float) -> float:
 # q is the probability of such a load; L is its size, as large as co moved in the record. A load that the record shows
 # outvotes it: the second term limits what r can cost.
 
-LOADED = 0.05
-"""Probability that a load came between the two rests, and stayed."""
-INEXACT = 0.05
-"""A gain is not the same at two places: s is at least this share of r."""
-LEAST_SAMPLES = 8
-"""A shorter stretch is no rest."""
-REST_SHARE = 0.25
-"""Last part of the time until the next change that is taken for the rest."""
+LOADED = 0.05  # probability that a load came between the two rests, and stayed
+INEXACT = 0.05  # A gain is not the same at two places: s is at least this share of r
+LEAST_SAMPLES = 8  # A shorter stretch is no rest
+REST_SHARE = 0.25  # last part of the time until the next change that is taken for the rest
 DRIFTS_ON = 2.0
 """What a stretch moves from its first half to its second counts so many times: it has not come to its end."""
 
@@ -189,16 +182,12 @@ def _ratio(one: _Rest | None, other: _Rest | None, window: Window) -> RestRatio 
 
 # ---- A record made ready for fitting
 
-GAP = 3.5
-"""An interval this many times the usual one is a gap: what co did meanwhile is not known."""
-MOST_GAPS = 4
-"""More gaps than this are no longer bridged by a state of their own each; the longest are."""
+GAP = 3.5  # an interval this many times the usual one is a gap: what co did meanwhile is not known
+MOST_GAPS = 4  # more gaps than this are no longer bridged by a state of their own each; the longest are
 START_SAMPLES, START_SHARE = 6, 50
 """The start is this many samples, or one part in so many of the record, whichever is more."""
-LEAST_MOTION = 0.003
-"""A start that moves by less than this share of pv's range is rest."""
-MOTION_REACH = 5.0
-"""The unknown time before the record may have moved so many times as much as the start."""
+LEAST_MOTION = 0.003  # A start that moves by less than this share of pv's range is rest
+MOTION_REACH = 5.0  # the unknown time before the record may have moved so many times as much as the start
 LEAST_NOISE = 1e-6
 """A record without noise is fitted to this share of pv's range: finer than any instrument, coarser than rounding."""
 

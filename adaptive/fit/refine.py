@@ -20,33 +20,23 @@ from retuner.schedule.late_dataclass import dataclass
 
 GAIN_REACH = math.log(1e9)
 """k' is looked for within this distance round (range of pv) / (range of co, length of the record)."""
-LEAST_TIME = 0.02
-"""Shortest dead time and second lag, in sampling intervals."""
-LEAST_LAG = 0.3
-"""Shortest sum of lags, in sampling intervals."""
+LEAST_TIME = 0.02  # shortest dead time and second lag, in sampling intervals
+LEAST_LAG = 0.3  # shortest sum of lags, in sampling intervals
 MOST_INVERSE = 0.25
 """Longest inverse response, in record lengths: beyond it the record shows a process of the other sign."""
 LEAST_SECOND = 1.0
 """Shortest second lag of an inverse response, in sampling intervals: a kick within one fits to any dead time."""
-MOST_THETA = 0.9
-"""Longest dead time, in record lengths."""
-MOST_LAG = 100.0
-"""Longest sum of lags, in record lengths; longer ones are integrating."""
-LOG_STRIDE = 1.0
-"""Longest step in a logarithm."""
-TIME_STRIDE = 0.1
-"""Longest step of a load time, in record lengths."""
-DAMPING = 1e-2
-"""First lambda."""
-LESS, MORE = 0.2, 5.0
-"""Factors on lambda after a step that helped, and one that did not."""
+MOST_THETA = 0.9  # longest dead time, in record lengths
+MOST_LAG = 100.0  # longest sum of lags, in record lengths; longer ones are integrating
+LOG_STRIDE = 1.0  # longest step in a logarithm
+TIME_STRIDE = 0.1  # longest step of a load time, in record lengths
+DAMPING = 1e-2  # first lambda
+LESS, MORE = 0.2, 5.0  # factors on lambda after a step that helped, and one that did not
 MOST_DAMPING = 1e8
 LEAST_DECREASE = 1e-5
 """A relative decrease below this, twice, is the end of a fit that is only compared with others."""
-EXACT = 1e-10
-"""Accuracy of fits whose estimate is used."""
-SMALLEST_STEP = 1e-9
-"""Smallest step, in units of the longest one."""
+EXACT = 1e-10  # accuracy of fits whose estimate is used
+SMALLEST_STEP = 1e-9  # smallest step, in units of the longest one
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +62,7 @@ class Prior:
         return np.asarray(self.root @ x - self.target, dtype=np.float64)
 
 
-PINNED = 1e4
-"""Weight with which a parameter is held: a ten-thousandth of an e-fold costs one standard deviation."""
+PINNED = 1e4  # weight with which a parameter is held: a ten-thousandth of an e-fold costs one standard deviation
 
 
 def pinned(size: int, place: int, value: float, prior: Prior | None) -> Prior:

@@ -25,16 +25,11 @@ LAG_NODES = 9
 THETA_NODES = 9
 LOAD_NODES = 48
 """Candidates for lag, dead time and the time of a load step."""
-SOON = (0.2, 0.45)
-"""Further candidates for that time before the first of them, as shares of it."""
-MOST_ROWS = 400
-"""The search looks at no more samples than this; the refinement uses all."""
-LAG_RANGE = (1.5, 3.0)
-"""Lags searched: from this many sampling intervals to this many record lengths."""
-THETA_RANGE = (0.3, 0.3)
-"""Dead times searched: from this many sampling intervals to this share of the record."""
-LOAD_GAIN = 10.0
-"""A load step must lower the misfit (in units of the noise) by this and more to be a candidate at all."""
+SOON = (0.2, 0.45)  # further candidates for that time before the first of them, as shares of it
+MOST_ROWS = 400  # the search looks at no more samples than this; the refinement uses all
+LAG_RANGE = (1.5, 3.0)  # lags searched: from this many sampling intervals to this many record lengths
+THETA_RANGE = (0.3, 0.3)  # dead times searched: from this many sampling intervals to this share of the record
+LOAD_GAIN = 10.0  # A load step must lower the misfit (in units of the noise) by this and more to be a candidate at all
 
 
 def starts(misfit: Misfit, most_loads: int, count: int) -> dict[int, list[FloatArray]]:
@@ -190,20 +185,13 @@ def _node(
 # of the estimation study were local optima of the bigger structure, not statistics.
 
 
-SHARES = (0.3, 0.6, 0.95)
-"""Shares of the dead time that become the second lag."""
-INVERSE_SHARES = (0.3, 0.7)
-"""Shares of the dead time that become an inverse response."""
-THIRD_SHARES = (0.5, 0.9)
-"""Shares of the dead time that become a third lag."""
-SWINGING_THIRD = 0.5
-"""c2 over T of a pair of poles (zeta 0.7) that takes the place of a dead time beside a long lag."""
-SWING = (0.25, 1.0)
-"""c2 over T of equal lags and of a process that swings (zeta 0.5)."""
-INTEGRATOR_LAG_RECORDS = 30.0
-"""An integrator as a lag: this many record lengths."""
-WORSE = 1.001
-"""The bigger structure's deviance may exceed the smaller one's by this factor (rounding, its own prior)."""
+SHARES = (0.3, 0.6, 0.95)  # shares of the dead time that become the second lag
+INVERSE_SHARES = (0.3, 0.7)  # shares of the dead time that become an inverse response
+THIRD_SHARES = (0.5, 0.9)  # shares of the dead time that become a third lag
+SWINGING_THIRD = 0.5  # c2 over T of a pair of poles (zeta 0.7) that takes the place of a dead time beside a long lag
+SWING = (0.25, 1.0)  # c2 over T of equal lags and of a process that swings (zeta 0.5)
+INTEGRATOR_LAG_RECORDS = 30.0  # an integrator as a lag: this many record lengths
+WORSE = 1.001  # the bigger structure's deviance may exceed the smaller one's by this factor (rounding, its own prior)
 
 
 def with_second_lag(smaller: Fit, type_: ProcessType, others: list[Fit], count: int = 2) -> Fit:

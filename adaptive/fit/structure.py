@@ -17,16 +17,13 @@ from retuner.adaptive.fit.dynamics import Dynamics
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
-SLOPE, THETA = 0, 1
-"""Places of ln k' and ln theta in x."""
+SLOPE, THETA = 0, 1  # places of ln k' and ln theta in x
 LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2, ProcessType.SOPDT_INVERSE: 2, ProcessType.TOPDT: 2}
 """Place of ln T, where the structure has it."""
 SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2, ProcessType.SOPDT_INVERSE: 3, ProcessType.TOPDT: 3}
 """Place of ln c2, where the structure has it."""
-INVERSE = {ProcessType.SOPDT_INVERSE: 4}
-"""Place of ln b, where the structure has it."""
-THIRD = {ProcessType.TOPDT: 4}
-"""Place of ln d, where the structure has it."""
+INVERSE = {ProcessType.SOPDT_INVERSE: 4}  # place of ln b, where the structure has it
+THIRD = {ProcessType.TOPDT: 4}  # place of ln d, where the structure has it
 SIZE = {
     ProcessType.FOPDT: 3,
     ProcessType.SOPDT: 4,

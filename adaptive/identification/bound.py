@@ -24,14 +24,12 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.sample import Window
 
-LEAST_LAG = 0.5
-"""Sampling intervals in a lag that shows itself; a shorter one is no more known than the dead time."""
+LEAST_LAG = 0.5  # sampling intervals in a lag that shows itself; a shorter one is no more known than the dead time
 CALM = 2.0
 """Bounds that the dead time of an integrating process counts as: both of its settings rest on the bound alone."""
 
 
-BELIEVED = 1.5
-"""Dead times over this many bounds that the record allows as well: then it gives none."""
+BELIEVED = 1.5  # dead times over this many bounds that the record allows as well: then it gives none
 
 
 def bounded(window: Window, estimate: ModelEstimate, settings: FitSettings) -> ModelEstimate:

@@ -41,10 +41,8 @@ N = SIZE[TYPE]
 LOAD, NOISE, CORNER = N, N + 1, N + 2
 """Places of the logarithms of the load's strength (co units a root of a second), the noise (pv units) and the load's
 lag (seconds), after the process' own."""
-POINTS = 2048
-"""Frequencies, from 0 to half the sampling frequency."""
-MOST_ORDER, SHARE = 48, 3
-"""Terms of the filter at the most, and the share of the shortest record, one part of so many."""
+POINTS = 2048  # Frequencies, from 0 to half the sampling frequency
+MOST_ORDER, SHARE = 48, 3  # terms of the filter at the most, and the share of the shortest record, one part of so many
 MISFIT = 0.05
 """What the structure leaves of a response, share of the largest step: under a walk and under coloured loads the loads'
 spectrum tells too little with 0.1, and more than it can with none (seed 45, 16 loops)."""
@@ -52,24 +50,16 @@ USUAL_LAG, USUAL_SECOND, USUAL_CORNER = 6.0, 0.5, 60.0
 """Sum of the lags and second lag over the dead time, and the lag of a load over the sampling interval."""
 SPREADS = {LAG[TYPE]: 1.5, SECOND[TYPE]: 1.2, CORNER: 2.0}
 """Standard deviations of their logarithms: lags in series, as in usual_dead_time.py, and next to nothing of loads."""
-PRICE = 2.0
-"""Price of a parameter of the process, in deviance (Akaike 1974), as in by_setpoint.py."""
-BENT = 0.1
-"""Standard deviation with which more is unusual than the least damping that is fitted."""
-STEP = 1e-3
-"""Step of a logarithm, for derivatives."""
-LIMITS = Limits(14, 5, 1e-2)
-"""Limits of a refinement."""
-WIDEST = 3.0
-"""Standard deviation of a logarithm that is known of any process."""
+PRICE = 2.0  # price of a parameter of the process, in deviance (Akaike 1974), as in by_setpoint.py
+BENT = 0.1  # standard deviation with which more is unusual than the least damping that is fitted
+STEP = 1e-3  # step of a logarithm, for derivatives
+LIMITS = Limits(14, 5, 1e-2)  # limits of a refinement
+WIDEST = 3.0  # standard deviation of a logarithm that is known of any process
 STRENGTHS = (0.01, 0.1, 1.0)
 """First guesses of the load: what it moves pv by in a second over what is seen of pv, by the process' slope gain."""
-STARTS = 3
-"""First guesses that are refined."""
-LARGEST_LN_PARAMETER = 40.0
-"""Largest logarithm of a parameter."""
-AXES = (1.0, 2.0)
-"""Standard deviations out along the axes of the covariance where models are asked."""
+STARTS = 3  # first guesses that are refined
+LARGEST_LN_PARAMETER = 40.0  # largest logarithm of a parameter
+AXES = (1.0, 2.0)  # standard deviations out along the axes of the covariance where models are asked
 
 
 class _Known(NamedTuple):
@@ -279,8 +269,7 @@ def as_plausible(found: Sequence[tuple[FloatArray, float]], first: int, sign: in
     return tuple(Plausible(model_at(TYPE, found[i][0], sign), found[i][1] if i != first else 0.0) for i in order)
 
 
-AT_MOST = 1.5
-"""Share of a setpoint step that pv of a stable loop comes to late, where it has not been farther before."""
+AT_MOST = 1.5  # share of a setpoint step that pv of a stable loop comes to late, where it has not been farther before
 
 
 def runs_away(response: FloatArray) -> bool:

@@ -20,14 +20,10 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass
 
-FEWEST_SAMPLES = 40
-"""A shorter stretch shows no dynamics beside its start and its noise."""
-STANDS = 10
-"""Samples in a row at one end of pv's range that are no measurement."""
-MOVES_ELSEWHERE = 0.5
-"""Share of samples that repeat the one before, from which pv is coarse."""
-CROSSED = 3.0
-"""A border is crossed when the signal is beyond it by so many standard deviations of its noise."""
+FEWEST_SAMPLES = 40  # A shorter stretch shows no dynamics beside its start and its noise
+STANDS = 10  # samples in a row at one end of pv's range that are no measurement
+MOVES_ELSEWHERE = 0.5  # share of samples that repeat the one before, from which pv is coarse
+CROSSED = 3.0  # A border is crossed when the signal is beyond it by so many standard deviations of its noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +38,9 @@ class RegionRecord:
 def by_region(window: Window, by: FloatArray, bounds: Sequence[float]) -> tuple[RegionRecord, ...]:
     """The record cut at borders, the lowest region first.
 
-    Parameters
-    ----------
     window : the record. by : the signal that the borders are of, shape (n,). bounds : the borders, increasing.
 
-    Raises
-    ------
-    ValueError
-        No border, one that is not finite, or they do not increase.
+    Raises ValueError: no border, one that is not finite, or they do not increase.
     """
     edges = np.asarray(bounds, dtype=np.float64)
     if not len(edges) or not np.all(np.isfinite(edges)) or np.any(np.diff(edges) <= 0):

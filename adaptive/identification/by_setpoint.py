@@ -48,32 +48,24 @@ from retuner.schedule.late_dataclass import dataclass, replace
 TYPES = (ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG)
 STRENGTHS = (0.05, 0.15, 0.4, 1.0)
 """First guesses of kp k' t, with t the half time of the response: how strongly the loop is fed back."""
-DEAD = (0.3, 0.8)
-"""First guesses of the dead time over that half time."""
-LAGS = (0.3, 1.0, 3.0, 10.0)
-"""First guesses of the lag over the integral time."""
-STARTS = 3
-"""First guesses that are refined."""
-LIMITS = Limits(15, 6, 1e-3)
-"""Limits of a refinement."""
-SLOPE_STEP = 1e-3
-"""Step of a logarithm, for derivatives."""
+DEAD = (0.3, 0.8)  # first guesses of the dead time over that half time
+LAGS = (0.3, 1.0, 3.0, 10.0)  # first guesses of the lag over the integral time
+STARTS = 3  # first guesses that are refined
+LIMITS = Limits(15, 6, 1e-3)  # limits of a refinement
+SLOPE_STEP = 1e-3  # step of a logarithm, for derivatives
 PRICE = 2.0
 """Price of a parameter, in deviance (Akaike 1974): a lag that is left out because it hardly shows would pass for known,
 and the integral time with it."""
-BELIEVED = 4.0
-"""Excess up to which a model counts for the integral action: two standard deviations."""
+BELIEVED = 4.0  # excess up to which a model counts for the integral action: two standard deviations
 UNSETTLED = 0.7
 """Standard deviation of ln |C|, and of the integral gain, up to which settings may follow: a factor of two. Whoever
 changes gains asks all models that are left, so what is not known makes the change smaller; and the bumps go on."""
-LARGEST_LN_PARAMETER = 40.0
-"""Largest logarithm of a parameter."""
+LARGEST_LN_PARAMETER = 40.0  # largest logarithm of a parameter
 HALF_TIMES = 5.0
 """The first setpoint of steps to and fro is held for so many half times (setpoint_bumps): where the guesses begin."""
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)
 """Orders of the noise's filter; the information criterion of Schwarz (1978) chooses."""
-SAMPLES_A_TERM = 10
-"""Samples of loads alone for each term of that filter, at least."""
+SAMPLES_A_TERM = 10  # samples of loads alone for each term of that filter, at least
 MISFIT = 0.1
 """What a structure of two lags leaves of a response, share of the largest step: of 0.03, 0.1 and 0.2 the one with
 which most settings came out in spec, on 12 loops under walks and coloured loads (seed 310)."""
@@ -244,8 +236,6 @@ def process_behind(
 ) -> ModelEstimate | None:
     """What all records say together; None where no loop explains them.
 
-    Parameters
-    ----------
     records : one at least, the newest last. sign : of the process gain. b, filter_s : setpoint weight, and filter time
     of the derivative.
     """

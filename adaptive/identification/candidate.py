@@ -15,8 +15,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 MODEL_ERROR = 0.005
 """What a second-order model leaves of a real response (order, nonlinearity): rms as a share of pv's range."""
-BARRED = 1e6
-"""Price of a load step at a setpoint change where none is to stand: any other explanation is cheaper."""
+BARRED = 1e6  # price of a load step at a setpoint change where none is to stand: any other explanation is cheaper
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,8 +23,7 @@ BENT = 1 - 2 / math.pi
 """Variance of |u| for a standard normal u: what moves the same way on both sides, as a lag does at two equal ones."""
 
 
-ROUNDING = 1e-9
-"""Negative eigenvalues up to this share of the largest entry are rounding: a row of zeros is no fault."""
+ROUNDING = 1e-9  # negative eigenvalues up to this share of the largest entry are rounding: a row of zeros is no fault
 
 
 def proper_covariance(p: FloatArray) -> FloatArray:
@@ -38,17 +37,13 @@ def proper_covariance(p: FloatArray) -> FloatArray:
 class LogModel:
     """A process of one of six structures in logarithms: see fit/structure.py for the order of x.
 
-    Parameters
-    ----------
     x : mean, shape (d,): ln |k'|, ln theta, then ln T, ln c2 and more where the structure has them.
     p : covariance, shape (d, d).
     sign : sign of the gain.
     type : structure.
 
-    Raises
-    ------
-    ValueError
-        A value is not finite, a shape does not fit the structure, or the covariance is not symmetric and positive.
+    Raises ValueError: a value is not finite, a shape does not fit the structure, or the covariance is not symmetric and
+    positive.
     """
 
     x: FloatArray
@@ -205,10 +200,8 @@ class RivalModel:
         return {"model": self.model.to_dict(), "apart": ratio if self.apart < MOST_LOG else None, "at": self.change_s}
 
 
-MOST_LOG = math.log(1000)
-"""Factors above a thousand are not told apart."""
-FULL_LOG = math.log(10)
-"""Factors from ten on are told in whole numbers."""
+MOST_LOG = math.log(1000)  # factors above a thousand are not told apart
+FULL_LOG = math.log(10)  # factors from ten on are told in whole numbers
 
 
 def factor_text(log: float) -> str:

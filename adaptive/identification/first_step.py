@@ -13,10 +13,8 @@ from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-MOST_AT_ONCE = 3.0
-"""Factor on Kc, and on Ki, that one event carries."""
-MOST_OF_A_RECORD = 10.0
-"""Most that one record counts for, however many steps are in it."""
+MOST_AT_ONCE = 3.0  # factor on Kc, and on Ki, that one event carries
+MOST_OF_A_RECORD = 10.0  # most that one record counts for, however many steps are in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +43,6 @@ def first_step(
 ) -> FirstStep | None:
     """The first step towards an aim; None where it may be reached at once.
 
-    Parameters
-    ----------
     aim : settings that the model asks for. in_force : gains now. events : setpoint and load steps in the record.
     process : the most likely model. sample_time_s : half of it is dead time.
     """

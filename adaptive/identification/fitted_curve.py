@@ -18,17 +18,13 @@ from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
-LOAD_LAGS = (0.003, 0.01, 0.03, 0.1)
-"""Lags of rounded loads that are tried, as shares of the record's length."""
-START_SPREAD = 0.3
-"""How far from rest a record may begin, as a share of pv's range; as in identification."""
+LOAD_LAGS = (0.003, 0.01, 0.03, 0.1)  # lags of rounded loads that are tried, as shares of the record's length
+START_SPREAD = 0.3  # how far from rest a record may begin, as a share of pv's range; as in identification
 
 
 def fitted_pv(window: Window, estimate: ModelEstimate) -> FloatArray:
     """pv as the model explains it, at every sample of the window; shape (n,).
 
-    Parameters
-    ----------
     window : the record that the estimate is of. estimate : what was identified.
     """
     log = estimate.log
@@ -40,8 +36,6 @@ def explained_pv(
 ) -> FloatArray | None:
     """The curve of an estimate of which only its numbers were kept; None where they make no model that can be fitted.
 
-    Parameters
-    ----------
     window : the record. model : the process. load_times_s : when load steps entered. residual_std : in pv units.
     """
     try:

@@ -87,35 +87,29 @@ OPEN_LOOP = FitSettings(StructureSettings(seeded_loads=0, most_loads=0, start_sp
 """Settings for an experiment in manual that begins at rest."""
 FROM_MOTION = FitSettings(StructureSettings(seeded_loads=0, most_loads=0))
 """Settings for one that begins in motion, or with its step in the first row."""
-START_COST = 2.0
-"""Unknowns of a start that was not rest: a step and an impulse before the record."""
+START_COST = 2.0  # unknowns of a start that was not rest: a step and an impulse before the record
 START_FOR_NOTHING = 10.0
 """More of the criterion where no process is identifiable with it and one is from rest (Kass & Raftery 1995)."""
 
-LARGEST_RHO = 0.98
-"""Autocorrelations above this are not told apart; a hundred samples then count as one."""
-WHITE_LOADS = 6
-"""Load steps with which a remainder may be explained that is to be white, as in diagnosis."""
+LARGEST_RHO = 0.98  # autocorrelations above this are not told apart; a hundred samples then count as one
+WHITE_LOADS = 6  # load steps with which a remainder may be explained that is to be white, as in diagnosis
 TWO_WAYS = (
     "two models explain the record, one with load steps and white noise, one with a drift; "
     "their gains differ by a factor of {}"
 )
 """Why a coloured remainder is not believed."""
-FEWEST_SAMPLES_IN_THETA = 1.0
-"""An effective dead time of fewer sampling intervals is a guess."""
+FEWEST_SAMPLES_IN_THETA = 1.0  # an effective dead time of fewer sampling intervals is a guess
 ROWS_IN_DEAD_TIME = 2.0
 """Rows of a condensed record in the dead time at the least: it comes out a little shorter or longer from fit to fit."""
 MOST_ROWS = 12000
 """Rows to which a record is condensed at the least where its dead time would be shorter than a row otherwise."""
-MOST_FASTER = 0.02
-"""Share of a sampling interval that nobody is asked to sample faster than."""
+MOST_FASTER = 0.02  # share of a sampling interval that nobody is asked to sample faster than
 WANTED_SAMPLES_IN_THETA = 4
 """Sampling intervals in the effective dead time with which a record is easy to identify from."""
 WIDEST_STD = 3.0
 """A time constant that a record says nothing of is still known to a factor of e^3: shorter than the record, longer than
 nothing."""
-WIDEST_GAIN_STD = 20.0
-"""Widest standard deviation of the slope gain."""
+WIDEST_GAIN_STD = 20.0  # widest standard deviation of the slope gain
 
 
 def identify_window(
@@ -126,17 +120,13 @@ def identify_window(
 ) -> ModelEstimate:
     """Find the process behind a record.
 
-    Parameters
-    ----------
     window : the record: open-loop step, closed-loop setpoint or load responses, several of them.
     sign : sign of the process gain where it is known (a closed loop shows it); else both are tried.
     priors : what is known already, by structure.
     settings : see FitSettings.
 
-    Raises
-    ------
-    ValueError
-        co or pv do not change at all in the record, or it has too few samples: there is nothing to identify from.
+    Raises ValueError: co or pv do not change at all in the record, or it has too few samples: there is nothing to
+    identify from.
     """
     settings = settings or FitSettings()
     signs = (sign,) if sign else tuple({log.sign for log in (priors or {}).values()}) or (1, -1)
@@ -151,14 +141,9 @@ def identify_window(
 def identify_manual(window: Window, sign: int | None = None) -> ModelEstimate:
     """Find the process behind an experiment in manual; whether it began at rest is told by the record.
 
-    Parameters
-    ----------
     window, sign : see identify_window.
 
-    Raises
-    ------
-    ValueError
-        co or pv do not change at all in the record.
+    Raises ValueError: co or pv do not change at all in the record.
     """
     rest = identify_window(window, sign, settings=OPEN_LOOP)
     moving = identify_window(window, sign, settings=FROM_MOTION)
@@ -168,13 +153,7 @@ def identify_manual(window: Window, sign: int | None = None) -> ModelEstimate:
 
 
 def fitted(window: Window, signs: tuple[int, ...], settings: FitSettings) -> list[Candidate]:
-    """The fits of a record by itself, best first.
-
-    Raises
-    ------
-    ValueError
-        co or pv do not change at all in the record.
-    """
+    """The fits of a record by itself, best first. Raises ValueError: co or pv do not change at all in the record."""
     for name, values in (("co", window.co), ("pv", window.pv)):
         if np.ptp(values) == 0:
             raise ValueError(f"{name} stays at {values[0]:g} in the whole record: nothing to identify from")

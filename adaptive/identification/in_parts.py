@@ -19,8 +19,7 @@ from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.identify import FitSettings, identify_window
 from retuner.adaptive.signals.sample import Window
 
-SHORTEST = 150
-"""Samples of a part."""
+SHORTEST = 150  # samples of a part
 MOST_PARTS = 8
 LEAD = 10
 """Samples of a part before the setpoint moves in it, which show where the loop stood."""

@@ -30,22 +30,14 @@ from retuner.adaptive.identification.candidate import Candidate, CandidateList, 
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
-SCAN = 80
-"""Instants tried for one more load step."""
-MOST_MOVES = 14
-"""Moves tried from one seed at the most."""
-MOVE_EVALUATIONS = 25
-"""Evaluations of the misfit in one move; a move that needs more is no small one."""
-LEAST_GAIN = 1e-3
-"""A move must lower the criterion by this."""
-START_ROUNDING = 3.0
-"""First guess of a load's own lag, in sampling intervals."""
-PROMISING = 0.3
-"""A move is refined only when its linear part alone brings this share of what it costs."""
-INDISPENSABLE = 15.0
-"""A load that brings this many times what it costs is not tried without."""
-UNIQUE = 1e-9
-"""A step whose share of a column that nothing else explains is below this is no new load."""
+SCAN = 80  # instants tried for one more load step
+MOST_MOVES = 14  # moves tried from one seed at the most
+MOVE_EVALUATIONS = 25  # evaluations of the misfit in one move; a move that needs more is no small one
+LEAST_GAIN = 1e-3  # A move must lower the criterion by this
+START_ROUNDING = 3.0  # first guess of a load's own lag, in sampling intervals
+PROMISING = 0.3  # A move is refined only when its linear part alone brings this share of what it costs
+INDISPENSABLE = 15.0  # A load that brings this many times what it costs is not tried without
+UNIQUE = 1e-9  # A step whose share of a column that nothing else explains is below this is no new load
 INTEGRATING = frozenset({ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG})
 
 Proposal = tuple[Misfit, FloatArray]

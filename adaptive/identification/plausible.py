@@ -23,32 +23,21 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
 
-OUT = 2.0
-"""How many standard deviations out the points on the axes lie where the Gaussian is right."""
+OUT = 2.0  # how many standard deviations out the points on the axes lie where the Gaussian is right
 MOST_EXCESS = 6.0
 """A model whose deviance is larger by this is no longer believed (2.4 standard deviations of one parameter)."""
-HALVINGS = 4
-"""A point that the record does not believe is taken back to 2^-4 of the way at the most."""
-STRIDE = 1.6
-"""Factor of theta from one point of the valley to the next."""
-FIRST_SHARE = 0.2
-"""The first point up the valley has at least this share of theta + c2 as its dead time."""
-MOST_STEPS = 6
-"""Points of the valley in each direction."""
-ONE = 1.5
-"""Rise of the deviance at one standard deviation (1 by the derivative) up to which an axis is left as it is."""
-WIDE = 0.15
-"""Standard deviation of a logarithm up to which a derivative is believed."""
-SHORTER, SHORTER_STEPS = 0.5, 5
-"""Factor by which an axis is shortened where it rises more, so many times at the most."""
+HALVINGS = 4  # A point that the record does not believe is taken back to 2^-4 of the way at the most
+STRIDE = 1.6  # factor of theta from one point of the valley to the next
+FIRST_SHARE = 0.2  # the first point up the valley has at least this share of theta + c2 as its dead time
+MOST_STEPS = 6  # points of the valley in each direction
+ONE = 1.5  # rise of the deviance at one standard deviation (1 by the derivative) up to which an axis is left as it is
+WIDE = 0.15  # standard deviation of a logarithm up to which a derivative is believed
+SHORTER, SHORTER_STEPS = 0.5, 5  # factor by which an axis is shortened where it rises more, so many times at the most
 BOUND_ROOM = 0.5
 """Share of WIDE by which the end of a short step may lie outside the bounds: axes are never quite along a parameter."""
-REACH_EVALUATIONS = 6
-"""Evaluations of the misfit at one of its ends."""
-SAME = 1e-3
-"""Two optima of a structure whose logarithms differ by no more are one."""
-VALLEY_EVALUATIONS = 15
-"""Evaluations of the misfit at one point of the valley."""
+REACH_EVALUATIONS = 6  # evaluations of the misfit at one of its ends
+SAME = 1e-3  # two optima of a structure whose logarithms differ by no more are one
+VALLEY_EVALUATIONS = 15  # evaluations of the misfit at one point of the valley
 
 
 @dataclass(frozen=True, slots=True)

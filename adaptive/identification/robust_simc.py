@@ -34,10 +34,8 @@ SWINGS = 0.85
 """zeta under which a process counts as swinging by itself; over it SIMC's settings for two equal lags are as robust."""
 WALL = (0.9, 1.08)
 """Shares of the least damping that is fitted between which a fit has stopped there. Well below it evidence has won."""
-MS_AIM = 1.59
-"""Ms of the most integral action: that of SIMC with tau_c = theta (Grimholt & Skogestad 2012)."""
-BEYOND_WALL = 1.5
-"""Factor by which the damping of such a process is taken for less: 0.1, which few processes are below."""
+MS_AIM = 1.59  # Ms of the most integral action: that of SIMC with tau_c = theta (Grimholt & Skogestad 2012)
+BEYOND_WALL = 1.5  # factor by which the damping of such a process is taken for less: 0.1, which few processes are below
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,18 +39,14 @@ FIRST, SECOND, INTEGRATING, INTEGRATING_LAG, INVERSE, THIRD = (
     ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG,
     ProcessType.SOPDT_INVERSE, ProcessType.TOPDT,
 )  # fmt: skip
-ROUGH = 12
-"""Evaluations of a refinement that only ranks the starts."""
-RELATIVE_MOVES = 2
-"""Moves with which the other structures may still improve in the winner's clothes."""
-WIDER_SEARCH_RATIO = 1.3
-"""A remainder this many times the noise asks for a wider search."""
+ROUGH = 12  # evaluations of a refinement that only ranks the starts
+RELATIVE_MOVES = 2  # moves with which the other structures may still improve in the winner's clothes
+WIDER_SEARCH_RATIO = 1.3  # A remainder this many times the noise asks for a wider search
 SWALLOWED = 5.0
 """What is left over the noise of pv from which a filter hides loads: noise itself is seen at a third of it at least."""
 WHITE_MOVES = 40
 """Moves tried for loads in what is taken for white: a dozen of them, each found, shifted and tried without."""
-CLOSE = 12.0
-"""Rivals within this of the best criterion are kept (a likelihood ratio of e^-6)."""
+CLOSE = 12.0  # rivals within this of the best criterion are kept (a likelihood ratio of e^-6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +98,7 @@ def candidates(
     window : the record. signs : of the gain to try. most_samples : of the final fits. barred_s : setpoint changes, s
     from the first sample, at which no load step is to stand.
 
-    Raises
-    ------
-    ValueError
-        The record has too few samples (see too_few).
+    Raises ValueError: the record has too few samples (see too_few).
     """
     if short := too_few(window):
         raise ValueError(short)
@@ -269,10 +262,8 @@ def _larger(winner: Candidate, seen: CandidateList) -> list[Candidate]:
 # which was wrong. Ramps are asked for where nobody moved the setpoint, and where a single sharp step does not do.
 
 
-SAMPLES_EACH = 4
-"""Samples that a record needs for each unknown before another corner is looked for."""
-PAIR = 2
-"""Corners of one ramp."""
+SAMPLES_EACH = 4  # samples that a record needs for each unknown before another corner is looked for
+PAIR = 2  # corners of one ramp
 
 
 def asked_for(winner: Candidate) -> bool:

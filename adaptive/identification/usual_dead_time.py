@@ -18,12 +18,9 @@ from retuner.adaptive.fit.structure import INVERSE, SECOND, SIZE, THETA, THIRD
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
-LEAST_SHARE = 0.5
-"""Share of c2 from which a dead time is nothing unusual (lags in series, fitted by two: 0.4 to 2)."""
-MOST_TIMES = 2.0
-"""Times c2 up to which an inverse response is nothing unusual."""
-SPREAD = 1.2
-"""Standard deviation of ln theta below it."""
+LEAST_SHARE = 0.5  # share of c2 from which a dead time is nothing unusual (lags in series, fitted by two: 0.4 to 2)
+MOST_TIMES = 2.0  # times c2 up to which an inverse response is nothing unusual
+SPREAD = 1.2  # standard deviation of ln theta below it
 
 
 def unusual(type_: ProcessType, x: FloatArray) -> float:

@@ -24,16 +24,12 @@ MEDIAN_TO_SIGMA = 1.4826 / math.sqrt(6.0)
 QUANTUM_TO_SIGMA = 1.0 / math.sqrt(12.0)
 LAGS = 10
 """Lags that must fit into a stretch for its noise to be told at that lag."""
-COLOURED = 1.25
-"""Ratio from which noise is no longer taken for white: estimates of white noise scatter by a tenth."""
+COLOURED = 1.25  # ratio from which noise is no longer taken for white: estimates of white noise scatter by a tenth
 FEW_LEVELS = 0.5
 """A signal with more different values than this share of its samples is not quantised in any way that matters."""
-QUANTUM_TOLERANCE = 0.02
-"""All levels of a quantised signal lie whole quanta apart, to this share of a quantum."""
-FEWEST_MOVES = 3
-"""Different moves, in whole quanta, by which a grid shows where few values come twice."""
-QUANTUM_ROUNDING = 1e-9
-"""Steps below this share of the largest are rounding, no quantum."""
+QUANTUM_TOLERANCE = 0.02  # all levels of a quantised signal lie whole quanta apart, to this share of a quantum
+FEWEST_MOVES = 3  # different moves, in whole quanta, by which a grid shows where few values come twice
+QUANTUM_ROUNDING = 1e-9  # steps below this share of the largest are rounding, no quantum
 ADAPT_FACTOR = 1.02
 """Growth per sample of the streaming median: settles from a factor 50 in about 400 samples, scatters by 5 %."""
 
@@ -128,12 +124,9 @@ def noise_at_least(state: NoiseState, value: float, least: float) -> NoiseState:
 # cause. So with every response the samples before it are looked at once more, at longer lags.
 
 
-FEWEST_SAMPLES_AT_REST = 60
-"""Samples at rest of which noise that wanders is told."""
-OUTSIDE = 0.05
-"""Share of them that may lie outside of what begins a response: the band is too narrow for such noise."""
-PARTS = 8
-"""What is slower than this part of a response is a load to it, and no noise."""
+FEWEST_SAMPLES_AT_REST = 60  # samples at rest of which noise that wanders is told
+OUTSIDE = 0.05  # share of them that may lie outside of what begins a response: the band is too narrow for such noise
+PARTS = 8  # what is slower than this part of a response is a load to it, and no noise
 
 
 def wander_before(samples: Sequence[LoopSample], response: Response) -> float:

@@ -84,19 +84,15 @@ TABLE: tuple[tuple[RecogniserPhase, ...], ...] = (
 
 STAYS_OFF = 1.25
 """Longest waits after which an error that never was at rest since the beginning is looked at once, as it is."""
-SWINGS_ON = 0.7
-"""Third extreme over the first from which a swing is not on its way to rest: its Ms is some 4 or more."""
-PEAKS = 3
-"""Peaks of a whole response."""
+SWINGS_ON = 0.7  # third extreme over the first from which a swing is not on its way to rest: its Ms is some 4 or more
+PEAKS = 3  # peaks of a whole response
 SWINGS_FOR = 12.0
 """Periods after which a swing that is not on its way to rest is followed again: what began it is out of sight by then.
 A tone that was looked at after three of them passed for a loop that a load had set swinging."""
-GROWN = 5.0
-"""Second extreme over the first from which a setpoint's response is not waited for any longer."""
+GROWN = 5.0  # second extreme over the first from which a setpoint's response is not waited for any longer
 TAKEN_OVER = 3.0
 """A response that other gains took over in motion is looked at after so many times the length of the one before."""
-START_BANDS = 2.0
-"""A response starts when |error| exceeds this many noise bands (about EXACT's rule; range 1.5 to 4)."""
+START_BANDS = 2.0  # A response starts when |error| exceeds this many noise bands (about EXACT's rule; range 1.5 to 4)
 LEAST_STEP = 0.5
 """Noise bands by which the setpoint must step to begin a response: with the usual band two standard deviations, which a
 hundred samples tell to a tenth."""

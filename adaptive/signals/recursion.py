@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[Any]
-"""Real or complex, shape (n,): a mode is either."""
+Array = npt.NDArray[Any]  # real or complex, shape (n,): a mode is either
 
-BLOCK = 32
-"""Samples that one product of matrices takes at a time."""
+BLOCK = 32  # samples that one product of matrices takes at a time
 AGO = BLOCK - 1 + np.arange(BLOCK)[:, None] - np.arange(BLOCK)
 """Place of decay^(i - k) among powers that BLOCK - 1 zeros go before."""
 

@@ -15,15 +15,12 @@ from retuner.schedule.late_dataclass import dataclass
 
 FloatArray = npt.NDArray[np.float64]
 
-LARGEST = 1e30
-"""Largest magnitude of a number; the squares of larger ones leave the range of double precision in a fit."""
+LARGEST = 1e30  # largest magnitude of a number; the squares of larger ones leave the range of double precision in a fit
 
 
 class LoopMode(IntEnum):
     """Who moves the controller output.
 
-    Attributes
-    ----------
     MANUAL : an operator. AUTO : the controller.
     """
 
@@ -34,8 +31,6 @@ class LoopMode(IntEnum):
 class LoopSample(NamedTuple):
     """What the loop did at one sampling instant. Plain scalars only: this is the per-sample path.
 
-    Attributes
-    ----------
     t_s : time of the sample in seconds, increasing.
     sp, pv : setpoint and process value in the same engineering unit.
     co : controller output applied from this instant on (held until the next sample).
@@ -88,11 +83,8 @@ class Window:
 
     noise_std : standard deviation of pv's noise where it is known from elsewhere, pv units; 0 where only pv tells it.
 
-    Raises
-    ------
-    ValueError
-        Shapes differ, fewer than three samples, a value is not finite or beyond LARGEST, or time does not increase (the
-        sample is named).
+    Raises ValueError: shapes differ, fewer than three samples, a value is not finite or beyond LARGEST, or time does
+    not increase (the sample is named).
     """
 
     t_s: FloatArray

@@ -16,12 +16,10 @@ from retuner.adaptive.signals.step_sequence import SetpointMove, StepSequence
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 
-LEAST_LEAD = 40
-"""Samples before the first step that are needed to know how loads move the loop."""
+LEAST_LEAD = 40  # samples before the first step that are needed to know how loads move the loop
 SETTLED = 0.5
 """Share of the time since the setpoint moved last, before the first step, in which the loop still answers to that."""
-FOLLOWS_THE_LAW = 0.1
-"""Share of co's moves that its law may leave open: rounding, and a sample's jitter."""
+FOLLOWS_THE_LAW = 0.1  # share of co's moves that its law may leave open: rounding, and a sample's jitter
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,16 +12,11 @@ from typing import NamedTuple
 
 from retuner.adaptive.signals.sample import LoopSample
 
-WHOLE_STEPS = 4
-"""Whole steps that say something together: two up, two down."""
-SAME = 0.02
-"""Share of a step by which another may differ from it: what a controller rounds."""
-OVERDUE = 1.5
-"""Times the longest time between two steps after which the next will not come."""
-STANDS = 5
-"""Samples for which a setpoint stands at least between steps: one that moves faster is noise, or led."""
-MOST_MOVES = 40
-"""Most moves that may belong to one sequence."""
+WHOLE_STEPS = 4  # whole steps that say something together: two up, two down
+SAME = 0.02  # share of a step by which another may differ from it: what a controller rounds
+OVERDUE = 1.5  # times the longest time between two steps after which the next will not come
+STANDS = 5  # samples for which a setpoint stands at least between steps: one that moves faster is noise, or led
+MOST_MOVES = 40  # most moves that may belong to one sequence
 LED_MOVES = 2
 LED_REACH = 2.5
 """So many moves within so many times the time between two steps, before the first: the setpoint is led, and does not

@@ -203,10 +203,7 @@ def inside_region(regions: Regions, region: int) -> Callable[[LoopSample], bool]
 
     A scheduling variable that is not finite (a failed sensor) leaves the loop where it is, so it counts as inside.
 
-    Raises
-    ------
-    ValueError
-        There is no such region.
+    Raises ValueError: there is no such region.
     """
     laws = [(axis.law(), part) for axis, part in zip(regions.axes, regions.cell(region), strict=True)]
     limits = [(law.floors[part], law.ceilings[part]) for law, part in laws]
@@ -250,18 +247,13 @@ def admit(
 ) -> Admission:
     """Judge a response.
 
-    Parameters
-    ----------
     window : the response with some time before it.
     samples : what is kept, the newest last; the window was made of the last of them.
     response : what the recogniser found.
     inside : whether a sample lies in the response's region; None: there is only one.
     pv_range : what the transmitter can say, pv units. ki : of the controller, co units per pv unit and second.
 
-    Raises
-    ------
-    ValueError
-        There are fewer samples than the window has.
+    Raises ValueError: there are fewer samples than the window has.
     """
     n = len(window.t_s)
     if len(samples) < n:

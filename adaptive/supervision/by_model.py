@@ -67,10 +67,8 @@ from retuner.adaptive.without_model.proposal_without_model import without_model
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import replace
 
-ONE_RECORD = "one_record"
-"""Code: a second record that agrees would make the change worth it."""
-NOT_WORTH = "not_worth"
-"""Code: the gains in force are expected to cost no more, or hardly more, than others."""
+ONE_RECORD = "one_record"  # Code: a second record that agrees would make the change worth it
+NOT_WORTH = "not_worth"  # Code: the gains in force are expected to cost no more, or hardly more, than others
 
 
 def by_model(found: Findings) -> Outcome:
@@ -248,8 +246,7 @@ def _steps(found: Findings, known: KnownProcesses, wanted: RobustProposal, proof
     return accepted
 
 
-PARTS = (0.75, 0.5, 0.25)
-"""Shares of a proved change that are weighed beside it."""
+PARTS = (0.75, 0.5, 0.25)  # shares of a proved change that are weighed beside it
 
 
 def _seen(found: Findings, model: RegionModel) -> ModelEvidence:
@@ -373,8 +370,7 @@ def records_agree(model: RegionModel, excitation: Excitation, settings: RetunerS
     return len(alike) >= swing.alike_records and all(alike)
 
 
-SETPOINTS = 2
-"""Setpoint responses among the records that bear each other out."""
+SETPOINTS = 2  # setpoint responses among the records that bear each other out
 
 
 def exempt_from_confirmation(found: Findings, proof: Proof, learned: Learned, model: RegionModel) -> bool:
@@ -447,12 +443,10 @@ def in_danger(found: Findings, doubt: Diagnosis, lost: int) -> bool:
     return held_up or doubt.cause not in NOT_THE_LOOP
 
 
-ENDS = frozenset({Cause.SATURATION, Cause.EXTERNAL})
-"""What an unstable loop between its limits reads like."""
+ENDS = frozenset({Cause.SATURATION, Cause.EXTERNAL})  # what an unstable loop between its limits reads like
 
 
-SECOND = 2
-"""The record at which such a loop is made safer at the latest."""
+SECOND = 2  # the record at which such a loop is made safer at the latest
 
 
 def counted_cause(found: Findings, cause: Diagnosis) -> int:
@@ -461,10 +455,8 @@ def counted_cause(found: Findings, cause: Diagnosis) -> int:
     return min(counted + (cause.cause in OTHER_CAUSES), found.settings.swing.most_counted)
 
 
-SAMPLES_BEFORE_STEP = 5
-"""Samples before a setpoint step that are looked at with it."""
-FEWEST_OF_STEP = 3
-"""Samples of such a window."""
+SAMPLES_BEFORE_STEP = 5  # samples before a setpoint step that are looked at with it
+FEWEST_OF_STEP = 3  # samples of such a window
 
 
 def runaway(found: Findings, proof: Proof) -> Diagnosis | None:

@@ -45,10 +45,7 @@ def decide(question: Question) -> Outcome:
 
     Whatever a step raises closes the question: nothing is learned or changed, and the answer says why.
 
-    Raises
-    ------
-    MemoryError
-        That hangs on the machine, not on the question.
+    Raises MemoryError: that hangs on the machine, not on the question.
     """
     try:
         outcome = _decided(question)
@@ -187,5 +184,4 @@ def _step_of(error: BaseException) -> str:
     return next((name for name in names if name not in STORY), names[-1]).replace("_", " ")
 
 
-STORY = ("decide", "_decided", "findings_of", "gains_that_win", "by_model")
-"""Functions that only call the steps."""
+STORY = ("decide", "_decided", "findings_of", "gains_that_win", "by_model")  # functions that only call the steps

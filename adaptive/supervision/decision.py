@@ -36,8 +36,6 @@ from retuner.schedule.late_dataclass import dataclass, field, replace
 class Mode(StrEnum):
     """What the retuner may do in a region.
 
-    Attributes
-    ----------
     off, advise : only watch; propose, and write what an operator approves, on trial.
     trial, auto : write one change, watch it, restore the old set when worse; then wait for an operator, or go on.
     """
@@ -48,15 +46,12 @@ class Mode(StrEnum):
     AUTO = "auto"
 
 
-WRITES = frozenset({Mode.AUTO, Mode.TRIAL})
-"""Modes in which gains are written."""
+WRITES = frozenset({Mode.AUTO, Mode.TRIAL})  # modes in which gains are written
 
 
 class Action(StrEnum):
     """What follows from a decision.
 
-    Attributes
-    ----------
     NONE : nothing. ADVISE : a proposal for an operator. COMMIT : gains to be written and put on trial.
     RESTORE : earlier gains to be written again.
     """
@@ -120,8 +115,6 @@ class Delay(NamedTuple):
 class Decision(display_hook.Shown):
     """One decision on one response.
 
-    Attributes
-    ----------
     number : counts up from 1 per loop.
     t_s : time of the sample at which it was entered, which is the one that completed the response unless `delay` names
         both.
@@ -226,13 +219,7 @@ class Decision(display_hook.Shown):
 
 
 def _own(value: object) -> object:
-    """A number of numpy, as settings may bring it in, as one of Python.
-
-    Raises
-    ------
-    TypeError
-        It is none.
-    """
+    """A number of numpy, as settings may bring it in, as one of Python. Raises TypeError: it is none."""
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{type(value).__name__} is no plain value")
@@ -335,5 +322,4 @@ def proposing(decision: Decision, trial: Trial, now_s: float) -> Decision:
     return replace(decision, action=Action.ADVISE, reason=reason)
 
 
-ORDERED = ("approved", "ordered_back")
-"""Codes of decisions that are that word."""
+ORDERED = ("approved", "ordered_back")  # codes of decisions that are that word

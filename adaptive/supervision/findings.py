@@ -40,26 +40,19 @@ from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.table import Lookup
 
-NOT_KNOWN = "not_identifiable"
-"""Code: what is known of the process does not carry settings yet."""
-WRONG_WAY = "wrong_way"
-"""Code: the controller acts the wrong way, which no gains of its sign can cure."""
-PART = "to_and_fro"
-"""Code: the response is a part of what is judged as a whole."""
+NOT_KNOWN = "not_identifiable"  # Code: what is known of the process does not carry settings yet
+WRONG_WAY = "wrong_way"  # Code: the controller acts the wrong way, which no gains of its sign can cure
+PART = "to_and_fro"  # Code: the response is a part of what is judged as a whole
 NOT_THE_LOOP = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
 """Causes that leave nothing in a record from which the process could be learned."""
 OTHER_CAUSES = NOT_THE_LOOP - {Cause.NOISE}
 """Causes of these that may be behind a swing: what rises out of the noise is none."""
-TAKEN_SAMPLES = 5
-"""Samples after which the recogniser has taken a setpoint step at the latest."""
+TAKEN_SAMPLES = 5  # samples after which the recogniser has taken a setpoint step at the latest
 SURELY_TO_AND_FRO = 2
 """Whole steps from which large ones are taken for steps to and fro: a person may set back by twice what he had set."""
-SMALL_STEP = 0.05
-"""Share of pv's span up to which one whole step is enough: as large as bumps are made."""
-WHOLE = 2.01
-"""A whole step of a bump to and fro over the bump, rounding included."""
-FEWEST_SAMPLES = 20
-"""Samples of which a sign may be told."""
+SMALL_STEP = 0.05  # share of pv's span up to which one whole step is enough: as large as bumps are made
+WHOLE = 2.01  # A whole step of a bump to and fro over the bump, rounding included
+FEWEST_SAMPLES = 20  # samples of which a sign may be told
 
 
 @dataclass(frozen=True, slots=True)

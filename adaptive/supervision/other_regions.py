@@ -44,8 +44,7 @@ from retuner.adaptive.trial.prediction import Prediction, decay_seen
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
-DOUBTFUL = frozenset({"unconfirmed", "one_record"})
-"""Codes of decisions that doubt what the response has taught."""
+DOUBTFUL = frozenset({"unconfirmed", "one_record"})  # codes of decisions that doubt what the response has taught
 LEAST_LENDERS = 2
 """Regions that must know their process before one that was never entered gets gains: one shows no trend."""
 
@@ -185,8 +184,6 @@ def as_right_as_others(
     """The processes of a region with which its set would be as right as the sets of the others are, one for each that
     knows its own; none where a set has no proportional gain.
 
-    Parameters
-    ----------
     region_models : by region. region : the one that nobody has watched. first : the table's sets as they were at first.
     t_s : now.
     """

@@ -253,8 +253,7 @@ def left(seen: Left, settings: RetunerSettings) -> Outcome | None:
     )
 
 
-NOT_EVALUATED = "not_evaluated"
-"""Code: a defect, or a record that nobody thought of, ended the evaluation."""
+NOT_EVALUATED = "not_evaluated"  # Code: a defect, or a record that nobody thought of, ended the evaluation
 
 
 def not_evaluated(where: str, error: BaseException) -> Outcome:
@@ -269,8 +268,7 @@ def not_evaluated(where: str, error: BaseException) -> Outcome:
     )
 
 
-MOST_TOLD = 200
-"""Characters that are told of an error."""
+MOST_TOLD = 200  # characters that are told of an error
 
 OTHER_LOOP = "other_loop"
 """Code: another loop on the same plant moved, a known disturbance that is no verdict on this one."""
@@ -283,8 +281,7 @@ class Step(NamedTuple):
     question: Question | None = None
 
 
-NOTHING = Step()
-"""What most samples lead to."""
+NOTHING = Step()  # what most samples lead to
 
 
 # A setpoint that another loop leads. The slave of a cascade completes a response every few samples, and none of them
@@ -293,8 +290,7 @@ NOTHING = Step()
 # controller that acts the wrong way) is said as ever.
 
 
-TOLD_STEPS = 2
-"""Whole steps to and fro after which the next ones are no news."""
+TOLD_STEPS = 2  # whole steps to and fro after which the next ones are no news
 
 
 def passed_over(led: SetpointLed, record: ResponseRecord, settings: RetunerSettings) -> bool:

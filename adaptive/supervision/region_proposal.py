@@ -35,8 +35,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import GainTable, Lookup
 
-HALF = 0.5
-"""Weight of a neighbour half way to it."""
+HALF = 0.5  # weight of a neighbour half way to it
 
 
 @dataclass(frozen=True)
@@ -146,8 +145,6 @@ class RobustProposal:
 def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settings: RetunerSettings) -> RobustProposal:
     """Settings for a region, with half a sampling interval of dead time more: what a sampled controller sees.
 
-    Parameters
-    ----------
     region_model : what is known. log : the same as it may be met now (tracker.predicted). in_force : gains running now.
     """
     dt_s, best, cause = settings.sample_time_s, log.model(), settings.cause
@@ -218,8 +215,7 @@ def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, 
 
 BEYOND = 1.05
 """Times the limit of a cause above which a set is one at a border: the neighbour's model moves with its records."""
-BETWEEN = "ms_between"
-"""Evidence that a set is over its limit on the way to a neighbour: the Ms there."""
+BETWEEN = "ms_between"  # evidence that a set is over its limit on the way to a neighbour: the Ms there
 
 
 def tuning_of(known: KnownProcesses, region: int, in_force: PidGains) -> RobustProposal:
@@ -259,8 +255,6 @@ def change_request(
 ) -> ChangeRequest:
     """The question on a proposal that a model supports.
 
-    Parameters
-    ----------
     region : index. known : of all regions, that of this one as it is now.
     learned : outcome of the last record; None when none is at hand.
     damping : of the response, None when it did not swing.

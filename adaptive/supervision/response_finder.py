@@ -99,8 +99,6 @@ GainsAt = Callable[[int, float, float], PidGains]
 class ResponseFinder:
     """Finds the responses in the samples of one loop.
 
-    Parameters
-    ----------
     regions : the operating regions. gains_at : the gains in force (their integral time sets the waiting times).
     settings : see RetunerSettings.
     """
@@ -199,10 +197,7 @@ class ResponseFinder:
     def step(self, sample: LoopSample) -> Completed | Left | None:
         """Take one sample; what is told comes with the sample that completes it.
 
-        Raises
-        ------
-        ValueError
-            A number of the sample is not finite or its time does not increase; nothing is changed then.
+        Raises ValueError: a number of the sample is not finite or its time does not increase; nothing is changed then.
         """
         t_s, sp, pv, co, mode, _, x, revision, x2 = sample
         is_plain = type(t_s) is type(sp) is type(pv) is type(co) is type(x) is type(x2) is float
@@ -280,10 +275,7 @@ class ResponseFinder:
     def _is_placed(self, sample: LoopSample) -> bool:
         """Whether it is known where the sample lies; only a signal on the bus may be unknown.
 
-        Raises
-        ------
-        ValueError
-            Another number of the sample is not finite.
+        Raises ValueError: another number of the sample is not finite.
         """
         if not finite(sample):
             raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")

@@ -33,10 +33,8 @@ from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import RegionState
 
-State = TypeVar("State")
-"""A named tuple of numbers."""
-SERIES = ("t_s", "sp", "pv", "co")
-"""What a record is made of."""
+State = TypeVar("State")  # A named tuple of numbers
+SERIES = ("t_s", "sp", "pv", "co")  # what a record is made of
 
 # What is known of a region as plain JSON values, and back, checked on the way in.
 
@@ -65,10 +63,7 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
 def region_model_in(body: Mapping[str, Any]) -> RegionModel:
     """What is known of a region, from its plain form.
 
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        Something is missing, of the wrong kind, or no number.
+    Raises KeyError, TypeError, ValueError: something is missing, of the wrong kind, or no number.
     """
     known = _known_in(body["known"])
     if not known:
@@ -161,8 +156,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, zeta, inverse, tau3)
 
 
-VERSION = 10
-"""Version of this layout; any other is refused."""
+VERSION = 10  # version of this layout; any other is refused
 STATES = (RegionState, RecogniserState, NoiseState, SetpointLed, LoopSample)
 LAYOUT = {kind.__name__: list(kind._fields) for kind in STATES}
 """What is kept by place: numbers that moved would be read as others. Another layout is refused; memories of before
@@ -172,14 +166,9 @@ have none."""
 def remember(retuner: Retuner) -> dict[str, object]:
     """What a retuner must not lose over a restart.
 
-    Parameters
-    ----------
     retuner : at any moment; a question that is open is not remembered.
 
-    Returns
-    -------
-    dict
-        Plain JSON values (infinities and NaN as strings), for `restore`.
+    Returns plain JSON values (infinities and NaN as strings), for `restore`.
     """
     state = retuner.state()
     finder = state.finder
@@ -215,19 +204,11 @@ def remember(retuner: Retuner) -> dict[str, object]:
 def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
     """A retuner that goes on where the remembered one stood.
 
-    Parameters
-    ----------
     memory : what `remember` gave. settings : as they were then, or others.
 
-    Returns
-    -------
-    Retuner
-        Tell it by `found_running` what the controller runs by now.
+    Returns tell it by `found_running` what the controller runs by now.
 
-    Raises
-    ------
-    ValueError
-        The memory is of another version, or something in it is missing or no number.
+    Raises ValueError: the memory is of another version, or something in it is missing or no number.
     """
     if memory.get("version") != VERSION:
         raise ValueError(
@@ -294,10 +275,7 @@ def _samples_in(rows: Sequence[Sequence[Any]]) -> tuple[LoopSample, ...]:
 def _state_in(kind: Callable[..., State], values: Sequence[Any]) -> State:
     """A state by its place in the layout; a value of another type shows that the layout was another one.
 
-    Raises
-    ------
-    TypeError
-        A value is not of its type, or there are too few or too many.
+    Raises TypeError: a value is not of its type, or there are too few or too many.
     """
     found = _numbers_in(values)
     for wanted, value in zip(kind.__annotations__.values(), found, strict=False):  # the last ones may have defaults
