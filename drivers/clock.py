@@ -14,19 +14,15 @@ class Clock(Protocol):
 
     def now_s(self) -> float:
         """Seconds since an arbitrary start; never decreases."""
-        ...
 
     def wait_until(self, t_s: float) -> None:
         """Return when now_s() has reached t_s; at once when it is past."""
-        ...
 
     def left_s(self, t_s: float) -> float:
         """Seconds of the machine's time until t_s; 0 when it is past or when time is simulated."""
-        ...
 
     def stamp_s(self) -> float:
         """What to write into records as the time: seconds since 1970, or the simulated time."""
-        ...
 
 
 class SimulatedClock:

@@ -202,24 +202,20 @@ class Device(Protocol):
     @property
     def connected(self) -> bool:
         """Whether the device is heard and its running set is known."""
-        ...
 
     @property
     def running(self) -> RunningSet | None:
         """The set that runs, always from read-back; None while unknown."""
-        ...
 
     @property
     def writing(self) -> bool:
         """Whether a write is under way (also while its result is unknown)."""
-        ...
 
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, and tell what happened. Call at least once per sample.
 
         Raises DeviceSilentError, DeviceMismatchError: before the first connection only; later troubles are events.
         """
-        ...
 
     def begin_write(self, gains: PidGains, now_s: float, *, back: bool = False) -> int:
         """Start the two-phase write of a gain set; WriteDone or WriteFailed follows, with the returned sequence number
@@ -230,39 +226,32 @@ class Device(Protocol):
         Raises WriteRefusedError: not connected, another host holds the lease, a write is under way, or the gains do not
         fit the wire.
         """
-        ...
 
     def send_setpoint(self, sp: float, now_s: float) -> None:
         """Set the target in pv units. Repeated until acknowledged; the latest one counts.
 
         Raises WriteRefusedError: the value is not finite or outside what the wire carries.
         """
-        ...
 
     def send_mode(self, *, auto: bool, co: float, now_s: float) -> None:
         """Auto, or manual with co percent; raises as send_setpoint."""
-        ...
 
     def send_load(self, load: float, now_s: float) -> None:
         """Disturb a simulated plant, percent of co; raises as send_setpoint."""
-        ...
 
     def store(self, now_s: float) -> None:
         """Let the running set survive a restart of the device.
 
         Raises WriteRefusedError: the running set is not known, or still on probation.
         """
-        ...
 
     def confirm(self, now_s: float) -> bool:
         """Confirm the running set at once, because it has proved itself before: until that is acknowledged, a
         controller with a trial time would go back to the set before. Whether no confirmation is open; ask again.
         """
-        ...
 
     def release(self, now_s: float) -> None:
         """Let another host command at once: for the end of a session."""
-        ...
 
 
 # How long nothing has been heard of a device, and whether that is too long.

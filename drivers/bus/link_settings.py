@@ -70,21 +70,16 @@ class FramePort(Protocol):
     @property
     def settings(self) -> LinkSettings:
         """How the bus was opened."""
-        ...
 
     @property
     def state(self) -> LinkState:
         """Whether the bus is open, and heard."""
-        ...
 
     def send(self, message: can.Message) -> bool:
         """Send a frame; False when the bus did not take it. Never raises."""
-        ...
 
     def receive_all(self) -> list[can.Message]:
         """All frames that have arrived, oldest first. Never raises."""
-        ...
 
     def note(self, message: can.Message) -> None:
         """Put a frame into the log, if there is one, and on no bus. Never raises."""
-        ...

@@ -52,19 +52,15 @@ class Counterpart(Protocol):
 
     def send(self, message: can.Message) -> None:
         """Put a frame on the bus."""
-        ...
 
     def heard(self) -> list[can.Message]:
         """What has come since the last call, the answers to what was sent among it."""
-        ...
 
     def sample(self) -> list[can.Message]:
         """One more controller sample passes; what has come."""
-        ...
 
     def restart(self) -> bool:
         """Switch the device off and on; False when nobody can."""
-        ...
 
 
 class NoAnswerError(Exception):
@@ -292,15 +288,12 @@ class Answering(Protocol):
 
     def step(self) -> list[can.Message]:
         """One controller sample."""
-        ...
 
     def receive(self, message: can.Message) -> list[can.Message]:
         """A frame, and its answers."""
-        ...
 
     def restart(self) -> None:
         """Power off and on."""
-        ...
 
 
 class InThread:

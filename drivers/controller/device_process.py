@@ -24,15 +24,12 @@ class BusDevice(Protocol):
     @property
     def sample_time_s(self) -> float:
         """Controller sample time, s."""
-        ...
 
     def step(self, dt_s: float | None = None) -> list[can.Message]:
         """One controller sample; the frames that it sends."""
-        ...
 
     def receive(self, message: can.Message) -> list[can.Message]:
         """Take a frame from the bus; the frames that answer it."""
-        ...
 
 
 class DeviceOnBus:

@@ -51,7 +51,6 @@ class PlantModel(Protocol):
     @property
     def readings(self) -> Sequence[float]:
         """Outputs at the start, in the order of the spec."""
-        ...
 
     def step(self, inputs: Sequence[float], dt_s: float) -> Sequence[float]:
         """Hold the inputs for dt_s seconds; the outputs at the end.
@@ -59,11 +58,9 @@ class PlantModel(Protocol):
         Raises PlantFaultError: it does not go on: nobody asks it again.
         Raises StillBusyError: it has not answered yet: it is asked again at the next step.
         """
-        ...
 
     def close(self) -> None:
         """Let go of everything that it holds."""
-        ...
 
 
 def missing_name(what: str, name: str, known: Collection[str]) -> str:

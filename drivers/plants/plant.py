@@ -13,7 +13,6 @@ class Plant(Protocol):
     @property
     def pv(self) -> float:
         """Sensor reading without measurement noise, in pv units."""
-        ...
 
     def step(self, co: float, load: float, dt_s: float) -> float:
         """Hold co and load for dt_s seconds and read the sensor.
@@ -26,11 +25,9 @@ class Plant(Protocol):
 
         Raises ValueError: an argument is not finite or dt_s is not positive; the plant has not moved.
         """
-        ...
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
         """Controller output in percent that holds this pv. Raises ValueError: no output within the range holds it."""
-        ...
 
 
 class KnownPlant(Plant, Protocol):
@@ -41,7 +38,6 @@ class KnownPlant(Plant, Protocol):
 
         load : where the process depends on it, percent as in `step`.
         """
-        ...
 
 
 @runtime_checkable
@@ -51,7 +47,6 @@ class MeasuresMore(Protocol):
     @property
     def aux(self) -> float | None:
         """The reading of the last step, in its own unit, noise included; None while there is none."""
-        ...
 
 
 def check_step(co: float, load: float, dt_s: float) -> None:

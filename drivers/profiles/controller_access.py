@@ -79,52 +79,41 @@ class Access(Protocol):
     @property
     def units(self) -> VendorUnits:
         """Units of the controller's gains."""
-        ...
 
     @property
     def telemetry(self) -> frozenset[str]:
         """Names among pv, co, sp and mode that can be heard."""
-        ...
 
     @property
     def on_request(self) -> frozenset[str]:
         """The places that come only when asked for."""
-        ...
 
     @property
     def reads_back(self) -> bool:
         """Whether the gains can be read."""
-        ...
 
     @property
     def takes_setpoint(self) -> bool:
         """Whether a setpoint can be written."""
-        ...
 
     @property
     def acknowledges(self) -> bool:
         """Whether each write is answered."""
-        ...
 
     def take(self, message: can.Message) -> Sequence[Told]:
         """What a frame tells; nothing for a frame of somebody else, or a damaged one."""
-        ...
 
     def ask(self, names: Iterable[str]) -> None:
         """Have these numbers asked for."""
-        ...
 
     def put(self, numbers: Mapping[str, float]) -> None:
         """Have these numbers written: gains in the controller's units, the setpoint in ours.
 
         Raises ValueError: one cannot be written: not finite, out of range, not described.
         """
-        ...
 
     def due(self, now_s: float) -> Sequence[can.Message]:
         """Frames to send now."""
-        ...
 
     def forget(self) -> None:
         """The controller is out of reach: give up what is under way."""
-        ...

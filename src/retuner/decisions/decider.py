@@ -33,11 +33,9 @@ class Decider(Protocol):
 
     def ask(self, question: Question) -> None:
         """Begin to answer."""
-        ...
 
     def answer(self, sample_number: int) -> Answer | None:
         """The answer to be entered at this sample, None while there is none."""
-        ...
 
 
 class DecideHere:

@@ -130,7 +130,6 @@ class Recorder(Protocol):
 
     def __call__(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
         """Record one row."""
-        ...
 
 
 class LedgerReader:

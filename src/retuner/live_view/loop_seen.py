@@ -26,7 +26,6 @@ class RunningController(Protocol):
     @property
     def running(self) -> RunningSet | None:
         """The set in force, None while it is not known."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

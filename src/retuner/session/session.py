@@ -27,15 +27,12 @@ class Observer(Protocol):
 
     def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
         """The loop has taken a sample: see its `retuner`, `device.running`, `machine.phase`, `writer`."""
-        ...
 
     def recorded(self, loop: LoopSession | None, kind: str, t_s: float, body: Mapping[str, object]) -> None:
         """A row stands in the ledger. A decision is the newest of `loop.decisions`; loop : None before it has begun."""
-        ...
 
     def said(self, text: str) -> None:
         """A line for whoever runs the session."""
-        ...
 
 
 class NobodyLooks:
