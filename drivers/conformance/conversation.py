@@ -9,42 +9,18 @@ import can
 
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import Clock
+from retuner.drivers.protocol import frames as wire
 from retuner.drivers.protocol.authentication import code_frames, commit_code
 from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, page_crc, sample_crc, set_crc
 from retuner.drivers.protocol.codec import COMMAND_BITS, Codec, Refusal, Refused
-from retuner.drivers.protocol.frames import (
-    CHALLENGE_TAG,
-    OWNER_TAG,
-    TOKENS,
-    Ack,
-    Challenge,
-    Commit,
-    DeviceFrame,
-    Flags,
-    Frame,
-    Heartbeat,
-    Identity,
-    Item,
-    Kind,
-    Lease,
-    Page,
-    PageEnd,
-    PageItem,
-    Read,
-    Reason,
-    Stage,
-    Status,
-    TelemetryPv,
-    TelemetrySp,
-)
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 
 SEQUENCES, COUNTERS = 1 << 16, 1 << 8
 LEASE_SAMPLES = 2000
 UNKNOWN = PidGains(1.0, 0.0)  # before the device has said what it runs
-NO_FLAGS = Flags(0)
-Answer = TypeVar("Answer", bound=DeviceFrame)
+NO_FLAGS = wire.Flags(0)
+Answer = TypeVar("Answer", bound=wire.DeviceFrame)
 
 
 class Counterpart(Protocol):
@@ -70,8 +46,8 @@ class NoAnswerError(Exception):
 class PageSeen(NamedTuple):
     """A page as it came: its gains by item, and its end."""
 
-    items: dict[int, PageItem]
-    end: PageEnd
+    items: dict[int, wire.PageItem]
+    end: wire.PageEnd
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -88,7 +64,7 @@ class KnownOfDevice:
     seq: int = 0
     gains: PidGains = UNKNOWN
     latest: int = 0
-    flags: Flags = NO_FLAGS
+    flags: wire.Flags = NO_FLAGS
     refused: int = 0
     owner: int = 0
 
@@ -105,17 +81,17 @@ class Conversation:
         self.far, self.node, self.key = far, node, key
         self.codec = Codec(node)
         self.known = KnownOfDevice()
-        self.owner = OWNER_TAG * secrets.randbelow(1000) + 9
+        self.owner = wire.OWNER_TAG * secrets.randbelow(1000) + 9
         self._counter = secrets.randbelow(COUNTERS)
-        self._token = secrets.randbelow(TOKENS)
-        self._pv: deque[TelemetryPv] = deque(maxlen=16)
+        self._token = secrets.randbelow(wire.TOKENS)
+        self._pv: deque[wire.TelemetryPv] = deque(maxlen=16)
         self.spoilt: list[str] = []
 
     # what is said
 
-    def decoded(self, messages: Sequence[can.Message]) -> list[Frame]:
+    def decoded(self, messages: Sequence[can.Message]) -> list[wire.Frame]:
         """The device's frames among these; its heartbeats keep what is known up to date, and every CRC is looked at."""
-        frames: list[Frame] = []
+        frames: list[wire.Frame] = []
         for message in messages:
             frame = self.codec.decode(message)
             if not isinstance(frame, Refused):
@@ -123,82 +99,86 @@ class Conversation:
             elif frame.refusal is not Refusal.FOREIGN and not message.is_extended_id:
                 self.spoilt.append(f"a frame of command 0x{message.arbitration_id & 31:02X}: {frame.refusal}")
         for frame in frames:
-            if isinstance(frame, Heartbeat):
+            if isinstance(frame, wire.Heartbeat):
                 self.known.epoch, self.known.sample = frame.epoch, frame.sample
-                self.known.flags = Flags(frame.flags)
-            elif isinstance(frame, Status):
+                self.known.flags = wire.Flags(frame.flags)
+            elif isinstance(frame, wire.Status):
                 self.known.latest, self.known.refused, self.known.owner = frame.latest, frame.refused, frame.owner
-            elif isinstance(frame, TelemetryPv):
+            elif isinstance(frame, wire.TelemetryPv):
                 self._pv.append(frame)
-            elif isinstance(frame, TelemetrySp) and self._pv and self._pv[-1].counter == frame.counter:
+            elif isinstance(frame, wire.TelemetrySp) and self._pv and self._pv[-1].counter == frame.counter:
                 right = frame.crc == sample_crc(self.node, self._pv[-1], frame)
                 self.spoilt += [] if right else [f"the CRC-16 of sample {frame.counter}"]
         return frames
 
-    def last_before(self, counter: int) -> TelemetryPv | None:
+    def last_before(self, counter: int) -> wire.TelemetryPv | None:
         """The first half of the sample before this one, if it has come."""
         return next((half for half in self._pv if half.counter == (counter - 1) % COUNTERS), None)
 
-    def raw(self, message: can.Message) -> list[Frame]:
+    def raw(self, message: can.Message) -> list[wire.Frame]:
         """Send bytes; what comes back."""
         self.far.send(message)
         return self.decoded(self.far.heard())
 
-    def say(self, *frames: Frame) -> list[Frame]:
+    def say(self, *frames: wire.Frame) -> list[wire.Frame]:
         """Send frames; what comes back."""
         for frame in frames:
             self.far.send(self.codec.encode(frame))
         return self.decoded(self.far.heard())
 
-    def samples(self, count: int = 1) -> list[Frame]:
+    def samples(self, count: int = 1) -> list[wire.Frame]:
         """Let so many controller samples pass; what comes meanwhile."""
-        frames: list[Frame] = []
+        frames: list[wire.Frame] = []
         for _ in range(count):
             frames += self.decoded(self.far.sample())
             self.known.sample += 1
         return frames
 
-    def ack(self, kind: Kind, *frames: Frame) -> Ack | None:
+    def ack(self, kind: wire.Kind, *frames: wire.Frame) -> wire.Ack | None:
         """The first acknowledge of this kind that comes back."""
         return first_ack(self.say(*frames), kind)
 
-    def reason(self, kind: Kind, *frames: Frame) -> Reason | None:
+    def reason(self, kind: wire.Kind, *frames: wire.Frame) -> wire.Reason | None:
         """What it says; None for nothing."""
         found = self.ack(kind, *frames)
-        return None if found is None else Reason(found.reason)
+        return None if found is None else wire.Reason(found.reason)
 
     # what is asked
 
     def one(self, wanted: type[Answer], page: int) -> Answer:
         """The answer to a question. Raises NoAnswerError: there is none."""
-        found = [frame for frame in self.say(Read(page, self.token())) if isinstance(frame, wanted)]
+        found = [frame for frame in self.say(wire.Read(page, self.token())) if isinstance(frame, wanted)]
         if not found:
-            raise NoAnswerError(f"no {wanted.__name__} after READ of page {Page(page).name.lower()}")
+            raise NoAnswerError(f"no {wanted.__name__} after READ of page {wire.Page(page).name.lower()}")
         return found[-1]
 
     def look(self) -> None:
         """Ask who is there and what runs; NoAnswerError when it is not told."""
-        self.one(Identity, Page.IDENTITY)
-        page = self.page(Page.RUNNING)
+        self.one(wire.Identity, wire.Page.IDENTITY)
+        page = self.page(wire.Page.RUNNING)
         try:
             self.known.seq, self.known.gains = page.end.seq, PidGains(*page.values)
         except (TypeError, ValueError):
             raise NoAnswerError("READ of the running page gives no complete set") from None
 
-    def page(self, page: Page, token: int | None = None) -> PageSeen:
+    def page(self, page: wire.Page, token: int | None = None) -> PageSeen:
         """A page; NoAnswerError without its end."""
         asked = self.token() if token is None else token
-        frames = self.say(Read(page, asked))
-        ends = [frame for frame in frames if isinstance(frame, PageEnd)]
+        frames = self.say(wire.Read(page, asked))
+        ends = [frame for frame in frames if isinstance(frame, wire.PageEnd)]
         if not ends:
             raise NoAnswerError(f"no PAGE after READ of page {page.name.lower()}")
-        seen = PageSeen({frame.item: frame for frame in frames if isinstance(frame, PageItem)}, ends[-1])
+        seen = PageSeen({frame.item: frame for frame in frames if isinstance(frame, wire.PageItem)}, ends[-1])
         self._look_at(page, seen, asked)
         return seen
 
-    def _look_at(self, page: Page, seen: PageSeen, token: int) -> None:
+    def _look_at(self, page: wire.Page, seen: PageSeen, token: int) -> None:
         """Whether the CRC of a complete set that runs or is staged is that of its gains."""
-        if page not in {Page.RUNNING, Page.STAGED} or not seen.end.complete or len(seen.items) < len(Item):
+        if (
+            page not in {wire.Page.RUNNING, wire.Page.STAGED}
+            or not seen.end.complete
+            or len(seen.items) < len(wire.Item)
+        ):
             return
         try:
             gains = PidGains(*seen.values)
@@ -209,7 +189,7 @@ class Conversation:
 
     def token(self) -> int:
         """A new one."""
-        self._token = (self._token + 1) % TOKENS
+        self._token = (self._token + 1) % wire.TOKENS
         return self._token
 
     def counter(self, ahead: int = 1) -> int:
@@ -219,41 +199,41 @@ class Conversation:
 
     # sets and leases
 
-    def lease(self, samples: int = LEASE_SAMPLES, owner: int | None = None) -> Lease:
+    def lease(self, samples: int = LEASE_SAMPLES, owner: int | None = None) -> wire.Lease:
         """A request for the lease with a right stamp and a new counter."""
         stamp = lease_stamp(self.known.epoch, self.known.sample)
-        return Lease(owner or self.owner, stamp, samples, self.counter())
+        return wire.Lease(owner or self.owner, stamp, samples, self.counter())
 
     def own(self) -> None:
         """Take the lease, whatever counters were used before; NoAnswerError when it is not given."""
         for _ in range(3):
-            self.one(Identity, Page.IDENTITY)
-            if self.reason(Kind.LEASE, self.lease()) is Reason.OK:
+            self.one(wire.Identity, wire.Page.IDENTITY)
+            if self.reason(wire.Kind.LEASE, self.lease()) is wire.Reason.OK:
                 return
             self.counter(100)
         raise NoAnswerError("the device does not grant the lease; is another host connected?")
 
     def fresh_seq(self) -> int:
         """A number newer than all that the device has seen."""
-        self.one(Identity, Page.IDENTITY)
+        self.one(wire.Identity, wire.Page.IDENTITY)
         return (self.known.latest + 1) % SEQUENCES
 
-    def stage(self, seq: int, gains: PidGains) -> list[Frame]:
+    def stage(self, seq: int, gains: PidGains) -> list[wire.Frame]:
         """The frames that stage a set."""
-        values = zip(Item, (gains.kp, gains.ki, gains.kd), strict=True)
-        return [Stage(item, self.owner % OWNER_TAG, value, seq) for item, value in values]
+        values = zip(wire.Item, (gains.kp, gains.ki, gains.kd), strict=True)
+        return [wire.Stage(item, self.owner % wire.OWNER_TAG, value, seq) for item, value in values]
 
-    def commit(self, seq: int, gains: PidGains, *, base: int | None = None, **wrong: int) -> Commit:
+    def commit(self, seq: int, gains: PidGains, *, base: int | None = None, **wrong: int) -> wire.Commit:
         """The commit of a set; base and what the CRC covers (epoch, node, owner) may be made wrong."""
         on = self.known.seq if base is None else base
         node, epoch = wrong.get("node", self.node), wrong.get("epoch", self.known.epoch)
-        return Commit(seq, on, commit_crc(set_crc(node, epoch, seq, gains), on, wrong.get("owner", self.owner)))
+        return wire.Commit(seq, on, commit_crc(set_crc(node, epoch, seq, gains), on, wrong.get("owner", self.owner)))
 
-    def codes(self, seq: int, gains: PidGains, key: bytes | None = None) -> list[Frame]:
+    def codes(self, seq: int, gains: PidGains, key: bytes | None = None) -> list[wire.Frame]:
         """The code of a commit, over the device's present challenge; nothing without a key."""
         if self.key is None:
             return []
-        nonce = self.one(Challenge, Page.CHALLENGE).nonce
+        nonce = self.one(wire.Challenge, wire.Page.CHALLENGE).nonce
         known = self.known
         return [
             *code_frames(
@@ -261,7 +241,7 @@ class Conversation:
             )
         ]
 
-    def write(self, gains: PidGains) -> tuple[int, list[Frame]]:
+    def write(self, gains: PidGains) -> tuple[int, list[wire.Frame]]:
         """Stage and commit a set, and let two samples pass; its number, and what came."""
         seq = self.fresh_seq()
         frames = self.say(*self.stage(seq, gains), *self.codes(seq, gains), self.commit(seq, gains))
@@ -270,9 +250,9 @@ class Conversation:
         return seq, frames
 
 
-def first_ack(frames: Sequence[Frame], kind: Kind) -> Ack | None:
+def first_ack(frames: Sequence[wire.Frame], kind: wire.Kind) -> wire.Ack | None:
     """The first acknowledge of a kind."""
-    return next((frame for frame in frames if isinstance(frame, Ack) and frame.kind == kind), None)
+    return next((frame for frame in frames if isinstance(frame, wire.Ack) and frame.kind == kind), None)
 
 
 # ---- Where the examined device is: an object in this thread, or a node on a bus in real time
@@ -344,14 +324,14 @@ class OnBus:
     def send(self, message: can.Message) -> None:
         """Put it on the bus."""
         if message.arbitration_id & 31 == READ and len(message.data) > 1:
-            self._tokens.add(message.data[1] % CHALLENGE_TAG)
+            self._tokens.add(message.data[1] % wire.CHALLENGE_TAG)
         self._link.send(message)
 
     def heard(self) -> list[can.Message]:
         """What comes until all that was sent is answered."""
-        token = next(token for token in range(CHALLENGE_TAG) if token not in self._tokens)
+        token = next(token for token in range(wire.CHALLENGE_TAG) if token not in self._tokens)
         self._tokens.clear()
-        self._link.send(self._codec.encode(Read(Page.CHALLENGE, token)))
+        self._link.send(self._codec.encode(wire.Read(wire.Page.CHALLENGE, token)))
         self._listen(self._clock.now_s() + max(SAMPLES * self._sample_s, LEAST_S), lambda m: self._is_last(m, token))
         messages, self._waiting = self._waiting, []
         return [message for message in messages if not self._is_last(message, token)]
@@ -359,7 +339,7 @@ class OnBus:
     def _is_last(self, message: can.Message, token: int) -> bool:
         """Whether it is the answer to the question behind all others."""
         frame = self._codec.decode(message)
-        return not isinstance(frame, Refused) and isinstance(frame, Challenge) and frame.token == token
+        return not isinstance(frame, Refused) and isinstance(frame, wire.Challenge) and frame.token == token
 
     def sample(self) -> list[can.Message]:
         """What comes until a whole sample has come."""

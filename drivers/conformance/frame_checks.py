@@ -9,36 +9,9 @@ import can
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.conformance.conversation import LEASE_SAMPLES, Conversation
 from retuner.drivers.conformance.examination import Examination
+from retuner.drivers.protocol import frames as wire
 from retuner.drivers.protocol.checksum import STAMP_SAMPLES, frame_crc, lease_stamp, page_crc, sample_crc, set_crc
 from retuner.drivers.protocol.codec import COMMAND_BITS, schema
-from retuner.drivers.protocol.frames import (
-    EPOCH_TAG,
-    OWNER_TAG,
-    PAGE_TAG,
-    PROTOCOL_VERSION,
-    RUNNING_TAG,
-    Abort,
-    Ack,
-    Confirm,
-    Flags,
-    Frame,
-    Heartbeat,
-    Identity,
-    Kind,
-    Lease,
-    Mode,
-    Page,
-    PageEnd,
-    PageItem,
-    Read,
-    Reason,
-    Setpoint,
-    Stage,
-    Status,
-    Store,
-    TelemetryPv,
-    TelemetrySp,
-)
 
 READ, STAGE = 2, 4
 HEARTBEATS_MAX = 100  # samples between two heartbeats at most
@@ -50,30 +23,30 @@ SAMPLES_TO_STAMP = 4  # samples to the next stamp, within which it may have come
 def connecting(found: Examination) -> None:
     """Who it is, and what it says about its sets."""
     talk = found.talk
-    frames = talk.say(Read(Page.IDENTITY, 1))
-    told = [type(f).__name__ for f in frames if isinstance(f, Identity | Heartbeat | Status)]
+    frames = talk.say(wire.Read(wire.Page.IDENTITY, 1))
+    told = [type(f).__name__ for f in frames if isinstance(f, wire.Identity | wire.Heartbeat | wire.Status)]
     begins = told.index("Identity") if "Identity" in told else len(told)  # a sample may have come before the answer
     found.expect("READ of the identity is answered by", told[begins : begins + 3], ["Identity", "Heartbeat", "Status"])
-    identity = talk.one(Identity, Page.IDENTITY)
-    found.expect("protocol version", identity.protocol, PROTOCOL_VERSION)
+    identity = talk.one(wire.Identity, wire.Page.IDENTITY)
+    found.expect("protocol version", identity.protocol, wire.PROTOCOL_VERSION)
     found.expect("layout hash", hex(identity.schema), hex(schema()))
-    _read_back(found, Page.RUNNING)
-    _read_back(found, Page.STORED)
-    first, second = talk.page(Page.RUNNING, 3).end.crc, talk.page(Page.RUNNING, 3 + PAGE_TAG).end.crc
+    _read_back(found, wire.Page.RUNNING)
+    _read_back(found, wire.Page.STORED)
+    first, second = talk.page(wire.Page.RUNNING, 3).end.crc, talk.page(wire.Page.RUNNING, 3 + wire.PAGE_TAG).end.crc
     found.holds("the CRC of PAGE is the same for two tokens: it must cover all 16 bits of the token", first != second)
 
 
-def _read_back(found: Examination, page: Page) -> None:
+def _read_back(found: Examination, page: wire.Page) -> None:
     """A complete page: its items, the token's low bits in all of them, and the CRC."""
     talk, token = found.talk, found.talk.token()
     seen, known = talk.page(page, token), talk.known
     name = f"READ of the {page.name.lower()} page"
     found.expect(f"{name}: its items", sorted(seen.items), [0, 1, 2])
     found.expect(f"{name}: complete", seen.end.complete, 1)
-    parts: list[PageItem | PageEnd] = [*seen.items.values(), seen.end]
-    found.expect(f"{name}: token", {part.token for part in parts}, {token % PAGE_TAG})
+    parts: list[wire.PageItem | wire.PageEnd] = [*seen.items.values(), seen.end]
+    found.expect(f"{name}: token", {part.token for part in parts}, {token % wire.PAGE_TAG})
     found.expect(f"{name}: sequence numbers", len({part.seq for part in parts}), 1)
-    if page is Page.RUNNING:
+    if page is wire.Page.RUNNING:
         crc = page_crc(set_crc(talk.node, known.epoch, seen.end.seq, known.gains), token)
         found.expect(f"{name}: CRC", hex(seen.end.crc), hex(crc))
 
@@ -81,9 +54,9 @@ def _read_back(found: Examination, page: Page) -> None:
 def frames(found: Examination) -> None:
     """What is no frame of this protocol is counted, and has no other effect."""
     talk = found.talk
-    good = talk.codec.encode(Read(Page.IDENTITY, 5))
+    good = talk.codec.encode(wire.Read(wire.Page.IDENTITY, 5))
     id_, data = good.arbitration_id, bytes(good.data)
-    owned = talk.owner % OWNER_TAG << 2
+    owned = talk.owner % wire.OWNER_TAG << 2
     bad = {
         "a READ with a wrong checksum": can.Message(arbitration_id=id_, is_extended_id=False, data=flipped(data)),
         "a READ that is too short": can.Message(arbitration_id=id_, is_extended_id=False, data=data[:-1]),
@@ -119,9 +92,9 @@ def _refused(found: Examination, name: str, message: can.Message) -> None:
     found.expect(f"{name}: newest number seen", talk.known.latest, latest)
 
 
-def _told(frames_: list[Frame]) -> list[str]:
+def _told(frames_: list[wire.Frame]) -> list[str]:
     """Answers among frames: what is not said by itself."""
-    return [type(f).__name__ for f in frames_ if isinstance(f, Identity | PageItem | PageEnd | Ack)]
+    return [type(f).__name__ for f in frames_ if isinstance(f, wire.Identity | wire.PageItem | wire.PageEnd | wire.Ack)]
 
 
 def flipped(data: bytes) -> bytes:
@@ -139,7 +112,9 @@ def samples(found: Examination) -> None:
     """Telemetry: two halves, one counter, one CRC; heartbeats with the whole counter."""
     talk = found.talk
     told = talk.samples(12)
-    pairs = [(a, b) for a, b in pairwise(halves(told)) if isinstance(a, TelemetryPv) and isinstance(b, TelemetrySp)]
+    pairs = [
+        (a, b) for a, b in pairwise(halves(told)) if isinstance(a, wire.TelemetryPv) and isinstance(b, wire.TelemetrySp)
+    ]
     if not found.holds("fewer than ten samples of two halves came in twelve samples", len(pairs) >= 10):
         return
     for pv, sp in pairs:
@@ -147,65 +122,67 @@ def samples(found: Examination) -> None:
         found.expect("CRC-16 of a sample", hex(sp.crc), hex(sample_crc(talk.node, pv, sp)))
     steps = {(b.counter - a.counter) % 256 for (a, _), (b, _) in pairwise(pairs)}
     found.expect("the counter goes from sample to sample by", steps, {1})
-    found.expect("low bits of the running number in telemetry", pairs[-1][1].running, talk.known.seq % RUNNING_TAG)
+    found.expect("low bits of the running number in telemetry", pairs[-1][1].running, talk.known.seq % wire.RUNNING_TAG)
     # A life sign often enough, with the counter of the telemetry
     talk, waited = found.talk, 0
-    while not any(isinstance(frame, Heartbeat) for frame in told) and waited < HEARTBEATS_MAX:
+    while not any(isinstance(frame, wire.Heartbeat) for frame in told) and waited < HEARTBEATS_MAX:
         told += talk.samples(10)
         waited += 10
-    if not found.holds(f"no HEARTBEAT in {HEARTBEATS_MAX} samples", any(isinstance(f, Heartbeat) for f in told)):
+    if not found.holds(f"no HEARTBEAT in {HEARTBEATS_MAX} samples", any(isinstance(f, wire.Heartbeat) for f in told)):
         return
-    at = next(i for i, frame in enumerate(told) if isinstance(frame, Heartbeat))
+    at = next(i for i, frame in enumerate(told) if isinstance(frame, wire.Heartbeat))
     beat = told[at]
-    before = [frame for frame in told[:at] if isinstance(frame, TelemetrySp)]
-    if before and isinstance(beat, Heartbeat):
+    before = [frame for frame in told[:at] if isinstance(frame, wire.TelemetrySp)]
+    if before and isinstance(beat, wire.Heartbeat):
         ahead = (beat.sample - before[-1].counter) % 256
         found.holds("the counter in HEARTBEAT is not that of the sample before it", ahead <= 1)
 
 
-def halves(frames_: list[Frame]) -> list[TelemetryPv | TelemetrySp]:
+def halves(frames_: list[wire.Frame]) -> list[wire.TelemetryPv | wire.TelemetrySp]:
     """The telemetry among frames."""
-    return [frame for frame in frames_ if isinstance(frame, TelemetryPv | TelemetrySp)]
+    return [frame for frame in frames_ if isinstance(frame, wire.TelemetryPv | wire.TelemetrySp)]
 
 
 def leases(found: Examination) -> None:
     """One host commands: who has no lease is told so, and a lease ends."""
     talk = found.talk
-    talk.ack(Kind.LEASE, talk.lease(samples=0))
+    talk.ack(wire.Kind.LEASE, talk.lease(samples=0))
     seq = talk.fresh_seq()
     found.expect("STATUS without a lease: owner", talk.known.owner, 0)
-    found.holds("HEARTBEAT says that the lease is taken when it is not", not talk.known.flags & Flags.OWNED)
+    found.holds("HEARTBEAT says that the lease is taken when it is not", not talk.known.flags & wire.Flags.OWNED)
     for name, kind, frame in _commands(found, seq, talk.owner):
-        found.expect(f"{name} without a lease", talk.reason(kind, frame), Reason.NOT_OWNER)
-    found.expect("ABORT of a new number without a lease", talk.reason(Kind.ABORT, Abort(seq)), Reason.OK)
-    found.expect("ABORT of an old number without a lease", talk.reason(Kind.ABORT, Abort(seq)), Reason.STALE)
-    answer = talk.ack(Kind.LEASE, talk.lease())
+        found.expect(f"{name} without a lease", talk.reason(kind, frame), wire.Reason.NOT_OWNER)
+    found.expect("ABORT of a new number without a lease", talk.reason(wire.Kind.ABORT, wire.Abort(seq)), wire.Reason.OK)
+    found.expect(
+        "ABORT of an old number without a lease", talk.reason(wire.Kind.ABORT, wire.Abort(seq)), wire.Reason.STALE
+    )
+    answer = talk.ack(wire.Kind.LEASE, talk.lease())
     if not found.holds("LEASE is not answered", answer is not None) or answer is None:
         return
-    found.expect("LEASE of a free device", Reason(answer.reason), Reason.OK)
+    found.expect("LEASE of a free device", wire.Reason(answer.reason), wire.Reason.OK)
     found.expect("the ACK of LEASE carries as seq the owner, and", answer.seq, talk.owner)
     found.expect("the ACK of LEASE carries as latest the present owner, and", answer.latest, talk.owner)
-    found.expect("the ACK's low bits of the epoch", answer.epoch, talk.known.epoch % EPOCH_TAG)
+    found.expect("the ACK's low bits of the epoch", answer.epoch, talk.known.epoch % wire.EPOCH_TAG)
     talk.look()
     found.expect("STATUS: owner", talk.known.owner, talk.owner)
-    found.holds("HEARTBEAT does not say that the lease is taken", talk.known.flags & Flags.OWNED)
+    found.holds("HEARTBEAT does not say that the lease is taken", talk.known.flags & wire.Flags.OWNED)
     for name, kind, frame in _commands(found, seq, OTHER):
-        found.expect(f"{name} of another host", talk.reason(kind, frame), Reason.NOT_OWNER)
-    refused = talk.ack(Kind.LEASE, talk.lease(owner=OTHER))
-    got = None if refused is None else (Reason(refused.reason), refused.latest)
-    found.expect("LEASE of another host", got, (Reason.NOT_OWNER, talk.owner))
+        found.expect(f"{name} of another host", talk.reason(kind, frame), wire.Reason.NOT_OWNER)
+    refused = talk.ack(wire.Kind.LEASE, talk.lease(owner=OTHER))
+    got = None if refused is None else (wire.Reason(refused.reason), refused.latest)
+    found.expect("LEASE of another host", got, (wire.Reason.NOT_OWNER, talk.owner))
     _stale_leases(found)
     _lease_ends(found)
 
 
-def _commands(found: Examination, seq: int, owner: int) -> list[tuple[str, Kind, Frame]]:
+def _commands(found: Examination, seq: int, owner: int) -> list[tuple[str, wire.Kind, wire.Frame]]:
     talk, running = found.talk, found.talk.known.seq
     return [
-        ("STAGE", Kind.STAGE, Stage(0, owner % OWNER_TAG, found.first.kp, seq)),
-        ("CONFIRM", Kind.CONFIRM, Confirm(running, owner)),
-        ("STORE", Kind.STORE, Store(running, owner % 256)),
-        ("SETPOINT", Kind.SETPOINT, Setpoint(talk.counter(), 0.0, owner)),
-        ("MODE", Kind.MODE, Mode(talk.counter(), LoopMode.AUTO, 0.0, owner)),
+        ("STAGE", wire.Kind.STAGE, wire.Stage(0, owner % wire.OWNER_TAG, found.first.kp, seq)),
+        ("CONFIRM", wire.Kind.CONFIRM, wire.Confirm(running, owner)),
+        ("STORE", wire.Kind.STORE, wire.Store(running, owner % 256)),
+        ("SETPOINT", wire.Kind.SETPOINT, wire.Setpoint(talk.counter(), 0.0, owner)),
+        ("MODE", wire.Kind.MODE, wire.Mode(talk.counter(), LoopMode.AUTO, 0.0, owner)),
     ]
 
 
@@ -215,15 +192,15 @@ def _stale_leases(found: Examination) -> None:
     talk.look()
     known = talk.known
     newest = talk.lease()
-    found.expect("LEASE again with a newer counter", talk.reason(Kind.LEASE, newest), Reason.OK)
-    old = Lease(newest.owner, newest.stamp, newest.samples - 1, (newest.counter - 1) % 256)
-    found.expect("LEASE with an older counter", talk.reason(Kind.LEASE, old), Reason.STALE)
+    found.expect("LEASE again with a newer counter", talk.reason(wire.Kind.LEASE, newest), wire.Reason.OK)
+    old = wire.Lease(newest.owner, newest.stamp, newest.samples - 1, (newest.counter - 1) % 256)
+    found.expect("LEASE with an older counter", talk.reason(wire.Kind.LEASE, old), wire.Reason.STALE)
     for name, stamp in (
         ("another epoch", lease_stamp((known.epoch + 1) % 65536, known.sample)),
         ("640 samples later", lease_stamp(known.epoch, known.sample + 640)),
     ):
-        request = Lease(talk.owner, stamp, 100, talk.counter())
-        found.expect(f"LEASE with the stamp of {name}", talk.reason(Kind.LEASE, request), Reason.STALE)
+        request = wire.Lease(talk.owner, stamp, 100, talk.counter())
+        found.expect(f"LEASE with the stamp of {name}", talk.reason(wire.Kind.LEASE, request), wire.Reason.STALE)
 
 
 def stamps(found: Examination) -> None:
@@ -233,11 +210,11 @@ def stamps(found: Examination) -> None:
     if talk.known.sample % STAMP_SAMPLES > STAMP_SAMPLES - SAMPLES_TO_STAMP:
         talk.samples(2 * SAMPLES_TO_STAMP)
     talk.look()
-    for back, wanted in ((1, Reason.OK), (2, Reason.STALE)):
+    for back, wanted in ((1, wire.Reason.OK), (2, wire.Reason.STALE)):
         stamp = lease_stamp(talk.known.epoch, talk.known.sample - back * STAMP_SAMPLES)
-        request = Lease(talk.owner, stamp, LEASE_SAMPLES, talk.counter())
+        request = wire.Lease(talk.owner, stamp, LEASE_SAMPLES, talk.counter())
         name = f"LEASE with the stamp of {back * STAMP_SAMPLES} samples before"
-        found.expect(name, talk.reason(Kind.LEASE, request), wanted)
+        found.expect(name, talk.reason(wire.Kind.LEASE, request), wanted)
 
 
 def _lease_ends(found: Examination) -> None:
@@ -251,48 +228,52 @@ def _lease_ends(found: Examination) -> None:
         talk.say(request)
     talk.look()
     found.expect("a lease that was repeated and has run out: owner in STATUS", talk.known.owner, 0)
-    found.expect("after it: complete in the staged page", talk.page(Page.STAGED).end.complete, 0)
+    found.expect("after it: complete in the staged page", talk.page(wire.Page.STAGED).end.complete, 0)
     talk.own()
 
 
 def commands(found: Examination) -> None:
     """Setpoint and mode: acted on once, told again, refused when older."""
     talk = found.talk
-    sp = next(half.sp for half in halves(talk.samples(2)) if isinstance(half, TelemetrySp))
+    sp = next(half.sp for half in halves(talk.samples(2)) if isinstance(half, wire.TelemetrySp))
     newer, older = talk.counter(), (talk.counter(0) - 3) % 256
-    first = talk.ack(Kind.SETPOINT, Setpoint(newer, sp, talk.owner))
-    if first is not None and Reason(first.reason) is Reason.STALE:
+    first = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(newer, sp, talk.owner))
+    if first is not None and wire.Reason(first.reason) is wire.Reason.STALE:
         newer = (first.latest + 1) % 256
         older = (newer - 3) % 256
-        first = talk.ack(Kind.SETPOINT, Setpoint(newer, sp, talk.owner))
-    got = None if first is None else (Reason(first.reason), first.seq)
-    found.expect("SETPOINT", got, (Reason.OK, newer))
-    found.expect("SETPOINT again", talk.reason(Kind.SETPOINT, Setpoint(newer, sp, talk.owner)), Reason.OK)
-    stale = talk.ack(Kind.SETPOINT, Setpoint(older, sp, talk.owner))
-    got = None if stale is None else (Reason(stale.reason), stale.latest)
-    found.expect("SETPOINT with an older counter", got, (Reason.STALE, newer))
+        first = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(newer, sp, talk.owner))
+    got = None if first is None else (wire.Reason(first.reason), first.seq)
+    found.expect("SETPOINT", got, (wire.Reason.OK, newer))
+    found.expect(
+        "SETPOINT again", talk.reason(wire.Kind.SETPOINT, wire.Setpoint(newer, sp, talk.owner)), wire.Reason.OK
+    )
+    stale = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(older, sp, talk.owner))
+    got = None if stale is None else (wire.Reason(stale.reason), stale.latest)
+    found.expect("SETPOINT with an older counter", got, (wire.Reason.STALE, newer))
     _modes(found)
 
 
 def setpoint(talk: Conversation, sp: float) -> bool:
     """Set the target, whatever counters were used before; whether the device took it."""
-    answer = talk.ack(Kind.SETPOINT, Setpoint(talk.counter(), sp, talk.owner))
-    if answer is not None and answer.reason == Reason.STALE:
+    answer = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(talk.counter(), sp, talk.owner))
+    if answer is not None and answer.reason == wire.Reason.STALE:
         talk.counter((answer.latest - talk.counter(0)) % 256)
-        answer = talk.ack(Kind.SETPOINT, Setpoint(talk.counter(), sp, talk.owner))
-    return answer is not None and answer.reason == Reason.OK
+        answer = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(talk.counter(), sp, talk.owner))
+    return answer is not None and answer.reason == wire.Reason.OK
 
 
 def _modes(found: Examination) -> None:
     talk = found.talk
-    co = next(half.co for half in halves(talk.samples(2)) if isinstance(half, TelemetryPv))
-    answer = talk.ack(Kind.MODE, Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
-    if answer is not None and Reason(answer.reason) is Reason.STALE:
+    co = next(half.co for half in halves(talk.samples(2)) if isinstance(half, wire.TelemetryPv))
+    answer = talk.ack(wire.Kind.MODE, wire.Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
+    if answer is not None and wire.Reason(answer.reason) is wire.Reason.STALE:
         talk.counter((answer.latest - talk.counter(0)) % 256)
-        answer = talk.ack(Kind.MODE, Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
-    found.expect("MODE manual", None if answer is None else Reason(answer.reason), Reason.OK)
+        answer = talk.ack(wire.Kind.MODE, wire.Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
+    found.expect("MODE manual", None if answer is None else wire.Reason(answer.reason), wire.Reason.OK)
     told = halves(talk.samples(3))
-    found.expect("mode in telemetry", {h.mode for h in told[-4:] if isinstance(h, TelemetrySp)}, {LoopMode.MANUAL})
-    held = max(abs(h.co - co) for h in told[-4:] if isinstance(h, TelemetryPv))
+    found.expect("mode in telemetry", {h.mode for h in told[-4:] if isinstance(h, wire.TelemetrySp)}, {LoopMode.MANUAL})
+    held = max(abs(h.co - co) for h in told[-4:] if isinstance(h, wire.TelemetryPv))
     found.holds(f"co moved by {held:g} % in manual", held < 0.01)
-    found.expect("MODE auto", talk.reason(Kind.MODE, Mode(talk.counter(), 1, 0.0, talk.owner)), Reason.OK)
+    found.expect(
+        "MODE auto", talk.reason(wire.Kind.MODE, wire.Mode(talk.counter(), 1, 0.0, talk.owner)), wire.Reason.OK
+    )

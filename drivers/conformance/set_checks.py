@@ -8,29 +8,8 @@ from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.conformance.conversation import Conversation, first_ack
 from retuner.drivers.conformance.examination import Check, Examination, near
 from retuner.drivers.conformance.frame_checks import halves, setpoint
+from retuner.drivers.protocol import frames as wire
 from retuner.drivers.protocol.checksum import page_crc, set_crc
-from retuner.drivers.protocol.frames import (
-    PAGE_TAG,
-    RUNNING_TAG,
-    Abort,
-    Ack,
-    Auth,
-    Challenge,
-    Commit,
-    Confirm,
-    Flags,
-    Frame,
-    Identity,
-    Item,
-    Kind,
-    Mode,
-    Page,
-    Reason,
-    Stage,
-    Store,
-    TelemetryPv,
-    TelemetrySp,
-)
 from retuner.schedule.gains import PidGains
 
 LARGEST = 9e11  # nearly the largest gain that a frame can carry; no box is as wide
@@ -41,26 +20,28 @@ def staging(found: Examination) -> None:
     """A page is staged gain by gain, read back, and dropped by a newer number."""
     talk = found.talk
     seq = talk.fresh_seq()
-    empty = talk.page(Page.STAGED).end
+    empty = talk.page(wire.Page.STAGED).end
     found.expect("READ of the empty stage: complete, crc", (empty.complete, empty.crc), (0, 0))
     frames = talk.stage(seq, found.first)
-    found.expect("STAGE is answered by", [f for f in talk.say(*frames[:2]) if isinstance(f, Ack)], [])
-    half = talk.page(Page.STAGED)
+    found.expect("STAGE is answered by", [f for f in talk.say(*frames[:2]) if isinstance(f, wire.Ack)], [])
+    half = talk.page(wire.Page.STAGED)
     found.expect("a page with two gains: items, complete", (sorted(half.items), half.end.complete), ([0, 1], 0))
     talk.say(frames[2])
     token = talk.token()
-    whole = talk.page(Page.STAGED, token)
+    whole = talk.page(wire.Page.STAGED, token)
     gains = found.first
     found.expect("the staged page", whole.values, (gains.kp, gains.ki, gains.kd))
     crc = page_crc(set_crc(talk.node, talk.known.epoch, seq, gains), token)
     seen = (whole.end.complete, whole.end.seq, whole.end.token, hex(whole.end.crc))
-    found.expect("the end of the staged page", seen, (1, seq, token % PAGE_TAG, hex(crc)))
+    found.expect("the end of the staged page", seen, (1, seq, token % wire.PAGE_TAG, hex(crc)))
     talk.look()
-    found.holds("HEARTBEAT does not say that a page is staged", talk.known.flags & Flags.STAGED)
+    found.holds("HEARTBEAT does not say that a page is staged", talk.known.flags & wire.Flags.STAGED)
     newer = (seq + 1) % 65536
     talk.say(talk.stage(newer, gains)[0])
-    found.expect("STAGE under a newer number begins a new page: its items", sorted(talk.page(Page.STAGED).items), [0])
-    found.expect("STAGE under an older number", talk.reason(Kind.STAGE, frames[0]), Reason.STALE)
+    found.expect(
+        "STAGE under a newer number begins a new page: its items", sorted(talk.page(wire.Page.STAGED).items), [0]
+    )
+    found.expect("STAGE under an older number", talk.reason(wire.Kind.STAGE, frames[0]), wire.Reason.STALE)
 
 
 def committing(found: Examination) -> None:
@@ -69,32 +50,32 @@ def committing(found: Examination) -> None:
     for factor in FACTORS:
         gains = near(found.first, factor)
         seq, frames = talk.write(gains)
-        answer = first_ack(frames, Kind.COMMIT)
-        if answer is not None and Reason(answer.reason) is not Reason.OUTSIDE_BOX:
+        answer = first_ack(frames, wire.Kind.COMMIT)
+        if answer is not None and wire.Reason(answer.reason) is not wire.Reason.OUTSIDE_BOX:
             break
-    found.expect("COMMIT", None if answer is None else Reason(answer.reason), Reason.OK)
+    found.expect("COMMIT", None if answer is None else wire.Reason(answer.reason), wire.Reason.OK)
     found.runs("after a good COMMIT", gains)
     found.other = talk.known.gains
     found.expect("number of the active gains", talk.known.seq, seq)
     _one_sample(found, frames, seq)
-    base = next((f for f in frames if isinstance(f, TelemetrySp)), None)
+    base = next((f for f in frames if isinstance(f, wire.TelemetrySp)), None)
     if base is not None and talk.known.seq == seq:
-        again = Commit(seq, (seq - 1) % 65536, 1)
+        again = wire.Commit(seq, (seq - 1) % 65536, 1)
         found.holds(
             "a COMMIT with another crc under the running number is accepted",
-            talk.reason(Kind.COMMIT, again) is not Reason.OK,
+            talk.reason(wire.Kind.COMMIT, again) is not wire.Reason.OK,
         )
     _bumpless(found)
 
 
-def _one_sample(found: Examination, frames: list[Frame], seq: int) -> None:
+def _one_sample(found: Examination, frames: list[wire.Frame], seq: int) -> None:
     """The acknowledge comes in the sample that runs the set, before its telemetry."""
-    at = next((i for i, f in enumerate(frames) if isinstance(f, Ack) and f.kind == Kind.COMMIT), None)
+    at = next((i for i, f in enumerate(frames) if isinstance(f, wire.Ack) and f.kind == wire.Kind.COMMIT), None)
     if at is None:
         return
-    tag = seq % RUNNING_TAG
-    before = [f.running for f in frames[:at] if isinstance(f, TelemetrySp)]
-    after = [f.running for f in frames[at:] if isinstance(f, TelemetrySp)]
+    tag = seq % wire.RUNNING_TAG
+    before = [f.running for f in frames[:at] if isinstance(f, wire.TelemetrySp)]
+    after = [f.running for f in frames[at:] if isinstance(f, wire.TelemetrySp)]
     found.holds("telemetry shows the new set before its acknowledge", tag not in before)
     found.expect("running number in the telemetry after the acknowledge", set(after), {tag})
 
@@ -102,7 +83,7 @@ def _one_sample(found: Examination, frames: list[Frame], seq: int) -> None:
 def _bumpless(found: Examination) -> None:
     """co stays exactly as it is in manual; the repeated commit gets the same answer."""
     talk = found.talk
-    talk.say(Mode(talk.counter(), LoopMode.MANUAL, _co(talk), talk.owner))
+    talk.say(wire.Mode(talk.counter(), LoopMode.MANUAL, _co(talk), talk.owner))
     before = _co(talk)
     seq = talk.fresh_seq()
     commit = talk.commit(seq, found.first)
@@ -110,8 +91,8 @@ def _bumpless(found: Examination) -> None:
     talk.samples(2)
     moved = abs(_co(talk) - before)
     found.holds(f"co jumped by {moved:g} % when the gains were changed in manual", moved < 0.01)
-    found.expect("the same COMMIT again", talk.reason(Kind.COMMIT, commit), Reason.OK)
-    talk.say(Mode(talk.counter(), LoopMode.AUTO, 0.0, talk.owner))
+    found.expect("the same COMMIT again", talk.reason(wire.Kind.COMMIT, commit), wire.Reason.OK)
+    talk.say(wire.Mode(talk.counter(), LoopMode.AUTO, 0.0, talk.owner))
     found.runs("after the repeated COMMIT", found.first)
     found.confirmed()
 
@@ -120,8 +101,8 @@ def swapping(found: Examination) -> None:
     """co goes on as the old gains would have led it, in automatic and away from the setpoint."""
     talk, first = found.talk, found.first
     new = replace(first, kp=1.5 * first.kp) if first.kp else first
-    dt = talk.one(Identity, Page.IDENTITY).sample_time
-    sp = [half for half in halves(talk.samples(2)) if isinstance(half, TelemetrySp)][-1].sp
+    dt = talk.one(wire.Identity, wire.Page.IDENTITY).sample_time
+    sp = [half for half in halves(talk.samples(2)) if isinstance(half, wire.TelemetrySp)][-1].sp
     error = (-10.0 if _co(talk) > 50.0 else 10.0) / (first.kp or 1.0)
     if new == first or not setpoint(talk, sp + error):
         found.left_out.append("the swap in automatic: it has no kp, or takes no other setpoint")
@@ -129,10 +110,10 @@ def swapping(found: Examination) -> None:
     talk.samples(2)
     _, frames = talk.write(new)
     setpoint(talk, sp)
-    told = [half for half in frames if isinstance(half, TelemetryPv | TelemetrySp | Ack)]
-    at = next((i for i, f in enumerate(told) if isinstance(f, Ack) and f.kind == Kind.COMMIT), len(told))
-    before = [half for half in told[:at] if isinstance(half, TelemetryPv)]
-    after = [half for half in told[at:] if isinstance(half, TelemetryPv)]
+    told = [half for half in frames if isinstance(half, wire.TelemetryPv | wire.TelemetrySp | wire.Ack)]
+    at = next((i for i, f in enumerate(told) if isinstance(f, wire.Ack) and f.kind == wire.Kind.COMMIT), len(told))
+    before = [half for half in told[:at] if isinstance(half, wire.TelemetryPv)]
+    after = [half for half in told[at:] if isinstance(half, wire.TelemetryPv)]
     if talk.known.gains != new or not (before or after):
         found.left_out.append("the swap in automatic: it does not take kp x 1.5")
         return
@@ -142,7 +123,7 @@ def swapping(found: Examination) -> None:
 
 
 def _no_jump(
-    found: Examination, after: list[TelemetryPv], old: PidGains, new: PidGains, error: float, dt: float
+    found: Examination, after: list[wire.TelemetryPv], old: PidGains, new: PidGains, error: float, dt: float
 ) -> None:
     """co moves by what I and P do from the sample before the swap to that of the swap, not by the change of P."""
     seen = found.talk.last_before(after[0].counter)
@@ -156,29 +137,33 @@ def _no_jump(
 
 
 def _co(talk: Conversation) -> float:
-    return [half.co for half in halves(talk.samples(2)) if isinstance(half, TelemetryPv)][-1]
+    return [half.co for half in halves(talk.samples(2)) if isinstance(half, wire.TelemetryPv)][-1]
 
 
 def refusing(found: Examination) -> None:
     """Every condition of a commit that is not met has its reason, burns the number, and changes nothing."""
     talk, good = found.talk, found.other
     up = PidGains(good.kp * 1e4, good.ki * 1e4, good.kd * 1e4)
-    far, mixed = (Reason.RATIO, Reason.OUTSIDE_BOX), (Reason.OUTSIDE_BOX,)
+    far, mixed = (wire.Reason.RATIO, wire.Reason.OUTSIDE_BOX), (wire.Reason.OUTSIDE_BOX,)
     seqs = talk.known.seq
     _refusal(
-        found, "a wrong base", good, lambda seq: talk.commit(seq, good, base=(seqs + 9) % 65536), (Reason.WRONG_BASE,)
+        found,
+        "a wrong base",
+        good,
+        lambda seq: talk.commit(seq, good, base=(seqs + 9) % 65536),
+        (wire.Reason.WRONG_BASE,),
     )
     for name, wrong in (
         ("a CRC over another node", {"node": talk.node % 63 + 1}),
         ("a CRC over another epoch", {"epoch": (talk.known.epoch + 1) % 65536}),
         ("a CRC over another owner", {"owner": 77}),
     ):
-        _refusal(found, name, good, partial(talk.commit, gains=good, **wrong), (Reason.WRONG_CRC,))
+        _refusal(found, name, good, partial(talk.commit, gains=good, **wrong), (wire.Reason.WRONG_CRC,))
     other = replace(good, kp=good.kp * 1.001) if good.kp else replace(good, ki=good.ki * 1.001)
-    _refusal(found, "a CRC over other gains", good, lambda seq: talk.commit(seq, other), (Reason.WRONG_CRC,))
+    _refusal(found, "a CRC over other gains", good, lambda seq: talk.commit(seq, other), (wire.Reason.WRONG_CRC,))
     _refusal(found, "gains 10,000 times as large", up, lambda seq: talk.commit(seq, up), far)
     tiny = PidGains(good.kp / 1e4, good.ki / 1e4, good.kd / 1e4)
-    _refusal(found, "gains 10,000 times as small", tiny, lambda seq: talk.commit(seq, tiny), (Reason.RATIO,))
+    _refusal(found, "gains 10,000 times as small", tiny, lambda seq: talk.commit(seq, tiny), (wire.Reason.RATIO,))
     _switched_on(found)
     down = PidGains(-good.kp, -good.ki, -good.kd)
     _refusal(found, "gains of the other sign", down, lambda seq: talk.commit(seq, down), far)
@@ -197,38 +182,46 @@ def _switched_on(found: Examination) -> None:
     talk.write(off)
     found.confirmed()
     huge = replace(off, kd=LARGEST * off.direction)
-    _raw_refusal(found, "a kd of 9e11", (huge.kp, huge.ki, huge.kd), (Reason.OUTSIDE_BOX,))
+    _raw_refusal(found, "a kd of 9e11", (huge.kp, huge.ki, huge.kd), (wire.Reason.OUTSIDE_BOX,))
     talk.write(good)
     found.confirmed()
 
 
 def _refusal(
-    found: Examination, name: str, gains: PidGains, commit: Callable[[int], Commit], reasons: tuple[Reason, ...]
+    found: Examination,
+    name: str,
+    gains: PidGains,
+    commit: Callable[[int], wire.Commit],
+    reasons: tuple[wire.Reason, ...],
 ) -> None:
     talk = found.talk
     seq = talk.fresh_seq()
     stage, sent = talk.stage(seq, gains), commit(seq)
-    answer = talk.reason(Kind.COMMIT, *stage, *talk.codes(seq, gains), sent)
+    answer = talk.reason(wire.Kind.COMMIT, *stage, *talk.codes(seq, gains), sent)
     _judge(found, name, stage[0], answer, reasons)
-    found.expect(f"COMMIT with {name} again", talk.reason(Kind.COMMIT, sent), answer)
+    found.expect(f"COMMIT with {name} again", talk.reason(wire.Kind.COMMIT, sent), answer)
 
 
-def _raw_refusal(found: Examination, name: str, values: tuple[float, ...], reasons: tuple[Reason, ...]) -> None:
+def _raw_refusal(found: Examination, name: str, values: tuple[float, ...], reasons: tuple[wire.Reason, ...]) -> None:
     """The refusal of gains that no PidGains can hold."""
     talk = found.talk
     seq = talk.fresh_seq()
-    stage = [Stage(item, talk.owner % 64, values[item], seq) for item in Item]
-    answer = talk.reason(Kind.COMMIT, *stage, Commit(seq, talk.known.seq, 0))
+    stage = [wire.Stage(item, talk.owner % 64, values[item], seq) for item in wire.Item]
+    answer = talk.reason(wire.Kind.COMMIT, *stage, wire.Commit(seq, talk.known.seq, 0))
     _judge(found, name, stage[0], answer, reasons)
 
 
-def _judge(found: Examination, name: str, stage: Frame, answer: Reason | None, reasons: tuple[Reason, ...]) -> None:
+def _judge(
+    found: Examination, name: str, stage: wire.Frame, answer: wire.Reason | None, reasons: tuple[wire.Reason, ...]
+) -> None:
     """The reason is one of these, the number is burnt, nothing has changed."""
     talk = found.talk
     if answer not in reasons:
         found.expect(f"COMMIT with {name}", answer, reasons[0])
     before = talk.known.gains
-    found.expect(f"STAGE under the number of a COMMIT with {name}", talk.reason(Kind.STAGE, stage), Reason.STALE)
+    found.expect(
+        f"STAGE under the number of a COMMIT with {name}", talk.reason(wire.Kind.STAGE, stage), wire.Reason.STALE
+    )
     talk.samples(1)
     found.runs(f"after a COMMIT with {name}", before)
 
@@ -238,17 +231,19 @@ def _numbers(found: Examination) -> None:
     talk, good = found.talk, found.other
     seq = talk.fresh_seq()
     far = (seq + 5) % 65536
-    found.expect("COMMIT of what is not staged", talk.reason(Kind.COMMIT, talk.commit(far, good)), Reason.NOT_STAGED)
-    staged = talk.reason(Kind.COMMIT, *talk.stage(seq, good), *talk.codes(far, good), talk.commit(far, good))
-    found.expect("COMMIT under another number than that of the stage", staged, Reason.NOT_STAGED)
+    found.expect(
+        "COMMIT of what is not staged", talk.reason(wire.Kind.COMMIT, talk.commit(far, good)), wire.Reason.NOT_STAGED
+    )
+    staged = talk.reason(wire.Kind.COMMIT, *talk.stage(seq, good), *talk.codes(far, good), talk.commit(far, good))
+    found.expect("COMMIT under another number than that of the stage", staged, wire.Reason.NOT_STAGED)
     talk.samples(1)
     found.runs("after it", talk.known.gains)
     seq = (seq + 1) % 65536
-    missing = talk.ack(Kind.COMMIT, *talk.stage(seq, good)[::2], talk.commit(seq, good))
-    got = None if missing is None else (Reason(missing.reason), missing.item)
-    found.expect("COMMIT of a page without ki", got, (Reason.INCOMPLETE, int(Item.KI)))
+    missing = talk.ack(wire.Kind.COMMIT, *talk.stage(seq, good)[::2], talk.commit(seq, good))
+    got = None if missing is None else (wire.Reason(missing.reason), missing.item)
+    found.expect("COMMIT of a page without ki", got, (wire.Reason.INCOMPLETE, int(wire.Item.KI)))
     old = talk.commit((talk.known.seq - 1) % 65536, good)
-    found.expect("COMMIT of an old number", talk.reason(Kind.COMMIT, old), Reason.STALE)
+    found.expect("COMMIT of an old number", talk.reason(wire.Kind.COMMIT, old), wire.Reason.STALE)
 
 
 def fencing(found: Examination) -> None:
@@ -256,26 +251,30 @@ def fencing(found: Examination) -> None:
     talk, good = found.talk, found.other
     before = talk.known.gains
     running = talk.known.seq
-    found.expect("ABORT of the running number", talk.reason(Kind.ABORT, Abort(running)), Reason.ALREADY_RUNNING)
+    found.expect(
+        "ABORT of the running number", talk.reason(wire.Kind.ABORT, wire.Abort(running)), wire.Reason.ALREADY_RUNNING
+    )
     seq = talk.fresh_seq()
     commit = talk.commit(seq, good)
     codes = talk.codes(seq, good)
     talk.samples(1)
-    frames = talk.say(*talk.stage(seq, good), *codes, commit, Abort(seq))
-    answer = first_ack(frames, Kind.ABORT)
-    if answer is not None and Reason(answer.reason) is Reason.ALREADY_RUNNING:
+    frames = talk.say(*talk.stage(seq, good), *codes, commit, wire.Abort(seq))
+    answer = first_ack(frames, wire.Kind.ABORT)
+    if answer is not None and wire.Reason(answer.reason) is wire.Reason.ALREADY_RUNNING:
         found.left_out.append("ABORT of a commit that waits for its sample: the samples are too short to try it")
         talk.look()
         return
-    found.expect("ABORT of a commit that waits", None if answer is None else Reason(answer.reason), Reason.OK)
+    found.expect("ABORT of a commit that waits", None if answer is None else wire.Reason(answer.reason), wire.Reason.OK)
     talk.samples(2)
     found.runs("after the ABORT of a commit that waited", before)
-    found.expect("the fenced COMMIT, late", talk.reason(Kind.COMMIT, *codes, commit), Reason.STALE)
-    found.expect("STAGE under a fenced number", talk.reason(Kind.STAGE, talk.stage(seq, good)[0]), Reason.STALE)
-    found.expect("ABORT of an old number", talk.reason(Kind.ABORT, Abort(seq)), Reason.STALE)
+    found.expect("the fenced COMMIT, late", talk.reason(wire.Kind.COMMIT, *codes, commit), wire.Reason.STALE)
+    found.expect(
+        "STAGE under a fenced number", talk.reason(wire.Kind.STAGE, talk.stage(seq, good)[0]), wire.Reason.STALE
+    )
+    found.expect("ABORT of an old number", talk.reason(wire.Kind.ABORT, wire.Abort(seq)), wire.Reason.STALE)
     ahead = (seq + 7) % 65536
-    found.expect("ABORT of a number to come", talk.reason(Kind.ABORT, Abort(ahead)), Reason.OK)
-    found.expect("STAGE under it", talk.reason(Kind.STAGE, talk.stage(ahead, good)[0]), Reason.STALE)
+    found.expect("ABORT of a number to come", talk.reason(wire.Kind.ABORT, wire.Abort(ahead)), wire.Reason.OK)
+    found.expect("STAGE under it", talk.reason(wire.Kind.STAGE, talk.stage(ahead, good)[0]), wire.Reason.STALE)
     talk.look()
     found.expect("newest number seen", talk.known.latest, ahead)
 
@@ -290,12 +289,16 @@ def busy(found: Examination) -> None:
     waits = talk.commit(seq, good)
     other = replace(waits, crc=waits.crc ^ 1)
     frames = talk.say(*talk.stage(seq, good), *codes, waits, talk.stage(late, good)[0], other)
-    stage, commit = first_ack(frames, Kind.STAGE), first_ack(frames, Kind.COMMIT)
-    if commit is not None and commit.reason == Reason.OK:
+    stage, commit = first_ack(frames, wire.Kind.STAGE), first_ack(frames, wire.Kind.COMMIT)
+    if commit is not None and commit.reason == wire.Reason.OK:
         found.left_out.append("STAGE while a commit waits: the samples are too short to try it")
     else:
-        found.expect("STAGE while a commit waits", None if stage is None else Reason(stage.reason), Reason.BUSY)
-        found.expect("COMMIT while another waits", None if commit is None else Reason(commit.reason), Reason.BUSY)
+        found.expect(
+            "STAGE while a commit waits", None if stage is None else wire.Reason(stage.reason), wire.Reason.BUSY
+        )
+        found.expect(
+            "COMMIT while another waits", None if commit is None else wire.Reason(commit.reason), wire.Reason.BUSY
+        )
     talk.samples(2)
     talk.look()
     found.confirmed()
@@ -306,15 +309,17 @@ def trial(found: Examination) -> None:
     talk = found.talk
     gains = found.other if talk.known.gains != found.other else found.first
     seq, _ = talk.write(gains)
-    found.holds("HEARTBEAT does not say that the new set is on trial", talk.known.flags & Flags.TRIAL)
+    found.holds("HEARTBEAT does not say that the new set is on trial", talk.known.flags & wire.Flags.TRIAL)
     tag = talk.owner % 256
-    found.expect("STORE on trial", talk.reason(Kind.STORE, Store(seq, tag)), Reason.NOT_CONFIRMED)
+    found.expect("STORE on trial", talk.reason(wire.Kind.STORE, wire.Store(seq, tag)), wire.Reason.NOT_CONFIRMED)
     old = (seq - 1) % 65536
-    found.expect("CONFIRM of another number", talk.reason(Kind.CONFIRM, Confirm(old, talk.owner)), Reason.STALE)
-    found.expect("CONFIRM", talk.reason(Kind.CONFIRM, Confirm(seq, talk.owner)), Reason.OK)
-    found.expect("CONFIRM again", talk.reason(Kind.CONFIRM, Confirm(seq, talk.owner)), Reason.OK)
+    found.expect(
+        "CONFIRM of another number", talk.reason(wire.Kind.CONFIRM, wire.Confirm(old, talk.owner)), wire.Reason.STALE
+    )
+    found.expect("CONFIRM", talk.reason(wire.Kind.CONFIRM, wire.Confirm(seq, talk.owner)), wire.Reason.OK)
+    found.expect("CONFIRM again", talk.reason(wire.Kind.CONFIRM, wire.Confirm(seq, talk.owner)), wire.Reason.OK)
     talk.look()
-    found.holds("HEARTBEAT says that a confirmed set is on trial", not talk.known.flags & Flags.TRIAL)
+    found.holds("HEARTBEAT says that a confirmed set is on trial", not talk.known.flags & wire.Flags.TRIAL)
 
 
 def storing(found: Examination) -> None:
@@ -323,39 +328,39 @@ def storing(found: Examination) -> None:
     found.confirmed()
     talk.look()
     seq, tag = talk.known.seq, talk.owner % 256
-    found.expect("STORE with a wrong key", talk.reason(Kind.STORE, Store(seq, tag, 5)), Reason.WRONG_KEY)
+    found.expect("STORE with a wrong key", talk.reason(wire.Kind.STORE, wire.Store(seq, tag, 5)), wire.Reason.WRONG_KEY)
     old = (seq - 1) % 65536
-    found.expect("STORE of another number", talk.reason(Kind.STORE, Store(old, tag)), Reason.STALE)
-    found.expect("STORE", talk.reason(Kind.STORE, Store(seq, tag)), Reason.OK)
+    found.expect("STORE of another number", talk.reason(wire.Kind.STORE, wire.Store(old, tag)), wire.Reason.STALE)
+    found.expect("STORE", talk.reason(wire.Kind.STORE, wire.Store(seq, tag)), wire.Reason.OK)
     talk.look()
-    found.holds("HEARTBEAT does not say that the active gains is stored", talk.known.flags & Flags.STORED)
-    gains, stored = talk.known.gains, talk.page(Page.STORED)
+    found.holds("HEARTBEAT does not say that the active gains is stored", talk.known.flags & wire.Flags.STORED)
+    gains, stored = talk.known.gains, talk.page(wire.Page.STORED)
     found.expect("the stored page", (stored.end.seq, *stored.values), (seq, gains.kp, gains.ki, gains.kd))
 
 
 def codes(found: Examination) -> None:
     """No set runs without its code where there is a key, and strangers' codes harm nobody."""
     talk, good = found.talk, found.other
-    challenge = talk.one(Challenge, Page.CHALLENGE)
+    challenge = talk.one(wire.Challenge, wire.Page.CHALLENGE)
     found.expect("whether a code is demanded", bool(challenge.demanded), talk.key is not None)
     if talk.key is None:
         return
-    found.expect("CHALLENGE asked again", talk.one(Challenge, Page.CHALLENGE).nonce, challenge.nonce)
+    found.expect("CHALLENGE asked again", talk.one(wire.Challenge, wire.Page.CHALLENGE).nonce, challenge.nonce)
     seq = talk.fresh_seq()
-    without = talk.reason(Kind.COMMIT, *talk.stage(seq, good), talk.commit(seq, good))
-    found.expect("COMMIT without a code", without, Reason.NO_CODE)
+    without = talk.reason(wire.Kind.COMMIT, *talk.stage(seq, good), talk.commit(seq, good))
+    found.expect("COMMIT without a code", without, wire.Reason.NO_CODE)
     _wrong_codes(found)
     seq = talk.fresh_seq()
-    forged: list[Frame] = [Auth(part, seq % 16, 7) for part in (0, 1)]
+    forged: list[wire.Frame] = [wire.Auth(part, seq % 16, 7) for part in (0, 1)]
     right = talk.codes(seq, good)
     talk.say(*talk.stage(seq, good), *forged, *right, *forged, talk.commit(seq, good))
     talk.samples(2)
     found.runs("after a COMMIT with the right code among forged halves", good)
     found.confirmed()
-    renewed = talk.one(Challenge, Page.CHALLENGE).nonce
+    renewed = talk.one(wire.Challenge, wire.Page.CHALLENGE).nonce
     found.holds("CHALLENGE is the same after an accepted code", renewed != challenge.nonce)
-    talk.say(Abort(talk.fresh_seq()))
-    found.holds("CHALLENGE is the same after a fence", talk.one(Challenge, Page.CHALLENGE).nonce != renewed)
+    talk.say(wire.Abort(talk.fresh_seq()))
+    found.holds("CHALLENGE is the same after a fence", talk.one(wire.Challenge, wire.Page.CHALLENGE).nonce != renewed)
 
 
 def _wrong_codes(found: Examination) -> None:
@@ -364,18 +369,20 @@ def _wrong_codes(found: Examination) -> None:
     for part in (0, 1, None, None):
         seq = talk.fresh_seq()
         right = [
-            frame for frame in talk.codes(seq, good, b"?" * 16 if part is None else None) if isinstance(frame, Auth)
+            frame
+            for frame in talk.codes(seq, good, b"?" * 16 if part is None else None)
+            if isinstance(frame, wire.Auth)
         ]
         sent = [frame if part in {None, frame.part} else replace(frame, mac=frame.mac ^ 1) for frame in right]
-        got = talk.reason(Kind.COMMIT, *talk.stage(seq, good), *sent, talk.commit(seq, good))
+        got = talk.reason(wire.Kind.COMMIT, *talk.stage(seq, good), *sent, talk.commit(seq, good))
         name = "the code of another key" if part is None else f"only half {part} of its code right"
-        found.expect(f"COMMIT with {name}", got, Reason.WRONG_CODE)
+        found.expect(f"COMMIT with {name}", got, wire.Reason.WRONG_CODE)
 
 
 def restarting(found: Examination) -> None:
     """A restart takes a new epoch, and nothing of before it counts."""
     talk, good = found.talk, found.other
-    before, stored = talk.known.epoch, talk.page(Page.STORED)
+    before, stored = talk.known.epoch, talk.page(wire.Page.STORED)
     seq = talk.fresh_seq()
     talk.say(*talk.stage(seq, good))
     commit, request = talk.commit(seq, good), talk.lease()
@@ -390,11 +397,11 @@ def restarting(found: Examination) -> None:
     found.expect(
         "what runs after a restart", (talk.known.seq, talk.known.gains), (stored.end.seq, PidGains(*stored.values))
     )
-    found.expect("complete in the staged page after a restart", talk.page(Page.STAGED).end.complete, 0)
-    found.expect("LEASE of before the restart", talk.reason(Kind.LEASE, request), Reason.STALE)
+    found.expect("complete in the staged page after a restart", talk.page(wire.Page.STAGED).end.complete, 0)
+    found.expect("LEASE of before the restart", talk.reason(wire.Kind.LEASE, request), wire.Reason.STALE)
     talk.own()
-    late = talk.reason(Kind.COMMIT, *talk.stage(seq, good), commit)
-    found.holds("a COMMIT of before the restart is accepted", late is not Reason.OK and late is not None)
+    late = talk.reason(wire.Kind.COMMIT, *talk.stage(seq, good), commit)
+    found.holds("a COMMIT of before the restart is accepted", late is not wire.Reason.OK and late is not None)
     talk.samples(1)
     found.runs("after it", PidGains(*stored.values))
 
@@ -409,9 +416,9 @@ def reverting(samples: int) -> Check:
         gains = found.other if before[1] != found.other else found.first
         seq, _ = talk.write(gains)
         frames = talk.samples(samples + 2)
-        told = first_ack(frames, Kind.CONFIRM)
-        got = None if told is None else (told.seq, Reason(told.reason))
-        found.expect("after the trial time", got, (seq, Reason.REVERTED))
+        told = first_ack(frames, wire.Kind.CONFIRM)
+        got = None if told is None else (told.seq, wire.Reason(told.reason))
+        found.expect("after the trial time", got, (seq, wire.Reason.REVERTED))
         talk.look()
         found.expect("what runs after the trial time", (talk.known.seq, talk.known.gains), before)
 

@@ -16,43 +16,10 @@ from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.controller.gain_memory import GainPages, GainSet
 from retuner.drivers.plants.plant import Plant
+from retuner.drivers.protocol import frames as wire
 from retuner.drivers.protocol.authentication import CodeDesk, fresh_nonce
 from retuner.drivers.protocol.checksum import CO_STEP, STAMP_SAMPLES, co_steps, lease_stamp, sample_crc
 from retuner.drivers.protocol.codec import Codec, Refusal, Refused, schema
-from retuner.drivers.protocol.frames import (
-    CHALLENGE_TAG,
-    EPOCH_TAG,
-    OWNER_TAG,
-    PROTOCOL_VERSION,
-    REFUSED_WRAP,
-    RUNNING_TAG,
-    STORE_TAG,
-    Abort,
-    Ack,
-    Auth,
-    Challenge,
-    Commit,
-    Confirm,
-    DeviceFrame,
-    Flags,
-    Frame,
-    Heartbeat,
-    Identity,
-    Kind,
-    Lease,
-    Load,
-    Mode,
-    Page,
-    Read,
-    Reason,
-    Setpoint,
-    Stage,
-    Status,
-    Store,
-    TelemetryPv,
-    TelemetrySp,
-    newer,
-)
 from retuner.drivers.telemetry.signal_source import plant_message
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PV, StateTuple, change, start, step, track
@@ -77,30 +44,30 @@ class LeaseDesk:
         self._longest = longest_samples
         self.owner = NOBODY
         self._left = 0
-        self._last: Lease | None = None
+        self._last: wire.Lease | None = None
 
     def boot(self) -> None:
         """Nobody holds it after a restart."""
         self.owner, self._left, self._last = NOBODY, 0, None
 
-    def request(self, frame: Lease, epoch: int, sample: int) -> Ack:
+    def request(self, frame: wire.Lease, epoch: int, sample: int) -> wire.Ack:
         """Take, prolong or give back, in this epoch and sample; latest of the answer is the owner in force."""
         reason = self._judge(frame, epoch, sample)
-        if reason is Reason.OK and frame != self._last:
+        if reason is wire.Reason.OK and frame != self._last:
             self._last = frame
             self._left = min(frame.samples, self._longest)
             self.owner = frame.owner if self._left else NOBODY
-        return Ack(Kind.LEASE, frame.owner, reason, self.owner)
+        return wire.Ack(wire.Kind.LEASE, frame.owner, reason, self.owner)
 
-    def _judge(self, frame: Lease, epoch: int, sample: int) -> Reason:
+    def _judge(self, frame: wire.Lease, epoch: int, sample: int) -> wire.Reason:
         if frame.stamp not in {lease_stamp(epoch, sample), lease_stamp(epoch, max(sample - STAMP_SAMPLES, 0))}:
-            return Reason.STALE
+            return wire.Reason.STALE
         if self.owner not in {NOBODY, frame.owner}:
-            return Reason.NOT_OWNER
+            return wire.Reason.NOT_OWNER
         last = self._last
         if last is None or last.owner != frame.owner or frame == last:
-            return Reason.OK
-        return Reason.OK if newer(frame.counter, last.counter, COUNTER_BITS) else Reason.STALE
+            return wire.Reason.OK
+        return wire.Reason.OK if wire.newer(frame.counter, last.counter, COUNTER_BITS) else wire.Reason.STALE
 
     def tick(self) -> bool:
         """One controller sample has passed; whether the lease has just run out."""
@@ -119,7 +86,7 @@ class LeaseDesk:
 
 __all__ = ["VirtualDevice", "VirtualDeviceSettings"]
 
-Command = TypeVar("Command", Setpoint, Mode, Load)
+Command = TypeVar("Command", wire.Setpoint, wire.Mode, wire.Load)
 
 PV_WIRE = (-1e9, 1e9)  # range of pv in retuner.dbc
 SAMPLE_WRAP = 1 << 32
@@ -161,7 +128,7 @@ class VirtualDevice:
         self.sample = 0
         self.refused = 0
         self.auto, self.fault = True, False
-        self._last: dict[Kind, Setpoint | Mode | Load] = {}
+        self._last: dict[wire.Kind, wire.Setpoint | wire.Mode | wire.Load] = {}
         self._law = self.settings.law_of(self.pages.running.gains)
         pv = self.plant.pv
         self._begun = is_reading(pv)
@@ -176,7 +143,7 @@ class VirtualDevice:
     def _begin(self, pv: float, co: float) -> None:
         """The law at rest at this pv, with this output; its first setpoint is pv, unless a host has given one."""
         low, high = self.settings.sp_min, self.settings.sp_max
-        if Kind.SETPOINT not in self._last:
+        if wire.Kind.SETPOINT not in self._last:
             self.sp = min(max(pv, low), high)
         self.pv = pv if self._begun else self.sp
         first = start(self._law, self.sp, self.pv, co)
@@ -209,7 +176,7 @@ class VirtualDevice:
             self._begun = True
             self._begin(pv, self.co)
         self.pv = pv if seen else self.pv
-        frames: list[DeviceFrame] = []
+        frames: list[wire.DeviceFrame] = []
         # without a number nobody can tell what keeps co where it is: a swap waits for the next one
         acknowledge = (self.pages.swap() if seen else None) or self.pages.revert(seen=seen)
         if acknowledge is not None:
@@ -232,10 +199,10 @@ class VirtualDevice:
         counter = self.sample % (1 << COUNTER_BITS)
         mode = LoopMode.AUTO if self.auto else LoopMode.MANUAL
         low, high = PV_WIRE
-        told = TelemetryPv(counter, min(max(self.pv, low), high), co_steps(self.co) * CO_STEP)
-        limited, running = int(self._state[LIMITED]), self.running.seq % RUNNING_TAG
-        crc = sample_crc(self.settings.node, told, TelemetrySp(counter, self.sp, mode, limited, running, 0))
-        frames += [told, TelemetrySp(counter, self.sp, mode, limited, running, crc)]
+        told = wire.TelemetryPv(counter, min(max(self.pv, low), high), co_steps(self.co) * CO_STEP)
+        limited, running = int(self._state[LIMITED]), self.running.seq % wire.RUNNING_TAG
+        crc = sample_crc(self.settings.node, told, wire.TelemetrySp(counter, self.sp, mode, limited, running, 0))
+        frames += [told, wire.TelemetrySp(counter, self.sp, mode, limited, running, crc)]
         if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
             frames += self._life_sign()
         # What the plant measures beside pv, before the telemetry of its sample
@@ -258,122 +225,122 @@ class VirtualDevice:
             return []
         return [self._encode(answer) for answer in self._answer(frame)]
 
-    def _encode(self, frame: DeviceFrame) -> can.Message:
+    def _encode(self, frame: wire.DeviceFrame) -> can.Message:
         """The frame as a message; an acknowledge tells in which epoch it was given."""
-        if isinstance(frame, Ack):
-            frame = replace(frame, epoch=self.epoch % EPOCH_TAG)
+        if isinstance(frame, wire.Ack):
+            frame = replace(frame, epoch=self.epoch % wire.EPOCH_TAG)
         return self._codec.encode(frame)
 
-    def _answer(self, frame: Frame) -> list[DeviceFrame]:
+    def _answer(self, frame: wire.Frame) -> list[wire.DeviceFrame]:
         """What the firmware says to a host's frame."""
         match frame:
-            case Read(page=Page.IDENTITY):
-                return [Identity(PROTOCOL_VERSION, schema(), self.settings.sample_time_s), *self._life_sign()]
-            case Read(page=Page.CHALLENGE):
-                return [Challenge(frame.token % CHALLENGE_TAG, int(self.code.demanded), self.code.nonce)]
-            case Read():
+            case wire.Read(page=wire.Page.IDENTITY):
+                return [wire.Identity(wire.PROTOCOL_VERSION, schema(), self.settings.sample_time_s), *self._life_sign()]
+            case wire.Read(page=wire.Page.CHALLENGE):
+                return [wire.Challenge(frame.token % wire.CHALLENGE_TAG, int(self.code.demanded), self.code.nonce)]
+            case wire.Read():
                 return list(self.pages.read(frame))
-            case Lease():
+            case wire.Lease():
                 # Give, prolong or take back the lease; a page staged under one that ends is dropped
                 before = self.lease.owner
                 answer = self.lease.request(frame, self.epoch, self.sample)
                 if self.lease.owner != before:
                     self.pages.drop_staged()
                 return [answer]
-            case Abort():
+            case wire.Abort():
                 return [self._fence(frame)]
-            case Stage() | Commit() | Auth() | Confirm() | Store():
+            case wire.Stage() | wire.Commit() | wire.Auth() | wire.Confirm() | wire.Store():
                 return _some(self._change(frame))
-            case Setpoint() | Mode() | Load():
+            case wire.Setpoint() | wire.Mode() | wire.Load():
                 return [self._command(frame)]
             case _:  # a frame that only devices send: another device under this node's number
                 self.refused += 1
                 return []
 
-    def _fence(self, frame: Abort) -> Ack:
+    def _fence(self, frame: wire.Abort) -> wire.Ack:
         """Fence a number off, and with it any code that was made for it: numbers come round again, codes must not."""
         answer = self.pages.abort(frame)
-        if answer.reason is Reason.OK:
+        if answer.reason is wire.Reason.OK:
             self.code.renew()
         return answer
 
-    def _change(self, frame: Stage | Commit | Auth | Confirm | Store) -> Ack | None:
+    def _change(self, frame: wire.Stage | wire.Commit | wire.Auth | wire.Confirm | wire.Store) -> wire.Ack | None:
         """A step towards another running or stored set: for the owner of the lease alone."""
         lease, pages = self.lease, self.pages
         match frame:
-            case Stage():
-                if lease.allows(frame.owner, OWNER_TAG):
+            case wire.Stage():
+                if lease.allows(frame.owner, wire.OWNER_TAG):
                     return pages.stage(frame)
-                return Ack(Kind.STAGE, frame.seq, Reason.NOT_OWNER, pages.latest, frame.item)
-            case Commit():  # its CRC covers the owner
+                return wire.Ack(wire.Kind.STAGE, frame.seq, wire.Reason.NOT_OWNER, pages.latest, frame.item)
+            case wire.Commit():  # its CRC covers the owner
                 return pages.commit(frame, lease.owner, self._code_of)
-            case Auth():
+            case wire.Auth():
                 self.code.take(frame)
                 return None
-            case Confirm():
+            case wire.Confirm():
                 if lease.allows(frame.owner):
                     return pages.confirm(frame)
-                return Ack(Kind.CONFIRM, frame.seq, Reason.NOT_OWNER, pages.latest)
-            case Store():
-                if lease.allows(frame.owner, STORE_TAG):
+                return wire.Ack(wire.Kind.CONFIRM, frame.seq, wire.Reason.NOT_OWNER, pages.latest)
+            case wire.Store():
+                if lease.allows(frame.owner, wire.STORE_TAG):
                     return pages.store(frame)
-                return Ack(Kind.STORE, frame.seq, Reason.NOT_OWNER, pages.latest)
+                return wire.Ack(wire.Kind.STORE, frame.seq, wire.Reason.NOT_OWNER, pages.latest)
 
-    def _code_of(self, frame: Commit, gains: PidGains) -> Reason:
+    def _code_of(self, frame: wire.Commit, gains: PidGains) -> wire.Reason:
         return self.code.judge(self.settings.node, self.epoch, self.lease.owner, frame.seq, frame.base, gains)
 
-    def _command(self, frame: Setpoint | Mode | Load) -> Ack:
+    def _command(self, frame: wire.Setpoint | wire.Mode | wire.Load) -> wire.Ack:
         """A command about the loop, by its type."""
         settings = self.settings
         match frame:
-            case Setpoint():
+            case wire.Setpoint():
                 inside = settings.sp_min <= frame.sp <= settings.sp_max
-                return self._obey(Kind.SETPOINT, frame, inside=inside, act=self._take_setpoint)
-            case Mode():
+                return self._obey(wire.Kind.SETPOINT, frame, inside=inside, act=self._take_setpoint)
+            case wire.Mode():
                 inside = settings.co_min <= frame.co <= settings.co_max or frame.mode == LoopMode.AUTO
-                return self._obey(Kind.MODE, frame, inside=inside, act=self._take_mode)
-            case Load():
-                return self._obey(Kind.LOAD, frame, inside=True, act=self._take_load)
+                return self._obey(wire.Kind.MODE, frame, inside=inside, act=self._take_mode)
+            case wire.Load():
+                return self._obey(wire.Kind.LOAD, frame, inside=True, act=self._take_load)
 
-    def _obey(self, kind: Kind, frame: Command, *, inside: bool, act: Callable[[Command], None]) -> Ack:
+    def _obey(self, kind: wire.Kind, frame: Command, *, inside: bool, act: Callable[[Command], None]) -> wire.Ack:
         """Act once on a newer frame, answer a repeated one again, refuse an older one."""
         if not self.lease.allows(frame.owner):
-            return Ack(kind, frame.counter, Reason.NOT_OWNER, frame.counter)
+            return wire.Ack(kind, frame.counter, wire.Reason.NOT_OWNER, frame.counter)
         last = self._last.get(kind)
-        if last is not None and frame != last and not newer(frame.counter, last.counter, COUNTER_BITS):
-            return Ack(kind, frame.counter, Reason.STALE, last.counter)
+        if last is not None and frame != last and not wire.newer(frame.counter, last.counter, COUNTER_BITS):
+            return wire.Ack(kind, frame.counter, wire.Reason.STALE, last.counter)
         if not inside:
-            return Ack(kind, frame.counter, Reason.OUT_OF_RANGE, frame.counter)
+            return wire.Ack(kind, frame.counter, wire.Reason.OUT_OF_RANGE, frame.counter)
         if frame != last:
             self._last[kind] = frame
             act(frame)
-        return Ack(kind, frame.counter, Reason.OK, frame.counter)
+        return wire.Ack(kind, frame.counter, wire.Reason.OK, frame.counter)
 
-    def _take_setpoint(self, frame: Setpoint) -> None:
+    def _take_setpoint(self, frame: wire.Setpoint) -> None:
         self.sp = frame.sp
 
-    def _take_mode(self, frame: Mode) -> None:
+    def _take_mode(self, frame: wire.Mode) -> None:
         self.auto = frame.mode == LoopMode.AUTO
         self._manual_co = frame.co
 
-    def _take_load(self, frame: Load) -> None:
+    def _take_load(self, frame: wire.Load) -> None:
         self.load = frame.load
 
-    def _life_sign(self) -> list[DeviceFrame]:
+    def _life_sign(self) -> list[wire.DeviceFrame]:
         pages = self.pages
         flags = (
-            Flags.AUTO * self.auto
-            + Flags.STAGED * pages.has_staged
-            + Flags.STORED * pages.is_stored
-            + Flags.TRIAL * pages.on_trial
-            + Flags.OWNED * (self.lease.owner != NOBODY)
-            + Flags.WRONG_CODE * (self.code.wrong > 0)
-            + Flags.BLIND * self.blind
-            + Flags.FAULT * self.fault
+            wire.Flags.AUTO * self.auto
+            + wire.Flags.STAGED * pages.has_staged
+            + wire.Flags.STORED * pages.is_stored
+            + wire.Flags.TRIAL * pages.on_trial
+            + wire.Flags.OWNED * (self.lease.owner != NOBODY)
+            + wire.Flags.WRONG_CODE * (self.code.wrong > 0)
+            + wire.Flags.BLIND * self.blind
+            + wire.Flags.FAULT * self.fault
         )
         return [
-            Heartbeat(self.sample, self.epoch, flags),
-            Status(self.running.seq, self.pages.latest, self.refused % REFUSED_WRAP, self.lease.owner),
+            wire.Heartbeat(self.sample, self.epoch, flags),
+            wire.Status(self.running.seq, self.pages.latest, self.refused % wire.REFUSED_WRAP, self.lease.owner),
         ]
 
 
@@ -382,6 +349,6 @@ def is_reading(pv: float) -> bool:
     return PV_WIRE[0] <= pv <= PV_WIRE[1]
 
 
-def _some(answer: Ack | None) -> list[DeviceFrame]:
+def _some(answer: wire.Ack | None) -> list[wire.DeviceFrame]:
     """An answer or none, as a list."""
     return [] if answer is None else [answer]

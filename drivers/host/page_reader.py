@@ -7,18 +7,8 @@ covers all of it.
 
 from typing import NamedTuple
 
+from retuner.drivers.protocol import frames as wire
 from retuner.drivers.protocol.checksum import page_crc
-from retuner.drivers.protocol.frames import (
-    CHALLENGE_TAG,
-    PAGE_TAG,
-    TOKENS,
-    Challenge,
-    Item,
-    Page,
-    PageEnd,
-    PageItem,
-    Read,
-)
 from retuner.schedule.gains import PidGains
 
 
@@ -43,8 +33,8 @@ class _Question(NamedTuple):
     """What is being put together."""
 
     token: int
-    items: dict[int, PageItem]
-    ends: list[PageEnd]
+    items: dict[int, wire.PageItem]
+    ends: list[wire.PageEnd]
 
 
 class PageReader:
@@ -57,31 +47,31 @@ class PageReader:
         self._token = first_token
         self._asked: dict[int, _Question] = {}
 
-    def ask(self, page: int) -> Read:
+    def ask(self, page: int) -> wire.Read:
         """The frame that asks for a page; answers to earlier questions about it no longer count."""
-        self._token = (self._token + 1) % TOKENS
+        self._token = (self._token + 1) % wire.TOKENS
         self._asked[page] = _Question(self._token, {}, [])
-        return Read(page, self._token)
+        return wire.Read(page, self._token)
 
-    def overheard(self, read: Read) -> None:
+    def overheard(self, read: wire.Read) -> None:
         """A question that another reader has asked: answers to it count from here on."""
         self._asked[read.page] = _Question(read.token, {}, [])
 
-    def take(self, frame: PageItem | PageEnd) -> ReadBack | None:
+    def take(self, frame: wire.PageItem | wire.PageEnd) -> ReadBack | None:
         """Note an answer; the page once it is whole."""
         question = self._asked.get(frame.page)
-        if question is None or frame.token != question.token % PAGE_TAG:
+        if question is None or frame.token != question.token % wire.PAGE_TAG:
             return None
-        if isinstance(frame, PageEnd):
+        if isinstance(frame, wire.PageEnd):
             question.ends[:] = [frame]
         else:
             question.items[frame.item] = frame
         return self._whole(question) if question.ends else None
 
-    def is_newest(self, challenge: Challenge) -> bool:
+    def is_newest(self, challenge: wire.Challenge) -> bool:
         """Whether this answers the newest question for the challenge."""
-        question = self._asked.get(Page.CHALLENGE)
-        return question is not None and challenge.token == question.token % CHALLENGE_TAG
+        question = self._asked.get(wire.Page.CHALLENGE)
+        return question is not None and challenge.token == question.token % wire.CHALLENGE_TAG
 
     def _whole(self, question: _Question) -> ReadBack | None:
         """The page if all parts are here and belong together."""
@@ -90,11 +80,11 @@ class PageReader:
             del self._asked[end.page]
             return ReadBack(end.page, end.seq, None, end.crc, question.token)
         items = question.items
-        if len(items) < len(Item) or any(item.seq != end.seq for item in items.values()):
+        if len(items) < len(wire.Item) or any(item.seq != end.seq for item in items.values()):
             return None
         del self._asked[end.page]
         try:
-            gains = PidGains(items[Item.KP].value, items[Item.KI].value, items[Item.KD].value)
+            gains = PidGains(items[wire.Item.KP].value, items[wire.Item.KI].value, items[wire.Item.KD].value)
         except ValueError:
             return ReadBack(end.page, end.seq, None, end.crc, question.token)
         return ReadBack(end.page, end.seq, gains, end.crc, question.token)

@@ -17,23 +17,9 @@ from enum import Enum
 
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed, WriteUnknown
 from retuner.drivers.host.page_reader import PageReader, ReadBack
+from retuner.drivers.protocol import frames as wire
 from retuner.drivers.protocol.authentication import code_frames, commit_code
 from retuner.drivers.protocol.checksum import commit_crc, set_crc
-from retuner.drivers.protocol.frames import (
-    OWNER_TAG,
-    Abort,
-    Ack,
-    Challenge,
-    Commit,
-    Frame,
-    Item,
-    Kind,
-    Page,
-    Reason,
-    Stage,
-    newer,
-    reason_text,
-)
 from retuner.drivers.state_machine import StateMachine
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
@@ -99,7 +85,7 @@ TRANSITIONS: dict[tuple[WritePhase, WriteInput], WritePhase] = {
 SEQUENCES = 1 << 16
 TRIES = {P.CLAIMING: 4, P.STAGING: 4, P.COMMITTING: 1}  # the others try for ever: they establish what runs
 CLAIMS = 4  # times that one write may begin anew because its lease has run out
-NEEDS_ANEW = (Reason.NOT_OWNER, Reason.STALE)
+NEEDS_ANEW = (wire.Reason.NOT_OWNER, wire.Reason.STALE)
 """Refusals of staging after a lease that ran out: nobody's now, or its number has been used up by what was dropped."""
 UNKNOWN_AFTER = 3  # tries of FENCING or READING without an answer after which the result is said to be unknown
 
@@ -116,9 +102,9 @@ class WriteOrder:
     owner: int = 1
     key: bytes | None = field(default=None, repr=False)
 
-    def commit(self, nonce: int | None = None) -> list[Frame]:
+    def commit(self, nonce: int | None = None) -> list[wire.Frame]:
         """The commit of this order, with its code in front when there is a key; nonce is the device's challenge."""
-        commit = Commit(self.seq, self.base, commit_crc(self.set_crc, self.base, self.owner))
+        commit = wire.Commit(self.seq, self.base, commit_crc(self.set_crc, self.base, self.owner))
         if self.key is None or nonce is None:
             return [commit]
         code = commit_code(self.key, self.node, self.epoch, nonce, self.owner, self.seq, self.base, self.gains)
@@ -129,10 +115,10 @@ class WriteOrder:
         """CRC-32 of the set."""
         return set_crc(self.node, self.epoch, self.seq, self.gains)
 
-    def stage(self) -> list[Frame]:
+    def stage(self) -> list[wire.Frame]:
         """The frames that stage it."""
-        values = zip(Item, (self.gains.kp, self.gains.ki, self.gains.kd), strict=True)
-        return [Stage(item, self.owner % OWNER_TAG, value, self.seq) for item, value in values]
+        values = zip(wire.Item, (self.gains.kp, self.gains.ki, self.gains.kd), strict=True)
+        return [wire.Stage(item, self.owner % wire.OWNER_TAG, value, self.seq) for item, value in values]
 
 
 class Sequence:
@@ -143,16 +129,16 @@ class Sequence:
 
     def note(self, number: int) -> None:
         """Remember a number if it is the newest."""
-        if self._newest is None or newer(number, self._newest):
+        if self._newest is None or wire.newer(number, self._newest):
             self._newest = number
 
-    def correct(self, ack: Ack, own: int | None) -> None:
+    def correct(self, ack: wire.Ack, own: int | None) -> None:
         """The device's answer to a set: what it says about a stale number goes before all that was seen.
 
         For what was seen may have been forged: a STATUS half the circle ahead would make every write stale. Only in
         answer to this host's own number: a late one to somebody else's would lead back to numbers that are used up.
         """
-        if ack.reason == Reason.STALE and ack.seq == own:
+        if ack.reason == wire.Reason.STALE and ack.seq == own:
             self._newest = ack.latest
         else:
             self.note(ack.latest)
@@ -223,7 +209,7 @@ class WriteProtocol:
         """Number of the set that it is built on; None when nothing is being written."""
         return self._order.base if self._order is not None and self.busy else None
 
-    def due(self, now_s: float, *, owned: bool, asked: bool = False) -> list[Frame]:
+    def due(self, now_s: float, *, owned: bool, asked: bool = False) -> list[wire.Frame]:
         """Frames to send now: those of a phase just entered, or again after its time-out.
 
         owned : whether this host holds the lease at now_s; no commit is sent without it. asked : a request for it is
@@ -263,20 +249,20 @@ class WriteProtocol:
         unsent = self.phase is WritePhase.COMMITTING and self._tries == 0
         return self._claims < CLAIMS and (unsent or self.phase in {WritePhase.STAGING, WritePhase.CLAIMING})
 
-    def _actions(self) -> dict[WritePhase, Callable[[WriteOrder], list[Frame]]]:
+    def _actions(self) -> dict[WritePhase, Callable[[WriteOrder], list[wire.Frame]]]:
         return {
             WritePhase.CLAIMING: lambda _: [],
             WritePhase.STAGING: self._stage,
             WritePhase.COMMITTING: lambda order: order.commit(self._nonce),
-            WritePhase.FENCING: lambda order: [Abort(order.seq)],
-            WritePhase.READING: lambda _: [self._reader.ask(Page.RUNNING)],
+            WritePhase.FENCING: lambda order: [wire.Abort(order.seq)],
+            WritePhase.READING: lambda _: [self._reader.ask(wire.Page.RUNNING)],
         }
 
-    def _stage(self, order: WriteOrder) -> list[Frame]:
+    def _stage(self, order: WriteOrder) -> list[wire.Frame]:
         """Gains, the question how they stand there, and with a key the question for the challenge."""
         self._staged_right = False  # what is sent again is read back again
-        challenge = [self._reader.ask(Page.CHALLENGE)] if order.key is not None else []
-        return [*order.stage(), self._reader.ask(Page.STAGED), *challenge]
+        challenge = [self._reader.ask(wire.Page.CHALLENGE)] if order.key is not None else []
+        return [*order.stage(), self._reader.ask(wire.Page.STAGED), *challenge]
 
     def _time_out(self) -> None:
         if self._tries < TRIES.get(self.phase, self._tries + 1):
@@ -297,20 +283,20 @@ class WriteProtocol:
         self._told_unknown = True
         return WriteUnknown(self._order.seq, f"{self._why}; the device does not say what it runs; asking on")
 
-    def on_ack(self, ack: Ack) -> None:
+    def on_ack(self, ack: wire.Ack) -> None:
         """An acknowledge has come."""
         if self._order is None or ack.seq != self._order.seq:
             return
-        if ack.kind == Kind.ABORT:
+        if ack.kind == wire.Kind.ABORT:
             self._move(WriteInput.FENCED)
-        elif ack.kind == Kind.COMMIT and ack.reason == Reason.OK:
+        elif ack.kind == wire.Kind.COMMIT and ack.reason == wire.Reason.OK:
             self._why = "it ran, but gave way before it could be read back"
             self._move(WriteInput.ACCEPTED)
-        elif ack.kind == Kind.STAGE and ack.reason in NEEDS_ANEW and self._may_begin_anew:
+        elif ack.kind == wire.Kind.STAGE and ack.reason in NEEDS_ANEW and self._may_begin_anew:
             self._move(WriteInput.LAPSED)
-        elif ack.kind in {Kind.COMMIT, Kind.STAGE}:
+        elif ack.kind in {wire.Kind.COMMIT, wire.Kind.STAGE}:
             if self.phase in {WritePhase.STAGING, WritePhase.COMMITTING}:
-                self._why = f"the device refused it: {reason_text(ack)}"
+                self._why = f"the device refused it: {wire.reason_text(ack)}"
             self._move(WriteInput.REFUSED)
 
     def on_other_owner(self, owner: int) -> None:
@@ -330,7 +316,7 @@ class WriteProtocol:
         elif order.key is None or self._nonce is not None:
             self._move(WriteInput.STAGED_RIGHT)
 
-    def on_challenge(self, challenge: Challenge) -> None:
+    def on_challenge(self, challenge: wire.Challenge) -> None:
         """The device's challenge has come. One that demands no code from a host with a key is not the right device."""
         if self._order is None or self._order.key is None or self.phase is not WritePhase.STAGING:
             return

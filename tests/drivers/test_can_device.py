@@ -4,6 +4,7 @@ import itertools
 import math
 import random
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -344,7 +345,8 @@ def test_a_device_that_is_not_the_expected_one_is_refused(make_bench, settings, 
 
 
 def test_another_protocol_or_layout_is_refused(make_bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("retuner.drivers.controller.virtual_device.PROTOCOL_VERSION", 9)
+    other = SimpleNamespace(**{**vars(frames), "PROTOCOL_VERSION": 9})
+    monkeypatch.setattr("retuner.drivers.controller.virtual_device.wire", other)
     with pytest.raises(DeviceMismatchError, match="protocol 9, this host 3"):
         make_bench().run(5)
     monkeypatch.undo()
