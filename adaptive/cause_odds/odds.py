@@ -20,6 +20,7 @@ import numpy as np
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
 from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
+from retuner.adaptive.cause_odds.valve_evidence import said_for_valve, shapes_of, unlike
 from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
@@ -136,8 +137,8 @@ def diagnose_records(
     if known is not None:
         odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
         odds = with_overshoot(odds, [one for w, f in open_ones if (one := _overshoot(w, f))], settings.limits)
-    free = max(_unlike(f) for _, f in open_ones)
-    under_walk = _under_walk(walk, odds, sum(_shapes(f, settings) for _, f in open_ones), free, settings)
+    free = max(unlike(f) for _, f in open_ones)
+    under_walk = _under_walk(walk, odds, sum(shapes_of(f, settings) for _, f in open_ones), free, settings)
     under_steps, weight = _under_steps(open_ones, under_walk, walk, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
     causes = _mixed(under_steps, under_walk, weight, most)
@@ -165,14 +166,17 @@ def _in_steps(window: Window) -> bool:
 def _alone(found: RecordVerdict, settings: OddsSettings) -> RecordVerdict:
     """A verdict that stands by itself; the odds that it leaves open are unknown's."""
     told = found.diagnosis
-    p = min(told.confidence, settings.most)
+    p, other = min(told.confidence, settings.most), Cause.UNKNOWN
     if told.cause in {Cause.UNKNOWN, Cause.STICTION} and told.evidence.get("stand_degree"):
-        odds = settings.stiction / (1.0 - settings.stiction) * math.exp(_shapes(found, settings))
+        odds = settings.stiction / (1.0 - settings.stiction) * math.exp(shapes_of(found, settings))
         p = min(odds / (1.0 + odds), settings.most)
         if told.cause == Cause.UNKNOWN and p > HALF:
             told = replace(told, cause=Cause.STICTION, confidence=p, reason=WORDS[Cause.STICTION])
-    causes = {str(told.cause): 1.0} if told.cause == Cause.UNKNOWN else {str(told.cause): p, str(Cause.UNKNOWN): 1 - p}
-    return replace(found, diagnosis=replace(told, confidence=min(told.confidence, p), causes=causes))
+        elif told.cause == Cause.UNKNOWN:
+            p, other = 1.0 - p, Cause.STICTION
+    causes = {told.cause: 1.0} if told.cause == other else {told.cause: p, other: 1.0 - p}
+    shares = {str(cause): share for cause, share in causes.items()}
+    return replace(found, diagnosis=replace(told, confidence=min(told.confidence, p), causes=shares))
 
 
 def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
@@ -245,44 +249,15 @@ def _overshoot(window: Window, found: RecordVerdict) -> RecordOvershoot | None:
     return RecordOvershoot.of(window.sp - window.pv, evidence["overshoot"], evidence["setpoint_size"])
 
 
-def _shapes(found: RecordVerdict, settings: OddsSettings) -> float:
-    """What shapes and plateaus say for a valve, as a logarithm of how many times likelier it makes the record."""
-    told = found.diagnosis
-    times = settings.shapes_say if told.cause == Cause.STICTION else 1.0
-    degree = told.evidence.get("stand_degree", 0.0)
-    # by the square: of twelve good loops whose pv stood under a real load eight did so in part
-    slips = settings.stands_slips / settings.stands
-    stands = settings.stands ** min(degree, 1.0) ** 2 * slips ** max(degree - 1.0, 0.0)
-    return math.log(max(times, stands, settings.valve_fits if _fits(found) else 1.0))
-
-
-def _fits(found: RecordVerdict) -> bool:
-    """Whether a fitted valve explains a record where loop and tone with their loads leave far more."""
-    told = found.diagnosis
-    if told.cause != Cause.STICTION or "stuck_left" not in told.evidence:
-        return False
-    left = min(told.evidence["stuck_left"], told.evidence.get("slips_left", math.inf))
-    return min(told.evidence["linear_left"], told.evidence["external_left"]) >= FITS_BETTER * left
-
-
-FITS_BETTER = 1.3
-"""Times as much as it leaves: of 21 such records 20 were of valves, and none of 33 other loops under real loads."""
-
-
 def _under_walk(
     walk: Walk, odds: TuningOdds | None, shapes: float, free: float, settings: OddsSettings
 ) -> dict[Cause, float]:
     """Odds under a load that wanders. shapes : what shapes and plateaus say for a valve, in all records.
 
-    free : logarithm of a factor against the valves of the grid up to which it says nothing (_unlike).
+    free : logarithm of a factor against the valves of the grid up to which it says nothing (unlike).
     """
     linear = 1.0 - settings.stiction - settings.nonlinear
-    known, share = min(settings.valve_weight * walk.valve, 500.0), settings.other_valve
-    evidence = math.log(
-        (1.0 - share) * math.exp(known) + share * math.exp(min(settings.other_weight * walk.valve, 0.0))
-    )
-    if shapes:  # they see valves that are unlike the grid's
-        evidence = shapes + max(known, min(walk.valve + free, 0.0))
+    evidence = said_for_valve(walk.valve, shapes, free, settings)
     stiction = settings.stiction / linear * math.exp(min(max(evidence, -50.0), 300.0))
     # Loads alone may bend a record, and no process that bends has a pv that stands while co travels
     bends = walk.moved >= settings.moved and shapes < math.log(settings.stands)
@@ -296,18 +271,6 @@ def _under_walk(
         outside = float(np.sum(robust * walk.swings)) / max(float(np.sum(robust)), 1e-300)
         found |= {Cause.OK: found[Cause.OK] * (1.0 - outside), Cause.EXTERNAL: found[Cause.OK] * outside}
     return {Cause.STICTION: stiction / whole, Cause.NONLINEAR: nonlinear / whole, **found}
-
-
-def _unlike(found: RecordVerdict) -> float:
-    """Logarithm of a factor against the valves of the grid up to which it says nothing: valves slip irregularly."""
-    if _fits(found):
-        return math.inf
-    return UNLIKE if found.diagnosis.cause == Cause.STICTION else UNLIKE_STANDING
-
-
-UNLIKE, UNLIKE_STANDING = 3.0, 1.5
-"""That where a fit or a shape names the valve, and where pv stands alone. Of 27 real valves whose pv stands 26 are
-within -1.4; of twelve good loops whose pv stands under a real load eight are beyond -2.5."""
 
 
 def _under_steps(

@@ -7,7 +7,7 @@ load steps and ramps explain as much. What decides is stand-still measured insid
     c         how far co goes in it, as a share of its range; idle = sum of c; dwell = the longest leg in units of tau_I
     slip      pv goes from one plateau to the next; it agrees where co has gone that way since its last turning point
 
-    stands    idle >= 1 on two legs or more, dwell >= 10 tau_I, a slip agrees and twice as many agree as do not
+    stands    idle >= 1 on two legs or more, dwell >= 10 tau_I, and two thirds of the slips, by their squares, agree
     sticks    and the slips are faster than the loop could be (its own crossing takes tau_I (1 + 1/(Kc k)) and more), or
               a setpoint step is answered by nothing for 8 tau_I while co travels, and then by a step
     does not answer    one leg over nearly all that co ever moves, 20 tau_I long, and no slip
@@ -154,11 +154,8 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
     legs = [leg for p in found for leg in _legs(rows, p, steps, gains, tau_i, settings)]
     counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
     slips = [b.first for a, b in pairwise(found)]
-    agreed, share = _agreed(rows, found, gains.direction, settings)
-    lasts = sum(leg.travel for leg in counted) >= settings.idle and len(counted) >= settings.legs
-    lasts = lasts and max(leg.dwell for leg in counted) >= settings.dwell
+    agreed, share = _agreed(rows, found, gains.direction, tau_i, settings)
     explained = _explained(rows.pv, steps, settings)
-    stands = lasts and _agree(len(agreed), len(slips)) and explained >= 1.0
     silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
     idle = sum(leg.travel * _up_to(leg.travel, settings.travel) for leg in legs)
@@ -166,6 +163,7 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
     degree = min(
         _up_to(idle, settings.idle), _up_to(dwell, settings.dwell), _up_to(share, AGREEING), _up_to(explained, 1.0)
     )
+    stands = degree >= 1.0 and len(counted) >= settings.legs and sum(leg.travel for leg in counted) >= settings.idle
     quick = 1.0 if silent else _up_to(settings.quick * tau_i, max(steps.lag, NO_LAG))
     return StandStill(
         counted,
@@ -175,7 +173,7 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
         steps.lag / tau_i,
         silent,
         stands,
-        stands and (steps.lag <= settings.quick * tau_i or bool(silent)),
+        stands and quick >= 1.0,
         dead and not slips,
         degree,
         quick,
@@ -202,11 +200,6 @@ def _may_stand(rows: Window, tau_i: float, settings: StandStillSettings) -> bool
     error = running_mean(rows.sp - rows.pv, max(len(rows.pv) // SMOOTHED, 1))
     longest = max((end - first for sign in (1.0, -1.0) for first, end in runs(sign * error > 0)), default=0)
     return longest >= ABOUT * settings.dwell * tau_i
-
-
-def _agree(agreed: int, slips: int) -> bool:
-    """Whether pv went where co had gone, mostly."""
-    return agreed >= 1 and agreed >= AGREEING * slips
 
 
 def _explained(pv: FloatArray, steps: Steps, settings: StandStillSettings) -> float:
@@ -256,25 +249,34 @@ def _legs(
 
 
 def _agreed(
-    rows: Window, found: Sequence[Plateau], direction: int, settings: StandStillSettings
+    rows: Window, found: Sequence[Plateau], direction: int, tau_i: float, settings: StandStillSettings
 ) -> tuple[list[float], float]:
     """When pv steps from plateau to plateau the way that co has gone before, s; and the share of all steps that do so,
-    by their sizes and by how far co had gone.
+    by their squares and by how far co had gone.
+
+    One that follows the setpoint at once says nothing of a valve that need not have turned. tau_i : in rows.
     """
-    least, since = settings.slip_travel * float(np.ptp(rows.co)), 0
-    agreed, sizes, ways = [], LEAST_STEPS, 0.0
+    least = settings.slip_travel * float(np.ptp(rows.co))
+    agreed, squares, ways = [], LEAST_STEPS, 0.0
+    gone_by: list[tuple[int, float]] = []
     for before, after in pairwise(found):
+        size, way = abs(after.level - before.level), np.sign(after.level - before.level)
+        since = max((row for row, other in gone_by if other >= COMPARABLE * size), default=0)
         at = max(before.last, since + 1)
-        size, way = abs(after.level - before.level), np.sign(after.level - before.level) * direction
-        co = way * rows.co[since:at]
-        gone = float(co[-1] - np.min(co))
+        co = way * direction * rows.co[since:at]
+        gone, back = float(co[-1] - np.min(co)), float(np.max(co) - co[-1])
+        gone_by.append((at, size))
+        led = way * float(rows.sp[after.first] - rows.sp[max(before.last - round(tau_i), 0)])
+        if led >= COMPARABLE * size and max(gone, back) < least:
+            continue
         agreed += [float(rows.t_s[after.first])] if gone > least else []
-        sizes, ways = sizes + size, ways + size * _up_to(gone, least)
-        since = at
-    return agreed, ways / sizes
+        squares, ways = squares + size**2, ways + size**2 * _up_to(gone, least)
+    return agreed, ways / squares
 
 
-LEAST_STEPS = 1e-300  # sizes of steps add up to this at least
+COMPARABLE = 0.5
+"""Share of a step's size from which one before it has used up what co had gone, and from which the setpoint led it."""
+LEAST_STEPS = 1e-300  # squares of steps add up to this at least
 
 
 def _ends(agreed: Sequence[float], legs: Sequence[Leg]) -> list[float]:

@@ -22,6 +22,7 @@ from retuner.adaptive.valve.stand_still import (
     Leg,
     StandStill,
     StandStillSettings,
+    _agreed,
     _ends,
     stand_still,
 )
@@ -125,6 +126,40 @@ def test_a_real_sticking_valve_whose_co_was_stored_in_pieces():
     assert found.cause == Cause.STICTION
     assert not found.retune
     assert settings_in_force(Window(*record)).gains is None
+
+
+def cropped(name: str, share: slice) -> StandStill | None:
+    """Some of the rows of a real record, with the settings that are read off them."""
+    window = Window(*(x[share] for x in recorded(name)))
+    gains = rough_law(window)
+    assert gains is not None
+    return stand_still(window, gains, SETTINGS)
+
+
+def test_a_step_goes_where_co_has_gone_whatever_little_steps_lie_between():
+    """Without its last slip little steps of a load showed, and took co's long way away from the one slip after them."""
+    found = cropped("FIC31102_0628_1.csv", slice(None, 676))
+    assert found is not None
+    assert found.agreed == 1
+    assert found.degree == 1.0
+
+
+def test_a_step_that_follows_the_setpoint_at_once_says_nothing():
+    """Of a record cropped to just before its setpoint step pv stood no more: co had not gone there before. Where co
+    came from the other side, the valve has turned at once.
+    """
+    sp, co = (
+        np.repeat([0.0, 4.0], [40, 260]),
+        np.concatenate([np.zeros(40), np.linspace(0, 2, 60), np.linspace(2, 0, 200)]),
+    )
+    rows = Window(np.arange(300.0), sp, np.repeat([0.0, 4.0, 3.0], [42, 188, 70]), co)
+    found = plateaus(rows.pv, as_steps(rows.pv))
+    assert len(found) == 3
+    agreed, share = _agreed(rows, found, 1, 5.0, SETTINGS)
+    assert (len(agreed), share) == (1, 1.0)
+    alone = replace(rows, sp=np.zeros(300))
+    turned = replace(rows, co=np.concatenate([np.linspace(3, 0, 40), co[40:]]))
+    assert max(_agreed(one, found, 1, 5.0, SETTINGS)[1] for one in (alone, turned)) < 0.1
 
 
 def test_only_steps_that_end_a_stand_are_told_after_it():
