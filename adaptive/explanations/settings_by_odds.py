@@ -276,10 +276,10 @@ def _candidates(
         theta = without_second_lag(seen).theta_s
         for ratio in TAU_CS:
             tuning = simc(seen, ratio * theta)
+            size = abs(tuning.gains.kp) / (most * abs(active.kp)) if active.kp else 1.0
+            if size > 1.0:  # SIMC's at that gain: its gain is 1 / (k' (tau_c + theta))
+                tuning = simc(seen, size * (ratio + 1.0) * theta - theta)
             new = tuning.gains
-            size = abs(new.kp) / (most * abs(active.kp)) if active.kp else 1.0
-            if size > 1.0:
-                new = PidGains(new.kp / size, new.ki / size)
             if active.ki and abs(new.ki) > most * abs(active.ki):
                 new = PidGains(new.kp, most * active.ki)
             if active.kp and abs(new.ki * active.kp) > abs(new.kp * active.ki):
