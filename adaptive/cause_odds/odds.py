@@ -206,10 +206,10 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     valve = sum(log_odds_of_valve(r, direction) for r in records)
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
     of_longest = each[longest]
-    shares, swings, period_s = [0.0] * len(records), np.zeros(()), math.nan
+    shares, powers, swings, period_s = [0.0], [1.0] * len(records), np.zeros(()), math.nan
     if unit is not None:
-        shares = [_share(*one, likelihood) for one, likelihood in zip(both, each, strict=True)]
-    powers = [TEMPER / temper(share) if gains is not None else 1.0 for share in shares]
+        moved = [_share(*one, likelihood) for one, likelihood in zip(both, each, strict=True)]
+        shares, powers = [share for share, _ in moved], [TEMPER / temper(share) for _, share in moved]
     weighed = [power * alone for power, alone in zip(powers, each, strict=True)]
     total = np.sum(weighed, axis=0)
     if unit is not None and max(shares) >= settings.swings_moved:
@@ -225,10 +225,10 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     return Walk(total, valve, along, records[longest], of_longest, max(shares), swings, period_s)
 
 
-def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> float:
-    """The setpoint's share in what moves a record. setpoint : from its first value; pv's own where co goes by hand."""
+def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> tuple[float, float]:
+    """setpoint_share. setpoint : from its first value; pv's own where co goes by hand, and then moves all."""
     if np.array_equal(setpoint, record.pv):
-        return 1.0
+        return 1.0, 1.0
     row = int(np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)[0])
     return setpoint_share(record, setpoint, shapes()[row].lag)
 
@@ -348,9 +348,9 @@ def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, settings: O
     left /= max(record.sample_time_s / misfit.record.sample_time_s, 1.0)
     steps = misfit.loads + misfit.harmonics
     lead = lead_of_steps(left, steps, len(misfit.record.pv), record, walk.of_record)
-    most = settings.tone_alone if cause == Cause.EXTERNAL else 1.0
-    if _white(fit, settings):
-        lead, most = max(lead, 0.0), 1.0
+    most = 1.0
+    if cause == Cause.EXTERNAL:  # harmonics cost a tone much
+        lead, most = (max(lead, 0.0), 1.0) if _white(fit, settings) else (lead, settings.tone_alone)
     return most / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
 
 

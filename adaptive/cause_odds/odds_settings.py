@@ -28,8 +28,8 @@ class OddsSettings:
         records). stands : where it stands and a drifting load may do so too; 2 to 30, default 6 (of 20 sticking
         valves under real loads 2 stood, of 60 other loops 12, most of them under the output of a sticking valve).
     valve_fits : the same where a fitted valve leaves far less than loop and tone do; 5 to 50, default 20.
-    noise_left : what a fit with few_loads load steps or fewer may leave, in times the noise, and be at least as likely
-        as not, however well a load that wanders does; 1 to 1.5, default 1.15. few_loads : 0 to 4, default 2.
+    noise_left : what a tone with few_loads load steps or fewer may leave, in times the noise, and be at least as likely
+        as not, whatever its harmonics cost; 1 to 1.5, default 1.15. few_loads : 0 to 4, default 2.
     tone_alone : probability, at the most, of a tone from outside beside a load that wanders, where it does not leave
         the noise alone; 0.5 to 0.95, default 0.6 (of 5 loops under real loads where it was likelier than any walk it
         was behind none).

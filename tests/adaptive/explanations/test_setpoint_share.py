@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from drawn_loop import PRIOR, loop_record
+from scipy.signal import lfilter
 
 from retuner.adaptive.explanations.process_grid import gain_unit
 from retuner.adaptive.explanations.settings_by_odds import likely_processes
@@ -34,9 +36,25 @@ def odds() -> TuningOdds:
 
 def test_the_share_grows_with_the_setpoint_step_and_is_none_without() -> None:
     shares = [setpoint_share(*record(step), 20.0) for step in (0.0, 1.0, 4.0, 16.0)]
-    assert shares[0] == 0.0
+    assert shares[0] == (0.0, 0.0)
     assert shares == sorted(shares)
-    assert shares[-1] > 0.8
+    assert shares[-1][0] > 0.8
+    assert all(seen >= share for share, seen in shares)
+
+
+def test_samples_that_show_noise_alone_do_not_hide_what_the_setpoint_does() -> None:
+    """A level sampled ten times as fast, in as much more noise, is moved by its setpoint as much as before."""
+    rng, n = np.random.default_rng(3), 2000
+    load = 0.02 * np.cumsum(np.cumsum(rng.standard_normal(n))) / n
+    sp = np.repeat([0.0, 3.0], [n // 2, n // 2])
+    pv = lfilter([1 / 200.0], [1.0, -1.0 + 1 / 200.0], sp) + load + 0.5 * rng.standard_normal(n)
+    co = sp - pv
+    fast = Prepared(pv - pv[0], co - co[0], 0.0, 1.0)
+    slow, to = (x.reshape(-1, 10).mean(axis=1) for x in (pv, sp))
+    after = Prepared(slow - slow[0], (to - slow) - (to - slow)[0], 0.0, 10.0)
+    (share, seen), (share_then, seen_then) = setpoint_share(fast, sp, 200.0), setpoint_share(after, to, 20.0)
+    assert share < 0.6 * share_then
+    assert seen == pytest.approx(seen_then, abs=0.1)
 
 
 def test_the_share_has_no_unit() -> None:
