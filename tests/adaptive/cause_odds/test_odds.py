@@ -4,11 +4,13 @@ import csv
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from retuner.adaptive.cause_odds import odds
 from retuner.adaptive.cause_odds.odds import _mixed, diagnose_records, windows_of
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.controller_settings.read_off import settings_in_force
@@ -203,3 +205,19 @@ def test_equal_odds_keep_their_order_in_every_process() -> None:
     names: Any = [str(i) for i in range(40)]
     odds = dict.fromkeys(names, 1 / 40)
     assert list(_mixed(odds, odds, 0.5, 0.99)) == names
+
+
+@pytest.mark.parametrize(("cause", "weight"), [(Cause.AGGRESSIVE, 0.12), (Cause.EXTERNAL, 0.5)])
+def test_steps_that_leave_the_noise_alone_count_by_their_likelihood_and_a_tone_as_much_as_a_walk(
+    monkeypatch: pytest.MonkeyPatch, cause: Cause, weight: float
+) -> None:
+    """A slow swing in noise was too much gain from every second row, where a walk was e^10 times likelier."""
+    record = SimpleNamespace(pv=np.zeros(9), sample_time_s=1.0, noise_std=1.0)
+    misfit = SimpleNamespace(record=record, loads=2, harmonics=0)
+    fit = SimpleNamespace(
+        colour=SimpleNamespace(std=0.8), fit=SimpleNamespace(misfit=misfit, at=SimpleNamespace(explained=np.ones(9)))
+    )
+    found: Any = SimpleNamespace(fits={"linear": fit, "external": fit})
+    walk: Any = SimpleNamespace(record=record, of_record=np.zeros(1))
+    monkeypatch.setattr(odds, "lead_of_steps", lambda *_: -12.0)
+    assert odds._weight_of_steps(cause, found, walk, OddsSettings()) == pytest.approx(weight, abs=0.01)

@@ -7,7 +7,7 @@ import pytest
 from drawn_loop import PRIOR, loop_record
 
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
-from retuner.adaptive.explanations.process_grid import gain_unit
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes, units
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings, halved, likely_processes, worthwhile
@@ -46,6 +46,21 @@ def test_settings_are_robust_on_nearly_all_odds_and_on_the_truth(kc: float, seed
     assert gains.kp <= settings.most_at_once * kc * (1 + 1e-9)
     assert gains.ki <= gains.kp / 20.0 * (1 + 1e-9), "an integral time shorter than the one in force"
     assert found.sure <= found.likely
+
+
+def test_a_level_loop_gets_simcs_integral_time_at_the_gain_that_a_record_carries() -> None:
+    """k' Kc tau_I is 0.03, and ten times the gain would be SIMC's: with its tau_I at three times it was 1.2, not 4."""
+    slope, gains = 0.001, PidGains(1.0, 1.0 / 30.0)
+    unit, shape = gain_unit(gains, 1.0), next(i for i, one in enumerate(shapes()) if one.integrates and not one.second)
+    certain = np.full((len(shapes()), len(DEAD_TIMES), len(GAINS)), -1e3)
+    certain[shape, DEAD_TIMES.index(5.0), int(np.argmin(np.abs(GAINS * units()[shape] / unit - slope)))] = 0.0
+    odds = tuning_odds(certain, gains, 1.0, PRIOR, TuningLimits())
+    settings = WorthSettings()
+    found = worthwhile(odds, settings)
+    assert found is not None
+    new = found.tuning.gains
+    assert new.kp == pytest.approx(settings.most_at_once * gains.kp)
+    assert abs(found.models[0].k) * new.kp**2 / new.ki == pytest.approx(4.0, rel=0.05)
 
 
 def test_a_loop_in_order_needs_no_other_settings() -> None:
