@@ -3,8 +3,7 @@
     ln factor = s + d min(v + free, 0) + (1 - d) ln((1 - q) e^(w v) + q e^(u v))        s: shapes, v: grid's valves
 
 Plateaus and fits see valves that are unlike all of the grid's (share q): where they name one (d = 1) the grid's say
-less against it, and as much as by themselves where they name none (d = 0). In between is in between: of one record and
-nine tenths of it one had a degree of 0, the other of a quarter, and the valve's odds had gone from 2 to 33 %.
+less against it. In between is in between: with all or nothing nine tenths of a record turned 2 % into 33 %.
 """
 
 import math
@@ -45,8 +44,7 @@ def _fits(found: RecordVerdict) -> bool:
     return min(told.evidence["linear_left"], told.evidence["external_left"]) >= FITS_BETTER * left
 
 
-FITS_BETTER = 1.3
-"""Times as much as it leaves: of 21 such records 20 were of valves, and none of 33 other loops under real loads."""
+FITS_BETTER = 1.3  # times as much as it leaves: of 21 such records 20 were of valves, none of 33 other loops
 
 
 def unlike(found: RecordVerdict) -> float:

@@ -28,23 +28,16 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.valve_model import Family, StuckValve
 
 Valve = tuple[Family, float, float, float]
-GOLDEN = math.sqrt(5.0) - 1.0
-"""Multiples of it, from -1 to 1 again and again, are spread evenly over any stretch of them."""
-
-
-MOVING: list[Valve] = [
-    *(
-        (Family.KANO, band, jump, 0.0)
-        for band in (0.08, 0.12, 0.17, 0.24, 0.33, 0.45, 0.6, 0.8, 1.1, 1.6)
-        for jump in (0.0, 0.5)
-    ),
-    *((Family.KANO, band, 0.0, end) for band in (0.3, 0.7, 1.6) for end in (-1.0, 1.0)),
-]
-"""Play, and valves that follow after a slip (Kano et al. 2004): band as a share of co's range, jump of the band, and
-where the valve stands in its band when the record begins: where it came to rest, play does so at an end."""
-SLIPPING: list[Valve] = [
-    *((Family.HE, float(band), 1.0, 0.0) for band in np.geomspace(0.05, 0.9, 160)),
-    *((Family.HE, float(band), 1.0, GOLDEN * i % 2.0 - 1.0) for i, band in enumerate(np.geomspace(0.05, 1.6, 80))),
+"""Band as a share of co's range, jump of the band, and where it stands in its band at first, -1 to 1."""
+BANDS = (0.08, 0.12, 0.17, 0.24, 0.33, 0.45, 0.6, 0.8, 1.1, 1.6)
+# Play comes to rest at an end of its band
+MOVING: list[Valve] = [(Family.KANO, band, jump, 0.0) for band in BANDS for jump in (0.0, 0.5)]
+MOVING += [(Family.KANO, band, 0.0, end) for band in (0.3, 0.7, 1.6) for end in (-1.0, 1.0)]
+"""Play, and valves that follow after a slip (Kano et al. 2004)."""
+SLIPPING: list[Valve] = [(Family.HE, float(band), 1.0, 0.0) for band in np.geomspace(0.05, 0.9, 160)]
+SPREAD = math.sqrt(5.0) - 1.0  # its multiples, round and round from -1 to 1, are even over any stretch of the bands
+SLIPPING += [
+    (Family.HE, float(band), 1.0, i * SPREAD % 2.0 - 1.0) for i, band in enumerate(np.geomspace(0.05, 1.6, 80))
 ]
 """Valves that slip all the way."""
 LIKELIEST = 12
@@ -61,10 +54,7 @@ LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.
 def positions(co: FloatArray, valves: Sequence[Valve]) -> FloatArray:
     """What each valve that moves at all makes of co, from its first value; shape (valves, n)."""
     travel = float(np.ptp(co))
-    each = (
-        StuckValve(family, band * travel, jump * band * travel, start).position(co)
-        for family, band, jump, start in valves
-    )
+    each = (StuckValve(family, b * travel, j * b * travel, start).position(co) for family, b, j, start in valves)
     return np.array([position - position[0] for position in each if np.ptp(position) > 0])
 
 
