@@ -23,7 +23,6 @@ import sys
 from collections import Counter, deque
 from enum import StrEnum
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple
 
 import can
@@ -31,6 +30,7 @@ import can
 from retuner.drivers.bus.bus_opening import BUS_ERRORS, SOCKETCAN, UDP_MULTICAST, BusLog, open_bus
 from retuner.drivers.bus.link_settings import LinkCounters, LinkSettings
 from retuner.drivers.clock import Clock
+from retuner.drivers.closing import Closes
 from retuner.drivers.device import BusError, LinkState
 from retuner.schedule.late_dataclass import dataclass, field
 
@@ -235,7 +235,7 @@ SEND_TIMEOUT_S = 0.05  # longest wait for room in the transmit queue
 ECHOES_KEPT = 256  # own frames on udp_multicast whose echo is still awaited; a lost echo falls out at the end
 
 
-class CanLink:
+class CanLink(Closes):
     """A bus that never raises once it has been opened.
 
     settings : interface, channel and patience.
@@ -389,14 +389,6 @@ class CanLink:
         self._shut()
         self._next_open_s = float("inf")
         self._stop_log()
-
-    def __enter__(self) -> "CanLink":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _opened(self) -> can.BusABC | None:
         """The bus, opened anew if it is down and the pause is over."""

@@ -11,7 +11,6 @@ Nothing of that is left to the caller. `close` decides what runs on when nobody 
 import logging
 import math
 from collections.abc import Mapping
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from retuner.adaptive import display_hook
@@ -25,6 +24,7 @@ from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.background import BackgroundRetuner
 from retuner.decisions.decider import Decider
+from retuner.drivers.closing import Closes
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.pid import LIMITED, PidLaw, PidState, StateTuple, change, law, start, step, track
@@ -56,7 +56,7 @@ class _Place:
     pv: float
 
 
-class PidController(display_hook.Drawn):
+class PidController(display_hook.Drawn, Closes):
     """A PID controller with scheduled gains, and the retuner that watches it.
 
     Not thread-safe: guard calls with your own lock.
@@ -326,14 +326,6 @@ class PidController(display_hook.Drawn):
             "t_s": self._begin_s if place is None else place.t_s,
             "co": self._held_co if place is None else place.pid[3],
         }
-
-    def __enter__(self) -> "PidController":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         g, table = self.gains, self._retuner.table

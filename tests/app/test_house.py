@@ -27,8 +27,8 @@ ORDER = (
         "supervision", "orders", "setpoint_bumps", "audit",
     )),
     *(f"drivers.{name}" for name in (
-        "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
-        "conformance",
+        "clock", "closing", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host",
+        "recorded", "conformance",
         "profiles", "dbc", "canopen",
         "historian",
     )),

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from retuner.config.plants import (
     StateSpacePlantConfig,
 )
 from retuner.config.section import Problem
+from retuner.drivers.closing import Closes
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.plants.boiler_plant import BoilerPlant
@@ -146,7 +146,7 @@ def _ours(config: Config, plant: OurConfig) -> KnownPlant:
     )
 
 
-class Plants:
+class Plants(Closes):
     """The plants of some loops; ends the processes of models when it is left.
 
     configs : of the loops. say : takes a line on a plant that does something wrong. speed : how much faster than real
@@ -191,14 +191,6 @@ class Plants:
         if self._speed is None:
             return None
         return max(WAIT_SAMPLES * config.loop.sample_time_s / self._speed, WAIT_FLOOR_S)
-
-    def __enter__(self) -> "Plants":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def stopped(self) -> list[str]:

@@ -10,7 +10,6 @@ takes some seconds instead: everything that a later sample would have to wait fo
 """
 
 from collections import deque
-from types import TracebackType
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision
@@ -18,11 +17,12 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.decisions.decider import Decider
 from retuner.decisions.warm_up import warm_up
 from retuner.decisions.worker import DecideInWorker
+from retuner.drivers.closing import Closes
 
 DEADLINE_S = 30.0  # how long a decision may take on a busy machine
 
 
-class BackgroundRetuner:
+class BackgroundRetuner(Closes):
     """Watches one loop, and never waits for a decision.
 
     Parameters
@@ -47,14 +47,6 @@ class BackgroundRetuner:
         self._made: deque[Decision] = deque()
         self.trouble = ""
         """Why the last question has no decision (the worker died, or took too long); empty when it has one."""
-
-    def __enter__(self) -> "BackgroundRetuner":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def deciding(self) -> bool:

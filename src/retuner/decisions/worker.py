@@ -15,7 +15,6 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from types import TracebackType
 from typing import NamedTuple
 
 from retuner.adaptive.supervision.decision import Outcome
@@ -23,6 +22,7 @@ from retuner.adaptive.supervision.question import Question
 from retuner.decisions.decider import LATE, LOST, Answer, without_decision
 from retuner.decisions.worker_process import receive, send
 from retuner.drivers.clock import Clock, MonotonicClock
+from retuner.drivers.closing import Closes
 
 NICE = 3  # how much the worker gives way: beside two programs that keep two cores busy it still gets a quarter of one
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
@@ -93,7 +93,7 @@ def _ended(code: int) -> str:
         return f"was killed by signal {-code}"
 
 
-class DecideInWorker:
+class DecideInWorker(Closes):
     """Decides in a process of its own: see the head of this file.
 
     deadline_s : time of the machine that a decision may take, s. nice : how much the worker gives way, 0 to 19.
@@ -109,14 +109,6 @@ class DecideInWorker:
         self._asked_s: float | None = None
         self._why_not = ""
         self._start()
-
-    def __enter__(self) -> "DecideInWorker":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def ask(self, question: Question, deadline_s: float | None = None) -> None:
         """See Decider. deadline_s : for this question and those after it; None for the one before."""
@@ -207,7 +199,7 @@ class _Asked(NamedTuple):
     question: Question
 
 
-class DecisionWorkers:
+class DecisionWorkers(Closes):
     """See the head of this file.
 
     loops : how many loops ask. processes : how many workers answer; None for one less than the machine has cores, and
@@ -219,14 +211,6 @@ class DecisionWorkers:
         self._free = [DecideInWorker(float("inf"), clock=clock) for _ in range(wanted)]
         self._busy: dict[DecideInWorker, _Asked] = {}
         self._waiting: deque[_Asked] = deque()
-
-    def __enter__(self) -> "DecisionWorkers":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def decider(self, deadline_s: float) -> "LoopDecider":
         """What one loop asks. deadline_s : time of the machine that a decision of it may take, s."""

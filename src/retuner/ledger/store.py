@@ -12,9 +12,9 @@ import contextlib
 import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol, Self
 
+from retuner.drivers.closing import Closes
 from retuner.errors import LedgerError
 from retuner.files import sync_folder
 from retuner.ledger.canonical import canonical_json
@@ -132,7 +132,7 @@ class Recorder(Protocol):
         """Record one row."""
 
 
-class LedgerReader:
+class LedgerReader(Closes):
     """A ledger to read, also while another process writes it.
 
     Raises LedgerError: the file does not exist, or is no ledger of this version.
@@ -194,12 +194,6 @@ class LedgerReader:
     def close(self) -> None:
         """Close the file; more than once does no harm."""
         self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
 
 class Ledger(LedgerReader):
