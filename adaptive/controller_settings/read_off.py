@@ -16,6 +16,7 @@ from contextlib import suppress
 import numpy as np
 
 from retuner.adaptive.controller_settings.regression import BoolArray, Regression, Structure, by_increments, by_levels
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.indexes.condition import Condition, record_condition, still_stretches
 from retuner.adaptive.indexes.output_limits import TOLERANCE, at_limits
 from retuner.adaptive.indexes.recording_quality import quantum, recording_quality
@@ -180,27 +181,26 @@ def signs_agree(values: dict[str, float]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class LawSettings:
-    """Settings of the recovery.
+    """Settings of the recovery. Raises ValueError: one is outside its range."""
 
-    fewest_samples : usable samples needed; 20 to 1000, default 50.
-    most_samples : of a longer record the stretch of so many samples is taken in which the error moves most; 1000 to
-        100000, default 4000 (a quarter of a second, and settings do not last for ever).
-    explained_limit : smallest share of co's movement that the law must explain; 0.5 to 0.99, default 0.8.
-    std_limit : largest standard deviation of kp (of ki without P) as a share of it; 0.01 to 0.5, default 0.15.
-    disagreement : largest ratio of a gain in the two halves of the record; 1.05 to 2, default 1.25.
-    slow_disagreement : the same of kp in fast and slow movements, where only another law makes one; default 1.15.
-    compression_limit : largest compression of pv or co by a recorder; 1.5 to 10, default 3 (Thornhill et al. 2004).
-    largest_lag : samples from pv to co that are tried; 0 to 3, default 1.
-    """
+    fewest_samples: int = setting(50, "Usable samples needed", 20, 1000, "samples")
+    # a quarter of a second, and settings do not last for ever
+    most_samples: int = setting(
+        4000, "Samples of a longer record that are taken, where the error moves most", 1000, 100_000, "samples"
+    )
+    explained_limit: float = setting(0.8, "Smallest share of co's movement that the law must explain", 0.5, 0.99)
+    std_limit: float = setting(0.15, "Largest standard deviation of kp (of ki without P) as a share of it", 0.01, 0.5)
+    disagreement: float = setting(1.25, "Largest ratio of a gain in the two halves of the record", 1.05, 2)
+    slow_disagreement: float = setting(
+        1.15, "The same of kp in fast and slow movements, where only another law makes one", 1.05, 2
+    )
+    compression_limit: float = setting(
+        3.0, "Largest compression of pv or co by a recorder (Thornhill et al. 2004)", 1.5, 10
+    )
+    largest_lag: int = setting(1, "Samples from pv to co that are tried", 0, 3, "samples")
 
-    fewest_samples: int = 50
-    most_samples: int = 4000
-    explained_limit: float = 0.8
-    std_limit: float = 0.15
-    disagreement: float = 1.25
-    slow_disagreement: float = 1.15
-    compression_limit: float = 3.0
-    largest_lag: int = 1
+    def __post_init__(self) -> None:
+        require_in_range(self, "settings read off")
 
 
 SLOW, FEWEST_SLOW = 5, 60  # samples averaged to see slow movements, and how many such means are needed

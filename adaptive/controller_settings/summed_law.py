@@ -10,6 +10,7 @@ enough to say that pv stands while co travels, and not enough for settings.
 import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import LawSettings, settings_in_force
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -17,14 +18,13 @@ from retuner.schedule.late_dataclass import dataclass
 
 @dataclass(frozen=True, slots=True)
 class SummedSettings:
-    """Settings.
+    """Settings of the summed law. Raises ValueError: one is outside its range."""
 
-    explained : share of co's variance that the law must explain; 0.9 to 0.999, default 0.98.
-    disagreement : largest ratio of ki in the two halves of the record; 1.1 to 3, default 1.5.
-    """
+    explained: float = setting(0.98, "Share of co's variance that the law must explain", 0.9, 0.999)
+    disagreement: float = setting(1.5, "Largest ratio of ki in the two halves of the record", 1.1, 3)
 
-    explained: float = 0.98
-    disagreement: float = 1.5
+    def __post_init__(self) -> None:
+        require_in_range(self, "summed law")
 
 
 def summed_law(window: Window, settings: SummedSettings | None = None) -> PidGains | None:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.identification.plausible import OUT, Plausible
@@ -26,21 +27,16 @@ MOST_LOG_STEP = math.log(2.0)
 
 @dataclass(frozen=True, slots=True)
 class BorrowingSettings:
-    """Settings.
+    """Settings of what a region borrows from its neighbours. Raises ValueError: one is outside its range."""
 
-    most_lead : evidence by which a borrowed structure leads at the most; default 12.
-    far_off : IAE after over before, as promised, up to which a region is given other gains before any response ended
-        there; 0 (never) to 1, default 0.6: its own responses tell more than its neighbours.
-    """
-
-    most_lead: float = 12.0
-    far_off: float = 0.6
+    most_lead: float = setting(12.0, "Evidence by which a borrowed structure leads at the most", 0, unit="nats")
+    # its own responses tell more than its neighbours
+    far_off: float = setting(
+        0.6, "IAE after over before, as predicted, up to which gains change before any response; 0: never", 0, 1
+    )
 
     def __post_init__(self) -> None:
-        if not self.most_lead >= 0:
-            raise ValueError(f"most_lead = {self.most_lead} must be 0 or more")
-        if not 0 <= self.far_off <= 1:
-            raise ValueError(f"far_off = {self.far_off} must be 0 to 1")
+        require_in_range(self, "borrowing")
 
 
 def borrowed(

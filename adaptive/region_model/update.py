@@ -30,6 +30,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.fit.refine import Prior
 from retuner.adaptive.identification.bound import bounded
@@ -155,39 +156,47 @@ ANEW = frozenset({Agreement.FIRST, Agreement.OPENED, Agreement.CHANGED})
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
-    """Settings.
+    """Settings of what is known of a region. Raises ValueError: one is outside its range."""
 
-    walk_per_day : how far the logarithms wander in a day, one standard deviation; default 0.1 (10 %).
-    walk_per_record : how far they wander from record to record, whatever the time; 0 to 0.1, default 0.03: a gain that
-        doubles within thirty records is followed.
-    drift_per_record : how far they may move in one direction from record to record, one standard deviation; 0 to 0.1,
-        default 0.02. It is learned from record to record (kalman.py).
-    drift_lasts : records for which a drift goes on, in the mean; 2 to 1000, default 20.
-    scatter : how much the logarithms differ from record to record within a region, one standard deviation: the
-        operating point is never quite the same and no structure is quite right; 0.02 to 0.2, default 0.06 (with 0.12 a
-        gain that doubles at once passes the gate and is followed too slowly).
-    gate : innovation statistic above which a record contradicts, as the one-sided normal deviate of its probability;
-        2 to 6, default 4.5: what no structure explains of a real record passes 3.09 (99.9 % of chi-square) now and
-        then, and a gain or delay that has doubled lies far beyond 4.5.
-    decisive : deviance by which a record that fits both must speak for the alternative, or against it; 2 to 20,
-        default 6 (odds of 20).
-    clearer : a single record gives way to one that contradicts it and knows the gain so many times better, and is its
-        alternative from then on; 1 to 10, default 1.5.
-    most_lead : evidence by which a structure may lead at the most, so that another may take over; default 60.
-    danger_ms : a record that contradicts is believed at once if by it the gains in force have Ms above this; default
-        2.3.
-    """
+    walk_per_day: float = setting(0.1, "How far the logarithms wander in a day, one standard deviation", 0, 1)
+    walk_per_record: float = setting(
+        0.03,
+        "How far they wander from record to record, whatever the time: a gain that doubles within thirty is followed",
+        0,
+        0.1,
+    )
+    drift_per_record: float = setting(
+        0.02,
+        "How far they may move in one direction from record to record, one standard deviation; learned (kalman.py)",
+        0,
+        0.1,
+    )
+    drift_lasts: float = setting(20.0, "Records for which a drift goes on, in the mean", 2, 1000, "records")
+    # operating point and structure are never quite the same; with 0.12 a gain that doubles at once passes the gate
+    scatter: float = setting(
+        0.06, "How much they differ between records within a region, one standard deviation", 0, 0.2
+    )
+    # what no structure explains of a real record passes 3.09 now and then; a gain that has doubled lies far beyond 4.5
+    gate: float = setting(4.5, "Innovation above which a record contradicts, as a one-sided normal deviate", 2, 6)
+    decisive: float = setting(
+        6.0,
+        "Deviance by which a record that fits both must speak for the alternative, or against it (odds of 20)",
+        2,
+        20,
+    )
+    # and it is the alternative from then on
+    clearer: float = setting(
+        1.5, "A record gives way to one that contradicts it and knows the gain so many times better", 1, 100
+    )
+    most_lead: float = setting(
+        60.0, "Evidence by which a structure may lead at the most, so that another may take over", 0, unit="nats"
+    )
+    danger_ms: float = setting(
+        2.3, "Ms of the active gains from which a record that contradicts is believed at once", 1, 10
+    )
 
-    walk_per_day: float = 0.1
-    walk_per_record: float = 0.03
-    drift_per_record: float = 0.02
-    drift_lasts: float = 20.0
-    scatter: float = 0.06
-    gate: float = 4.5
-    decisive: float = 6.0
-    clearer: float = 1.5
-    most_lead: float = 60.0
-    danger_ms: float = 2.3
+    def __post_init__(self) -> None:
+        require_in_range(self, "tracker")
 
 
 @dataclass(frozen=True, slots=True)
