@@ -20,11 +20,12 @@ from bus_simulation.campaign import BOX, FIRST, World
 from bus_simulation.device_end import LagPlant
 from bus_simulation.firmware import FirmwareDevice
 from bus_simulation.host_mutants import HOST_MUTANTS, broken_by
+from bus_simulation.in_thread import InThread
 from bus_simulation.mutants import MUTANTS, MUTANTS_OF_THE_STORE, Mutant
 from bus_simulation.truth import ViolationError
 
 from retuner.drivers.conformance.chapters import chapters
-from retuner.drivers.conformance.conversation import Conversation, InThread, NoAnswerError
+from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
 from retuner.drivers.conformance.examination import examine
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 

@@ -263,45 +263,6 @@ LEAST_S = 0.3  # longest wait for an answer, at least: an operating system lets 
 SAMPLES = 1.5  # and in samples: a device answers within one
 
 
-class Answering(Protocol):
-    """A device as an object: see VirtualDevice."""
-
-    def step(self) -> list[can.Message]:
-        """One controller sample."""
-
-    def receive(self, message: can.Message) -> list[can.Message]:
-        """A frame, and its answers."""
-
-    def restart(self) -> None:
-        """Power off and on."""
-
-
-class InThread:
-    """A device in this thread, in simulated time."""
-
-    def __init__(self, device: Answering) -> None:
-        self._device = device
-        self._waiting: list[can.Message] = []
-
-    def send(self, message: can.Message) -> None:
-        """Answered at once."""
-        self._waiting += self._device.receive(message)
-
-    def heard(self) -> list[can.Message]:
-        """The answers."""
-        messages, self._waiting = self._waiting, []
-        return messages
-
-    def sample(self) -> list[can.Message]:
-        """One controller sample."""
-        return [*self.heard(), *self._device.step()]
-
-    def restart(self) -> bool:
-        """Power off and on."""
-        self._device.restart()
-        return True
-
-
 class OnBus:
     """A node on a bus.
 

@@ -8,13 +8,14 @@ import can
 import pytest
 from bus_simulation.device_end import LagPlant
 from bus_simulation.firmware import FirmwareDevice
+from bus_simulation.in_thread import InThread
 from bus_simulation.mutants import MUTANTS, Mutant
 from effort import sized
 
 from retuner.cli import main
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.conformance.chapters import CHAPTERS, OTHERS_S, chapters, nodes_heard, sample_time_of
-from retuner.drivers.conformance.conversation import Conversation, InThread, NoAnswerError, OnBus
+from retuner.drivers.conformance.conversation import Conversation, NoAnswerError, OnBus
 from retuner.drivers.conformance.examination import Examination, examine
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.protocol.frames import GainBox
