@@ -126,7 +126,7 @@ def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence
     best = request.models[0].model
     model = best.seen_by_controller(request.sample_time_s)
     kind = ControllerKind.PID if wanted.gains.kd else ControllerKind.PI
-    theta = model.theta_s if kind == ControllerKind.PID else without_second_lag(model).theta_s
+    theta = (model.of_second_order() if kind == ControllerKind.PID else without_second_lag(model)).theta_s
     whole = theta * settings.tau_c_max_ratio / wanted.tau_c_s
     if whole <= 1.0:
         return ()

@@ -99,7 +99,7 @@ def _tightest(
     model: ProcessModel, others: Sequence[ProcessModel], settings: RobustSettings, kind: ControllerKind
 ) -> tuple[RobustTuning, bool]:
     """Settings with the smallest tau_c that is robust, or with the largest; and whether they are robust."""
-    theta = model.theta_s if kind is PID else without_second_lag(model).theta_s
+    theta = (model.of_second_order() if kind is PID else without_second_lag(model)).theta_s
     third = third_lag(model, settings.hidden_share)
     calmer = 1.0 / model.zeta if swings(model) else 1.0  # the less damped, the larger tau_c may become
 

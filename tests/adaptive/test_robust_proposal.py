@@ -165,3 +165,11 @@ def test_a_second_lag_shorter_than_the_dead_time_brings_next_to_nothing_by_deriv
     plain = ProcessModel(ProcessType.SOPDT, 1.0, 100.0, 5.0, 30.0)
     found = [of(known(plain, 1e-3), gains)[0] for gains in (PID_LOOP, PI_LOOP)]
     assert found[0].ki == pytest.approx(found[1].ki, rel=0.15)
+
+
+def test_half_of_a_third_lag_counts_as_dead_time_of_settings_with_derivative_action() -> None:
+    """Beside it the dead time may be next to nothing, and three of these give no robust settings at all."""
+    three = ProcessModel(ProcessType.TOPDT, 1.0, 20.0, 8.0, 0.2, tau3_s=4.0)
+    found = robust_simc_on(three, (), S.sample_time_s, S.robust, PID_LOOP)
+    assert found.tuning.gains.kd > 0.0
+    assert found.ms_nominal <= 1.59
