@@ -9,8 +9,9 @@ unstable at its frequency, G(jw) = -1/C(jw), explains any tone. Two kinds, likel
               frequency's distance from the line, since a filter turns each by another angle                   6 columns
               (where a window has fewer periods: with a size that grows or falls evenly, 4 columns)
 
-The frequency is that of the error's highest line. What was chosen by the record is paid for: the half of ln(n/2) for a
-column and for a phase (Schwarz 1978), and the logarithm of the number of lines for the frequency.
+The frequency is that of the error's line that is highest over those around it: a setpoint step, or a load that
+wanders, has the highest of all at the lowest frequencies. What was chosen by the record is paid for: the half of
+ln(n/2) for a column and for a phase (Schwarz 1978), and the logarithm of the number of lines for the frequency.
 """
 
 import math
@@ -25,6 +26,8 @@ TRACKED = 2.0
 """Periods over which the phase of a drifting tone is a mean; the periods of other loops' cycles are not all alike."""
 FINER = 16
 """Times that lines are looked at closer than those of a Fourier series lie."""
+AROUND, LEAST = 4, 1e-9
+"""Factor on both sides of a line's frequency within which it is compared; least share of the most that a line has."""
 
 
 def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, int, int], tuple[float, float, float]]:
@@ -34,8 +37,12 @@ def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, int, int],
     n, away = len(error), error - np.mean(error)
     length = FINER << (n - 1).bit_length()
     first = math.ceil(FEWEST_PERIODS * length / n)
-    size = np.abs(np.fft.rfft(away * np.hanning(n), length))[first : length // FEWEST_SAMPLES]
-    top = first + int(np.argmax(size))
+    size = np.log(np.abs(np.fft.rfft(away * np.hanning(n), length)) + LEAST * float(np.sum(np.abs(away))))
+    lines, upto = np.arange(first, length // FEWEST_SAMPLES), np.concatenate([[0.0], np.cumsum(size)])
+    low, high = lines // AROUND, np.minimum(lines * AROUND, len(size))
+    over = first + int(np.argmax(size[lines] - (upto[high] - upto[low]) / (high - low)))
+    wide = max(over - FINER, first)
+    top = wide + int(np.argmax(size[wide : over + FINER]))
     turned, mean_over = 2.0 * math.pi * top / length * np.arange(n), round(TRACKED * length / top)
     line, phases = np.array([np.cos(turned), np.sin(turned)]), 0.0
     besides = line * np.linspace(-1.0, 1.0, n)
@@ -43,6 +50,6 @@ def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, int, int],
         off = np.unwrap(np.angle(np.convolve(away * np.exp(-1j * turned), np.hanning(mean_over + 2), "same")))
         drifting, phases = np.array([np.cos(turned + off), np.sin(turned + off)]), 2.0 * n / mean_over
         besides = np.vstack([drifting, drifting * np.gradient(off)])
-    column, lines, number = 0.5 * math.log(n / 2.0), math.log(n / FEWEST_SAMPLES), 2 + len(besides)
-    prices = (0.0, 2.0 * column + lines, (number + phases) * column + lines)
+    column, chosen, number = 0.5 * math.log(n / 2.0), math.log(n / FEWEST_SAMPLES), 2 + len(besides)
+    prices = (0.0, 2.0 * column + chosen, (number + phases) * column + chosen)
     return np.vstack([line, besides]), (0, 2, number), prices

@@ -51,6 +51,17 @@ def test_the_tone_is_found_and_takes_the_error_with_it(period: float) -> None:
     assert taken == (0, 2, len(columns))
 
 
+@pytest.mark.parametrize("period", [12.0, 47.3, 150.0])
+def test_the_tone_is_found_beside_a_setpoint_step_and_a_load_that_wanders(period: float) -> None:
+    """Their highest lines are at the lowest frequencies: a loop without action was "unstable" in each second window."""
+    at = np.arange(N)
+    wanders = 0.05 * np.cumsum(np.random.default_rng(9).normal(size=N))
+    error = np.sin(2.0 * math.pi * at / period + 1.0) + 6.0 * (at > 400) * np.exp(-(at - 400) / 100.0) + wanders
+    columns, *_ = likeliest_tone(error)
+    lines = np.abs(np.fft.rfft(columns[0]))[1:]
+    assert (1 + int(np.argmax(lines))) / N == pytest.approx(1.0 / period, abs=1.0 / N)
+
+
 def test_one_of_which_the_window_holds_hardly_two_periods_has_a_size_that_changes_evenly() -> None:
     """A mean over two of its periods does not fit into the window; columns of another length broke the decision."""
     for n in range(540, 580):  # of some, the mean is as long as the window less a sample
