@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from online import batch, changes, derivative, harm, injected, loads, own_fault, real_loads, tours
+from online import batch, changes, derivative, harm, injected, loads, own_fault, real_loads, tours, wrong_starts
 from online.runner import collect, rows_of
 
 ALL = "all"
@@ -83,6 +83,12 @@ PARTS = {
         "loops with derivative action, gains off",
         lambda options, _: derivative.tasks(options.seed, options.loops, verbose=options.verbose),
         16,
+    ),
+    "wrong": Part(
+        wrong_starts,
+        "gains off under an external oscillation, or over a sticking valve",
+        lambda options, kind: wrong_starts.tasks(options.seed, kind, options.loops, verbose=options.verbose),
+        13,
     ),
     "real": Part(real_loads, "wrong and good gains under the loads of real loops", _real, 8),
 }
