@@ -7,7 +7,8 @@ rhythm of the heartbeats allows, and the counter goes back for nothing: a device
 
 from collections import deque
 from enum import Enum
-from itertools import pairwise
+from itertools import islice
+from operator import sub
 
 LONGEST_BEAT = 100  # samples from heartbeat to heartbeat at most, as docs/developers/protocol.md has it
 REMEMBERED = 256  # samples over which the rhythm is looked at: more than two of the longest intervals
@@ -47,7 +48,7 @@ class DeviceCounter:
         beats = self._beats
         if beats[-1] - beats[0] < LONGEST_BEAT:
             return LONGEST_BEAT
-        widest = max(b - a for a, b in pairwise(beats))
+        widest = max(map(sub, islice(beats, 1, None), beats))
         return max(BEATS_LOST * min(widest, LONGEST_BEAT), SHORTEST_REACH)
 
     def beyond(self, sample: int) -> bool:

@@ -99,7 +99,8 @@ class LiveWriter:
             block.append(row)
             if len(block) == BLOCK:
                 # the samples of the least and the greatest pv, in the order of time
-                chosen = {min(range(BLOCK), key=lambda i: block[i][2]), max(range(BLOCK), key=lambda i: block[i][2])}
+                pvs = [one[2] for one in block]
+                chosen = {pvs.index(min(pvs)), pvs.index(max(pvs))}
                 for kept in [block[i] for i in sorted(chosen | ({BLOCK - 1} if len(chosen) == 1 else set()))]:
                     self._into(ring + 1, kept)
                 block.clear()
