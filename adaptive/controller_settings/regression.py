@@ -128,7 +128,7 @@ def columns(window: Window, structure: Structure, at: dict[str, float] | None = 
         bend = (further - x) @ np.array([at[name] for name in names]) / step
         return [*names, "tau"], np.column_stack([x, bend])
     dt, lag = np.diff(window.t_s), structure.lag
-    typical = median(dt)
+    typical = window.sample_time_s
     pv, sp = _late(filtered(window.pv, structure.pv_filter_s, typical), lag), _late(window.sp, lag)
     e = sp - pv
     named: dict[str, FloatArray] = {}
@@ -198,13 +198,13 @@ def by_levels(
     for first, end in zip(edges[::2], edges[1::2], strict=True):
         if end - first <= x.shape[1] + 1:
             continue
-        each, longer = divmod(end - first, -(-(end - first) // longest))
-        begin = first
-        while begin < end:  # the first ones are longer by a sample where the stretch does not divide
-            until = begin + each + (longer > 0)
-            levels = np.cumsum(equation[begin:until], axis=0)
-            parts.append(levels - levels.mean(axis=0))
-            begin, longer = until, longer - 1
+        many = -(-(end - first) // longest)
+        each, longer = divmod(end - first, many)
+        middle = first + longer * (each + 1)  # the first ones are longer by a sample where the stretch does not divide
+        for rows, pieces in ((equation[first:middle], longer), (equation[middle:end], many - longer)):
+            if pieces:
+                levels = np.cumsum(rows.reshape(pieces, -1, rows.shape[1]), axis=1)
+                parts.append((levels - levels.mean(axis=1, keepdims=True)).reshape(rows.shape))
     if not parts:
         return by_increments(window, structure, kept, at, trim=False, sure=sure)
     summed = np.concatenate(parts)

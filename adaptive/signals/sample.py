@@ -137,7 +137,7 @@ class Window:
     @property
     def sample_time_s(self) -> float:
         """Median sampling interval in seconds."""
-        return median(np.diff(self.t_s))
+        return _usual_interval(self.t_s)
 
 
 def median(values: npt.ArrayLike) -> float:
@@ -176,6 +176,11 @@ def kept_of_signal(work: Callable[[FloatArray], Found]) -> Callable[[FloatArray]
     """The function of a signal, shape (n,), that is worked out once: many ask a record for its noise and its steps."""
     kept = lru_cache(maxsize=64)(lambda data: work(np.frombuffer(data)))
     return wraps(work)(lambda x: kept(x.tobytes()) if x.dtype == np.float64 and len(x) <= MOST_KEPT else work(x))
+
+
+@kept_of_signal
+def _usual_interval(t_s: FloatArray) -> float:
+    return median(np.diff(t_s))
 
 
 # ---- The trapezoidal rule: numpy calls it trapezoid from 2.0 on and trapz before, and either may be installed

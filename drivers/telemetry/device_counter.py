@@ -48,7 +48,7 @@ class DeviceCounter:
         beats = self._beats
         if beats[-1] - beats[0] < LONGEST_BEAT:
             return LONGEST_BEAT
-        widest = max(map(sub, islice(beats, 1, None), beats))
+        widest: int = max(map(sub, islice(beats, 1, None), beats))
         return max(BEATS_LOST * min(widest, LONGEST_BEAT), SHORTEST_REACH)
 
     def beyond(self, sample: int) -> bool:
