@@ -7,9 +7,11 @@ steps are added one by one where they take away most of the misfit. The best nod
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.fit.dynamics import Dynamics, SamplingInstants
 from retuner.adaptive.fit.engine import compiled
@@ -39,10 +41,11 @@ def starts(misfit: Misfit, most_loads: int, count: int) -> dict[int, list[FloatA
     """
     grid = SearchGrid.of(misfit)
     engine = compiled()
-    if engine is None or misfit.record.barred_s or misfit.ramp:  # the engine's search knows neither
+    if engine is None or misfit.ramp:  # the engine's search knows no ramp
         nodes = _searched(grid, misfit, most_loads)
     else:
-        nodes = iter(engine.searched(grid, misfit.sigma, most_loads))
+        parts = grid.parts(misfit.record) if misfit.record.barred_s else [grid]
+        nodes = chain.from_iterable(engine.searched(part, misfit.sigma, most_loads) for part in parts)
     ranked: dict[int, list[Node]] = {m: [] for m in range(most_loads + 1)}
     for node in nodes:
         ranked[len(node.loads)].append(node)
@@ -77,6 +80,21 @@ class SearchGrid:
         longest = max(THETA_RANGE[1] * record.span_s, 2 * record.sample_time_s)
         thetas = np.geomspace(THETA_RANGE[0] * record.sample_time_s, longest, THETA_NODES)
         return cls(SamplingInstants.of(t), u, pv, lags, thetas, instants(record.span_s, LOAD_NODES))
+
+    def barred(self, record: Record, lag_s: float, theta_s: float) -> npt.NDArray[np.bool_]:
+        """Which candidates for a load step stand at a setpoint change that is barred to them."""
+        counted = min(lag_s, LONGEST_LAG * record.span_s) if math.isfinite(lag_s) else 0.0  # none for an integrator
+        return near(self.at_s, record.barred_s, counted, theta_s, record.sample_time_s)
+
+    def parts(self, record: Record) -> Iterator["SearchGrid"]:
+        """The nodes of each lag for which the same candidates are barred, without these."""
+        for lag in self.lags_s.tolist():
+            same: dict[bytes, list[float]] = {}
+            for theta in self.thetas_s.tolist():
+                same.setdefault(self.barred(record, lag, theta).tobytes(), []).append(theta)
+            for mask, thetas in same.items():
+                free = self.at_s[~np.frombuffer(mask, dtype=np.bool_)]
+                yield replace(self, lags_s=np.array([lag]), thetas_s=np.array(thetas), at_s=free)
 
 
 def instants(span_s: float, count: int) -> FloatArray:
@@ -132,14 +150,9 @@ def _searched(grid: SearchGrid, misfit: Misfit, most_loads: int) -> Iterator[Nod
         rest = np.stack([np.ones_like(t), start, *drift], axis=1)
         for theta in grid.thetas_s.tolist():
             x = dynamics.held(grid.clock, grid.co, theta)
-            barred = near(grid.at_s, record.barred_s, _counted(lag, record), theta, record.sample_time_s)
-            for deviance, slope, loads in _node(grid.pv, x, rest, steps * ~barred, grid.at_s, misfit.sigma, most_loads):
+            free = steps * ~grid.barred(record, lag, theta)
+            for deviance, slope, loads in _node(grid.pv, x, rest, free, grid.at_s, misfit.sigma, most_loads):
                 yield Node(deviance, slope, lag, theta, loads)
-
-
-def _counted(lag_s: float, record: Record) -> float:
-    """A lag as it counts for what stands at a setpoint change; none for an integrator."""
-    return min(lag_s, LONGEST_LAG * record.span_s) if math.isfinite(lag_s) else 0.0
 
 
 def _thinned(misfit: Misfit) -> tuple[FloatArray, FloatArray, FloatArray]:

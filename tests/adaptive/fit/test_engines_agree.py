@@ -154,6 +154,24 @@ def test_the_coarse_search_finds_the_same_nodes() -> None:
             assert off(np.array([n.slope for n in found]), np.array([n.slope for n in expected])) < 1e-7
 
 
+def test_the_coarse_search_finds_the_same_nodes_where_load_steps_are_barred() -> None:
+    rng = np.random.default_rng(3)
+    for type_ in (ProcessType.FOPDT, ProcessType.INTEGRATING):
+        record = drawn_record(rng)
+        record = replace(record, barred_s=(0.2 * record.span_s, 0.61 * record.span_s))
+        misfit = Misfit(record, type_, 1, 0, record.noise_std, 0.3)
+        grid = SearchGrid.of(misfit)
+        parts = list(grid.parts(record))
+        assert len(parts) > len(grid.lags_s)  # a longer dead time bars others
+        found = [node for part in parts for node in compiled.searched(part, misfit.sigma, 2)]
+        expected = {(n.lag_s, n.theta_s, len(n.loads)): n for n in _searched(grid, misfit, 2)}
+        assert len(found) == len(expected)
+        for node in found:
+            other = expected[node.lag_s, node.theta_s, len(node.loads)]
+            assert node.loads == other.loads
+            assert node.deviance == pytest.approx(other.deviance, rel=1e-7)
+
+
 def test_the_colour_of_a_remainder_is_the_same() -> None:
     rng = np.random.default_rng(4)
     for order in range(5):
