@@ -137,7 +137,6 @@ class TomlSection:
         return float(value)
 
     def _kind(self, key: str, wanted: str) -> ValueError:
-        """The error of a value of another kind."""
         return self.error(f"{key} = {_short(self._values[key])} must be {wanted}", key)
 
 

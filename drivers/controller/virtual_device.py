@@ -232,7 +232,6 @@ class VirtualDevice:
         return self._codec.encode(frame)
 
     def _answer(self, frame: wire.Frame) -> list[wire.DeviceFrame]:
-        """What the firmware says to a host's frame."""
         match frame:
             case wire.Read(page=wire.Page.IDENTITY):
                 return [wire.Identity(wire.PROTOCOL_VERSION, schema(), self.settings.sample_time_s), *self._life_sign()]
@@ -290,7 +289,6 @@ class VirtualDevice:
         return self.code.judge(self.settings.node, self.epoch, self.lease.owner, frame.seq, frame.base, gains)
 
     def _command(self, frame: wire.Setpoint | wire.Mode | wire.Load) -> wire.Ack:
-        """A command about the loop, by its type."""
         settings = self.settings
         match frame:
             case wire.Setpoint():
@@ -350,5 +348,4 @@ def is_reading(pv: float) -> bool:
 
 
 def _some(answer: wire.Ack | None) -> list[wire.DeviceFrame]:
-    """An answer or none, as a list."""
     return [] if answer is None else [answer]

@@ -53,7 +53,6 @@ def decimal_mark(table: RawTable, places: Iterable[int], form: RecordForm) -> tu
 
 
 def _text(table: RawTable, place: int) -> Sequence[str]:
-    """A column's fields where they are text."""
     column = table.columns[place]
     return () if isinstance(column, np.ndarray) else column
 

@@ -283,7 +283,6 @@ def traffic_names(path: Path, form: RecordForm) -> list[str]:
 
 
 def _text_table(path: Path, form: RecordForm) -> RawTable:
-    """The table of a text file, whatever wrote it."""
     text, assumed = decoded(path, form)
     if is_annotated(text):
         found = annotated_table(str(path), text)

@@ -97,7 +97,6 @@ class RecordForm:
 
     @staticmethod
     def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-        """Refuse what is none of the known values."""
         if value and value not in known:
             raise ValueError(f"{name} = {value!r}: give one of {', '.join(map(repr, known))}")
 

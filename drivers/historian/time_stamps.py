@@ -285,7 +285,6 @@ def _digits(text: str) -> datetime:
 
 
 def _of_format(texts: Sequence[str], form: RecordForm, source: str, begins: Sequence[int]) -> FloatArray:
-    """Stamps of the format that a person gave."""
 
     def read(text: str) -> datetime:
         try:

@@ -171,7 +171,6 @@ class CanDevice:
         return events
 
     def _take(self, frame: frames.DeviceFrame, now_s: float) -> None:
-        """One frame of the device, by its type."""
         match frame:
             case frames.TelemetryPv() | frames.TelemetrySp():
                 self._on_telemetry(frame, now_s)
@@ -288,7 +287,6 @@ class CanDevice:
 
     @property
     def _where(self) -> str:
-        """The node in words."""
         return f"node {self.settings.node} on {self.link.settings.interface} {self.link.settings.channel}"
 
     def _ask(self, now_s: float) -> None:

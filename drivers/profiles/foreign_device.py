@@ -223,7 +223,6 @@ class ForeignDevice:
         return events
 
     def _take(self, told: Told, now_s: float) -> None:
-        """One thing that the controller has told."""
         match told:
             case Heard():
                 self._hear(told.name, told.value, now_s)

@@ -357,7 +357,6 @@ def smaller(trend: Trend, points: int) -> Trend:
 
 
 def _thinned(t_s: FloatArray, signals: Mapping[str, FloatArray], points: int) -> Trend:
-    """Times and signals, thinned."""
     n = len(t_s)
     if n <= points:
         return {"t_s": _short(t_s, 10), **{name: _short(values) for name, values in signals.items()}}

@@ -320,7 +320,6 @@ def _line(place: LoopPlace, proposal: Proposal, able: Sequence[Proposal]) -> str
 
 
 def _listed(place: LoopPlace, proposal: Proposal) -> dict[str, object]:
-    """A proposal as plain values."""
     return {
         "hash": proposal.digest,
         "decision": proposal.number,

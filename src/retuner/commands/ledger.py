@@ -186,7 +186,6 @@ TABLE_WIDTH = 160  # characters of a terminal from which a table is easier to re
 
 
 def _table(lines: list[LedgerLine]) -> Table:
-    """A table with a column for each question."""
     table = Table(box=None, pad_edge=False)
     shown = {head: name for head, name in COLUMNS.items() if head != "loop" or _several(lines)}
     for head in shown:

@@ -171,7 +171,6 @@ class Plants(Closes):
             raise
 
     def _add(self, place: int, config: Config, configs: Sequence[Config]) -> None:
-        """Another loop's plant."""
         plant = plant_of(config)
         if not isinstance(plant, ModelConfig):
             known = known_plant(config)
@@ -342,7 +341,6 @@ def _names(plants: Sequence[ModelConfig]) -> tuple[list[str], list[str], list[fl
 
 
 def _loads(loads: Sequence[LoadConfig]) -> RecordedLoads | None:
-    """Recorded loads, read."""
     return RecordedLoads([_load(i, one) for i, one in enumerate(loads)]) if loads else None
 
 

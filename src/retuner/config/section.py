@@ -138,7 +138,6 @@ def held_by(section: Section, settings: type, prefix: str = "") -> dict[str, Any
 
 
 def _field(one: Declared) -> tuple[object, object]:
-    """Type and declaration of a setting in the file."""
     s = one.setting
     limits: Any = {"above" if s.positive else "low": s.low, "high": s.high}
     if s.low == 0 and s.high == math.inf:

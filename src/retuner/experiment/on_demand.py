@@ -223,7 +223,6 @@ class OnDemandExperiment:
         self._screen.sample(sample, progress, phase.value)
 
     def _evaluate(self) -> ExperimentFindings | None:
-        """What the record of the excitation says, if there is one."""
         runner, asked = self._runner, self._question
         rest, before = runner.rest, runner.before
         if rest is None or before is None or len(runner.excited) < FEWEST_SAMPLES:

@@ -114,7 +114,6 @@ def _answer(process: LinearProcess, gains: PidGains, grid: FloatArray, *, load: 
 
 
 def _finished(top: "Axes", low: "Axes", unit: str) -> None:
-    """Labels and grid."""
     top.set_ylabel("pv")
     low.set_ylabel("co")
     low.set_xlabel(f"time [{unit}]")

@@ -371,7 +371,6 @@ def _decisions_table(documents: Sequence[Document], paged: set[int], t_s: FloatA
 
 
 def _anchor(decision: int) -> str:
-    """Name of a page within the report."""
     return f"decision-{decision}"
 
 

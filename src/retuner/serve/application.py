@@ -211,7 +211,6 @@ class PageAnswers:
         return answer
 
     def _give(self, answer: Response, cookie: str, lasts_s: float) -> None:
-        """Set the cookie."""
         answer.set_cookie(
             self._cookie,
             cookie,
@@ -282,7 +281,6 @@ def _order_of(body: dict[str, Any]) -> Order:
 
 
 def _not_taken(_: Request, error: Exception) -> Response:
-    """Why a request was not taken, in a line."""
     status = error.status if isinstance(error, NotTakenError) else 500
     return PlainTextResponse(f"{error}\n", status_code=status)
 

@@ -69,7 +69,6 @@ class Gate:
         await guarded({"type": "http.response.body", "body": f"{reason}\n".encode()})
 
     def _refusal(self, scope: Scope) -> tuple[int, str] | None:
-        """Why a request is not let through."""
         headers: dict[bytes, bytes] = {}
         for name, value in scope["headers"]:
             if name in headers and name in {b"host", b"origin"}:

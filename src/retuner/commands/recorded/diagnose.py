@@ -206,7 +206,6 @@ def _headline(told: Diagnosis) -> str:
 
 
 def _odds(p: float) -> str:
-    """A probability, in words."""
     return "over 99 %" if p > SUREST else f"{100.0 * p:.0f} %"
 
 

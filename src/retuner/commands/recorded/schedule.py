@@ -166,7 +166,6 @@ def _tell(
     other: Diagnosis | None,
     options: ScheduleOptions,
 ) -> None:
-    """The result on the screen."""
     said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
     lines = [*described(found), *contradiction(other), *(f"{path} written" for path in written)]
     tell(found.to_dict() | said | {"files": [str(p) for p in written]}, lines, as_json=options.as_json)

@@ -81,7 +81,6 @@ def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
 
 
 def _by_every_rule(model: ProcessModel | None, options: TuneOptions) -> int:
-    """Settings by all rules, in one table."""
     if model is None:
         raise UserError("--all needs the process: give --type, --k, --tau1, --tau2, --theta")
     with user_input("retuner tune --all"):
@@ -169,7 +168,6 @@ def table(found: Comparison) -> list[str]:
 
 
 def _cells(row: RuleRow) -> tuple[str, ...]:
-    """One row of the table in text."""
     shown, m = row.result.to_dict(), row.result.margins
     gains, parallel = shown["gains"], shown["parallel"]
     assert isinstance(gains, dict)
