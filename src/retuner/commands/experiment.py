@@ -14,8 +14,7 @@ from retuner.adaptive.experiments.plan import Experiment, Plan
 from retuner.adaptive.experiments.valve_test import SHORT, STAIRCASE, read_valve_test
 from retuner.adaptive.explanations.proposed_test import TestKind
 from retuner.adaptive.rules.registry import rule_named
-from retuner.commands.options import on_bus, tell
-from retuner.commands.recorded.plot_option import check_plot
+from retuner.commands.options import check_plot, on_bus, tell
 from retuner.commands.recorded.record_options import read_record, tell_assumed
 from retuner.commands.signatures import (
     ControllerOptions,

@@ -141,6 +141,12 @@ def command(app: typer.Typer, options: type[Any], work: str, epilog: str) -> Non
     app.command(name, epilog=epilog)(called)
 
 
+def check_plot(path: Path | None) -> None:
+    """Refuse a picture of another kind. Raises UserError: the name ends neither in .png nor in .svg."""
+    if path is not None and path.suffix.lower() not in {".png", ".svg"}:
+        raise UserError(f"--plot {path}: give a name that ends in .png or .svg")
+
+
 def tell(document: Mapping[str, object], lines: Iterable[str], *, as_json: bool) -> None:
     """The answer of a command: one JSON document, or lines."""
     sys.stdout.write((json.dumps(document, indent=2, allow_nan=False) if as_json else "\n".join(lines)) + "\n")

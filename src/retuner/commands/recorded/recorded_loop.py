@@ -7,8 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.commands.options import RecordOptions, controller_units
-from retuner.commands.recorded.plot_option import check_plot
+from retuner.commands.options import RecordOptions, check_plot, controller_units
 from retuner.commands.recorded.record_options import read_record, read_several
 from retuner.decision_page.shown_units import show_units
 from retuner.drivers.historian.loop_record import LoopRecord

@@ -6,8 +6,7 @@ from pathlib import Path
 from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.registry import Explanation
-from retuner.commands.options import controller_units, tell
-from retuner.commands.recorded.plot_option import check_plot
+from retuner.commands.options import check_plot, controller_units, tell
 from retuner.commands.signatures import TuneOptions
 from retuner.errors import UserError, user_input
 from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
