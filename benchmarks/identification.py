@@ -268,7 +268,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--cases", type=int, default=260, help="of all groups together, or of the one of --only")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only", choices=identification.GROUPS)
+    parser.add_argument("--only", choices=(*identification.GROUPS, *identification.BY_NAME))
     parser.add_argument("--no-bounds", action="store_true", help="leave the Cramer-Rao bounds out")
     parser.add_argument("--save-failures", metavar="FOLDER")
     parser.add_argument("--out", metavar="FILE", help="every score as a line of JSON")

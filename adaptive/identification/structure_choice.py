@@ -9,8 +9,9 @@ remainder whitened, which is what makes the estimate unbiased in closed loop and
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,13 +22,14 @@ from retuner.adaptive.fit.refine import EXACT, Fit, refine
 from retuner.adaptive.fit.search import (
     behind_a_lag,
     instants,
+    load_times,
     long_lag,
     starts,
     with_inverse,
     with_second_lag,
     with_third,
 )
-from retuner.adaptive.fit.structure import SIZE, dynamics_at
+from retuner.adaptive.fit.structure import LAG, SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import Candidate, CandidateList, judged
 from retuner.adaptive.identification.loads import MOVE_EVALUATIONS, PROMISING, SCAN, improved, linear_gains
 from retuner.adaptive.identification.usual_dead_time import usual
@@ -113,6 +115,11 @@ def candidates(
         for found in _loads_first(rivals, settings.most_loads):
             seen.add(improved(found, settings.most_loads, seen, RELATIVE_MOVES))
         winner = seen.best()
+    if settings.most_loads and _far(winner):
+        for found in _from_parts(window, record, signs, settings):
+            seen.add(found)
+            seen.add(improved(found, settings.most_loads, seen))
+        winner = seen.best()
     if asked_for(winner) and not np.any(np.diff(window.sp)):
         with_corners([winner, *_few_loads(rivals)], settings.most_loads, seen)
         winner = seen.best()
@@ -144,10 +151,41 @@ def _seeds(rivals: list[Candidate]) -> list[Candidate]:
     same = [c for c in rivals if c.fit.misfit.sign == best.fit.misfit.sign]
     by_type = list({c.fit.misfit.type: c for c in reversed(same)}.values())
     by_type.sort(key=lambda c: c.criterion)
-    far = best.colour.std > WIDER_SEARCH_RATIO * best.fit.misfit.record.noise_std or bool(best.colour.ar)
     calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
     drifting = {c.fit.misfit.type: c for c in reversed(same) if c.fit.misfit.ramp}
-    return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting.values()]))
+    return list(dict.fromkeys([*by_type[: None if _far(best) else 2], *calm, *drifting.values()]))
+
+
+def _far(best: Candidate) -> bool:
+    """Whether even the best explanation leaves more than white noise."""
+    return best.colour.std > WIDER_SEARCH_RATIO * best.fit.misfit.record.noise_std or bool(best.colour.ar)
+
+
+PARTS = 3
+"""Parts of a record whose own processes are starts for the whole."""
+
+
+def _from_parts(
+    window: Window, record: Record, signs: tuple[int, ...], settings: StructureSettings
+) -> Iterator[Candidate]:
+    """The process of each part of a record, with the loads that the whole record has beside it.
+
+    A part has few loads, so its search finds the process; with several sharp loads the search of the whole, which
+    places them on a grid, ends in a local optimum.
+    """
+    edges = np.linspace(0, len(window.t_s), PARTS + 1).round().astype(int).tolist()
+    for first, end in pairwise(edges):
+        part = window.part(slice(first, end))
+        if np.ptp(part.pv) == 0 or np.ptp(part.co) == 0 or too_few(part):
+            continue
+        small = Record.of(part, settings.most_samples)
+        fits = [judged(fit) for sign in signs for fit in _structures(small, sign, settings)]
+        lags = [one for one in fits if one.fit.misfit.type in LAG]
+        if lags:
+            best = min(lags, key=lambda c: c.criterion).fit
+            bare = replace(best.misfit, record=record, loads=0, ramp=False, ar=(), sigma=record.noise_std)
+            times = load_times(bare, best.x, settings.most_loads)
+            yield judged(refine(replace(bare, loads=len(times)), np.concatenate([best.x, times])))
 
 
 def _swallows(winner: Candidate) -> bool:

@@ -71,3 +71,20 @@ def test_a_record_of_too_many_rows_is_told_its_own_interval_and_not_that_of_the_
     found = identify_window(record, settings=FitSettings(most_samples=300))
     assert not found.identifiable
     assert "condensed to rows of 20 s (logged every 2 s): identify a shorter part" in found.reason
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4])
+def test_three_sharp_loads_are_told_as_their_first_one_is(seed: int) -> None:
+    rng, n = np.random.default_rng(seed), 480
+    pv, co, past, x, integral = np.empty(n), np.empty(n), [0.0] * 4, 0.0, 0.0
+    load = sum(np.where(np.arange(n) >= at, size, 0.0) for at, size in ((40, 1.2), (190, -0.8), (330, 1.0)))
+    for i in range(n):  # 1.7 e^-3s / (13 s + 1) under gains that are far too small
+        pv[i] = x + 0.02 * rng.standard_normal()
+        integral -= 0.21 / 58.0 * pv[i]
+        co[i] = integral - 0.21 * pv[i]
+        past.append(co[i])
+        x += (1.7 * (past.pop(0) + load[i]) - x) / 13.0
+    found = identify_window(Window(np.arange(n) * 1.0, np.full(n, 50.0), 50.0 + pv, 40.0 + co), 1)
+    model = found.log.model()
+    assert (model.k, model.tau1_s) == pytest.approx((1.7, 12.5), rel=0.1)
+    assert found.residual_std < 1.1 * found.noise_std  # 2 to 12 times, with the whole searched at once
