@@ -21,6 +21,8 @@ LARGEST = 1e30  # largest magnitude of a number; the squares of larger ones leav
 class LoopMode(IntEnum):
     """Who moves the controller output.
 
+    Attributes
+    ----------
     MANUAL : an operator. AUTO : the controller.
     """
 
@@ -31,6 +33,8 @@ class LoopMode(IntEnum):
 class LoopSample(NamedTuple):
     """What the loop did at one sampling instant. Plain scalars only: this is the per-sample path.
 
+    Attributes
+    ----------
     t_s : time of the sample in seconds, increasing.
     sp, pv : setpoint and process value in the same engineering unit.
     co : controller output applied from this instant on (held until the next sample).

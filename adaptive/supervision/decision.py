@@ -36,6 +36,8 @@ from retuner.schedule.late_dataclass import dataclass, field, replace
 class Mode(StrEnum):
     """What the retuner may do in a region.
 
+    Attributes
+    ----------
     off, advise : only watch; propose, and write what an operator approves, on trial.
     trial, auto : write one change, watch it, restore the old set when worse; then wait for an operator, or go on.
     """
@@ -52,6 +54,8 @@ WRITES = frozenset({Mode.AUTO, Mode.TRIAL})  # modes in which gains are written
 class Action(StrEnum):
     """What follows from a decision.
 
+    Attributes
+    ----------
     NONE : nothing. ADVISE : a proposal for an operator. COMMIT : gains to be written and put on trial.
     RESTORE : earlier gains to be written again.
     """
@@ -115,6 +119,8 @@ class Delay(NamedTuple):
 class Decision(display_hook.Shown):
     """One decision on one response.
 
+    Attributes
+    ----------
     number : counts up from 1 per loop.
     t_s : time of the sample at which it was entered, which is the one that completed the response unless `delay` names
         both.

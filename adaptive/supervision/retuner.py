@@ -79,6 +79,8 @@ PATIENCE = 4.0  # times as long as with a response is waited before all samples 
 class Retuner:
     """Watches one loop and decides.
 
+    Parameters
+    ----------
     table : regions and the gains in force in each; the attribute of that name is the table as it stands.
     settings : see RetunerSettings. commissioned : the table as it was at first, when `table` is a later revision of it.
     """
@@ -146,7 +148,10 @@ class Retuner:
     def observe(self, sample: LoopSample) -> Decision | None:
         """Take one sample; a decision comes with the sample that completes a response.
 
-        Raises ValueError: a number of the sample is not finite or its time does not increase; nothing is changed then.
+        Raises
+        ------
+        ValueError
+            A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
         self._open = None  # of a question that Ctrl-C broke off: nobody will enter its answer
         asked = self.step(sample)
@@ -238,7 +243,10 @@ class Retuner:
         that raised the question, the answer entered at that same sample gives the decision to restore once more, with
         what was learned: it takes the place of the first one.
 
-        Raises ValueError: this question is not open, or the newest sample has another number.
+        Raises
+        ------
+        ValueError
+            This question is not open, or the newest sample has another number.
         """
         if self._open is None or self._open.question.sample_number != question.sample_number:
             raise ValueError(f"the question of sample {question.sample_number} is not open")

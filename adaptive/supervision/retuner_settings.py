@@ -25,6 +25,8 @@ from retuner.schedule.vendor_units import VendorUnits
 class RetunerSettings:
     """Settings of one loop's retuner.
 
+    Attributes
+    ----------
     sample_time_s : of the controller.
     pv_span : range of pv, for the smallest noise band.
     pv_range : what the transmitter can say, pv units: what lies far outside teaches nothing.

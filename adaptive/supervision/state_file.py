@@ -166,9 +166,14 @@ have none."""
 def remember(retuner: Retuner) -> dict[str, object]:
     """What a retuner must not lose over a restart.
 
+    Parameters
+    ----------
     retuner : at any moment; a question that is open is not remembered.
 
-    Returns plain JSON values (infinities and NaN as strings), for `restore`.
+    Returns
+    -------
+    dict
+        Plain JSON values (infinities and NaN as strings), for `restore`.
     """
     state = retuner.state()
     finder = state.finder
@@ -204,11 +209,19 @@ def remember(retuner: Retuner) -> dict[str, object]:
 def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
     """A retuner that goes on where the remembered one stood.
 
+    Parameters
+    ----------
     memory : what `remember` gave. settings : as they were then, or others.
 
-    Returns tell it by `found_running` what the controller runs by now.
+    Returns
+    -------
+    Retuner
+        Tell it by `found_running` what the controller runs by now.
 
-    Raises ValueError: the memory is of another version, or something in it is missing or no number.
+    Raises
+    ------
+    ValueError
+        The memory is of another version, or something in it is missing or no number.
     """
     if memory.get("version") != VERSION:
         raise ValueError(
