@@ -40,8 +40,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
-_MS = 1.1, 3.5
-"""Every limit of Ms lies between these: they follow a person's own (supervision/retuner_settings.py)."""
+_MS = 1.1, 3.5  # every limit of Ms lies between these: they follow a person's own (supervision/retuner_settings.py)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +84,7 @@ class BookSettings:
 
 LESS, LONGER = (0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25), (1.0, 1.5, 2.0, 4.0)
 """Times all actions, and times the integral time, that are tried for a loop with too little robustness."""
-MORE, SHORTER = (1.0, 1.25, 1.6, 2.0), (1.0, 0.7, 0.5)
-"""Factors on gain and integral time for a loop that has room."""
+MORE, SHORTER = (1.0, 1.25, 1.6, 2.0), (1.0, 0.7, 0.5)  # factors on gain and integral time for a loop that has room
 AT_ONCE, PROVED_ON = 2.5, 12
 """Times the integral action that a change may make of it; processes on which one is proved, spread over the odds."""
 
@@ -199,8 +197,7 @@ def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGain
     return PidGains(kp, ki, kd)
 
 
-SERIES_TAU_D = 0.25
-"""The longest tau_D, as a share of tau_I, both of the ideal form, that a series form has."""
+SERIES_TAU_D = 0.25  # the longest tau_D, as a share of tau_I, both of the ideal form, that a series form has
 
 
 def _more(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -> Iterator[PidGains]:
@@ -214,8 +211,7 @@ def _more(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -
                 yield _times(gains, times, shorter)
 
 
-HALF = 0.5
-"""Odds of being better that less action needs under each order of load by itself."""
+HALF = 0.5  # odds of being better that less action needs under each order of load by itself
 SLACK, PER_PROCESS = 1.25, 300
 """The rule's integral time over one that is too short for it; times that a process with all of the weight counts."""
 

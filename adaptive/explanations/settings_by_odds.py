@@ -65,17 +65,14 @@ class WorthSettings:
         require_in_range(self, "settings by odds")
 
 
-TAU_CS = (1.0, 1.5, 2.5, 4.0)
-"""tau_c of the candidates, in effective dead times."""
+TAU_CS = (1.0, 1.5, 2.5, 4.0)  # tau_c of the candidates, in effective dead times
 SCALES = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
 """Factors on all actions of the set in force."""
 CALMER, STILL_BAD = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15), 0.2
 """Factors for a loop that is too tight, where no set is good on nearly all processes: the first that is on most, and
 the share of the odds that it may leave too tight."""
-TOLD_SHARE, TOLD_MOST = 0.9, 20
-"""Share of the odds whose processes are told with settings, and how many at the most."""
-LEAST_ROOM, MOST_ROOM, ROOMS = 0.1, 10.0, 41
-"""Factors on the set in force that are tried for how far it may be changed."""
+TOLD_SHARE, TOLD_MOST = 0.9, 20  # share of the odds whose processes are told with settings, and how many at the most
+LEAST_ROOM, MOST_ROOM, ROOMS = 0.1, 10.0, 41  # factors on the set in force that are tried for how far it may be changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +150,7 @@ def likely_processes(odds: TuningOdds, most: int) -> LikelyProcesses:
     return LikelyProcesses(index, counts / float(most), responses, odds.sample_time_s)
 
 
-NEXT_TO_NONE = 1e-9
-"""Share of the likeliest process's odds below which a process never counts."""
+NEXT_TO_NONE = 1e-9  # share of the likeliest process's odds below which a process never counts
 
 
 def process_model(shape: ProcessShape, dead: float, gain: float, direction: int, sample_time_s: float) -> ProcessModel:

@@ -24,8 +24,7 @@ FEWEST_PERIODS, FEWEST_SAMPLES = 1.5, 6
 """Fewest periods of a tone within a window, and samples to a period: others are how a load wanders, or noise."""
 TRACKED = 2.0
 """Periods over which the phase of a drifting tone is a mean; the periods of other loops' cycles are not all alike."""
-FINER = 16
-"""Times that lines are looked at closer than those of a Fourier series lie."""
+FINER = 16  # times that lines are looked at closer than those of a Fourier series lie
 AROUND, LEAST = 4, 1e-9
 """Factor on both sides of a line's frequency within which it is compared; least share of the most that a line has."""
 

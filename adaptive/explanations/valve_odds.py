@@ -40,8 +40,7 @@ SLIPPING += [
     (Family.HE, float(band), 1.0, i * SPREAD % 2.0 - 1.0) for i, band in enumerate(np.geomspace(0.05, 1.6, 80))
 ]
 """Valves that slip all the way."""
-LIKELIEST = 12
-"""Valves out of those that are compared with second lags and under every load."""
+LIKELIEST = 12  # valves out of those that are compared with second lags and under every load
 LAGS = (0.5, 1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
 DEAD_TIMES = (0.0, 1.0, 2.0, 4.0, 7.0, 12.0)
 FREE_DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 12.0)

@@ -44,8 +44,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import Lookup
 
-LOOKED = "looked"
-"""Code: all samples were looked at, without a response."""
+LOOKED = "looked"  # Code: all samples were looked at, without a response
 OPEN = frozenset({
     LOOKED, "not_identifiable", "unconfirmed", "unknown", "low_excitation", "contradicted", "one_record",
     OTHER_LOOP, "setpoint_led", "too_long",
@@ -55,8 +54,7 @@ LOOK, WHOLE = 500, 1000
 """Samples of the book's interval after which it is looked at, and after which a window is entered for good."""
 PER_TAU_I = 100
 """Samples of the book's interval in the integral time in force: lags and dead times of the grid reach round that."""
-STRETCHED = 4.0
-"""Factor by which an interval may be off before the book is begun anew."""
+STRETCHED = 4.0  # factor by which an interval may be off before the book is begun anew
 
 
 def interval_s(gains: PidGains, sample_time_s: float) -> float:
@@ -70,8 +68,7 @@ def look_after_s(gains: PidGains, sample_time_s: float, history: int) -> float:
     return min(LOOK * interval_s(gains, sample_time_s), history / KEPT_LOOKS * sample_time_s)
 
 
-KEPT_LOOKS = 4
-"""Looks that the samples which are kept must hold."""
+KEPT_LOOKS = 4  # looks that the samples which are kept must hold
 
 
 def look_of(
@@ -95,8 +92,7 @@ def look_of(
     return Look(book, Window.of(rows), grows=len(rows) < ROUNDED * most, limited=limited, due=due)
 
 
-FEWEST_SAMPLES, FEWEST_SAMPLES_ON_TRIAL = 300, 50
-"""Samples of a look."""
+FEWEST_SAMPLES, FEWEST_SAMPLES_ON_TRIAL = 300, 50  # samples of a look
 ROUNDED = 0.99
 
 
@@ -255,8 +251,7 @@ def _rests(found: Findings, look: Look) -> bool:
     return float(np.mean(away)) < found.settings.book.restless
 
 
-NEARLY = 0.95
-"""Share of an action down to which it is the same."""
+NEARLY = 0.95  # share of an action down to which it is the same
 
 
 def _may_speak(found: Findings, own: Outcome, look: Look) -> bool:
@@ -285,8 +280,7 @@ def robust_by_book(found: Findings, winner: Outcome) -> bool:
     return winner.book is not None and numbers is not None and numbers.book_high <= 1.0 - settings.less_odds
 
 
-MOST_LIMITED = 0.02
-"""Share of samples with the output at a limit up to which they show the loop."""
+MOST_LIMITED = 0.02  # share of samples with the output at a limit up to which they show the loop
 
 
 def shown_clearly(known: RegionModel | None, excitation: Excitation, foreign: int) -> bool:
