@@ -49,7 +49,7 @@ from retuner.adaptive.indexes.output_limits import switches_between
 from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import Window, least_squares
 from retuner.schedule.gains import PidGains
 
 SEVERAL_LOADS = 2
@@ -290,8 +290,8 @@ def _of_setpoint(window: Window, tone: Candidate) -> bool:
     moves = window.sp - float(np.mean(window.sp))
     t = window.t_s - window.t_s[0]
     turns = [f(2 * math.pi * i * t / period_s) for i in range(1, SETPOINT_HARMONICS + 1) for f in (np.cos, np.sin)]
-    q, _ = np.linalg.qr(np.stack([np.ones_like(t), *turns], axis=1))
-    left = moves - q @ (q.T @ moves)
+    columns = np.stack([np.ones_like(t), *turns], axis=1)
+    left = moves - np.einsum("ij,j->i", columns, least_squares(columns, moves))
     return float(left @ left) < SETPOINT_LEFT * float(moves @ moves)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.indexes.autocovariance import crossings, detrended
-from retuner.adaptive.signals.sample import FloatArray, median
+from retuner.adaptive.signals.sample import FloatArray, least_squares, median
 from retuner.schedule.late_dataclass import dataclass
 
 HARMONICS = 5  # highest harmonic fitted
@@ -67,7 +67,7 @@ def tones(t_s: FloatArray, w_rad_s: float, *signals: FloatArray) -> list[Tone] |
         return None
     angles = np.outer(t, w_rad_s * np.arange(1, highest + 1))
     columns = np.concatenate([np.ones((len(t), 1)), t[:, None] / t[-1], np.cos(angles), np.sin(angles)], axis=1)
-    found = np.linalg.lstsq(columns, x, rcond=None)[0]
+    found = least_squares(columns, x)
     phasors = found[2 : 2 + highest] - 1j * found[2 + highest :]
     return [_tone(np.asarray(phasors[:, j], dtype=np.complex128), float(power[j])) for j in range(len(signals))]
 

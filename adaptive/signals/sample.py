@@ -171,6 +171,22 @@ def quantile(values: npt.ArrayLike, share: float) -> float:
     return float(kept[at] + rise * part if part < 0.5 else kept[after] - rise * (1 - part))
 
 
+def least_squares(columns: FloatArray, y: FloatArray) -> FloatArray:
+    """c of the least |columns c - y|, shape (k,) or (k, m). columns : (n, k). y : (n,) or (n, m).
+
+    Rows are taken in by some hundred: all at once wake every thread of the algebra, for longer than the work takes.
+    """
+    k, both = columns.shape[1], np.column_stack([columns, y])
+    triangle = both[:0]
+    for first in range(0, len(both), ROWS_AT_ONCE):
+        rows = np.concatenate([triangle, both[first : first + ROWS_AT_ONCE]])
+        triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+    rest = np.finfo(np.float64).eps * len(both)
+    found = np.linalg.lstsq(triangle[:k, :k], triangle[:k, k:], rcond=rest)[0]
+    return np.asarray(found if y.ndim > 1 else found[:, 0], dtype=np.float64)
+
+
+ROWS_AT_ONCE = 256
 Found = TypeVar("Found")
 MOST_KEPT = 8192
 """Samples of a signal of which something is kept."""

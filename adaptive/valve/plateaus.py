@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.fit.engine import compiled
-from retuner.adaptive.signals.sample import FloatArray, median
+from retuner.adaptive.signals.sample import FloatArray, least_squares, median
 from retuner.schedule.late_dataclass import dataclass
 
 LAGS = (0.0, 3.0, 8.0, 20.0, 45.0, 100.0)  # T tried at first, in rows
@@ -144,7 +144,7 @@ def _rest(n: int, lag: float) -> FloatArray:
 
 def _fitted(pv: FloatArray, responses: "_Responses", rest: FloatArray, chosen: list[int]) -> FloatArray:
     columns = np.concatenate([rest, responses.columns(chosen)], axis=1)
-    return np.asarray(columns @ np.linalg.lstsq(columns, pv, rcond=None)[0], dtype=np.float64)
+    return np.asarray(np.einsum("ij,j->i", columns, least_squares(columns, pv)), dtype=np.float64)
 
 
 def _with_lag(pv: FloatArray, lag: float, sigma: float) -> tuple[float, list[int]]:
