@@ -6,7 +6,15 @@ import sys
 import numpy as np
 import pytest
 
-from retuner.adaptive.signals.sample import MOST_KEPT, FloatArray, distinct, kept_of_signal, median, quantile
+from retuner.adaptive.signals.sample import (
+    MOST_KEPT,
+    FloatArray,
+    distinct,
+    kept_of_signal,
+    least_squares,
+    median,
+    quantile,
+)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 101, 1000])
@@ -18,6 +26,21 @@ def test_they_are_numpys_to_the_last_digit(n: int, decimals: int) -> None:
     for share in (0.0, 0.05, 0.5, 0.9, 0.999, 1.0):
         assert quantile(values, share) == np.quantile(values, share), share
     assert np.isnan(median([]))
+
+
+@pytest.mark.parametrize(("n", "columns", "signals"), [(5, 3, 0), (256, 2, 1), (300, 4, 2), (1600, 20, 0), (30, 30, 3)])
+def test_least_squares_by_rows_are_those_of_all_at_once(n: int, columns: int, signals: int) -> None:
+    rng = np.random.default_rng(n)
+    a, y = rng.normal(size=(n, columns)), rng.normal(size=(n, signals) if signals else n)
+    found = least_squares(a, y)
+    assert found.shape == ((columns, signals) if signals else (columns,))
+    assert found == pytest.approx(np.linalg.lstsq(a, y, rcond=None)[0], rel=1e-9, abs=1e-10)
+
+
+def test_least_squares_of_columns_that_say_the_same_are_the_shortest() -> None:
+    a = np.stack([np.ones(500), np.ones(500), np.arange(500.0)], axis=1)
+    y = np.random.default_rng(1).normal(size=500)
+    assert least_squares(a, y) == pytest.approx(np.linalg.lstsq(a, y, rcond=None)[0], rel=1e-9)
 
 
 def test_what_is_kept_of_a_signal_is_of_its_values_not_of_the_array() -> None:
