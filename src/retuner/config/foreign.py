@@ -1,7 +1,7 @@
 """[device] with kind = "dbc" or "canopen": a controller that is not ours, and what of it is what."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -161,7 +161,10 @@ def _gain(what: str) -> Any:  # noqa: ANN401  as setting
     return setting(what, default=None, source="the device's manual")
 
 
-class _GainsSection(Section):
+Gain = TypeVar("Gain", SignalGainConfig, ObjectGainConfig)
+
+
+class _GainsSection(Section, Generic[Gain]):
     """One number an action, in the controller's form and unit."""
 
     form: Literal["ideal", "series"] = setting(
@@ -173,6 +176,14 @@ class _GainsSection(Section):
     without: Many[Literal["kp", "xp", "ki", "tn", "repeats", "kd", "tv"]] = setting(
         "Gains of the profile that this device lacks; kd = false says the same", default=(), source="none"
     )
+
+    kp: Gain | None = _gain("Proportional gain")
+    xp: Gain | None = _gain("Proportional band in % of the pv range")
+    ki: Gain | None = _gain("Integral gain, per second")
+    tn: Gain | None = _gain("Integral time")
+    repeats: Gain | None = _gain("Integral action in repeats per minute")
+    kd: Gain | None = _gain("Derivative gain, times seconds")
+    tv: Gain | None = _gain("Derivative time")
 
     @model_validator(mode="before")
     @classmethod
@@ -195,28 +206,12 @@ class _GainsSection(Section):
         return tuple(one.gain(quantity, self.scale) for quantity, one in given if one is not None)
 
 
-class SignalGainsConfig(_GainsSection):
+class SignalGainsConfig(_GainsSection[SignalGainConfig]):
     """[device.gains] with kind = "dbc": The gains as the controller has them."""
 
-    kp: SignalGainConfig | None = _gain("Proportional gain")
-    xp: SignalGainConfig | None = _gain("Proportional band in % of the pv range")
-    ki: SignalGainConfig | None = _gain("Integral gain, per second")
-    tn: SignalGainConfig | None = _gain("Integral time")
-    repeats: SignalGainConfig | None = _gain("Integral action in repeats per minute")
-    kd: SignalGainConfig | None = _gain("Derivative gain, times seconds")
-    tv: SignalGainConfig | None = _gain("Derivative time")
 
-
-class ObjectGainsConfig(_GainsSection):
+class ObjectGainsConfig(_GainsSection[ObjectGainConfig]):
     """[device.gains] with kind = "canopen": The gains as the controller has them."""
-
-    kp: ObjectGainConfig | None = _gain("Proportional gain")
-    xp: ObjectGainConfig | None = _gain("Proportional band in % of the pv range")
-    ki: ObjectGainConfig | None = _gain("Integral gain, per second")
-    tn: ObjectGainConfig | None = _gain("Integral time")
-    repeats: ObjectGainConfig | None = _gain("Integral action in repeats per minute")
-    kd: ObjectGainConfig | None = _gain("Derivative gain, times seconds")
-    tv: ObjectGainConfig | None = _gain("Derivative time")
 
 
 class ProtectConfig(Section):
