@@ -7,7 +7,8 @@ load steps and ramps explain as much. What decides is stand-still measured insid
     c         how far co goes in it, as a share of its range; idle = sum of c; dwell = the longest leg in units of tau_I
     slip      pv goes from one plateau to the next; it agrees where co has gone that way since its last turning point
 
-    stands    idle >= 1 on two legs or more, dwell >= 10 tau_I, and two thirds of the slips, by their squares, agree
+    stands    idle >= 1 on two legs or more, dwell >= 10 tau_I and 5 lags of the slips, and two thirds of the slips, by
+              their squares, agree
     sticks    and the slips are faster than the loop could be (its own crossing takes tau_I (1 + 1/(Kc k)) and more), or
               a setpoint step is answered by nothing for 8 tau_I while co travels, and then by a step
     does not answer    one leg over nearly all that co ever moves, 20 tau_I long, and no slip
@@ -160,9 +161,8 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
     idle = sum(leg.travel * _up_to(leg.travel, settings.travel) for leg in legs)
     dwell = max((leg.dwell * _up_to(leg.travel, settings.travel) for leg in legs), default=0.0)
-    degree = min(
-        _up_to(idle, settings.idle), _up_to(dwell, settings.dwell), _up_to(share, AGREEING), _up_to(explained, 1.0)
-    )
+    lasts = max(settings.dwell, WAVE * steps.lag / tau_i)
+    degree = min(_up_to(idle, settings.idle), _up_to(dwell, lasts), _up_to(share, AGREEING), _up_to(explained, 1.0))
     stands = degree >= 1.0 and len(counted) >= settings.legs and sum(leg.travel for leg in counted) >= settings.idle
     quick = 1.0 if silent else _up_to(settings.quick * tau_i, max(steps.lag, NO_LAG))
     return StandStill(
@@ -188,6 +188,7 @@ def _up_to(value: float, bound: float) -> float:
     return min(max(2.0 * value / bound - 1.0, 0.0), 1.0)
 
 
+WAVE = 5.0  # lags of its slips that pv must stand at the longest: shorter, plateaus are what a slow swing leaves
 AGREEING, NO_LAG, SILENT = 2.0 / 3.0, 1e-9, 1e-300
 """Share of slips that go where co had gone, from which all do but for chance; a lag, and a remainder, that are none."""
 

@@ -162,6 +162,20 @@ def test_a_step_that_follows_the_setpoint_at_once_says_nothing():
     assert max(_agreed(one, found, 1, 5.0, SETTINGS)[1] for one in (alone, turned)) < 0.1
 
 
+@pytest.mark.parametrize(("lag", "degree"), [(4.0, 1.0), (35.0, 0.1)])
+def test_a_slow_swing_is_no_pv_that_stands(lag: float, degree: float) -> None:
+    """Squares that take a third of a round to turn are a wave: a level that swung in 16 tau_I was a sticking valve."""
+    rng, n = np.random.default_rng(4), 700
+    target, pv = np.where(np.arange(n) // 100 % 2, -1.0, 1.0), np.ones(n)
+    for i in range(1, n):
+        pv[i] = pv[i - 1] + (target[i] - pv[i - 1]) / lag
+    pv += 0.02 * rng.standard_normal(n)
+    co = np.cumsum(-0.04 * pv)
+    found = stand_still(Window(np.arange(float(n)), np.zeros(n), pv, co), PidGains(0.2, 0.04), SETTINGS)
+    assert found is not None
+    assert found.degree == pytest.approx(degree, abs=0.1)
+
+
 def test_only_steps_that_end_a_stand_are_told_after_it():
     """At 5160 s pv goes a little the other way."""
     found = _by_itself("FIC31102_0628_1.csv")
