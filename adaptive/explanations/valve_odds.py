@@ -41,13 +41,16 @@ SLIPPING += [
 ]
 """Valves that slip all the way."""
 LIKELIEST = 12  # valves out of those that are compared with second lags and under every load
-LAGS = (0.5, 1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
+LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
 DEAD_TIMES = (0.0, 1.0, 2.0, 4.0, 7.0, 12.0)
 FREE_DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 12.0)
 """Dead times of co itself: half a sample that a grid lacks was taken for a valve, where the noise is small."""
 Loads = Sequence[tuple[float, int]]
-LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.1, 0.2, 0.4, 0.8, math.inf))
-"""Bandwidth and order of the loads that are tried: a wrong valve takes the place of an octave that is missing."""
+LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
+"""Bandwidth and order of the loads that are tried."""
+FREE_LAGS = (0.5, *LAGS)
+OCTAVES: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.1, 0.2, 0.4, 0.8, math.inf))
+"""Those beside a valve, which takes the place of a lag or an octave that is missing."""
 
 
 def positions(co: FloatArray, valves: Sequence[Valve]) -> FloatArray:
@@ -74,7 +77,7 @@ def log_odds_of_valve(record: Prepared, direction: int) -> float:
         right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
         return fits.tempered(right[..., None]).reshape(len(loads), -1, len(rows), len(dead))
 
-    free = [weighed(record.co[None], lag, LOADS, FREE_DEAD_TIMES, first_only=False) for lag in LAGS]
+    free = [weighed(record.co[None], lag, OCTAVES, FREE_DEAD_TIMES, first_only=False) for lag in FREE_LAGS]
     coarse = [FREE_DEAD_TIMES.index(dead) for dead in DEAD_TIMES]
     # a second lag, or a finer dead time, that is not needed costs nothing
     linear = max(
@@ -82,12 +85,14 @@ def log_odds_of_valve(record: Prepared, direction: int) -> float:
         for lags in (1, None)
         for dead in (coarse, slice(None))
     )
-    behind = [weighed(valves, lag, LOADS, DEAD_TIMES, first_only=True) for lag in LAGS]
-    best = max(range(len(LOADS)), key=lambda i: max(float(found[i].max()) for found in (*free, *behind)))
-    load = LOADS[best : best + 1]
-    screened = np.max([weighed(slips, lag, load, DEAD_TIMES, first_only=True) for lag in LAGS], axis=(0, 1, 2, 4))
+    behind = [weighed(valves, lag, OCTAVES, DEAD_TIMES, first_only=True) for lag in FREE_LAGS]
+    best = max(range(len(OCTAVES)), key=lambda i: max(float(found[i].max()) for found in (*free, *behind)))
+    load = OCTAVES[best : best + 1]
+    screened = np.max([weighed(slips, lag, load, DEAD_TIMES, first_only=True) for lag in FREE_LAGS], axis=(0, 1, 2, 4))
     likeliest = slips[np.argsort(-screened, kind="stable")[:LIKELIEST]]
-    closer = np.concatenate([weighed(likeliest, lag, LOADS, DEAD_TIMES, first_only=False).ravel() for lag in LAGS])
+    closer = np.concatenate(
+        [weighed(likeliest, lag, OCTAVES, DEAD_TIMES, first_only=False).ravel() for lag in FREE_LAGS]
+    )
     slipped = log_mean(closer) + math.log(len(likeliest) / len(slips))
     return float(np.logaddexp(log_mean(np.array(behind)), slipped)) - math.log(2.0) - linear
 

@@ -221,3 +221,11 @@ def test_steps_that_leave_the_noise_alone_count_by_their_likelihood_and_a_tone_a
     walk: Any = SimpleNamespace(record=record, of_record=np.zeros(1))
     monkeypatch.setattr(odds, "lead_of_steps", lambda *_: -12.0)
     assert odds._weight_of_steps(cause, found, walk, OddsSettings()) == pytest.approx(weight, abs=0.01)
+
+
+def test_a_healthy_flow_loop_does_not_bend_where_its_first_tenth_is_cropped() -> None:
+    """With the loads that stand beside a valve its gain changed along pv, with 80 %."""
+    record = recorded("FIC46002_1102_1.csv")
+    found = diagnose_windows([record.part(slice(len(record.t_s) // 10, None))]).diagnosis
+    assert found.cause is Cause.OK
+    assert found.causes["nonlinear"] < 0.4
