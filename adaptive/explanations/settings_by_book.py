@@ -63,7 +63,9 @@ class BookSettings:
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", 0.5, 0.9)
     tone: float = setting(0.2, "Odds of an external oscillation from which nothing follows", 0.05, 0.9)
     sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", 0.9, 0.99)
-    more_odds: float = setting(0.85, "Odds of being cheaper from which more action follows", 0.5, 0.9)
+    more_odds: float = setting(
+        0.85, "Odds of being cheaper, by loads alone of room as well, from which more action follows", 0.5, 0.9
+    )
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", 0.1, 0.9)
     most: float = setting(
         0.7, "How much a change may save or cost on a process", 0.2, 2.5, source="ln 2: it is on trial"
@@ -132,14 +134,18 @@ MS_SHOWN, TONE_SHOWN = 20.0, 0.2
 """A larger Ms, and an unstable loop, is told as this; a tone that is less likely is not told."""
 
 
-def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
-    """What the book says of the gains in force, and the settings that are worth most over it."""
+def by_book(book: Book, gains: PidGains, settings: BookSettings, *, by_loads: bool = False) -> ByBook:
+    """What the book says of the gains in force, and the settings that are worth most over it.
+
+    by_loads : whether loads alone have moved the loop: then more action needs as much to be sure of room as of worth.
+    """
     drawn = book.drawn(settings.drawn)
     ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
     leans, best = 0, _best(drawn, gains, _more(gains, _integral_times(book, drawn), settings), settings, more=True)
-    bears = max(room, high) >= settings.borne_out  # also where Ms is too high, if more action makes it less
+    needed = settings.more_odds if by_loads else settings.borne_out
+    bears = max(room, high) >= needed  # also where Ms is too high, if more action makes it less
     if bears and best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:

@@ -149,7 +149,10 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
         book = heard(book, MOST[Cause.EXTERNAL], tone=tone)
     seen = AllSamples(look, book, book is not record.book, None, shown)
     asked = book is not None and (own.changes or not seen.silent)
-    return replace(seen, told=by_book(book, gains, settings)) if book is not None and asked else seen
+    if book is None or not asked:
+        return seen
+    by_loads = all(sample.sp == record.samples[-1].sp for sample in record.samples)
+    return replace(seen, told=by_book(book, gains, settings, by_loads=by_loads))
 
 
 def _finds_tone(found: Findings, own: Outcome) -> bool | None:

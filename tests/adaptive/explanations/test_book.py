@@ -307,7 +307,7 @@ def put_to_the_book(
     book = replace(begun(now) if first else after(now, 3), leans=leans)
     record: Any = SimpleNamespace(
         region=0, region_models={0: SimpleNamespace(identifiable=True)}, excitation=Excitation(clear=int(shown)),
-        foreign=0, in_force=now, book=book, crossed=True,
+        foreign=0, in_force=now, book=book, crossed=True, samples=(),
         table=SimpleNamespace(lookup=Lookup.HARD), response=SimpleNamespace(band=100.0 if at_rest else 0.1),
     )  # fmt: skip
     look = Look(book, window, grows=grows, limited=0.0)
@@ -495,9 +495,10 @@ def test_more_action_needs_room(monkeypatch: pytest.MonkeyPatch) -> None:
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1)
     assert by_book(book, now, SETTINGS).tuning
-    monkeypatch.setattr(settings_by_book, "shares", lambda *_: (0.1, 0.6))
-    told = by_book(book, now, SETTINGS)
-    assert (told.leans, told.tuning) == (0, None)
+    for room, by_loads, enough in ((0.6, False, False), (0.8, False, True), (0.8, True, False), (0.9, True, True)):
+        monkeypatch.setattr(settings_by_book, "shares", lambda *_, room=room: (0.1, room))
+        told = by_book(book, now, SETTINGS, by_loads=by_loads)
+        assert (told.leans == 1, told.tuning is not None) == (enough, enough)
 
 
 @pytest.mark.parametrize(("grows", "before", "kept"), [(True, 0, 0), (False, 0, -1)])
