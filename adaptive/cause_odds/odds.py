@@ -32,6 +32,7 @@ from retuner.adaptive.explanations.process_grid import gain_unit, shapes
 from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, quantile, worthwhile
+from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (
@@ -60,8 +61,8 @@ FINAL = 0.9
 class Walk:
     """What the records say under a load that wanders.
 
-    log_likelihood : of the grid's processes, records joined. valve : ln Bayes factor of a valve, tempered. along : what
-    they say for a gain that changes along pv.
+    log_likelihood : of the grid's processes, records joined. valve : ln Bayes factor of a valve, tempered: of one band,
+    or of slips at times of their own. along : what they say for a gain that changes along pv.
     record : the longest window as it was compared. of_record : the log-likelihood of that one, tempered as it comes.
     moved : largest share of setpoint or hand in what moves a record (wandering_load.py).
     swings : probability that a load swings, by process of the grid; period_s : of that swing, nan for none.
@@ -204,6 +205,9 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     records, each = [record for record, _ in found], [likelihood for _, likelihood in found]
     both = [(record, sp) for record, (_, sp) in zip(records, both, strict=True)]
     valve = sum(log_odds_of_valve(r, direction) for r in records)
+    slips = [log_odds_of_slips(Prepared.at(w, w.sample_time_s), direction) for w in windows if valve < SEEN]
+    if max(slips, default=0.0) > 0.0:
+        valve = max(valve, sum(max(one, UNSEEN) for one in slips))
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
     of_longest = each[longest]
     shares, powers, swings, period_s = [0.0], [1.0] * len(records), np.zeros(()), math.nan
@@ -223,6 +227,11 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
             swings = np.exp(swinging - total)
     along = gain_along_pv(records, direction, powers)
     return Walk(total, valve, along, records[longest], of_longest, max(shares), swings, period_s)
+
+
+UNSEEN, SEEN = -1.0, 4.0
+"""Evidence of a record in which no valve with slips of its own is likelier: of one and the same, others may show it.
+And of a valve of one band, from which none is looked for."""
 
 
 def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> tuple[float, float]:
@@ -284,7 +293,7 @@ def _under_steps(
     most = 0.0
     for window, found in open_ones:
         told = found.diagnosis
-        tone = _one_tone(window, found, settings)
+        tone = _one_tone(window, found, settings) * math.exp(-max(walk.valve, 0.0))
         if told.cause == Cause.UNKNOWN:
             if not tone and not _tone_is_white(found, settings):
                 continue
@@ -351,6 +360,8 @@ def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, settings: O
     most = 1.0
     if cause == Cause.EXTERNAL:  # harmonics cost a tone much
         lead, most = (max(lead, 0.0), 1.0) if _white(fit, settings) else (lead, settings.tone_alone)
+    if cause != Cause.STICTION:  # a valve under a load that wanders is a rival as well
+        lead -= TEMPER * max(walk.valve, 0.0)
     return most / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
 
 

@@ -144,6 +144,16 @@ class Prepared:
         finest = max(resolution, LEAST_NOISE * spread)
         return cls(pv - pv[0], co - co[0], finest, n * window.sample_time_s, float(pv[0]))
 
+    def coarser(self, most: int) -> "Prepared":
+        """The same in so many rows at the most."""
+        n = -(-len(self.pv) // most)
+        if n == 1:
+            return self
+        rows = len(self.pv) // n
+        pv, co = (x[: rows * n].reshape(rows, n).mean(axis=1) for x in (self.pv, self.co))
+        finest = max(self.resolution / math.sqrt(n), LEAST_NOISE * float(np.std(pv)))
+        return Prepared(pv - pv[0], co - co[0], finest, n * self.sample_time_s, self.first + float(pv[0]))
+
 
 @dataclass(frozen=True, slots=True)
 class UnderLoads:
@@ -291,7 +301,7 @@ def _whitened(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """gain, information and left under one load, shape (inputs, dead times). moved : of `responses`. falls : poles."""
     n = len(record.pv)
-    memory, basis = _whitening(n, falls, model)
+    memory, basis = whitening(n, falls, model)
     if len(tones):  # a filter makes of a tone the same one turned, and starts
         basis = np.linalg.qr(np.column_stack([basis, tones.T]))[0]
     own = model.roots[1:] if model.roots[0] > 1.0 else model.roots  # see `responses`
@@ -321,7 +331,7 @@ LEAST_SHARE, LEAST_INFORMATION = 1e-12, 1e-300
 
 
 @lru_cache(maxsize=1024)
-def _whitening(n: int, poles: tuple[float, ...], model: LoadModel) -> tuple[FloatArray, FloatArray]:
+def whitening(n: int, poles: tuple[float, ...], model: LoadModel) -> tuple[FloatArray, FloatArray]:
     """The impulse response of 1/C, and what unknown starts add to what A/C gives: orthonormal columns.
 
     Starts of the filter itself, and of the lags of these poles that are not in it.

@@ -230,14 +230,14 @@ def _greedy(pv: FloatArray, lag: float, second: float) -> tuple[float, list[int]
     rise = dynamics.step(middle)
     rest, _ = np.linalg.qr(np.stack([np.ones(n), rise, dynamics.impulse(middle)][: 3 if second else 2], axis=1))
     engine, most = compiled(), min(MOST_SLIPS, n // ROWS_PER_STEP)
-    chosen = engine.steps_chosen if engine is not None else _steps_chosen
+    chosen = engine.steps_chosen if engine is not None else steps_chosen
     found, left = chosen(pv, rise, rest, UNIQUE, most)
     prices = [n * math.log(max(rss, 1e-300) / n) + LOAD_COST * i * math.log(n) for i, rss in enumerate(left)]
     least = min(prices)
     return least, found[: prices.index(least)]
 
 
-def _steps_chosen(
+def steps_chosen(
     pv: FloatArray, rise: FloatArray, basis: FloatArray, unique: float, most: int
 ) -> tuple[list[int], list[float]]:
     """Rows of up to so many steps, each where it takes away most, and sums of squares before and after each."""

@@ -207,9 +207,17 @@ def test_equal_odds_keep_their_order_in_every_process() -> None:
     assert list(_mixed(odds, odds, 0.5, 0.99)) == names
 
 
-@pytest.mark.parametrize(("cause", "weight"), [(Cause.AGGRESSIVE, 0.12), (Cause.EXTERNAL, 0.5)])
+@pytest.mark.parametrize(
+    ("cause", "weight", "valve"),
+    [
+        (Cause.AGGRESSIVE, 0.12, 0.0),
+        (Cause.EXTERNAL, 0.5, -3.0),
+        (Cause.EXTERNAL, 0.018, 4.0),  # a valve behind a load that wanders is a rival of the tone
+        (Cause.STICTION, 0.12, 4.0),
+    ],
+)
 def test_steps_that_leave_the_noise_alone_count_by_their_likelihood_and_a_tone_as_much_as_a_walk(
-    monkeypatch: pytest.MonkeyPatch, cause: Cause, weight: float
+    monkeypatch: pytest.MonkeyPatch, cause: Cause, weight: float, valve: float
 ) -> None:
     """A slow swing in noise was too much gain from every second row, where a walk was e^10 times likelier."""
     record = SimpleNamespace(pv=np.zeros(9), sample_time_s=1.0, noise_std=1.0)
@@ -217,8 +225,8 @@ def test_steps_that_leave_the_noise_alone_count_by_their_likelihood_and_a_tone_a
     fit = SimpleNamespace(
         colour=SimpleNamespace(std=0.8), fit=SimpleNamespace(misfit=misfit, at=SimpleNamespace(explained=np.ones(9)))
     )
-    found: Any = SimpleNamespace(fits={"linear": fit, "external": fit})
-    walk: Any = SimpleNamespace(record=record, of_record=np.zeros(1))
+    found: Any = SimpleNamespace(fits={"linear": fit, "external": fit, "stuck": fit})
+    walk: Any = SimpleNamespace(record=record, of_record=np.zeros(1), valve=valve)
     monkeypatch.setattr(odds, "lead_of_steps", lambda *_: -12.0)
     assert odds._weight_of_steps(cause, found, walk, OddsSettings()) == pytest.approx(weight, abs=0.01)
 

@@ -1,0 +1,261 @@
+"""Does a valve that slips at times of its own make a record likelier, with a load that wanders on top?
+
+    y_i = (1 - r) u(t_i) + r y_(i-1) at row t_i, and stands until the next one         (valve/slips.py)
+    ln B = max over slips of [ln L(y | process, load) - price]  -  ln L(co itself | process, load that jumps as well)
+
+Valves of a fixed band (valve_odds.py) are compared on a grid of bands; one that differs from stop to stop is in none,
+and of a fixed one a hundredth too much ends in another movement altogether. Here every slip has a time of its own, and
+its size follows from co. What a time costs is what the bands say of it: with bands that scatter by s about their median
+S, a slip is somewhere in the rows in which co was about S from the valve,
+    price = sum of [z^2/2 + ln sum over the rows of its stand of exp(-z_row^2/2)] + 2 ln n,    z = ln(|u - y|/S)/s
+so that even bands cost next to nothing, and a staircase that merely follows co costs a time for each stair.
+
+Where the slips are is first seen from pv alone: as steps of free sizes through a process, whitened for a load that
+wanders, one by one (orthogonal least squares, Chen, Billings & Luo 1989); and from the turns of co, which a slip turns
+round. Then they are moved, dropped and joined by others while that pays.
+
+A load may jump as well, or turn a corner: then a whitened record of a loop by itself has single shocks. They are found
+in the same way beside co, at 3/2 ln n each (Schwarz 1978: a size, and a time that any row may be). A slow triangle of a
+load under a fast loop stays a valve: pv is a square under a triangle of co, as it is behind one.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from retuner.adaptive.explanations.valve_odds import DEAD_TIMES, FREE_DEAD_TIMES, LAGS, Loads
+from retuner.adaptive.explanations.wandering_load import (
+    SLOPE,
+    TEMPER,
+    VALUE,
+    Prepared,
+    filtered,
+    load_model,
+    reduced,
+    responses,
+    spectrum,
+    under_loads,
+    whitening,
+)
+from retuner.adaptive.fit.engine import compiled
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.valve.slips import Co, Slips, steps_chosen
+from retuner.schedule.late_dataclass import replace
+
+SHOCK_LAGS, SECONDS, LONGEST = (2.0, 6.0, 15.0, 40.0, 120.0, math.inf), (0.0, 0.3), 20.0
+"""First lags behind which steps are looked for, samples; second ones as shares of these, or of the longest."""
+BESIDE: Loads = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in (0.05, 0.2, 0.8, math.inf))
+STEPPING: Loads = ((0.1, VALUE), (0.8, VALUE))
+JUMPING: Loads = (*STEPPING, (0.02, SLOPE), (0.1, SLOPE), (0.8, SLOPE))
+"""Bandwidths and orders of loads beside slips and co, beside steps, and of those that jump or turn a corner."""
+MOST_STEPS, MOST_JUMPS = 40, 12
+STEP_PRICE, JUMP_PRICE = 5.0, 1.5
+"""What a step costs that is a start only; and a jump of the load beside co, in ln n."""
+UNIQUE = 1e-6
+"""A shock of which less than this share is not explained by the others is no further one."""
+STARTS, POLISHED, ROUNDS = 12, 2, 3
+"""Sets of steps that are tried as slips, those that are moved about, and how often at the most."""
+LATE = (0, 1, 2, 4, 7, 12, 20)
+"""Samples between a slip and the step that it makes, or the turn of co."""
+FEW, CLOSER, EVERY = (1, 4), 3, (0, 1, 2, 3, 4, 6, 9)
+"""Dead times of co beside a load that jumps; how many first lags and loads are looked at with second lags and these."""
+SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
+"""r tried; every third at first."""
+MOVES = (-12, -4, -1, 1, 4, 12)
+"""Rows by which a slip is moved."""
+TRIED, PLACES, FEWEST, MOST_TURNS = 25, 7, 2, 40
+"""Rows at which one more slip is tried; places where the valve may stand first; slips that make a law; turns of co."""
+MOST_ROWS = 512
+"""Rows in which a record is looked at."""
+OWN_NUMBERS = 4
+"""Numbers of such a valve, at half of ln n each: middle and scatter of the bands, r, and where it stands first."""
+EVEN, LEAST = 0.05, 1e-9
+"""Scatter of the logarithms of bands that no valve is below; a band, and a share of rows, that is none."""
+
+
+def log_odds_of_slips(record: Prepared, direction: int) -> float:
+    """Tempered logarithm of the Bayes factor of a valve with slips of its own; -inf where none is likelier.
+
+    direction : sign of the process gain.
+    """
+    if not (np.ptp(record.co) > 0 and np.ptp(record.pv) > 0):
+        return -math.inf
+    record = record.coarser(MOST_ROWS)
+    co = Co(record.co)
+    alone = max(_through(record, direction, record.co[None], FREE_DEAD_TIMES))
+    trials = [_settled(trial) for trial in _starts(record, direction, co)]
+    slips = max(trials, key=lambda trial: trial.best, default=None)
+    if slips is None:
+        return -math.inf
+    position, price = _placed(co, slips.at)
+    told = max(_through(record, direction, position[None], DEAD_TIMES)) - price
+    if told <= alone:
+        return -math.inf
+    return (told - max(alone, _jumping(record))) / TEMPER
+
+
+def _through(record: Prepared, direction: int, inputs: FloatArray, dead: Sequence[float]) -> Iterator[float]:
+    """The largest ln L of an input behind each first lag and under each load."""
+    for lag in LAGS:
+        for load in BESIDE:
+            yield float(_told(record, direction, inputs, lag, load, dead)[0])
+
+
+def _told(
+    record: Prepared, direction: int, inputs: FloatArray, lag: float, load: tuple[float, int], dead: Sequence[float]
+) -> FloatArray:
+    """ln L of every input with its best second lag and dead time, shape (inputs,); no gain of the wrong sign."""
+    fits = under_loads(record, inputs, lag, (load,), dead)
+    right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
+    told = TEMPER * fits.tempered(right[..., None])[0, ..., 0].max(axis=1)
+    return np.asarray(told.reshape(-1, len(inputs)).max(axis=0))
+
+
+def shocks(
+    record: Prepared, lag: float, second: float, load: tuple[float, int], most: int, beside: FloatArray | None = None
+) -> tuple[list[int], FloatArray]:
+    """Rows of single shocks of a load, each where it takes away most; ln L before and after each, unpriced.
+
+    second : a further lag that the shocks go through, 0 for none. beside : what co does, shape (n,).
+    """
+    n, model = len(record.pv), load_model(lag, *load)
+    memory, basis = whitening(n, (math.exp(-1.0 / second),) if second else (), model)
+    rows = record.pv[None] if beside is None else np.array([record.pv, beside])
+    y, *co = filtered(spectrum(reduced(rows, model.roots)), n, memory)
+    if co:
+        basis = np.linalg.qr(np.column_stack([basis, *co]))[0]
+    response = np.concatenate([[0.0], memory[:-1]])
+    if second:
+        response = filtered(spectrum(response), n, np.exp(-np.arange(n, dtype=np.float64) / second))
+    chosen = engine.steps_chosen if (engine := compiled()) is not None else steps_chosen
+    found, left = chosen(y, response, basis, UNIQUE, most)
+    noise = n * record.resolution**2
+    told = -(n - basis.shape[1]) / 2.0 * np.log((np.array(left) + noise) / float(np.var(record.pv)))
+    return [row + 1 for row in found], told
+
+
+def _jumping(record: Prepared) -> float:
+    """ln L of co itself, where the load jumps or turns corners besides, at their price."""
+    price, n = JUMP_PRICE * math.log(len(record.pv)), len(record.pv)
+
+    def told(moved: FloatArray, lag: float, load: tuple[float, int], dead: int) -> float:
+        late = np.concatenate([np.zeros(dead), moved[: n - dead]])
+        found = shocks(record, lag, 0.0, load, MOST_JUMPS, late)[1]
+        return float(np.max(found - price * np.arange(len(found))))
+
+    behind = {lag: responses(record.co, lag) for lag in LAGS}
+    first = {
+        (lag, load): max(told(behind[lag][0], lag, load, dead) for dead in FEW) for lag in LAGS for load in JUMPING
+    }
+    closer = sorted(first, key=lambda one: -first[one])[:CLOSER]
+    return max(told(moved, *one, dead) for one in closer for moved in behind[one[0]] for dead in EVERY)
+
+
+def _placed(co: Co, slips: Slips) -> tuple[FloatArray, float]:
+    """Where the valve is, from its first value, and the price of its slips as in the head of this file."""
+    u, rows, position = co.u, np.array(slips.rows), co.position(slips)
+    n, least = len(u), LEAST * float(np.ptp(u))
+    before = position[rows - 1]
+    bands = np.log(np.maximum(np.abs(u[rows] - before), least))
+    middle = sorted(bands.tolist())[len(bands) // 2]
+    apart = bands - middle
+    scatter = max(math.sqrt(float(apart @ apart) / len(bands)), EVEN)
+    # rows of its stand, and those from the slip to the next one
+    counts = np.diff(rows, prepend=0, append=n)
+    stood = np.repeat(np.concatenate([before, before]), np.concatenate([counts[:-1], counts[1:]]))
+    away = np.abs(np.concatenate([u[: rows[-1]], u[rows[0] :]]) - stood)
+    z = (np.log(np.maximum(away, least)) - middle) / scatter
+    might = np.add.reduceat(np.exp(-0.5 * z * z), np.concatenate([rows - counts[:-1], rows - rows[0] + rows[-1]]))
+    might = might[: len(rows)] + might[len(rows) :]
+    own = float(apart @ apart) / (2.0 * scatter**2)
+    return position - position[0], float(np.sum(np.log(might))) + own + OWN_NUMBERS / 2.0 * math.log(n)
+
+
+class SlipSearch:
+    """Slips behind one first lag under one load. at : the best so far. best : what it tells, ln L less its price."""
+
+    def __init__(
+        self, record: Prepared, direction: int, co: Co, lag: float, load: tuple[float, int], at: Slips
+    ) -> None:
+        self.co, self.at, self._asked = co, at, (record, direction, lag, load)
+        self.best = -math.inf
+        self.better([at])
+
+    def better(self, each: Sequence[Slips]) -> bool:
+        """Whether one of them is, which is kept then."""
+        placed = [_placed(self.co, slips) for slips in each]
+        if not placed:
+            return False
+        record, direction, lag, load = self._asked
+        told = _told(record, direction, np.array([one for one, _ in placed]), lag, load, DEAD_TIMES)
+        told -= [price for _, price in placed]
+        i = int(np.argmax(told))
+        if told[i] <= self.best:
+            return False
+        self.at, self.best = each[i], float(told[i])
+        return True
+
+
+def _starts(record: Prepared, direction: int, co: Co) -> Iterator[SlipSearch]:
+    """The likeliest slips as they are first seen."""
+    found = []
+    for lag in SHOCK_LAGS:
+        for second in (share * min(lag, LONGEST) for share in SECONDS):
+            for load in STEPPING:
+                rows, told = shocks(record, lag, second, load, MOST_STEPS)
+                told -= STEP_PRICE * np.arange(len(told))
+                found.append((float(np.max(told)), sorted(rows[: int(np.argmax(told))])))
+    seen = [rows for _, rows in sorted(found, key=lambda one: -one[0])[:STARTS]]
+    seen += [turns] if len(turns := co.turns()) <= MOST_TURNS else []
+    each = [
+        Slips(tuple(sorted({max(row - late, 1) for row in rows})), share, float(co.u[0]))
+        for rows in seen
+        if len(rows) >= FEWEST
+        for late in LATE
+        for share in SHARES[::3]
+    ]
+    if not each:
+        return
+    placed = [_placed(co, slips) for slips in each]
+    moved, prices = np.array([one for one, _ in placed]), np.array([price for _, price in placed])
+    behind = [(lag, load) for lag in LAGS for load in STEPPING]
+    told = np.array([_told(record, direction, moved, lag, load, DEAD_TIMES) - prices for lag, load in behind])
+    taken: set[tuple[int, ...]] = set()
+    for i in np.argsort(-told.max(axis=0), kind="stable").tolist():
+        if each[i].rows not in taken and len(taken) < POLISHED:
+            taken.add(each[i].rows)
+            yield SlipSearch(record, direction, co, *behind[int(np.argmax(told[:, i]))], each[i])
+
+
+def _settled(trial: SlipSearch) -> SlipSearch:
+    """Shares, starts and times in turn, slips less and one more, until nothing pays."""
+    co, n = trial.co, len(trial.co.u)
+    for _ in range(ROUNDS):
+        before = trial.best
+        trial.better([replace(trial.at, share=share) for share in SHARES])
+        typical = float(np.median(co.bands(trial.at)))
+        firsts = float(co.u[0]) + typical * np.linspace(-1.0, 1.0, PLACES)
+        trial.better([replace(trial.at, first=first) for first in firsts.tolist()])
+        i = 0
+        while i < len(trial.at.rows):
+            trial.better(_moved(trial.at, i, n))
+            i += 1
+        while trial.better(_with_one_more(trial.at, n)):
+            pass
+        if trial.best < before + 1.0:
+            break
+    return trial
+
+
+def _moved(at: Slips, which: int, n: int) -> list[Slips]:
+    """One slip earlier or later, between its neighbours; or left out, alone and with the next one."""
+    before, row, after = (0, *at.rows, n)[which : which + 3]
+    rows = [(*at.rows[:which], row + move, *at.rows[which + 1 :]) for move in MOVES if before < row + move < after]
+    rows += [at.rows[:which] + at.rows[which + count :] for count in (1, 2)]
+    return [replace(at, rows=one) for one in rows if len(one) >= FEWEST]
+
+
+def _with_one_more(at: Slips, n: int) -> list[Slips]:
+    places = [row for row in np.linspace(1, n - 1, TRIED).astype(int).tolist() if row not in at.rows]
+    return [replace(at, rows=tuple(sorted((*at.rows, row)))) for row in places if len(at.rows) < MOST_STEPS]
