@@ -136,7 +136,7 @@ def outlooks(
 ) -> list[Outlook]:
     """What each set is expected to do; the first is the one in force.
 
-    allowed : at least one model. decay : see Seen.
+    allowed : at least one model. decay : see ModelEvidence.
     """
     found = sorted(allowed, key=lambda model: model.excess)[:MOST_MODELS]  # stable: the best one stays first
     sampled = [plausible.model.seen_by_controller(loop.sample_time_s) for plausible in found]

@@ -36,7 +36,8 @@ def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, int, int],
     n, away = len(error), error - np.mean(error)
     length = FINER << (n - 1).bit_length()
     first = math.ceil(FEWEST_PERIODS * length / n)
-    size = np.log(np.abs(np.fft.rfft(away * np.hanning(n), length)) + LEAST * float(np.sum(np.abs(away))))
+    least = LEAST * float(np.sum(np.abs(away))) or np.finfo(np.float64).tiny  # an even error has no line
+    size = np.log(np.abs(np.fft.rfft(away * np.hanning(n), length)) + least)
     lines, upto = np.arange(first, length // FEWEST_SAMPLES), np.concatenate([[0.0], np.cumsum(size)])
     low, high = lines // AROUND, np.minimum(lines * AROUND, len(size))
     over = first + int(np.argmax(size[lines] - (upto[high] - upto[low]) / (high - low)))

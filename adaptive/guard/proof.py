@@ -101,7 +101,7 @@ class Loops:
         return bool(self._processes) and all(self.ms(i, gains) > limit for i in range(len(self)))
 
     def safer(self, old: PidGains, new: PidGains, goal: PidGains) -> bool:
-        """Whether new is safer than old (see the head of this file); goal : where the step leads."""
+        """Whether new is safer than old (see above this class); goal : where the step leads."""
         pairs = [(self.ms(i, old), self.ms(i, new)) for i in range(len(self))]
         if not pairs or any(after > before for before, after in pairs):
             return False

@@ -1,4 +1,4 @@
-"""One decision, from the record of a response to the gains that win. Each step is a function of one file.
+"""One decision, from the record of a response to the gains that win. Each step stands in the file beside it.
 
     findings_of          what does the record say, and what does its region know with it?        findings.py
     without_a_model,     what follows from that: a proposal (region_proposal.py), its proof, is  by_model.py
@@ -72,7 +72,7 @@ def _decided(question: Question) -> Outcome:
 
 
 def gains_that_win(found: Findings, own: Outcome) -> Outcome:
-    """Which gains win, and why: no other place chooses between what models, trials and all samples say.
+    """Which gains win, and why: the one place that chooses between the model's, the set before and all samples'.
 
     1. Those that follow from the response, with the models of its region.
     2. Where a tone goes on through the last change to less action: the set that ran before it.
@@ -89,7 +89,7 @@ def gains_that_win(found: Findings, own: Outcome) -> Outcome:
 
 
 def set_before(found: Findings, own: Outcome) -> Outcome | None:
-    """Was less action a cure for what came from outside? Then the set that ran before comes back, on trial; else None.
+    """The set that ran before, on trial, where less action was the answer to a tone from outside; else None.
 
     own : what the response leads to by itself.
 

@@ -145,7 +145,7 @@ class RobustProposal:
 def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settings: RetunerSettings) -> RobustProposal:
     """Settings for a region, with half a sampling interval of dead time more: what a sampled controller sees.
 
-    region_model : what is known. log : the same as it may be met now (tracker.predicted). in_force : gains running now.
+    region_model : what is known. log : the same as it may be met now (`predicted`). in_force : gains running now.
     """
     dt_s, best, cause = settings.sample_time_s, log.model(), settings.cause
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))

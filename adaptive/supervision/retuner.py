@@ -347,8 +347,8 @@ class Retuner:
         return self._finder.samples[-1].t_s if self._finder.samples else 0.0
 
     def _still_allowed(self, region: int) -> StillAllowed:
-        """What is known of a region's process now: nothing where one that runs away by itself is alive in the book, and
-        is held worse by what was tried than by what ran before. No model has such a pole: each is for less gain.
+        """What is known of a region's process now. Nothing, where by the book it may run away by itself and the set
+        on trial holds it worse than the one before: no model has an unstable pole, so all of them prefer less gain.
         """
         book, trial, asked = self.books.get(region), self.trials.of(region), self.settings.book
         if book and trial.old and trial.new and lets_go(book.drawn(asked.drawn), trial.old, trial.new, asked):

@@ -2,8 +2,8 @@
 
 A thin shell round phase.py (what follows what), judge.py and diverging_trial.py (what a response and a sample say),
 rollback.py (which set is to run after a cause that is no response). It keeps one Trial a region and has one effect:
-ENTERING the phase puts what is to run into the table, at once and whatever led there, so that nothing writes anything
-else. That the controller runs it is told by `restored`.
+when a trial begins to roll back, the set that is to run goes into the table at once, whatever led there, so that
+nothing writes another one. That the controller runs it is told by `restored`.
 
     cool-down = base x 2^(rollbacks - 1), base from the settings or the restored set's integral time
     hold of a person's gains = edit_hold_s x 2^(edits - 1)

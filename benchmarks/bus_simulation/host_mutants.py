@@ -47,7 +47,7 @@ HOST_MUTANTS = tuple(
             "        self._staged_right = False  # what is sent again is read back again\n",
             "",
         ),
-        ("no token check", HOST + "page_reader", "frame.token != question.token % PAGE_TAG", "False"),
+        ("no token check", HOST + "page_reader", "frame.token != question.token % wire.PAGE_TAG", "False"),
         ("no CRC of pages", HOST + "page_reader", " and self.crc == page_crc(set_crc_, self.token)", ""),
         (
             "parts of two sets make a page",
@@ -55,7 +55,7 @@ HOST_MUTANTS = tuple(
             " or any(item.seq != end.seq for item in items.values())",
             "",
         ),
-        ("an unfinished page is whole", HOST + "page_reader", "if len(items) < len(Item) or", "if not items or"),
+        ("an unfinished page is whole", HOST + "page_reader", "if len(items) < len(wire.Item) or", "if not items or"),
         # the lease
         (
             "no lease before the stage",
@@ -155,7 +155,7 @@ HOST_MUTANTS = tuple(
         (
             "any challenge serves",
             HOST + "page_reader",
-            "challenge.token == question.token % CHALLENGE_TAG",
+            "challenge.token == question.token % wire.CHALLENGE_TAG",
             "challenge is not None",
         ),
         (

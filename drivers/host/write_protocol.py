@@ -3,13 +3,13 @@
     IDLE -> CLAIMING -> STAGING -> COMMITTING -> READING -> IDLE      the good way
     any trouble -> FENCING -> READING -> IDLE                         every other way
 
-CLAIMING waits until this host holds the lease at the time of this call, or, once, until a request for it goes ahead of
-the gains. A host that was busy for long has lost the lease without knowing: it takes it again, and stages anew under
-another number. STAGING sends the gains and reads them back as they stand in the device; it may be repeated, for
-nothing runs yet. COMMITTING sends one commit and never repeats it. A refusal, a lost acknowledge, a restart: all lead
-to FENCING, which burns the sequence number in the device, so that no late copy of the commit can take effect
-afterwards. READING then asks what runs, and only that answer decides between done and failed. While the device is
-silent, FENCING and READING go on asking and the result is unknown, and said to be.
+CLAIMING ends as soon as this host holds the lease. Where it does not, it asks for it once, ahead of the gains. A host
+that was busy for long has lost the lease without knowing: it takes it again, and stages anew under another number.
+STAGING sends the gains and reads them back as they stand in the device; it may be repeated, for nothing runs yet.
+COMMITTING sends one commit and never repeats it. A refusal, a lost acknowledge, a restart: all lead to FENCING, which
+burns the sequence number in the device, so that no late copy of the commit can take effect afterwards. READING then
+asks what runs, and only that answer decides between done and failed. While the device is silent, FENCING and READING go
+on asking and the result is unknown, and said to be.
 """
 
 from collections.abc import Callable

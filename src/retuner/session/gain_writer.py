@@ -1,4 +1,4 @@
-"""Has the controller run what it should, one two-phase write at a time, each recorded before it begins:
+"""Writes the gains that the controller is to run, one two-phase write at a time, each recorded before it begins. First
 
     1  the set to run, while a change is being rolled back: before everything else, until it has been read back
     2  a decision of the retuner, when the loop is still in its region and the link has been sound for a while
@@ -90,7 +90,7 @@ WRITING: dict[tuple[WriterPhase, WriterInput], WriterPhase] = {
     (P.RESTORING, W.DONE): P.IDLE,
     (P.RESTORING, W.FAILED): P.IDLE,
 }
-"""What is not here cannot be: a decision that asks while another one waits or is written is dropped, and told."""
+"""A decision that asks while another one waits or is written has no row here: it is dropped, and told."""
 
 OPEN = frozenset({P.FOLLOWING, P.FOLLOWING_ASKED, P.CHANGING, P.RESTORING})
 
@@ -154,10 +154,10 @@ class GainWriter:
         return bool(self.retuner.trials.restoring)
 
     def ask(self, decision: Decision) -> None:
-        """A decision wants its gains to run. A change waits for the wire, unless another one is ahead of it.
+        """A decision wants its gains to run. A change waits until `keep` writes it, unless another one is ahead of it.
 
         A way back waits for nothing: the table has its set already, and `keep` has it run before everything else.
-        What a person ordered is not on trial: the set before it would count as verified for the change behind it.
+        What a person ordered is not on trial: a trial would keep the set before it, for a later change to go back to.
         """
         if decision.gains_after is None:
             return
@@ -193,7 +193,7 @@ class GainWriter:
         self._retry_at_s = self.t_s + self._span_s(RETRY_SAMPLES)
 
     def keep(self, now_s: float) -> None:
-        """Have the controller run what it should."""
+        """Write the gains that the controller is to run and does not, if any; called once a sample."""
         running = self.device.running
         if self.open or self.device.writing or not self.device.connected or running is None:
             return
