@@ -9,7 +9,7 @@ remainder whitened, which is what makes the estimate unbiased in closed loop and
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
 
@@ -116,9 +116,7 @@ def candidates(
             seen.add(improved(found, settings.most_loads, seen, RELATIVE_MOVES))
         winner = seen.best()
     if settings.most_loads and _far(winner):
-        for found in _from_parts(window, record, signs, settings):
-            seen.add(found)
-            seen.add(improved(found, settings.most_loads, seen))
+        _from_parts(window, record, signs, settings, seen)
         winner = seen.best()
     if asked_for(winner) and not np.any(np.diff(window.sp)):
         with_corners([winner, *_few_loads(rivals)], settings.most_loads, seen)
@@ -166,12 +164,12 @@ PARTS = 3
 
 
 def _from_parts(
-    window: Window, record: Record, signs: tuple[int, ...], settings: StructureSettings
-) -> Iterator[Candidate]:
-    """The process of each part of a record, with the loads that the whole record has beside it.
+    window: Window, record: Record, signs: tuple[int, ...], settings: StructureSettings, seen: CandidateList
+) -> None:
+    """Notes the better explanations that begin with the process of a part and the loads of the whole record.
 
     A part has few loads, so its search finds the process; with several sharp loads the search of the whole, which
-    places them on a grid, ends in a local optimum.
+    places them on a grid, ends in a local optimum. A worse explanation that begins so is no rival, and is not noted.
     """
     edges = np.linspace(0, len(window.t_s), PARTS + 1).round().astype(int).tolist()
     for first, end in pairwise(edges):
@@ -185,7 +183,11 @@ def _from_parts(
             best = min(lags, key=lambda c: c.criterion).fit
             bare = replace(best.misfit, record=record, loads=0, ramp=False, ar=(), sigma=record.noise_std)
             times = load_times(bare, best.x, settings.most_loads)
-            yield judged(refine(replace(bare, loads=len(times)), np.concatenate([best.x, times])))
+            start = judged(refine(replace(bare, loads=len(times)), np.concatenate([best.x, times])))
+            tried, known = CandidateList([start]), seen.best()
+            if improved(start, settings.most_loads, tried).criterion < known.criterion:
+                for one in tried.ranked(math.inf):
+                    seen.add(one)
 
 
 def _swallows(winner: Candidate) -> bool:

@@ -1,5 +1,7 @@
 """A whole record knows no less than its parts: a long trend of a plain tank, and a valve that is no process."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
 
 GAINS = PidGains(2.0, 2.0 / 160.0)
+FLOW = Path(__file__).parents[1] / "data" / "plant" / "FIC10201_1110_2.csv"
 
 
 def tank(theta_s: float, gap_s: float, noise: float = 0.02) -> Window:
@@ -88,3 +91,10 @@ def test_three_sharp_loads_are_told_as_their_first_one_is(seed: int) -> None:
     model = found.log.model()
     assert (model.k, model.tau1_s) == pytest.approx((1.7, 12.5), rel=0.1)
     assert found.residual_std < 1.1 * found.noise_std  # 2 to 12 times, with the whole searched at once
+
+
+def test_a_worse_explanation_that_a_part_begins_is_no_rival() -> None:
+    record = np.genfromtxt(FLOW, delimiter=",", names=True)
+    found = identify(record["t"], record["sp"], record["pv"], record["co"])
+    assert found.identifiable  # bounded by a sampling interval, though a third of it fits a dead time of 115 s as well
+    assert found.estimate.bound_s == 10.0
