@@ -290,7 +290,8 @@ def _under_steps(
 ) -> tuple[dict[Cause, float], float]:
     """Odds where loads are steps or a tone, over the records in which that is likely; and how likely it is there."""
     total: dict[Cause, float] = {}
-    most = 0.0
+    p = min(under_walk[Cause.STICTION], 1.0 - 1e-12)
+    most, valve = 0.0, math.log(max(p, 1e-12) / (1.0 - p))
     for window, found in open_ones:
         told = found.diagnosis
         tone = _one_tone(window, found, settings) * math.exp(-max(walk.valve, 0.0))
@@ -298,7 +299,7 @@ def _under_steps(
             if not tone and not _tone_is_white(found, settings):
                 continue
             told = replace(told, cause=Cause.EXTERNAL, confidence=HALF)
-        weight = max(_weight_of_steps(told.cause, found, walk, settings), tone)
+        weight = max(_weight_of_steps(told.cause, found, walk, valve, settings), tone)
         shares = {cause: (1 - told.confidence) * p for cause, p in under_walk.items()}  # where steps are silent
         shares[told.cause] = shares.get(told.cause, 0.0) + told.confidence
         for cause in dict.fromkeys((*shares, *total)):
@@ -347,8 +348,11 @@ def _white(fit: Candidate, settings: OddsSettings) -> bool:
     return fit.colour.std <= settings.noise_left * noise and fit.fit.misfit.loads <= settings.few_loads
 
 
-def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, settings: OddsSettings) -> float:
-    """Probability that loads are the steps, or the tone, that a cause rests on, against a load that wanders."""
+def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, valve: float, settings: OddsSettings) -> float:
+    """Probability that loads are the steps, or the tone, that a cause rests on, against a load that wanders.
+
+    valve : logarithm of the odds of a valve under such a load, by its likelihood and by how pv stands.
+    """
     fit = found.fits.get(BEHIND.get(cause, "linear"))
     if fit is None:
         return settings.tone_alone if cause == Cause.EXTERNAL else HALF
@@ -361,7 +365,7 @@ def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, settings: O
     if cause == Cause.EXTERNAL:  # harmonics cost a tone much
         lead, most = (max(lead, 0.0), 1.0) if _white(fit, settings) else (lead, settings.tone_alone)
     if cause != Cause.STICTION:  # a valve under a load that wanders is a rival as well
-        lead -= TEMPER * max(walk.valve, 0.0)
+        lead -= TEMPER * max(walk.valve, valve, 0.0)
     return most / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
 
 

@@ -39,7 +39,7 @@ from retuner.adaptive.explanations.wandering_load import (
     whitening,
 )
 from retuner.adaptive.fit.engine import compiled
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.adaptive.valve.slips import Co, Slips, steps_chosen
 from retuner.schedule.late_dataclass import replace
 
@@ -234,7 +234,7 @@ def _settled(trial: SlipSearch) -> SlipSearch:
     for _ in range(ROUNDS):
         before = trial.best
         trial.better([replace(trial.at, share=share) for share in SHARES])
-        typical = float(np.median(co.bands(trial.at)))
+        typical = median(co.bands(trial.at))
         firsts = float(co.u[0]) + typical * np.linspace(-1.0, 1.0, PLACES)
         trial.better([replace(trial.at, first=first) for first in firsts.tolist()])
         i = 0

@@ -63,7 +63,7 @@ class StructureSettings:
     start_spread : see Misfit; default 0.3, 0 for an experiment that is known to begin at rest.
     inverse : whether an inverse response and a third lag are among the structures; default true. Where causes are
         compared they are not: a zero that has not come back yet explains a process of the other sign, and a valve that
-        slips late.
+        slips late. Nor are the processes of a record's parts: a part of a tone from outside is a process that swings.
     """
 
     seeded_loads: int = 2
@@ -115,7 +115,7 @@ def candidates(
         for found in _loads_first(rivals, settings.most_loads):
             seen.add(improved(found, settings.most_loads, seen, RELATIVE_MOVES))
         winner = seen.best()
-    if settings.most_loads and _far(winner):
+    if settings.inverse and settings.most_loads and _far(winner):
         _from_parts(window, record, signs, settings, seen)
         winner = seen.best()
     if asked_for(winner) and not np.any(np.diff(window.sp)):
