@@ -19,6 +19,7 @@ from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.indexes.doubtful_units import doubtful_units
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.valve_model import Family, StuckValve
@@ -38,6 +39,16 @@ def test_a_leap_from_one_event_is_a_first_step():
     assert sensitivity_peak(INTEGRATING.linear(), gains) < 1.7
     assert step.aim is aim
     assert "10.0 times the gain" in step.sentence
+
+
+def test_a_first_step_of_a_loop_with_derivative_action_keeps_the_aims_times():
+    process = ProcessModel(ProcessType.SOPDT, 1.0, 100.0, 40.0, 8.0)
+    aim = RobustTuning(simc(process, kind=ControllerKind.PID), 1.6, 1.7)
+    wanted = aim.tuning.gains
+    step = first_step(aim, PidGains(wanted.kp / 10, wanted.ki / 10, wanted.kd / 10), 1.0, process, 0.5)
+    assert step is not None
+    gains, share = step.now.tuning.gains, MOST_AT_ONCE / 10
+    assert (gains.kp, gains.ki, gains.kd) == pytest.approx((share * wanted.kp, share * wanted.ki, share * wanted.kd))
 
 
 def test_more_events_or_a_cut_carry_the_aim():

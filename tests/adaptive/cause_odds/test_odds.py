@@ -247,3 +247,22 @@ def test_a_valve_that_its_pv_shows_is_a_rival_of_load_steps_in_any_unit_of_time(
     found = diagnose_windows([Window(record.t_s * in_time, record.sp, record.pv, record.co)]).diagnosis
     assert found.cause is Cause.STICTION
     assert found.causes["stiction"] > 0.8
+
+
+def test_a_lasting_tone_weighs_less_the_likelier_a_valve_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(odds, "_one_tone", lambda *_: 1.0)
+    monkeypatch.setattr(odds, "_weight_of_steps", lambda *_: 0.0)
+    found: Any = SimpleNamespace(diagnosis=Diagnosis(Cause.UNKNOWN, 0.5, {}, ""))
+    for valve, weight in ((-3.0, 1.0), (0.0, 1.0), (2.0, math.exp(-2.0))):
+        walk: Any = SimpleNamespace(valve=valve)
+        share = {Cause.STICTION: 0.2, Cause.OK: 0.8}
+        assert odds._under_steps([(loop(), found)], share, walk, OddsSettings())[1] == pytest.approx(weight)
+
+
+def test_a_record_in_which_no_slip_is_seen_speaks_a_little_against_those_of_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    slips = iter([6.0, -math.inf])
+    monkeypatch.setattr(odds, "log_odds_of_slips", lambda *_: next(slips))
+    walk = odds._walk([loop(seed=1, n=200), loop(seed=2, n=200)], PidGains(1.0, 0.05), 1, OddsSettings())
+    assert walk.valve == pytest.approx(6.0 + odds.UNSEEN)

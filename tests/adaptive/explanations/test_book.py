@@ -19,7 +19,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations import settings_by_book
 from retuner.adaptive.explanations.book import ODD, PLANES, RUNAWAYS, WEIGHED, Book, doubted, move, update
 from retuner.adaptive.explanations.process_grid import shapes
-from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
+from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, lets_go
 from retuner.adaptive.explanations.settings_by_odds import WorthSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
@@ -296,18 +296,18 @@ def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to:
 def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
     at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None, settled: bool = True,
-    grows: bool = True, leans: int = 0, diagnosis: Diagnosis | None = None,
+    grows: bool = True, leans: int = 0, diagnosis: Diagnosis | None = None, setpoints: tuple[float, ...] = (),
 ) -> Outcome:  # fmt: skip
     """A change that follows from a response, or with a code none, put to the book. times : of the good gains, in force.
 
-    expected : benefit by the models.
+    expected : benefit by the models. setpoints : of the samples that are kept.
     """
     now = scaled(times)
     window = recorded(now, 5)
     book = replace(begun(now) if first else after(now, 3), leans=leans)
     record: Any = SimpleNamespace(
         region=0, region_models={0: SimpleNamespace(identifiable=True)}, excitation=Excitation(clear=int(shown)),
-        foreign=0, in_force=now, book=book, crossed=True, samples=(),
+        foreign=0, in_force=now, book=book, crossed=True, samples=[SimpleNamespace(sp=one) for one in setpoints],
         table=SimpleNamespace(lookup=Lookup.HARD), response=SimpleNamespace(band=100.0 if at_rest else 0.1),
     )  # fmt: skip
     look = Look(book, window, grows=grows, limited=0.0)
@@ -499,6 +499,21 @@ def test_more_action_needs_room(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(settings_by_book, "shares", lambda *_, room=room: (0.1, room))
         told = by_book(book, now, SETTINGS, by_loads=by_loads)
         assert (told.leans == 1, told.tuning is not None) == (enough, enough)
+
+
+@pytest.mark.parametrize(("setpoints", "alone"), [((50.0, 50.0, 50.0), True), ((50.0, 55.0, 55.0), False)])
+def test_loads_alone_have_moved_a_loop_whose_setpoint_stood_in_all_that_is_kept(
+    monkeypatch: pytest.MonkeyPatch, setpoints: tuple[float, ...], *, alone: bool
+) -> None:
+    asked: list[bool] = []
+
+    def noted(*given: Any, by_loads: bool) -> ByBook:
+        asked.append(by_loads)
+        return by_book(*given, by_loads=by_loads)
+
+    monkeypatch.setattr(by_book_stage, "by_book", noted)
+    put_to_the_book(1.0, 0.7, 0.7, setpoints=setpoints)
+    assert asked == [alone]
 
 
 @pytest.mark.parametrize(("grows", "before", "kept"), [(True, 0, 0), (False, 0, -1)])

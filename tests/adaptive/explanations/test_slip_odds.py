@@ -5,10 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.fit import engine
+from retuner.adaptive.signals.sample import Window
+from retuner.diagnosing import diagnose_windows
+from retuner.schedule.gains import PidGains
 
 N, GAIN, RESET = 500, 1.2, 0.12
 
@@ -38,6 +42,16 @@ def record(seed: int, band: float, load: str = "wanders") -> Prepared:
 def test_a_valve_with_another_band_at_every_stop_is_seen(seed: int) -> None:
     found = record(seed, 1.2)
     assert log_odds_of_slips(found, 1) > max(3.0, log_odds_of_valve(found, 1))
+
+
+@pytest.mark.parametrize("seed", [1, 5, 7])
+def test_a_diagnosis_names_such_a_valve(seed: int) -> None:
+    """By valves of one band these records were of a loop in order, or too slow, with a tenth for a valve."""
+    found = record(seed, 1.2)
+    window = Window(np.arange(float(N)), np.full(N, 50.0), 50.0 + found.pv, 40.0 + found.co)
+    told = diagnose_windows([window], gains=PidGains(GAIN, RESET)).diagnosis
+    assert told.cause is Cause.STICTION
+    assert told.causes["stiction"] > 0.9
 
 
 @pytest.mark.parametrize("load", ["wanders", "jumps", "turns a corner"])

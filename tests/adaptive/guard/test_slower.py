@@ -36,6 +36,14 @@ def test_a_pid_proposal_is_slowed_as_pid_with_its_own_dead_time() -> None:
     assert all(t.gains.kd == 0.0 for t in plain)
 
 
+def test_a_third_lag_is_dead_time_of_a_slower_pid_proposal_by_the_half_rule() -> None:
+    model = ProcessModel(ProcessType.TOPDT, 2.0, 50.0, 20.0, 5.0, tau3_s=8.0)
+    wanted = simc(replace(model, theta_s=5.5), None, ControllerKind.PID)
+    assert wanted.tau_c_s == pytest.approx(5.5 + 8.0 / 2)
+    found = slower_settings(request(GAINS, wanted, known(0.02, model)), SETTINGS)
+    assert found[-1].tau_c_s == pytest.approx(1.3 * wanted.tau_c_s)
+
+
 def test_other_rules_have_none_unless_they_bring_them() -> None:
     other = Tuning("amigo", "parallel", GAINS, 5.0)
     assert slower_settings(request(GAINS, other), SETTINGS) == ()
