@@ -11,7 +11,7 @@ The first remedy for doubt is a larger tau_c (by at most so much); what is still
 for the user, to judge by the Ms that comes with the settings. Half a sampling interval counts as dead time.
 
 A loop that has derivative action gets SIMC's PID settings (tau_D is the second lag; Skogestad 2003, table 1) where that
-lag is known well enough for them to be robust by the same limits, and where they reject loads better than PI does.
+lag is known well enough for them to be robust by the same limits.
 """
 
 from collections.abc import Sequence
@@ -87,12 +87,11 @@ def robust_simc_on(
     """Settings for the most likely model and all that are still allowed; PI, or PID as said at the head of the file."""
     model = less_damped(process.seen_by_controller(sample_time_s))
     others = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, settings.believed)]
-    plain, _ = _tightest(model, others, settings, PI)
-    if in_force is None or not in_force.kd or not model.tau2_s or asks_for_integral(model):
-        return plain
-    with_derivative, robust = _tightest(model, others, settings, PID)
-    better = abs(with_derivative.tuning.gains.ki) > abs(plain.tuning.gains.ki)
-    return with_derivative if robust and better else plain
+    if in_force is not None and in_force.kd and model.tau2_s:
+        with_derivative, robust = _tightest(model, others, settings, PID)
+        if robust:
+            return with_derivative
+    return _tightest(model, others, settings, PI)[0]
 
 
 def _tightest(
