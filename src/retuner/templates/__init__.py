@@ -26,10 +26,10 @@ def starter(profile: str = "") -> str:
 
 def rendered(name: str, **values: Any) -> str:
     """The text of a template (Jinja) with these values; of a name that is not given it is an error."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  slow to load, for few commands
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  slow to load, for one command
 
     loader = PackageLoader("retuner", "templates")
-    made = Environment(  # noqa: S701  a page escapes what it shows: {% autoescape %}
+    made = Environment(  # noqa: S701  of programs, which no browser reads
         loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
     return made.get_template(name).render(zip=zip, **values)
