@@ -45,9 +45,9 @@ def test_a_first_step_of_a_loop_with_derivative_action_keeps_the_aims_times():
     process = ProcessModel(ProcessType.SOPDT, 1.0, 100.0, 40.0, 8.0)
     aim = RobustTuning(simc(process, kind=ControllerKind.PID), 1.6, 1.7)
     wanted = aim.tuning.gains
-    step = first_step(aim, PidGains(wanted.kp / 10, wanted.ki / 10, wanted.kd / 10), 1.0, process, 0.5)
+    step = first_step(aim, PidGains(wanted.kp / 30, wanted.ki / 30, wanted.kd / 30), 1.0, process, 0.5)
     assert step is not None
-    gains, share = step.now.tuning.gains, MOST_AT_ONCE / 10
+    gains, share = step.now.tuning.gains, MOST_AT_ONCE / 30
     assert (gains.kp, gains.ki, gains.kd) == pytest.approx((share * wanted.kp, share * wanted.ki, share * wanted.kd))
 
 
