@@ -2,7 +2,7 @@
 
 Connecting is SEARCHING (who is there: protocol, frame layout, sample time) -> READING (what runs) -> CONNECTED. What
 runs is known from read-back alone (running_set.py); when the device falls silent it is unknown until read again.
-Only the host that holds the lease (requests.py) may change anything; the others watch.
+Only the host that holds the lease (lease_and_commands.py) may change anything; the others watch.
 """
 
 from collections.abc import Callable
@@ -10,6 +10,7 @@ from enum import Enum
 
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.device import (
+    CommandFailed,
     Contact,
     DeviceConflict,
     DeviceMismatchError,
@@ -23,15 +24,16 @@ from retuner.drivers.device import (
     RunningChanged,
     RunningSet,
     SamplesLost,
+    WriteDone,
     WriteRefusedError,
 )
 from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.lease_and_commands import CommandSender, LeaseKeeper, Probation
 from retuner.drivers.host.page_reader import PageReader, ReadBack
-from retuner.drivers.host.requests import HostRequests
 from retuner.drivers.host.running_set import Belief, RunningBelief
-from retuner.drivers.host.write_protocol import WritePhase
+from retuner.drivers.host.write_protocol import Sequence, WriteOrder, WritePhase, WriteProtocol
 from retuner.drivers.protocol import frames
-from retuner.drivers.protocol.checksum import STAMP_SAMPLES, lease_stamp
+from retuner.drivers.protocol.checksum import STAMP_SAMPLES, lease_stamp, to_wire
 from retuner.drivers.protocol.codec import Codec, FrameError, Refusal, Refused, schema
 from retuner.drivers.protocol.frames import PROTOCOL_VERSION, Identity
 from retuner.drivers.state_machine import StateMachine
@@ -39,9 +41,6 @@ from retuner.drivers.telemetry.device_counter import Said
 from retuner.drivers.telemetry.sample_assembly import SampleJoiner
 from retuner.drivers.telemetry.telemetry_quality import Stream
 from retuner.schedule.gains import PidGains
-
-# Whether the device that answers is one that this host may write to.
-
 
 TOLERANCE = 1e-6  # relative, of the sample time: float32 on the wire
 
@@ -62,6 +61,7 @@ SLOWER_SAMPLES = STAMP_SAMPLES // 4
 than the device's time by less than STAMP_SAMPLES counts, one that is younger does not."""
 
 
+GAIN_KINDS = (frames.Kind.STAGE, frames.Kind.COMMIT, frames.Kind.ABORT)
 TWO_DEVICES = "two devices answer under this number, or one is repeated; give each a number of its own"
 """Why a host does not connect."""
 
@@ -109,7 +109,12 @@ class CanDevice:
         self._codec = Codec(settings.node)
         self._reader = PageReader(settings.owner)
         self._belief = RunningBelief(settings.node)
-        self._requests = HostRequests(settings, self._reader, self._codec.encode)
+        length = settings.lease_length
+        self.lease = LeaseKeeper(settings.owner, length, length * settings.sample_time_s, settings.reply_s)
+        self.write = WriteProtocol(self._reader, settings.reply_s)
+        self.commands = CommandSender(settings.reply_s, settings.owner, self._codec.encode)
+        self.sequence = Sequence()
+        self.probation = Probation(settings.probation_samples)
         self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node)
         self._joiner.go_on_after(after_s)
         self._contact = Contact(settings.silent_s, settings.connect_s)
@@ -135,12 +140,12 @@ class CanDevice:
     @property
     def writing(self) -> bool:
         """Whether a write is under way or its result unknown."""
-        return self._requests.write.busy
+        return self.write.busy
 
     @property
     def write_seq(self) -> int | None:
         """Number of the set that is being written; None when none is."""
-        return self._requests.write.seq
+        return self.write.seq
 
     @property
     def epoch(self) -> int | None:
@@ -182,14 +187,41 @@ class CanDevice:
                 # A whole read-back, or none yet
                 page = self._reader.take(frame)
                 if page is not None and page.page == frames.Page.STAGED:
-                    self._requests.write.on_staged(page)
+                    self.write.on_staged(page)
                 elif page is not None and page.page == frames.Page.RUNNING:
                     self._on_running(page, now_s)
             case frames.Challenge():
-                self._requests.on_challenge(frame)
+                if self._reader.is_newest(frame):
+                    self.write.on_challenge(frame)
             case frames.Ack():
-                event = self._requests.on_ack(frame, self._belief.epoch)
+                event = self._on_ack(frame)
                 self._events += [event] if event is not None else []
+
+    def _on_ack(self, ack: frames.Ack) -> Event | None:
+        """An answer to a request; the news if there are any. One given in another epoch answers nothing."""
+        epoch = self._belief.epoch
+        if epoch is None or ack.epoch != epoch % frames.EPOCH_TAG:
+            return None
+        if ack.kind == frames.Kind.LEASE:
+            news = self.lease.on_ack(ack)
+            if self.lease.other is not None:
+                self.write.on_other_owner(self.lease.other)
+            return news
+        event: Event | None = None
+        if ack.kind in GAIN_KINDS:
+            self.sequence.correct(ack, self.write.seq)
+            self.write.on_ack(ack)
+        else:
+            event = self.commands.on_ack(ack)
+        if ack.reason == frames.Reason.NOT_OWNER and self.lease.held:  # it has run out, which this clock does not tell
+            self.lease.forget()
+        if ack.kind != frames.Kind.CONFIRM or event is None:
+            return event
+        if isinstance(event, CommandFailed):  # the controller would still go back to the set before
+            self.probation.again()
+            return event
+        self.probation.end()
+        return None
 
     def _on_life_sign(self, sign: frames.Heartbeat | frames.Status) -> None:
         """Sample counter and epoch, or sequence numbers, as the device has them."""
@@ -197,7 +229,7 @@ class CanDevice:
             if self._belief.on_heartbeat(sign) and self._joiner.set_reference(sign.sample) is Said.CONTRADICTS:
                 self._belief.contradicted()
             return
-        self._requests.sequence.note(sign.latest)
+        self.sequence.note(sign.latest)
         running = self._belief.running
         if running is not None and sign.running != running.seq and not self._reads:
             self._belief.doubt()
@@ -205,7 +237,7 @@ class CanDevice:
     @property
     def _reads(self) -> bool:
         """Whether a write is asking what runs already."""
-        return self._requests.write.phase is WritePhase.READING
+        return self.write.phase is WritePhase.READING
 
     def _on_telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> None:
         """Half a sample; a sequence number that is not the known one means that somebody else has written."""
@@ -223,7 +255,9 @@ class CanDevice:
         running = self._belief.running
         if running is not None and joined.sample.revision != running.seq and not self._reads:
             self._belief.doubt()
-        self._requests.on_sample(joined.sample.revision)
+        proven = self.probation.sample(joined.sample.revision)
+        if proven is not None:
+            self.commands.confirm(proven)
 
     def _on_identity(self, identity: frames.Identity, now_s: float) -> None:
         """Who is there: go on only with the right one, at the first connection and after every restart."""
@@ -250,16 +284,21 @@ class CanDevice:
             self._joiner.set_reference(self._belief.boot_sample)
         if verdict is Belief.RESTARTED:
             gap = self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
-            self._requests.on_restart()
+            self.write.on_restart()
+            self.lease.forget()  # as the device has
             self._events.append(DeviceRestarted(self._belief.epoch or 0, running, gap))
         before = self.phase
         if self.machine.take(ConnectInput.RUNNING_READ) and before is ConnectPhase.READING:
             self._contact.made = True
             self._events.append(LinkChanged(LinkState.UP, "controller found, active gains read back"))
-        outcome = self._requests.on_running(running)
+        outcome = self.write.on_running(running)
+        if isinstance(outcome, WriteDone):
+            self.probation.begin(running.seq)
+        elif running.seq != self.probation.seq:
+            self.probation.end()
         if outcome is not None:
             self._events.append(outcome)
-        elif verdict is Belief.CHANGED and not self._requests.write.busy:
+        elif verdict is Belief.CHANGED and not self.write.busy:
             back = not frames.newer(running.seq, self._joiner.running)
             self._events.append(Reverted(running) if back else RunningChanged(running))
         self._joiner.running = running.seq
@@ -283,7 +322,7 @@ class CanDevice:
         self.machine.take(ConnectInput.LOST)
         self._belief.doubt()
         self._joiner.forget()
-        self._requests.lease.forget()
+        self.lease.forget()
 
     @property
     def _where(self) -> str:
@@ -313,11 +352,18 @@ class CanDevice:
         stamp = None
         if self.phase is ConnectPhase.CONNECTED and epoch is not None and sample is not None:
             stamp = lease_stamp(epoch, sample)
-        due, events = self._requests.due(now_s, stamp)
-        self._events += events
+        due: list[frames.Frame] = [*self.lease.due(now_s, stamp)]
+        if self.write.needs_number and self.write.base is not None and self.lease.held:
+            self.write.renumber(self.sequence.after(self.write.base, use=True))
+        due += self.write.due(now_s, owned=self.lease.held, asked=self.lease.asked)
+        unknown = self.write.unknown()
+        commands, failed = self.commands.due(now_s)
+        if any(failure.command == "confirm" for failure in failed):
+            self.probation.again()
+        self._events += [*([unknown] if unknown is not None else []), *failed]
         if self.write_seq is not None:
             self._joiner.ordered = self.write_seq
-        for frame in due:
+        for frame in [*due, *commands]:
             self._send(frame)
 
     def _send(self, frame: frames.Frame) -> None:
@@ -325,43 +371,60 @@ class CanDevice:
         self.link.send(self._codec.encode(frame))
 
     def begin_write(self, gains: PidGains, now_s: float, *, back: bool = False) -> int:
-        """Start the two-phase write: see device.Device."""
-        running, epoch = self._belief.running, self._belief.epoch
+        """Start the two-phase write: see device.Device. WriteProtocol.due has its frames, now and at each poll."""
+        running, epoch, settings = self._belief.running, self._belief.epoch, self.settings
         if running is None or epoch is None or not self.connected:
-            raise WriteRefusedError(f"{self._where}: not connected, active gains unknown; wait for LinkChanged(UP)")
+            raise self._refused("not connected, active gains unknown; wait for LinkChanged(UP)")
         if self._joiner.arrivals.state is Stream.INVALID and not back:
-            raise WriteRefusedError(f"{self._where}: too many of the latest telemetry frames were wrong; wait")
+            raise self._refused("too many of the latest telemetry frames were wrong; wait")
+        if self.write.busy:
+            raise self._refused("a write is under way; wait for its WriteDone or WriteFailed")
+        if self.lease.other is not None:
+            raise self._refused(f"host {self.lease.other} holds the lease; stop it, or wait until it runs out")
+        seq = self.sequence.after(running.seq)
         try:
-            seq = self._requests.begin_write(gains, running, epoch)
-        except WriteRefusedError as error:
-            raise WriteRefusedError(f"{self._where}: {error}") from error
+            order = WriteOrder(settings.node, epoch, seq, running.seq, to_wire(gains), settings.owner, settings.key)
+            for frame in order.stage():
+                self._codec.encode(frame)  # can it be sent?
+        except ValueError as error:
+            raise self._refused(str(error)) from error
+        self.sequence.note(seq)
+        self.write.begin(order)
         self._send_due(now_s)
         return seq
 
+    def _refused(self, why: str) -> WriteRefusedError:
+        """A write or a command that is not begun."""
+        return WriteRefusedError(f"{self._where}: {why}")
+
     def send_setpoint(self, sp: float, now_s: float) -> None:
         """Set the target in pv units: see device.Device."""
-        self._command(lambda: self._requests.commands.setpoint(sp), now_s)
+        self._command(lambda: self.commands.setpoint(sp), now_s)
 
     def send_mode(self, *, auto: bool, co: float, now_s: float) -> None:
         """Auto, or manual with co percent: see device.Device."""
-        self._command(lambda: self._requests.commands.mode(auto=auto, co=co), now_s)
+        self._command(lambda: self.commands.mode(auto=auto, co=co), now_s)
 
     def send_load(self, load: float, now_s: float) -> None:
         """Disturb a simulated plant, percent of co: see device.Device."""
-        self._command(lambda: self._requests.commands.load(load), now_s)
+        self._command(lambda: self.commands.load(load), now_s)
 
     def store(self, now_s: float) -> None:
         """Keep the running set: see device.Device."""
         running = self._belief.running
         if running is None:
-            raise WriteRefusedError(f"{self._where}: the active gains are unknown, so they cannot be stored")
-        self._command(lambda: self._requests.store(running.seq), now_s)
+            raise self._refused("the active gains are unknown, so they cannot be stored")
+        if running.seq == self.probation.seq:
+            raise self._refused(f"set {running.seq} is on probation; store it once it is confirmed")
+        self._command(lambda: self.commands.store(running.seq), now_s)
 
     def confirm(self, now_s: float) -> bool:
         """Confirm the running set without any more probation; whether it is: see device.Device."""
-        confirmed = self._requests.confirm()
+        seq = self.probation.seq
+        if seq is not None and not self.commands.waits(frames.Kind.CONFIRM):
+            self.commands.confirm(seq)
         self._send_due(now_s)
-        return confirmed
+        return seq is None
 
     def keep_lease(self, now_s: float) -> None:
         """Prolong the lease if it is time, from whatever thread: the link's clock calls this beside the polls.
@@ -373,18 +436,18 @@ class CanDevice:
             return
         unseen = int((now_s - self._sample_s) / self.settings.sample_time_s) if self._sample_s > float("-inf") else 0
         stamp = lease_stamp(epoch, sample + max(unseen - SLOWER_SAMPLES, 0))
-        for frame in self._requests.lease.prolong(now_s, stamp):
+        for frame in self.lease.prolong(now_s, stamp):
             self._send(frame)
 
     def release(self, now_s: float) -> None:
         """Give the lease back, so that another host need not wait until it runs out; for the end of a session."""
-        self._requests.lease.release()
+        self.lease.release()
         self._send_due(now_s)
 
     def _command(self, put: Callable[[], None], now_s: float) -> None:
         """Check a command, then send it until it is answered."""
         try:
             put()
-        except (FrameError, WriteRefusedError) as error:
-            raise WriteRefusedError(f"{self._where}: {error}") from error
+        except FrameError as error:
+            raise self._refused(str(error)) from error
         self._send_due(now_s)

@@ -1,5 +1,8 @@
 """The two-phase write of a gain set, host side, as a state machine without bus or clock.
 
+    STAGE    three frames: kp, ki or kd as float32, each with the set's number and this host's tag    WriteOrder.stage
+    COMMIT   one frame: makes that set run; its number, that of the set before, a CRC-32 over both    WriteOrder.commit
+
     IDLE -> CLAIMING -> STAGING -> COMMITTING -> READING -> IDLE      the good way
     any trouble -> FENCING -> READING -> IDLE                         every other way
 
@@ -143,11 +146,13 @@ class Sequence:
         else:
             self.note(ack.latest)
 
-    def after(self, running: int) -> int:
-        """The number for the next write: newer than the running set's and than any other seen."""
+    def after(self, running: int, *, use: bool = False) -> int:
+        """The number for the next write: newer than the running set's and than any other seen. use : it is used now."""
         self.note(running)
-        newest = running if self._newest is None else self._newest
-        return (newest + 1) % SEQUENCES
+        number = ((running if self._newest is None else self._newest) + 1) % SEQUENCES
+        if use:
+            self.note(number)
+        return number
 
 
 class WriteProtocol:

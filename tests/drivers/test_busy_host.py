@@ -62,6 +62,6 @@ def test_a_setpoint_after_the_lease_ran_out_is_carried_out(bench) -> None:
 def test_a_lease_counts_from_the_request_that_was_answered_and_not_from_one_that_was_not(make_bench) -> None:
     bench = make_bench(host=CanDeviceSettings(lease_samples=float(LEASE_SAMPLES)))
     bench.run(10)
-    keeper = bench.host._requests.lease
+    keeper = bench.host.lease
     bench.silence(LEASE_SAMPLES + 5)  # asks all the time, and nobody answers
     assert not keeper.held

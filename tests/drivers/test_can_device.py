@@ -138,7 +138,7 @@ def test_a_second_host_that_starts_its_counters_anew_is_heard_all_the_same(bench
     for sp in range(51, 60):
         bench.host.send_setpoint(float(sp), bench.now_s)
         bench.run(2)
-    bench.host._requests.commands._counters.clear()  # what a restarted host knows
+    bench.host.commands._counters.clear()  # what a restarted host knows
     bench.host.send_setpoint(70.0, bench.now_s)
     assert CommandDone("setpoint") in bench.run(4)
     assert bench.device.sp == 70.0
@@ -376,7 +376,7 @@ def test_a_write_resolved_before_the_connection_does_not_keep_the_host_from_conn
 
 def test_a_refused_set_whose_number_ends_in_the_same_bits_is_not_taken_for_the_running_one(bench) -> None:
     """Found by simulation: telemetry carries five bits of the number, and set 0 was taken for the ordered set 32."""
-    bench.host._requests.sequence.note(31)
+    bench.host.sequence.note(31)
     seq = bench.host.begin_write(PidGains(50.0, 0.0625, 0.5), bench.now_s)
     assert seq == 32
     (failed,) = bench.others(bench.run(12))

@@ -112,7 +112,7 @@ class World:
                 self.ended.append(event)
                 self._check_outcome(event)
         # A write that lost its lease goes on under another number
-        write = self.host._requests.write
+        write = self.host.write
         if self.host.write_seq is not None:
             self.ordered[write._order.epoch, self.host.write_seq] = write._order.gains
         if not calm and not self.host.writing and self.rng.random() < 0.2:
@@ -131,7 +131,7 @@ class World:
         except WriteRefusedError:
             return
         self.asked += 1
-        self.newest = self.host._requests.write._order.gains
+        self.newest = self.host.write._order.gains
         self.ordered[self.host._belief.epoch, seq] = self.newest
 
     def _note_running(self) -> None:

@@ -16,7 +16,7 @@ from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import Event, SamplesLost, WriteDone
 from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
-from retuner.drivers.host.requests import UNATTENDED
+from retuner.drivers.host.lease_and_commands import UNATTENDED
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.frames import Ack, Lease, Reason
 from retuner.schedule.gains import PidGains

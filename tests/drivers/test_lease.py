@@ -16,7 +16,7 @@ from retuner.drivers.device import (
 )
 from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
-from retuner.drivers.host.requests import UNATTENDED
+from retuner.drivers.host.lease_and_commands import UNATTENDED
 from retuner.drivers.protocol.checksum import lease_stamp
 from retuner.drivers.protocol.frames import (
     Confirm,

@@ -4,7 +4,7 @@ import pytest
 from speaking import FIRST, OWNER, SECOND, THIRD, acks, device, say, step, take_lease, write
 
 from retuner.drivers.device import CommandDone, Reverted, WriteDone, WriteRefusedError
-from retuner.drivers.host.requests import Probation
+from retuner.drivers.host.lease_and_commands import Probation
 from retuner.drivers.protocol.frames import Abort, Confirm, Flags, Heartbeat, Reason, Store
 
 

@@ -1,12 +1,10 @@
-"""What a host asks of one controller, each kind in a class of its own, and HostRequests that joins them.
+"""What a host asks of one controller beside the write of gains (write_protocol.py), each kind in a class of its own.
 
 LeaseKeeper     who may change anything: asked for, prolonged, released
 CommandSender   setpoint, mode, load, store, confirm: sent again until they are acknowledged
 Probation       a new set runs on probation until the host confirms it
-HostRequests    all of them, and the write of a gain set (write_protocol.py)
 
-No bus and no clock: frames to send and events to tell come out, acknowledges and read-backs go in. can_device.py knows
-who is connected and what runs.
+No bus and no clock: frames to send and events to tell come out, acknowledges go in. can_device.py joins them.
 """
 
 import threading
@@ -17,22 +15,11 @@ from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.device import (
     CommandDone,
     CommandFailed,
-    Event,
     LeaseChanged,
-    RunningSet,
-    WriteDone,
-    WriteFailed,
-    WriteRefusedError,
 )
-from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.drivers.host.page_reader import PageReader
-from retuner.drivers.host.write_protocol import Sequence, WriteOrder, WriteProtocol
-from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.frames import (
-    EPOCH_TAG,
     STORE_TAG,
     Ack,
-    Challenge,
     Confirm,
     Frame,
     Kind,
@@ -44,16 +31,7 @@ from retuner.drivers.protocol.frames import (
     Store,
     reason_text,
 )
-from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
-
-# The host's side of the lease: asks for it, prolongs it at a third of its length, and knows who else holds it.
-#
-# The device alone decides. While another host holds the lease this one observes and asks again from time to time.
-#
-# Two clocks may keep it: the polls of the host (`due`), and a timer of the link (`prolong`), which goes on while the
-# host is busy with something else; but not for ever, because a host that hangs must lose its lease as one that has
-# died.
 
 PROLONG_AT = 1 / 3  # of the lease's length
 UNATTENDED = 4.0  # lengths of the lease for which it is prolonged although the host does not poll
@@ -61,7 +39,12 @@ COUNTER_LEAP = 100  # after "stale": an earlier host of this name has counted el
 
 
 class LeaseKeeper:
-    """The lease of one device, seen from one host.
+    """The lease of one device, seen from one host: asked for, prolonged at a third of its length; who else holds it.
+
+    The device alone decides. While another host holds the lease this one observes and asks again from time to time.
+    Two clocks may keep it: the polls of the host (`due`), and a timer of the link (`prolong`), which goes on while the
+    host is busy with something else; but not for ever, because a host that hangs must lose its lease as one that has
+    died.
 
     owner : this host's number. samples : length of the lease in controller samples. length_s : the same in s.
     timeout_s : how long to wait for an answer, s.
@@ -150,11 +133,6 @@ class LeaseKeeper:
         return LeaseChanged(ours=self.held, owner=self.owner if self.held else ack.latest)
 
 
-# Setpoint, mode, load, store and confirm: single-frame commands, repeated until the device has acknowledged them.
-#
-# The latest command of a kind counts. A repeated frame carries the same counter, so the device acts on it once.
-
-
 COUNTER_WRAP = 256
 TRIES = 10
 BY_SEQUENCE = (Kind.STORE, Kind.CONFIRM)  # acknowledged by the set's number, not by a counter
@@ -171,7 +149,9 @@ class _Waiting:
 
 
 class CommandSender:
-    """Commands under way, at most one of each kind.
+    """Commands under way, at most one of each kind; the latest of a kind counts, repeated until it is acknowledged.
+
+    A repeated frame carries the same counter, so the device acts on it once.
 
     timeout_s : how long to wait for an acknowledge, s.
     owner : this host's number in the lease.
@@ -249,11 +229,8 @@ class CommandSender:
         return CommandFailed(kind.name.lower(), f"the device refused it: {reason_text(ack)}")
 
 
-# When a set that was written may be confirmed: after so many samples have shown it running and the link sound.
-
-
 class Probation:
-    """The set that waits to be confirmed by this host.
+    """The set that waits to be confirmed by this host: after so many samples have shown it running, the link sound.
 
     samples : samples to be seen with the set before it is confirmed.
     """
@@ -281,130 +258,3 @@ class Probation:
             return None
         self._left -= 1
         return self.seq if self._left < 0 else None
-
-
-GAIN_KINDS = (Kind.STAGE, Kind.COMMIT, Kind.ABORT)
-
-
-class HostRequests:
-    """The requests of one host to one controller.
-
-    settings : address and patience.
-    reader : asks for pages; shared with whoever else reads pages of this device.
-    check : raises FrameError when a frame cannot be sent.
-    """
-
-    def __init__(self, settings: CanDeviceSettings, reader: PageReader, check: Callable[[Frame], object]) -> None:
-        self._settings, self._reader, self._check = settings, reader, check
-        length = settings.lease_length
-        self.lease = LeaseKeeper(settings.owner, length, length * settings.sample_time_s, settings.reply_s)
-        self.write = WriteProtocol(reader, settings.reply_s)
-        self.commands = CommandSender(settings.reply_s, settings.owner, check)
-        self.sequence = Sequence()
-        self.probation = Probation(settings.probation_samples)
-
-    def begin_write(self, gains: PidGains, running: RunningSet, epoch: int) -> int:
-        """Start the two-phase write; its sequence number.
-
-        Raises WriteRefusedError: a write is under way, another host holds the lease, or the gains do not fit the wire.
-        """
-        if self.write.busy:
-            raise WriteRefusedError("a write is under way; wait for its WriteDone or WriteFailed")
-        if self.lease.other is not None:
-            raise WriteRefusedError(f"host {self.lease.other} holds the lease; stop it, or wait until it runs out")
-        settings = self._settings
-        seq = self.sequence.after(running.seq)
-        try:
-            wire = to_wire(gains)
-            order = WriteOrder(settings.node, epoch, seq, running.seq, wire, settings.owner, settings.key)
-            for frame in order.stage():
-                self._check(frame)
-        except ValueError as error:
-            raise WriteRefusedError(str(error)) from error
-        self.sequence.note(seq)
-        self.write.begin(order)
-        return seq
-
-    def on_restart(self) -> None:
-        """The device has booted: it has forgotten the lease and what was staged."""
-        self.write.on_restart()
-        self.lease.forget()
-
-    def on_running(self, running: RunningSet) -> WriteDone | WriteFailed | None:
-        """The running set as read back; the outcome of a write if it was the last step of one."""
-        outcome = self.write.on_running(running)
-        if isinstance(outcome, WriteDone):
-            self.probation.begin(running.seq)
-        elif running.seq != self.probation.seq:
-            self.probation.end()
-        return outcome
-
-    def confirm(self) -> bool:
-        """Confirm the running set without any more probation; whether no confirmation of it is open."""
-        seq = self.probation.seq
-        if seq is not None and not self.commands.waits(Kind.CONFIRM):
-            self.commands.confirm(seq)
-        return seq is None
-
-    def store(self, seq: int) -> None:
-        """Keep the running set over a restart. Raises WriteRefusedError: it is on probation."""
-        if seq == self.probation.seq:
-            raise WriteRefusedError(f"set {seq} is on probation; store it once it is confirmed")
-        self.commands.store(seq)
-
-    def on_sample(self, revision: int) -> None:
-        """A sample under set revision has arrived: a set that has been seen long enough is confirmed."""
-        proven = self.probation.sample(revision)
-        if proven is not None:
-            self.commands.confirm(proven)
-
-    def on_challenge(self, challenge: Challenge) -> None:
-        """The device's challenge has come."""
-        if self._reader.is_newest(challenge):
-            self.write.on_challenge(challenge)
-
-    def on_ack(self, ack: Ack, epoch: int | None) -> Event | None:
-        """An answer to a request; the news if there are any. One given in another epoch answers nothing."""
-        if epoch is None or ack.epoch != epoch % EPOCH_TAG:
-            return None
-        if ack.kind in GAIN_KINDS:
-            self.sequence.correct(ack, self.write.seq)
-            self.write.on_ack(ack)
-            self._notice_owner(ack)
-            return None
-        if ack.kind == Kind.LEASE:
-            news = self.lease.on_ack(ack)
-            if self.lease.other is not None:
-                self.write.on_other_owner(self.lease.other)
-            return news
-        self._notice_owner(ack)
-        event = self.commands.on_ack(ack)
-        if ack.kind != Kind.CONFIRM or event is None:
-            return event
-        if isinstance(event, CommandFailed):  # the controller would still go back to the set before
-            self.probation.again()
-            return event
-        self.probation.end()
-        return None
-
-    def _notice_owner(self, ack: Ack) -> None:
-        """A refusal that tells what this host's clock does not: the lease has run out. It is taken again at once."""
-        if ack.reason == Reason.NOT_OWNER and self.lease.held:
-            self.lease.forget()
-
-    def due(self, now_s: float, stamp: int | None) -> tuple[list[Frame], list[Event]]:
-        """Frames to send now, the lease's first, and what came to nothing; without a stamp no lease is asked for."""
-        frames: list[Frame] = [*self.lease.due(now_s, stamp)]
-        if self.write.needs_number and self.write.base is not None and self.lease.held:
-            number = self.sequence.after(self.write.base)
-            self.sequence.note(number)
-            self.write.renumber(number)
-        frames += self.write.due(now_s, owned=self.lease.held, asked=self.lease.asked)
-        events: list[Event] = []
-        unknown = self.write.unknown()
-        if unknown is not None:
-            events.append(unknown)
-        commands, failed = self.commands.due(now_s)
-        if any(failure.command == "confirm" for failure in failed):
-            self.probation.again()
-        return [*frames, *commands], [*events, *failed]
