@@ -23,9 +23,9 @@ from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Action, Decision, Mode, Outcome
-from retuner.adaptive.supervision.findings import NOT_KNOWN
+from retuner.adaptive.supervision.findings import NOT_KNOWN, tuning_of
 from retuner.adaptive.supervision.judge_evidence import prediction_of
-from retuner.adaptive.supervision.region_proposal import KnownProcesses, change_request, known_of, tuning_of
+from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, known_of
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.persons_edit import right_words, turned_words
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase

@@ -1,10 +1,11 @@
-"""One decision, from the record of a response to the gains that win. Each step stands in the file beside it.
+"""One decision, from the record of a response to the gains that win. Other steps stand in the file beside them.
 
-    findings_of          what does the record say, and what does its region know with it?        findings.py
-    without_a_model,     what follows from that: a proposal (region_proposal.py), its proof, is  by_model.py
-    by_model             it worth its risk, and is it sure?
-    gains_that_win       of what follows from the model, the set before and all samples: which   here, by_book.py
-                         gains win, and why?
+    findings_of          what does the record say, what does its region know with it, and what   findings.py
+                         settings follow from that?
+    without_a_model,     what follows: the guard's proof of these settings (guard/proof.py), are here, confirmation.py
+    by_model             they worth their risk (choice/expected_cost.py), and is it sure?
+    gains_that_win       of what follows from the model, the set before and all samples: which   here,
+                         gains win, and why?                                                     by_all_samples.py
     expectation,         what are these gains held to, what does a trial's record say of both    judge_evidence.py
     check_after_trial    sets?
     elsewhere            where nothing changes here: what is due in other regions?               other_regions.py
@@ -15,27 +16,60 @@ hands its gains to the writer (loop_session.py, gain_writer.py). All that the ou
 another process may work it out.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
+from retuner.adaptive.choice.expected_cost import (
+    Choice,
+    Choosable,
+    LoopSettings,
+    ModelEvidence,
+    Outlook,
+    choose,
+    outlooks,
+)
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import alike_on_both_sides, through_a_change
-from retuner.adaptive.guard import prove
+from retuner.adaptive.diagnosis.second_opinion import SWINGING
+from retuner.adaptive.guard import GuardSettings, Proof, prove
+from retuner.adaptive.guard.both_sides_of_border import worst_between
 from retuner.adaptive.guard.request import Support
-from retuner.adaptive.guard.step_size import less_of_everything
+from retuner.adaptive.guard.step_size import along, less_of_everything
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.by_book import LOOKED, all_samples, objection, proposal_by_book, robust_by_book
-from retuner.adaptive.supervision.by_model import by_model, without_a_model
+from retuner.adaptive.supervision.by_all_samples import (
+    LOOKED,
+    all_samples,
+    objection,
+    proposal_by_all_samples,
+    robust_by_all_samples,
+)
+from retuner.adaptive.supervision.confirmation import confirmation, counted_cause, doubt_of, refutation, runaway
 from retuner.adaptive.supervision.decision import Outcome
-from retuner.adaptive.supervision.findings import Findings, findings_of
+from retuner.adaptive.supervision.findings import (
+    NOT_KNOWN,
+    Findings,
+    RobustProposal,
+    findings_of,
+    too_bold,
+    unambiguous,
+)
 from retuner.adaptive.supervision.judge_evidence import beside_walk, may_follow, posterior_of, prediction_of_proof
+from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, known_of, unproved_request
 from retuner.adaptive.supervision.other_regions import elsewhere
-from retuner.adaptive.supervision.question import OTHER_LOOP, Question, not_evaluated
-from retuner.adaptive.supervision.region_proposal import KnownProcesses, known_of, unproved_request
+from retuner.adaptive.supervision.question import OTHER_LOOP, Question, ResponseRecord, not_evaluated
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.prediction import decay_seen
 from retuner.adaptive.trial.rollback import LOST_WORDS, NOTHING_KNOWN, less_stable
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.without_model.proposal_without_model import without_model
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -71,6 +105,202 @@ def _decided(question: Question) -> Outcome:
     return replace(winner, elsewhere=elsewhere(found, winner))
 
 
+ONE_RECORD = "one_record"  # Code: a second record that agrees would make the change worth it
+NOT_WORTH = "not_worth"  # Code: the gains in force are expected to cost no more, or hardly more, than others
+
+
+def by_model(found: Findings) -> Outcome:
+    """What follows from the model of the region: cause, proof, refutation, worth, runaway, confirmation."""
+    learned, model, wanted = found.learned, found.in_use, found.wanted
+    assert learned is not None
+    assert model is not None
+    assert wanted is not None  # after the findings, where these carry settings
+    cause = wanted.diagnosis
+    if not cause.retune:  # is the active tuning the cause?
+        return _stays(found, cause, learned)
+    proof = proved(found, model, wanted)  # may the region have the gains that the rule gives?
+    lost = 0
+    if lost_on_all(proof.allowed, found.record.in_force, found.settings):
+        lost = found.record.excitation.lost + 1
+        found = replace(found, excitation=replace(found.excitation_now, lost=lost))
+    change = replace(
+        found.outcome(proof.code, proof.sentence, cause),
+        proposal=wanted.tuning, basis=Basis.MODEL, proof=proof,
+    )  # fmt: skip
+    if not proof.accepted:
+        return change
+    if doubt := refutation(found, cause, proof.allowed):  # does the loop itself refute the model?
+        forget = learned.agreement not in ANEW and cause.cause in SWINGING
+        refuted = found.unconfirmed(change, doubt)
+        return replace(refuted, forget=forget, region_model=None, excitation=None)  # what was known before stays
+    choice, proof = worth(found, model, wanted, proof)  # is it expected to cost less than staying?
+    if choice.index == 0:
+        code, reason = ONE_RECORD if choice.waits else NOT_WORTH, found.words(choice.reason)
+        return replace(change, code=code, reason=reason, basis=None, proof=None, numbers=choice.numbers)
+    prediction = prediction_of_proof(found, proof)
+    change = replace(change, proof=proof, numbers=choice.numbers, prediction=prediction)
+    if doubt := runaway(found, proof):  # does the process run away by itself, and would the change hold it worse?
+        return found.unconfirmed(change, doubt)
+    return confirmation(found, change, proof, choice.reason, lost)
+
+
+def _stays(found: Findings, cause: Diagnosis, learned: Learned) -> Outcome:
+    """The outcome where what is known of the region gives no reason to retune."""
+    if learned.agreement is not Agreement.CONTRADICTS:
+        return found.outcome(str(cause.cause), cause.reason, cause)
+    reason = f"by what is known of the region, {cause.reason}; this response {Agreement.CONTRADICTS}"
+    return found.unconfirmed(found.outcome("", ""), Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason))
+
+
+def without_a_model(found: Findings) -> Outcome | None:
+    """A small step by rules that need no model, where nothing is identified and only the tuning can be behind it.
+
+    None where a model carries settings.
+    """
+    record, learned = found.record, found.learned
+    assert learned is not None  # after the identification
+    model, wanted = found.in_use, found.wanted
+    if model is not None and wanted is not None and wanted.ready and (model.identifiable or _above_noise(found)):
+        return None
+    if found.steps is not None:
+        return found.outcome(NOT_KNOWN, learned.estimate.reason)
+    why = model.reason if model is not None else learned.estimate.reason
+    if record.pattern is None:
+        return found.outcome(NOT_KNOWN, f"{why}; {_of_two_sets(why, crossed=record.crossed)}")
+    locks, growth = found.settings.locks_of(record.region), found.growth
+    own = Diagnosis(Cause.AGGRESSIVE, 0.9, growth.to_dict(), growth.sentence) if growth is not None else None
+    proposed = without_model(record.response, record.window, record.in_force, own, found.settings.without_model, locks)
+    reason = f"{why}; {proposed.sentence}"
+    silent = learned.agreement == Agreement.SILENT and not record.response.sp_changed  # noise has peaks as well
+    if proposed.tuning is None or silent:
+        return found.outcome(NOT_KNOWN, reason, own, proposed.numbers)
+    stored = record.table.stored_for(record.region, proposed.tuning.gains, *record.at)
+    if stored is None:
+        reason = f"{reason}; no gains of this region give that next to its neighbours'"
+        return found.outcome(NOT_KNOWN, reason, own, proposed.numbers)
+    after = record.table.with_gains(record.region, stored).at(record.region, *record.at)
+    if bold := too_bold((model or learned.estimate).plausible, record.in_force, after, found.settings):
+        return found.outcome(NOT_KNOWN, f"{reason}; not done: {bold}", own, proposed.numbers)
+    found, tuning = replace(found, excitation=found.excitation_now), replace(proposed.tuning, gains=stored)
+    if growth is None and not unambiguous(found, learned) and (doubt := doubt_of(found)) is not None:
+        step = replace(found.outcome("", ""), proposal=tuning, foreign=counted_cause(found, doubt))
+        return found.unconfirmed(step, replace(doubt, reason=f"{reason}; {doubt.reason}"))
+    tables, damping = (record.table, record.commissioned), record.response.damping
+    proof = prove(unproved_request(tuning, record.region, tables, found.settings, damping), found.settings.guard)
+    step = found.outcome(proof.code, reason if proof.accepted else proof.sentence, own, proposed.numbers)
+    return replace(step, proposal=tuning, basis=proposed.basis, proof=proof)
+
+
+def _of_two_sets(why: str, *, crossed: bool) -> str:
+    """Why a pattern tells nothing; why : what is said before."""
+    came = "crossed a boundary" if crossed else "began under other gains"
+    return f"two sets of gains shaped this response{'' if came in why else f', because it {came}'}"
+
+
+def _above_noise(found: Findings) -> bool:
+    """Whether the response rises out of the noise: a danger of which nothing is seen asks for no relief at once.
+
+    The first peak of a setpoint's response is the step itself, and the noise on top of it is no part of that.
+    """
+    record, response = found.record, found.record.response
+    sizes = [abs(peak.e) for peak in response.peaks]
+    if response.sp_changed:
+        sizes = [abs(record.samples[-1].sp - float(record.window.sp[0])), *sizes[1:]]
+    return max(sizes, default=0.0) >= found.settings.admission.excitation_bands * response.band
+
+
+def choosable(record: ResponseRecord, known: KnownProcesses, gains: PidGains) -> Choosable:
+    """A set of the record's region as it would run there, with its Ms on the ways to the neighbours."""
+    region, settings = record.region, known.settings
+    runs = known.table.with_gains(region, gains).at(region, *record.at)
+    if len(known.table.regions) == 1:
+        return Choosable(runs)
+    process = known.likeliest(region).model()
+    worst = worst_between(known.borders(region), process, gains, settings.sample_time_s, settings.filter_s)
+    return Choosable(runs, worst.ms / settings.guard.ms_border if worst is not None else 0.0)
+
+
+def proved(found: Findings, model: RegionModel, wanted: RobustProposal) -> Proof:
+    """May the region have the gains that the rule gives for a model?"""
+    settings = found.settings
+    return _proof_of(found, found.record.known_with(model, settings), wanted.tuning, settings.guard)
+
+
+def _proof_of(found: Findings, known: KnownProcesses, tuning: Tuning, guard: GuardSettings) -> Proof:
+    """The guard's word on a tuning for the response's region."""
+    record = found.record
+    damping = record.pattern.damping if record.pattern is not None else None
+    return prove(change_request(tuning, record.region, record.commissioned, known, found.learned, damping), guard)
+
+
+def lost_on_all(allowed: Sequence[Plausible], gains: PidGains, settings: RetunerSettings) -> bool:
+    """Whether a loop is unstable with these gains on every model, of which there is one at least."""
+    dt_s, filter_s = settings.sample_time_s, settings.filter_s
+    processes = (one.model.seen_by_controller(dt_s).linear() for one in allowed)
+    return bool(allowed) and all(math.isinf(sensitivity_peak(process, gains, filter_s)) for process in processes)
+
+
+def worth(found: Findings, model: RegionModel, wanted: RobustProposal, proof: Proof) -> tuple[Choice, Proof]:
+    """Is the change, or a step on its way, expected to cost less than staying?
+
+    Returns the choice between the gains in force, the proved change and steps on its way, and the best one's proof.
+    """
+    record, settings = found.record, found.settings
+    known = record.known_with(model, settings)
+    ways = [proof, *_steps(found, known, wanted, proof)]
+    whole = _proof_of(found, known, wanted.tuning, settings.guard.whole_step()) if proof.step < 1.0 else None
+    sets = [record.table.gains_of(record.region), *(one.gains for one in ways), whole.gains if whole else None]
+    placed = [choosable(record, known, gains) for gains in sets if gains is not None]
+    seen, asked = _seen(found, model), 1 + len(ways)
+    looked = _looked(found, proof.allowed, placed, seen)
+    way = looked[asked] if len(looked) > asked else None
+    choice = choose(looked[:asked], way, seen, settings.choice)
+    return choice, ways[choice.best - 1]
+
+
+def _looked(
+    found: Findings, allowed: Sequence[Plausible], sets: Sequence[Choosable], seen: ModelEvidence
+) -> list[Outlook]:
+    """What each set is expected to do on models; these are less sure where no setpoint step is among the records."""
+    settings = found.settings
+    loop = LoopSettings(settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
+    by_setpoint = found.excitation_now.setpoints > 0 or found.joined > 0
+    return outlooks(allowed, sets, seen.decay, loop, settings.choice if by_setpoint else settings.choice.by_loads())
+
+
+def _steps(found: Findings, known: KnownProcesses, wanted: RobustProposal, proof: Proof) -> list[Proof]:
+    """Parts of a proved change that are proved as well."""
+    now, accepted = found.record.table.gains_of(found.record.region), []
+    assert proof.gains is not None
+    for share in PARTS:
+        part = replace(wanted.tuning, gains=along(now, proof.gains, share), tau_c_s=None)
+        one = _proof_of(found, known, part, found.settings.guard)
+        if one.accepted:
+            notes = (
+                *proof.notes,
+                f"{share:.0%} of the proved change, because that is expected to be better than the full change",
+            )
+            accepted.append(replace(one, step=proof.step * share, tau_c_s=proof.tau_c_s, notes=notes))
+    return accepted
+
+
+PARTS = (0.75, 0.5, 0.25)  # shares of a proved change that are weighed beside it
+
+
+def _seen(found: Findings, model: RegionModel) -> ModelEvidence:
+    """What bears on whether the models are a fiction."""
+    record, learned = found.record, found.learned
+    assert learned is not None  # after the stage of identification
+    return ModelEvidence(
+        model.records + int(found.joined > 0),
+        found.excitation_before.clear + int(found.clear and not record.response.taken_over),
+        len(learned.estimate.load_times_s),
+        any(sample.limited for sample in record.own),
+        found.unexplained > found.settings.swing.unexplained,
+        decay_seen(record.pattern),
+    )
+
+
 def gains_that_win(found: Findings, own: Outcome) -> Outcome:
     """Which gains win, and why: the one place that chooses between the model's, the set before and all samples'.
 
@@ -84,7 +314,7 @@ def gains_that_win(found: Findings, own: Outcome) -> Outcome:
     if winner.changes:
         winner = objection(found, winner, seen) or winner
     if not winner.changes:
-        winner = proposal_by_book(found, winner, seen) or winner
+        winner = proposal_by_all_samples(found, winner, seen) or winner
     return seen.entered(winner)
 
 
@@ -167,7 +397,7 @@ def check_after_trial(found: Findings, winner: Outcome) -> Outcome:
         return winner
     if winner.code != Ground.SATURATED.name.lower():
         winner = replace(winner, posterior=posterior_of(record, learned, trial, settings))
-    if robust_by_book(found, winner):
+    if robust_by_all_samples(found, winner):
         return replace(winner, beside_walk=NOTHING_KNOWN)
     model = winner.region_model or record.region_models.get(record.region)
     known = model.plausible if model is not None else ()

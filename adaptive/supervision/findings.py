@@ -1,42 +1,49 @@
-"""What the record of a response says, and what its region knows with it, a step at a time; each may end the question.
+"""What the record of a response says, what its region knows with it (learning.py), and what settings follow.
 
-A step takes the findings so far and returns them with its own. What follows from them is by_model.py's. Before anything
-is learned, what else than the tuning may be behind the response is asked: a wrong action, a swing from outside.
+A step takes the findings so far and returns them with its own; each may end the question. Before anything is learned,
+what else than the tuning may be behind the response is asked: a wrong action, a swing from outside. `propose` gives the
+settings, robust_simc.py's on the models that the records still allow, on line as off line. A region whose process is
+not known well enough gets none, with one exception: a loop that is over its Ms limit on every model that is still
+allowed is given less of everything without waiting for a better record. Less is asked for where all models ask for it
+that fit as well as the best: a dead time may be too short to be seen (identification/bound.py). decide.py goes on.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
-from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, over_words, tuning_cause, with_second_lag
 from retuner.adaptive.diagnosis.oscillation_online import hidden_cause as diagnosis_of_rest
 from retuner.adaptive.diagnosis.oscillation_online import stretch, swings, whole_cause
 from retuner.adaptive.diagnosis.second_opinion import SWINGING, Excitation, from_rest_to_rest, is_clear
 from retuner.adaptive.diagnosis.swing_checks import FOREIGN_SWINGS, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
+from retuner.adaptive.guard.both_sides_of_border import eased, worst_between
+from retuner.adaptive.guard.step_size import less_of_everything
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.robust_simc import believed, robust_simc_on
 from retuner.adaptive.identification.structure_choice import too_few
-from retuner.adaptive.region_model.boundary_crossing import (
-    Crossing,
-    fitted_crossing,
-    taught_beside,
-    update_across,
-    ways_of,
-)
-from retuner.adaptive.region_model.from_neighbours import as_wide_as_known, borrowed
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.sequences import update_by_sequences
-from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, on_the_way, update_region_model
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.growth import Growth, grows, lasting
 from retuner.adaptive.signals.sample import LoopMode, Window
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps, setpoint_steps
 from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, step_sequence
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.known_processes import KnownProcesses
+from retuner.adaptive.supervision.learning import SMALL_STEP, beside_sequences, learned_by_itself, learned_by_sequences
 from retuner.adaptive.supervision.question import Question, ResponseRecord
-from retuner.adaptive.supervision.region_proposal import RobustProposal, tuning_of
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.table import Lookup
 
@@ -50,9 +57,16 @@ OTHER_CAUSES = NOT_THE_LOOP - {Cause.NOISE}
 TAKEN_SAMPLES = 5  # samples after which the recogniser has taken a setpoint step at the latest
 SURELY_TO_AND_FRO = 2
 """Whole steps from which large ones are taken for steps to and fro: a person may set back by twice what he had set."""
-SMALL_STEP = 0.05  # share of pv's span up to which one whole step is enough: as large as bumps are made
-WHOLE = 2.01  # A whole step of a bump to and fro over the bump, rounding included
 FEWEST_SAMPLES = 20  # samples of which a sign may be told
+
+
+@dataclass(frozen=True, slots=True)
+class RobustProposal:
+    """tuning : what the rule gives. diagnosis : of the gains in force. ready : whether enough is known to go on."""
+
+    tuning: Tuning
+    diagnosis: Diagnosis
+    ready: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,89 +296,21 @@ def known_to_swing(record: ResponseRecord, settings: RetunerSettings) -> bool:
 
 def identification(found: Findings) -> Findings:
     """What does the record say of the process, with what is known of the region, or of its neighbours?"""
-    if found.steps is None and (short := too_few(found.record.window)):
-        return found.end(NOT_KNOWN, short)
+    record, settings, beside = found.record, found.settings, found.beside
     if found.steps is not None:
-        learned, beside = _by_sequences(found, found.steps), found.beside
+        learned = learned_by_sequences(record, settings, found.steps)
+    elif short := too_few(record.window):
+        return found.end(NOT_KNOWN, short)
     else:
-        learned, beside = _by_itself(found)
+        learned, beside = learned_by_itself(record, settings, beside)
+        learned = beside_sequences(record, settings, learned)
     found = replace(found, beside=beside)
     if learned is None:
         return found.end(NOT_KNOWN, "no model explains how pv follows the setpoint")
-    learned = _beside_sequences(found, learned)
     unexplained = learned.estimate.unexplained(float(np.ptp(found.record.window.pv)))
     if learned.valve is not None:  # what the loop by itself leaves open
         unexplained = max(unexplained, learned.valve.left)
     return replace(found, learned=learned, unexplained=unexplained)
-
-
-def _by_itself(found: Findings) -> tuple[Learned, Mapping[int, RegionModel]]:
-    """What one response as it came teaches its region, and the other regions on its way.
-
-    The farther it went, the less one linear model of it says of the region. One that went far is fitted in motion
-    first. Where that does not agree with what is known, or does not settle it, it is judged as any other: the process
-    may have changed in time.
-    """
-    record, settings, beside = found.record, found.settings, found.beside
-    known = record.region_models.get(record.region) or _from_neighbours(record, settings)
-    if record.crossed or record.moved:
-        learned, beside = _across(found, known)
-        settled = learned.region_model is not None and learned.region_model.identifiable
-        if record.crossed or (settled and learned.agreement in {Agreement.FIRST, Agreement.AGREES}):
-            return learned, beside
-    tracker = on_the_way(settings.tracker, record.share)
-    learned = update_region_model(known, record.window, record.in_force, tracker, settings.fit, record.at)
-    return as_wide_as_known(learned) if record.share else learned, beside
-
-
-def _across(found: Findings, known: RegionModel | None) -> tuple[Learned, Mapping[int, RegionModel]]:
-    """What a response teaches the region in which it ended, and those that it came through."""
-    record, settings = found.record, found.settings
-    crossing = Crossing(
-        record.window,
-        ways_of(record.table.regions, list(record.samples)[-len(record.window.t_s) :]),
-        record.response.t_start_s,
-        record.in_force,
-        record.table.regions,
-        record.region_models,
-        settings.tracker,
-        settings.fit,
-    )
-    shown = fitted_crossing(crossing)
-    beside = taught_beside(crossing, shown, record.region)
-    return update_across(crossing, shown, record.region, known), beside
-
-
-def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
-    """What the neighbours' models say of a region without a record."""
-    now, sign = float(record.window.t_s[-1]), record.in_force.direction
-    regions = record.table.regions
-    return borrowed(record.region_models, record.region, regions, now, sign, settings.borrowing, settings.tracker)
-
-
-def _by_sequences(found: Findings, steps: SetpointSteps) -> Learned | None:
-    """What setpoint steps to and fro teach by what is known of the setpoint alone."""
-    record, settings = found.record, found.settings
-    known = record.region_models.get(record.region)
-    sequences = (*(known.sequences if known is not None else ()), steps)
-    law, sign = (settings.setpoint_weight, settings.filter_s), record.in_force.direction
-    return update_by_sequences(known, sequences, sign, settings.tracker, settings.fit, law, record.at)
-
-
-def _beside_sequences(found: Findings, learned: Learned) -> Learned:
-    """What is learned, where what is known rests on steps to and fro: no load may add to these, and no small step by
-    itself.
-
-    They are made where loads never rest, and one response shows such a load as much as its process.
-    """
-    before = found.record.region_models.get(found.record.region)
-    if before is None or not before.sequences or found.steps is not None:
-        return learned
-    moved = float(np.ptp(found.record.window.sp))
-    if not found.record.response.sp_changed or moved <= WHOLE * SMALL_STEP * found.settings.pv_span:
-        return replace(learned, region_model=before, agreement=Agreement.SILENT)
-    now = learned.region_model
-    return learned if now is None else replace(learned, region_model=replace(now, sequences=before.sequences))
 
 
 def hidden_cause(found: Findings) -> Findings:
@@ -450,6 +396,116 @@ def unambiguous(found: Findings, learned: Learned) -> bool:
     if record.crossed:
         return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
     return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
+
+
+LAG_DOMINANT = 8.0
+"""tau1 over theta from which SIMC's integral time no longer is tau1 (Skogestad 2003, at tau_c = theta)."""
+OVER_NOMINAL = 1.03
+"""Ms over the proposal's nominal limit from which a gain in force is too large: what a drifting process does to Ms is
+known a few percent late, so waiting for the design limit itself is waiting until it has been passed."""
+
+
+def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settings: RetunerSettings) -> RobustProposal:
+    """Settings for a region, with half a sampling interval of dead time more: what a sampled controller sees.
+
+    region_model : what is known. log : the same as it may be met now (`predicted`). in_force : gains running now.
+    """
+    dt_s, best, cause = settings.sample_time_s, log.model(), settings.cause
+    robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
+    tuning = robust_simc_on(best, region_model.plausible, dt_s, robust, in_force).tuning
+    given, lagged = (in_force, tuning.gains, log.gain_uncertainty(dt_s)), with_second_lag(region_model.plausible, dt_s)
+    as_well = [best, *(p.model for p in region_model.plausible[1:] if not p.excess)]
+
+    def told(ms_high: float) -> Diagnosis:
+        limits = replace(cause, ms_high=ms_high)
+        each = [tuning_cause(model.seen_by_controller(dt_s), *given, limits, lagged) for model in as_well]
+        return next((one for one in each if one.cause not in SWINGING), each[0])
+
+    diagnosis = told(cause.ms_high)
+    if diagnosis.cause == Cause.OK:
+        closer = told(min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal))
+        diagnosis = closer if closer.cause == Cause.AGGRESSIVE else diagnosis
+    ready = region_model.identifiable
+    if not ready:
+        danger = over_limit(region_model.plausible, in_force, dt_s, robust.believed, cause.ms_high)
+        ready = danger and diagnosis.cause in SWINGING
+        tuning = replace(tuning, gains=no_more_action(tuning.gains, in_force, diagnosis.cause))
+    return RobustProposal(tuning, diagnosis, ready)
+
+
+def no_more_action(wanted: PidGains, in_force: PidGains, cause: Cause) -> PidGains:
+    """The wanted gains with no gain larger, and no integral time shorter, than in force.
+
+    Where the integral is too strong for the gain, it follows a gain that was cut: the wanted integral time stays.
+    """
+    kp, ki, kd = (min(getattr(wanted, name), getattr(in_force, name), key=abs) for name in ("kp", "ki", "kd"))
+    longest = [kp * gains.ki / gains.kp for gains in (in_force, wanted) if gains.kp]
+    if cause != Cause.SLOW_INTEGRATING:
+        longest = longest[:1]
+    return PidGains(kp, min(ki, *longest, key=abs), kd) if longest else PidGains(kp, ki, kd)
+
+
+def _nominal(best: ProcessModel, settings: RetunerSettings) -> float:
+    """Largest Ms on the best model: of a lag-dominant process the guard's own limit, of the others less.
+
+    SIMC's integral time there is that of an integrating process, and its Ms 1.70 to 1.98: less than the guard allows
+    costs a quarter in J. On the others Ms is 1.59 at no cost, and room is left for what the model does not show.
+    """
+    plain = without_second_lag(best)
+    lag_dominant = not plain.tau1_s or plain.tau1_s > LAG_DOMINANT * plain.theta_s
+    return settings.guard.ms_nominal if lag_dominant else min(settings.robust.ms_nominal, settings.guard.ms_nominal)
+
+
+def over_limit(
+    allowed: Sequence[Plausible], in_force: PidGains, sample_time_s: float, excess: float, limit: float
+) -> bool:
+    """Whether the gains in force are over an Ms limit on every model that is believed to within an excess."""
+    models = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, excess)]
+    return bool(models) and all(sensitivity_peak(m.linear(), in_force) > limit for m in models)
+
+
+def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, settings: RetunerSettings) -> str:
+    """Words for a step to more action that exceeds its Ms limit on a model that the records allow; else empty.
+
+    What does not carry settings may still say how far not to go.
+    """
+    if less_of_everything(in_force, after):
+        return ""
+    models = [p.model.seen_by_controller(settings.sample_time_s) for p in believed(allowed, settings.robust.believed)]
+    ms = max((sensitivity_peak(model.linear(), after) for model in models), default=0.0)
+    return f"on a plausible model Ms would be {ms:.2f}" if ms > settings.cause.ms_high else ""
+
+
+BEYOND = 1.05
+"""Times the limit of a cause above which a set is one at a border: the neighbour's model moves with its records."""
+BETWEEN = "ms_between"  # evidence that a set is over its limit on the way to a neighbour: the Ms there
+
+
+def tuning_of(known: KnownProcesses, region: int, in_force: PidGains) -> RobustProposal:
+    """What the rule gives for a region, eased to what its part of the ways to the neighbours bears, and whether its
+    tuning is a cause (guard/both_sides_of_border.py).
+
+    In an interpolated table what ran, in_force, is a mean of several sets: asked is what the region's own does.
+    """
+    settings, hard = known.settings, known.table.lookup is Lookup.HARD
+    dt_s, guard, model = settings.sample_time_s, settings.guard, known.where_gains_run[region]
+    log, own = known.likeliest(region), in_force if hard else known.table.gains_of(region)
+    found, process = propose(model, log, own, settings), log.model()
+    borders = known.borders(region)
+    limit, high = guard.ms_nominal, settings.cause.ms_high * (BEYOND if hard else 1.0)
+    easier = eased(found.tuning.gains, borders, process, limit, dt_s, settings.filter_s)
+    if easier == found.tuning.gains:
+        return found
+    given = (process.seen_by_controller(dt_s), own, easier, log.gain_uncertainty(dt_s), settings.cause)
+    told = tuning_cause(*given, with_second_lag(model.plausible, dt_s))
+    found = replace(found, tuning=replace(found.tuning, gains=easier), diagnosis=told)
+    worst = worst_between(borders, process, own, dt_s, settings.filter_s)
+    if worst is None or worst.ms <= high or abs(easier.ki) >= abs(own.ki):
+        return found
+    seen = "the loop is unstable" if math.isinf(worst.ms) else over_words(worst.ms, high)
+    words = f"{seen} on the way to region {worst.to}"
+    evidence = {**found.diagnosis.evidence, BETWEEN: worst.ms}
+    return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))
 
 
 STEPS = (joining, action, admission, swing, identification, hidden_cause, region_model)

@@ -27,16 +27,9 @@ from retuner.adaptive.region_model.region_curves import centre_of, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings, predicted
 from retuner.adaptive.supervision.decision import Outcome
-from retuner.adaptive.supervision.findings import Findings
+from retuner.adaptive.supervision.findings import BETWEEN, Findings, RobustProposal, over_limit, tuning_of
 from retuner.adaptive.supervision.judge_evidence import prediction_of
-from retuner.adaptive.supervision.region_proposal import (
-    BETWEEN,
-    KnownProcesses,
-    RobustProposal,
-    change_request,
-    over_limit,
-    tuning_of,
-)
+from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.load_variability import load_variability, load_variability_there
 from retuner.adaptive.trial.posterior_check import costs

@@ -19,7 +19,7 @@ from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.signals.step_sequence import step_sequence
 from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region, setpoint_led
 from retuner.adaptive.supervision.decision import Decision, Mode, Outcome
-from retuner.adaptive.supervision.region_proposal import KnownProcesses
+from retuner.adaptive.supervision.known_processes import KnownProcesses
 from retuner.adaptive.supervision.response_finder import FinderState, Left
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase

@@ -27,7 +27,7 @@ from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.by_book import look_after_s, look_of, others_may_tell, shown_clearly
+from retuner.adaptive.supervision.by_all_samples import look_after_s, look_of, others_may_tell, shown_clearly
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import (
     WRITES,
@@ -43,6 +43,7 @@ from retuner.adaptive.supervision.decision import (
     staying,
 )
 from retuner.adaptive.supervision.judge_evidence import prediction_of, seen_of
+from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
 from retuner.adaptive.supervision.question import (
     NOBODY,
     NOT_EVALUATED,
@@ -61,7 +62,6 @@ from retuner.adaptive.supervision.question import (
     passed_over,
     said,
 )
-from retuner.adaptive.supervision.region_proposal import KnownProcesses, known_of
 from retuner.adaptive.supervision.response_finder import Completed, Left, ResponseFinder
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import Judgement, TrialFinding

@@ -16,7 +16,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.update import TrackerSettings, update_region_model
 from retuner.adaptive.signals.response import Ending
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.by_model import records_agree
+from retuner.adaptive.supervision.confirmation import records_agree
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 

@@ -16,7 +16,7 @@ from retuner.adaptive.fit.record import apart, near, setpoint_changes
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.adaptive.supervision import by_model
+from retuner.adaptive.supervision import confirmation
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -91,8 +91,8 @@ def test_a_setpoint_response_that_load_steps_explain_in_two_ways_is_not_as_good_
     monkeypatch: pytest.MonkeyPatch, contested: bool
 ):
     for name in ("is_known", "exempt_from_confirmation", "stands"):
-        monkeypatch.setattr(by_model, name, lambda *_: False)
-    monkeypatch.setattr(by_model, "doubt_of", lambda *_: None)
+        monkeypatch.setattr(confirmation, name, lambda *_: False)
+    monkeypatch.setattr(confirmation, "doubt_of", lambda *_: None)
     told = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "too much gain")
     question: Any = SimpleNamespace(
         record=SimpleNamespace(crossed=False, response=SimpleNamespace(sp_changed=True)), spoilt=""
@@ -104,6 +104,6 @@ def test_a_setpoint_response_that_load_steps_explain_in_two_ways_is_not_as_good_
         excitation=Excitation(setpoints=1),
     )
     change = Outcome("", "", diagnosis=told)
-    made = by_model.confirmation(found, change, cast("Any", SimpleNamespace(code="urgent")), "", 0)
+    made = confirmation.confirmation(found, change, cast("Any", SimpleNamespace(code="urgent")), "", 0)
     assert made.code == "urgent"
     assert (made.excitation is not None and made.excitation.clear == 1) is not contested

@@ -11,11 +11,9 @@ import pytest
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision import findings
-from retuner.adaptive.supervision.findings import Findings
-from retuner.adaptive.supervision.question import Question, ResponseRecord
+from retuner.adaptive.supervision import learning
+from retuner.adaptive.supervision.question import ResponseRecord
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -73,10 +71,10 @@ def test_where_the_fit_in_motion_does_not_agree_it_is_judged_as_any_other(
 ) -> None:
     known: Any = SimpleNamespace(identifiable=settles)
     in_motion: Any = SimpleNamespace(region_model=known, agreement=agreement)
-    monkeypatch.setattr(findings, "_from_neighbours", lambda *_: None)
-    monkeypatch.setattr(findings, "_across", lambda *_: (in_motion, {}))
-    monkeypatch.setattr(findings, "update_region_model", lambda *_: "linear")
-    monkeypatch.setattr(findings, "as_wide_as_known", lambda learned: learned)
-    asked = Question(record("pv", (55.0, 70.0), -math.inf), RetunerSettings(1.0, 100.0), 1, Trial())
-    found, _ = findings._by_itself(Findings(asked))
+    monkeypatch.setattr(learning, "_from_neighbours", lambda *_: None)
+    monkeypatch.setattr(learning, "_across", lambda *_: (in_motion, {}))
+    monkeypatch.setattr(learning, "update_region_model", lambda *_: "linear")
+    monkeypatch.setattr(learning, "as_wide_as_known", lambda learned: learned)
+    asked = record("pv", (55.0, 70.0), -math.inf)
+    found, _ = learning.learned_by_itself(asked, RetunerSettings(1.0, 100.0), {})
     assert found == ("linear" if expected == "linear" else in_motion)

@@ -20,13 +20,13 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.by_book import others_may_tell
+from retuner.adaptive.supervision.by_all_samples import others_may_tell
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import Action, Mode, Outcome
 from retuner.adaptive.supervision.findings import Findings
+from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
 from retuner.adaptive.supervision.other_regions import as_right_as_others, elsewhere
 from retuner.adaptive.supervision.question import Question, ResponseRecord
-from retuner.adaptive.supervision.region_proposal import KnownProcesses, known_of
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.adaptive.trial.phase import TrialPhase

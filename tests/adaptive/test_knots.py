@@ -21,7 +21,8 @@ from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel,
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.supervision.region_proposal import KnownProcesses, change_request, known_of, tuning_of
+from retuner.adaptive.supervision.findings import tuning_of
+from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, known_of
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from loop_bench import Bench, scaled, table
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision import by_model, decide, findings
+from retuner.adaptive.supervision import confirmation, decide, findings
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.question import NOT_EVALUATED
 from retuner.adaptive.supervision.retuner import Retuner
@@ -47,7 +47,9 @@ def break_at(monkeypatch: pytest.MonkeyPatch, error: BaseException, at: str) -> 
         steps = tuple(broken if step.__name__ == at else step for step in findings.STEPS)
         monkeypatch.setattr(findings, "STEPS", steps)
     else:
-        monkeypatch.setattr(by_model if hasattr(by_model, at) else decide, at, broken)
+        for module in (confirmation, decide):
+            if hasattr(module, at):
+                monkeypatch.setattr(module, at, broken)
 
 
 @pytest.mark.slow

@@ -26,8 +26,8 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision import by_model, findings
-from retuner.adaptive.supervision.by_model import is_known
+from retuner.adaptive.supervision import confirmation, findings
+from retuner.adaptive.supervision.confirmation import is_known
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -128,7 +128,7 @@ def test_a_record_that_puts_another_structure_in_the_lead_is_known_only_where_a_
 ) -> None:
     """One record turned a loop that five held for robust into an integrator with an Ms of 10."""
     before = SimpleNamespace(diagnosis=SimpleNamespace(retune=due))
-    monkeypatch.setattr(by_model, "wanted_of", lambda *_: before)
+    monkeypatch.setattr(confirmation, "wanted_of", lambda *_: before)
     clear = Excitation(setpoints=1, clear=1)
     assert known(clear, Agreement.AGREES, ProcessType.SOPDT, ProcessType.INTEGRATING) is due
 

@@ -16,7 +16,7 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Ending
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision import by_model
+from retuner.adaptive.supervision import confirmation
 from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -51,7 +51,7 @@ def test_wrong_gains_are_cured_for_their_cause(kp: float, ki: float, cause: Caus
 
 def test_a_load_that_agrees_lets_the_rest_of_a_limited_change_through(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gains of a quarter: the setpoint step shows it, and each change may double them; the load adds no proof."""
-    monkeypatch.setattr(by_model, "unconfirmed", None)  # nobody asks
+    monkeypatch.setattr(confirmation, "unconfirmed", None)  # nobody asks
     bench = made(scaled(0.25, 0.25))
     found = bench.run(400) + bench.run(600, 1.0) + bench.run(600, 1.0, 2.0)
     steps = [d for d in found if d.action == Action.COMMIT]
@@ -84,7 +84,7 @@ def test_a_model_that_the_loop_refutes_is_forgotten(monkeypatch: pytest.MonkeyPa
     bench.run(400)
     assert [d.action for d in bench.run(500, 1.0)] == [Action.ADVISE]
     assert bench.retuner.excitation[0].setpoints == 1
-    monkeypatch.setattr(by_model, "not_seen", lambda *_: "the loop came to rest")
+    monkeypatch.setattr(confirmation, "not_seen", lambda *_: "the loop came to rest")
     (refuted,) = bench.run(500, 1.0, 2.0)  # a load: a setpoint step that needs none is not asked
     assert (refuted.code, refuted.action, refuted.agreement) == ("unconfirmed", Action.NONE, Agreement.AGREES)
     assert (bench.retuner.region_models, bench.retuner.excitation) == ({}, {})

@@ -20,7 +20,7 @@ from retuner.adaptive.region_model.region_model import RegionModel, StructureMod
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.supervision.region_proposal import no_more_action, propose
+from retuner.adaptive.supervision.findings import no_more_action, propose
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 

@@ -12,7 +12,7 @@ from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstabl
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample, Window
-from retuner.adaptive.supervision.by_model import runaway
+from retuner.adaptive.supervision.confirmation import runaway
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 

@@ -40,7 +40,7 @@ def test_a_decision_runs_through_the_steps_that_the_documentation_tells_in_its_o
         sys.setprofile(before)
     assert made[0].action is Action.COMMIT
     assert ran == [name for name in names if name in ran]
-    assert set(names) - set(ran) <= {"objection", "proposal by book"}  # where there is a book by then
+    assert set(names) - set(ran) <= {"objection", "proposal by all samples"}  # where there is a book by then
 
 
 def test_the_documentation_begins_with_the_steps_of_the_findings() -> None:

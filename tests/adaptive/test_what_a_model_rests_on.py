@@ -12,7 +12,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending
-from retuner.adaptive.supervision import by_model, findings
+from retuner.adaptive.supervision import confirmation, decide, findings
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.question import Question
@@ -62,7 +62,7 @@ def weighed(
         "doubt_of": lambda *_: Diagnosis(doubt, 0.9, {}, "") if doubt else None,
     }
     for name, value in given.items():
-        for module in (findings, by_model):
+        for module in (findings, confirmation, decide):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, value)
     record: Any = SimpleNamespace(
@@ -89,7 +89,7 @@ def weighed(
         contested=contested,
     )
     found = findings.region_model(Findings(Question(record, SETTINGS, 1, Trial()), learned=learned, unexplained=1.0))
-    return by_model.without_a_model(found) or by_model.by_model(found)
+    return decide.without_a_model(found) or decide.by_model(found)
 
 
 def test_a_rival_that_takes_over_brings_what_it_rests_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,7 +161,7 @@ def test_ok_is_not_said_over_a_response_that_contradicts_the_model(agreement: Ag
     learned: Any = SimpleNamespace(agreement=agreement, valve=None)
     tuning: Any = SimpleNamespace(diagnosis=Diagnosis(Cause.OK, 0.9, {}, "Ms 1.67"))
     asked: Any = SimpleNamespace(settings=SETTINGS)
-    outcome = by_model.by_model(Findings(asked, learned=learned, in_use=NEW, wanted=tuning))
+    outcome = decide.by_model(Findings(asked, learned=learned, in_use=NEW, wanted=tuning))
     assert outcome.code == code
     assert "Ms 1.67" in outcome.reason
     assert (str(Agreement.CONTRADICTS) in outcome.reason) is (code != "ok")
@@ -172,7 +172,7 @@ def test_a_change_of_the_process_is_confirmed_by_what_came_after_it(
     monkeypatch: pytest.MonkeyPatch, agreement: Agreement, since: float
 ) -> None:
     seen: list[Any] = []
-    monkeypatch.setattr(by_model, "unconfirmed", lambda samples, *_: seen.extend(samples))
+    monkeypatch.setattr(confirmation, "unconfirmed", lambda samples, *_: seen.extend(samples))
     samples = [SimpleNamespace(t_s=float(t)) for t in range(100)]
     points = tuple(SimpleNamespace(t_s=t_s) for t_s in (20.0, 40.0, 70.0))  # the last one contradicted
     record: Any = SimpleNamespace(
@@ -184,6 +184,6 @@ def test_a_change_of_the_process_is_confirmed_by_what_came_after_it(
         table=SimpleNamespace(lookup=Lookup.HARD),
     )
     learned: Any = SimpleNamespace(agreement=agreement)
-    by_model.doubt_of(Findings(Question(record, SETTINGS, 1, Trial()), learned=learned))
+    confirmation.doubt_of(Findings(Question(record, SETTINGS, 1, Trial()), learned=learned))
     assert seen[0].t_s == since
     assert seen[-1].t_s == 99.0

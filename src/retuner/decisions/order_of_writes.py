@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from retuner.adaptive.guard.write_order import ChosenWay, gentlest_way, proved_way
-from retuner.adaptive.supervision.region_proposal import allowed_models
+from retuner.adaptive.supervision.known_processes import allowed_models
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.drivers.device import WriteRefusedError
 from retuner.schedule.gains import PidGains

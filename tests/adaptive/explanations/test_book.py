@@ -26,9 +26,8 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
-from retuner.adaptive.supervision import by_book as by_book_stage
-from retuner.adaptive.supervision import decide, retuner
-from retuner.adaptive.supervision.by_book import KEPT_LOOKS, LOOKED, AllSamples, look_of
+from retuner.adaptive.supervision import by_all_samples, decide, retuner
+from retuner.adaptive.supervision.by_all_samples import KEPT_LOOKS, LOOKED, AllSamples, look_of
 from retuner.adaptive.supervision.decision import Action, Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.question import Look, Question
@@ -250,7 +249,7 @@ def test_the_book_is_in_the_memory() -> None:
 def test_nothing_is_looked_at_where_clear_setpoint_steps_have_shown_the_process(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for module in (retuner, by_book_stage):
+    for module in (retuner, by_all_samples):
         monkeypatch.setattr(module, "shown_clearly", lambda *_: True)
     looks: list[int] = []
     monkeypatch.setattr(retuner, "look_of", lambda *given: looks.append(1) or look_of(*given))
@@ -321,7 +320,7 @@ def put_to_the_book(
     if expected is not None:
         own = replace(own, numbers=ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8))
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(by_book_stage, "_doubt", lambda *_, **__: doubt)
+        patched.setattr(by_all_samples, "_doubt", lambda *_, **__: doubt)
         return decide.gains_that_win(Findings(question, learned=learned, in_use=known), own)
 
 
@@ -343,13 +342,13 @@ def test_a_change_whose_cause_the_book_does_not_see_needs_the_whole_diagnosis(
 def test_the_book_does_not_speak_where_the_output_stood_at_a_limit_before_its_look_began(
     monkeypatch: pytest.MonkeyPatch, cause: Cause | None, *, speaks: bool
 ) -> None:
-    monkeypatch.setattr(by_book_stage, "may_follow", lambda *_: True)
+    monkeypatch.setattr(by_all_samples, "may_follow", lambda *_: True)
     record = SimpleNamespace(crossed=False, table=SimpleNamespace(lookup=Lookup.HARD))
     question: Any = SimpleNamespace(record=record, trial=None, settings=None, alone=False)
     told = None if cause is None else Diagnosis(cause, 0.9, {}, "")
     own = Outcome("unconfirmed", "", diagnosis=told)
     look: Any = SimpleNamespace(limited=0.0)
-    assert by_book_stage._may_speak(Findings(question), own, look) is speaks
+    assert by_all_samples._may_speak(Findings(question), own, look) is speaks
 
 
 @pytest.mark.parametrize(
@@ -366,18 +365,18 @@ def test_a_cut_that_the_book_does_not_see_needs_a_clear_response(
     monkeypatch: pytest.MonkeyPatch, to: tuple[float, float], *, known: bool, exempt: bool, doubted: bool
 ) -> None:
     """The whole diagnosis knows no load that wanders: what it confirms is not enough."""
-    monkeypatch.setattr(by_book_stage, "exempt_from_confirmation", lambda *_: exempt)
-    monkeypatch.setattr(by_book_stage, "is_known", lambda *_: known and to[0] < 1.0)
-    monkeypatch.setattr(by_book_stage, "doubt_of", lambda *_: None)
+    monkeypatch.setattr(by_all_samples, "exempt_from_confirmation", lambda *_: exempt)
+    monkeypatch.setattr(by_all_samples, "is_known", lambda *_: known and to[0] < 1.0)
+    monkeypatch.setattr(by_all_samples, "doubt_of", lambda *_: None)
     now = scaled(1.0)
     record = SimpleNamespace(crossed=False, in_force=now)
     question: Any = SimpleNamespace(record=record, look=None)
     found = Findings(question, learned=cast("Any", SimpleNamespace()), in_use=cast("Any", SimpleNamespace()))
     proof: Any = SimpleNamespace(gains=PidGains(to[0] * now.kp, to[1] * now.ki))
     seen = AllSamples(book=begun(now))
-    doubt = by_book_stage._doubt(found, Outcome("accepted", "", proof=proof), seen, less=to[0] < 1.0)
+    doubt = by_all_samples._doubt(found, Outcome("accepted", "", proof=proof), seen, less=to[0] < 1.0)
     assert (doubt is not None) is doubted
-    assert doubt is None or doubt.reason == by_book_stage.NOT_SHOWN
+    assert doubt is None or doubt.reason == by_all_samples.NOT_SHOWN
 
 
 @pytest.mark.parametrize(
@@ -435,9 +434,9 @@ def test_more_action_that_would_take_robustness_is_not_taken_where_no_step_has_s
 def test_on_a_process_that_steps_have_shown_it_speaks_where_the_pipeline_cannot_tell_and_a_load_wanders(
     monkeypatch: pytest.MonkeyPatch, code: str, *, at_rest: bool, speaks: bool
 ) -> None:
-    monkeypatch.setattr(by_book_stage, "_may_speak", lambda *_: code in by_book_stage.OPEN)
+    monkeypatch.setattr(by_all_samples, "_may_speak", lambda *_: code in by_all_samples.OPEN)
     asked: list[bool] = []
-    monkeypatch.setattr(by_book_stage, "_proved_by_book", lambda _, __, seen: asked.append(seen.shown))
+    monkeypatch.setattr(by_all_samples, "_proved_by_all_samples", lambda _, __, seen: asked.append(seen.shown))
     put_to_the_book(0.25, 1.0, None, code=code, at_rest=at_rest)
     assert asked == [True] * speaks
 
@@ -470,11 +469,13 @@ def test_more_action_is_proved_on_what_responses_have_shown(
     question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0))
     look = Look(book, recorded(now, 5), grows=True, limited=0.0)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(by_book_stage.KnownProcesses, "borders", lambda *_: ())
-        patched.setattr(by_book_stage, "runaway", lambda *_: None)
+        patched.setattr(by_all_samples.KnownProcesses, "borders", lambda *_: ())
+        patched.setattr(by_all_samples, "runaway", lambda *_: None)
         dropped: Any = SimpleNamespace()
         own = Outcome("unconfirmed", "", numbers=ChoiceNumbers(0.5, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8), prediction=dropped)
-        outcome = by_book_stage._proved_by_book(Findings(question), own, AllSamples(look, book, told=told, shown=shown))
+        outcome = by_all_samples._proved_by_all_samples(
+            Findings(question), own, AllSamples(look, book, told=told, shown=shown)
+        )
     assert (outcome is not None) is changes
     assert outcome is None or (outcome.numbers, outcome.prediction) == (NO_NUMBERS, None), "of the dropped change"
 
@@ -482,7 +483,7 @@ def test_more_action_is_proved_on_what_responses_have_shown(
 @pytest.mark.parametrize(("cause", "more"), [(Cause.EXTERNAL, True), (Cause.UNKNOWN, False)])
 def test_a_tone_that_a_response_is_diagnosed_as_counts_in_the_book(cause: Cause, *, more: bool) -> None:
     """A loop at Ms 1.67 was cut to J 3.9 over such a response."""
-    assert str(Cause.EXTERNAL) not in by_book_stage.OPEN
+    assert str(Cause.EXTERNAL) not in by_all_samples.OPEN
     tones = []
     for told in (None, Diagnosis(cause, 0.5, {}, "")):
         found = put_to_the_book(2.6, 1.0, None, shown=False, code="unknown", diagnosis=told)
@@ -511,7 +512,7 @@ def test_loads_alone_have_moved_a_loop_whose_setpoint_stood_in_all_that_is_kept(
         asked.append(by_loads)
         return by_book(*given, by_loads=by_loads)
 
-    monkeypatch.setattr(by_book_stage, "by_book", noted)
+    monkeypatch.setattr(by_all_samples, "by_book", noted)
     put_to_the_book(1.0, 0.7, 0.7, setpoints=setpoints)
     assert asked == [alone]
 
@@ -524,9 +525,9 @@ def test_half_a_window_alone_leads_to_no_less_action(grows: bool, before: int, k
 
 
 def test_where_it_objects_it_says_what_it_would_do_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(by_book_stage, "_may_speak", lambda *_: True)
+    monkeypatch.setattr(by_all_samples, "_may_speak", lambda *_: True)
     asked: list[bool] = []
-    monkeypatch.setattr(by_book_stage, "_proved_by_book", lambda _, __, seen: asked.append(seen.shown))
+    monkeypatch.setattr(by_all_samples, "_proved_by_all_samples", lambda _, __, seen: asked.append(seen.shown))
     put_to_the_book(1.0, 0.7, 0.7)
     put_to_the_book(2.6, 0.4, 0.2)  # no objection
     assert asked == [True]

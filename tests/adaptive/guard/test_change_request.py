@@ -12,7 +12,7 @@ from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import predicted
-from retuner.adaptive.supervision.region_proposal import KnownProcesses, change_request, unproved_request
+from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, unproved_request
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable

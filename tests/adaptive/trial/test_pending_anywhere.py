@@ -21,7 +21,7 @@ from retuner.adaptive.region_model.region_model import RegionModel, StructureMod
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.region_proposal import KnownProcesses, known_of
+from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore

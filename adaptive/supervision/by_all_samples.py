@@ -33,12 +33,12 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.by_model import doubt_of, exempt_from_confirmation, is_known, runaway
+from retuner.adaptive.supervision.confirmation import doubt_of, exempt_from_confirmation, is_known, runaway
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import AGREED, may_follow
+from retuner.adaptive.supervision.known_processes import KnownProcesses
 from retuner.adaptive.supervision.question import OTHER_LOOP, Look
-from retuner.adaptive.supervision.region_proposal import KnownProcesses
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -275,7 +275,7 @@ SPOILT = frozenset({
 """What is wrong with a record of which nothing follows; of a response its admission has said so by then."""
 
 
-def robust_by_book(found: Findings, winner: Outcome) -> bool:
+def robust_by_all_samples(found: Findings, winner: Outcome) -> bool:
     """Whether the set on trial is robust on next to all processes by all samples, those of its trial among them: then a
     load that wanders explains a response that swings.
     """
@@ -331,7 +331,7 @@ def _worth(one: Plausible, now: PidGains, new: PidGains, settings: RetunerSettin
     return float(np.subtract(*each))
 
 
-def proposal_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
+def proposal_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
     """The change that is worth having over the book, proved as any other; None where the case is not the book's.
 
     own : what follows from the response, which is no change. More action is proved on models of responses as well; on
@@ -340,10 +340,10 @@ def proposal_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome
     look = seen.look
     if look is None or not _may_speak(found, own, look) or (seen.shown and _rests(found, look)):
         return None
-    return _proved_by_book(found, own, seen)
+    return _proved_by_all_samples(found, own, seen)
 
 
-def _proved_by_book(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
+def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
     """The change, where there is one and it is proved."""
     look, book, told, shown = seen.look, seen.book, seen.told, seen.shown
     if look is None or book is None or told is None or told.tuning is None or not told.models:

@@ -1,0 +1,179 @@
+"""What is known of the processes of all regions where their sets run, and the question on new gains of one of them that
+is put to the guard.
+"""
+
+import math
+from collections.abc import Mapping
+from functools import cached_property, partial
+
+from retuner.adaptive.guard.both_sides_of_border import borders_of, likeliest_between, mixed
+from retuner.adaptive.guard.model_set import allowed
+from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBorder, Support
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.region_model.at_knots import at_knots
+from retuner.adaptive.region_model.from_neighbours import borrowed
+from retuner.adaptive.region_model.kalman import gate
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Learned, predicted
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
+from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.table import GainTable, Lookup
+
+HALF = 0.5  # weight of a neighbour half way to it
+
+
+@dataclass(frozen=True)
+class KnownProcesses:
+    """What is known of the processes where the regions' own sets run, worked out once a question.
+
+    table : in force. region_models : by region, from records. t_s : now, s.
+    """
+
+    table: GainTable
+    region_models: Mapping[int, RegionModel]
+    t_s: float
+    settings: RetunerSettings
+
+    @cached_property
+    def where_gains_run(self) -> Mapping[int, RegionModel]:
+        """The models there: in an interpolated table at the knots. Of every region, by what the others lend where
+        nothing is known of it itself.
+        """
+        regions, sign, settings = self.table.regions, self.table.gains[0].direction, self.settings
+        hard, models = self.table.lookup is Lookup.HARD, self.region_models
+        own = dict(models) if hard else at_knots(models, regions, self.t_s, settings.tracker)
+        found = dict(own)
+        for region in range(len(regions)):
+            if region not in found:
+                lent = borrowed(own, region, regions, self.t_s, sign, settings.borrowing, settings.tracker)
+                found.update({} if lent is None else {region: lent})
+        return found
+
+    @cached_property
+    def allowed(self) -> Mapping[int, tuple[Plausible, ...]]:
+        """The models that are still allowed there, by region.
+
+        A step ends at its border: of what is only lent beyond it, the likeliest model is asked. A mean of two sets runs
+        all the way, and is asked of all.
+        """
+        found = {}
+        for region, model in self.where_gains_run.items():
+            only_lent = self.table.lookup is Lookup.HARD and region not in self.region_models
+            found[region] = still_allowed(model, self.t_s, self.settings)[: 1 if only_lent else None]
+        return found
+
+    def borders(self, region: int) -> tuple[NeighbourBorder, ...]:
+        """The ways from a region to its neighbours."""
+        return borders_of(self.table, region, {i: models for i, models in self.allowed.items() if i != region})
+
+    def likeliest(self, region: int) -> LogModel:
+        """The likeliest process of a region where its gains run, as it may be met now."""
+        return predicted(self.where_gains_run[region], self.t_s, self.settings.tracker)
+
+
+def known_of(known: KnownProcesses, region: int) -> StillAllowed:
+    """What is known of a region's process now, as it is asked which of its sets is to run.
+
+    In an interpolated table that is asked at the region's knot, and half way to its neighbours. Of a region without
+    records the others tell: its gains were proved on what they lend.
+    """
+    own, settings = known.where_gains_run.get(region), known.settings
+    if own is None:
+        return NOTHING_KNOWN
+    dt_s, asked = settings.sample_time_s, still_allowed(own, known.t_s, settings)
+    alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in asked)
+    likely = tuple(math.exp(-found.excess / (2.0 * settings.choice.temper)) for found in asked)
+    if known.table.lookup is Lookup.HARD:
+        return StillAllowed(alone, settings.filter_s, weights=likely)
+    best = known.allowed[region][0].model
+    halves = [
+        (
+            likeliest_between(border, best, HALF).seen_by_controller(dt_s).linear(),
+            partial(mixed, border=border, share=HALF),
+        )
+        for border in known.borders(region)
+    ]
+    return StillAllowed(alone, settings.filter_s, tuple(halves), likely)
+
+
+def allowed_models(
+    region: int, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
+) -> tuple[Plausible, ...]:
+    """The models of a region that its records still allow now; none where nothing is known of it."""
+    known = region_models.get(region)
+    return () if known is None else still_allowed(known, t_s, settings)
+
+
+def still_allowed(region_model: RegionModel, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:
+    """The models of a region that its records still allow now."""
+    walk = settings.tracker.walk_per_day**2 * max(t_s - region_model.t_s, 0.0) / SECONDS_PER_DAY
+    return allowed(predicted(region_model, t_s, settings.tracker), region_model.plausible, walk, settings.guard)
+
+
+def change_request(
+    proposal: Tuning,
+    region: int,
+    commissioned: GainTable,
+    known: KnownProcesses,
+    learned: Learned | None,
+    damping: float | None = None,
+) -> ChangeRequest:
+    """The question on a proposal that a model supports.
+
+    region : index. known : of all regions, that of this one as it is now.
+    learned : outcome of the last record; None when none is at hand.
+    damping : of the response, None when it did not swing.
+    """
+    settings, model = known.settings, known.region_models[region]
+    contradicting = learned is not None and learned.agreement == Agreement.CONTRADICTS
+    return ChangeRequest(
+        in_force=known.table.gains_of(region),
+        commissioned=commissioned.gains_of(region),
+        proposal=proposal,
+        models=known.allowed[region],
+        sample_time_s=settings.sample_time_s,
+        evidence=Evidence(
+            records=model.records,
+            age_s=max(known.t_s - model.t_s, 0.0),
+            innovation=learned.innovation if learned is not None and contradicting else 0.0,
+            gate=gate(len(model.log.x), settings.tracker.gate),
+            borrowed=model.records == 0,
+            settled=model.identifiable,
+        ),
+        borders=known.borders(region),
+        filter_s=settings.filter_s,
+        urgent=_urgent(damping, settings),
+        locks=settings.locks_of(region),
+        units=settings.units,
+    )
+
+
+def unproved_request(
+    proposal: Tuning,
+    region: int,
+    tables: tuple[GainTable, GainTable],
+    settings: RetunerSettings,
+    damping: float | None = None,
+) -> ChangeRequest:
+    """The question on a proposal that no model supports; arguments as above."""
+    in_force, commissioned = tables
+    evidence = Evidence(records=0, support=Support.PATTERN)
+    own = (in_force.gains_of(region), commissioned.gains_of(region))
+    return ChangeRequest(
+        *own,
+        proposal,
+        (),
+        settings.sample_time_s,
+        evidence,
+        urgent=_urgent(damping, settings),
+        locks=settings.locks_of(region),
+        units=settings.units,
+    )
+
+
+def _urgent(damping: float | None, settings: RetunerSettings) -> bool:
+    """Whether a response swings on as if it would not end."""
+    return damping is not None and damping >= settings.guard.urgent_damping
