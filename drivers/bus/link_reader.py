@@ -4,7 +4,7 @@ prolonged by the clock of the link.
 
     bus -> this thread -> ports (shared_link.py) -> poll of each loop
              |
-             `-> lease of each controller, when a third of it is over (requests.py)
+             `-> lease of each controller, when a third of it is over (lease_and_commands.py)
 """
 
 import threading
