@@ -129,7 +129,7 @@ class Interrupted(Watching):
         super().written(region, gains)
         self.ran.append(gains)
         self.why.append(self.writes[-1].code)
-        if self.writes[-1].action == Action.COMMIT and self.kind not in THETA_S:
+        if self.writes[-1].action == Action.WRITE and self.kind not in THETA_S:
             self._wait = int(self._rng.integers(5, 60))
         if self.kind == "end" and self.writes[-1].action == Action.RESTORE:
             self._go_on()

@@ -130,7 +130,7 @@ def session(plant: Plant, start: str, seed: int, how: str) -> dict[str, object]:
                 iae[i] += abs(sp[i] - y[i]) * plant.dt_s
                 if pid.decision is not None:
                     codes[pid.decision.code] = codes.get(pid.decision.code, 0) + 1
-                    if pid.decision.action in {Action.COMMIT, Action.RESTORE} and pid.gains != now[i]:
+                    if pid.decision.action in {Action.WRITE, Action.RESTORE} and pid.gains != now[i]:
                         before = ms_of(plant, now)
                         now[i] = pid.gains
                         changes.append((pid.decision.action == Action.RESTORE, before, ms_of(plant, now)))

@@ -50,7 +50,7 @@ def obey(decision: Decision, tank: Tank, retuner: Retuner) -> None:
     """Do what a decision asks for, and tell the retuner that it is done."""
     print(f"{decision.t_s:6.0f} s  {one_line(decision)}")
     region = retuner.region
-    if decision.action == Action.COMMIT and decision.gains_after is not None:
+    if decision.action == Action.WRITE and decision.gains_after is not None:
         if not decision.later:  # gains for a region where the loop is not: the table takes them, nothing is written
             tank.write(decision.gains_after)
         retuner.committed(retuner.table.index(decision.region), decision.gains_after)

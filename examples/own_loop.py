@@ -69,7 +69,7 @@ async def watched(rig: "Rig", memory: Path, wishes: deque[str], watch: type = Ba
             return
         save()  # before anything changes
         print(f"{decision.t_s:6.1f} s  {decision}")
-        if decision.action == Action.COMMIT and decision.gains_after is not None:
+        if decision.action == Action.WRITE and decision.gains_after is not None:
             # later: gains for a region where the loop is not; the table takes them, and nothing is written
             now = decision.gains_after if decision.later else rig.write(decision.gains_after)
             retuner.committed(retuner.table.index(decision.region), now)

@@ -1,4 +1,4 @@
-"""Does a valve stick? It is asked in three ways, and against a tone from outside.
+"""Does a valve stick? It is asked in three ways, and against a tone from outside; diagnose.py takes these verdicts.
 
     it swings        the record through a valve of one stick band (valve/valve_fit.py), against the loop by itself and a
                      tone: by information criterion, and by what each leaves

@@ -310,7 +310,7 @@ def _inside(case: _Case, candidate: TriedSettings) -> Iterator[TriedSettings]:
     request = case.request
     for short in SHORT_OF_LIMIT if request.units is not None else (1.0,):
         nearer = _between(request.in_force, candidate.gains, short)
-        gains = request.held(without_short_derivative(nearer, request, case.settings))
+        gains = request.rounded(without_short_derivative(nearer, request, case.settings))
         if gains is None:
             continue
         checks = limit_checks(request, gains, case.settings, over_limit=case.over, urgent=candidate.beyond)
@@ -415,7 +415,7 @@ def _unproved(case: _Case, goal: Goal) -> Proof:
     ran = request.evidence.support is Support.RAN
     limit = math.inf if way_out or ran else s.pattern_step_max
     wanted = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
-    gains = request.held(wanted)
+    gains = request.rounded(wanted)
     if gains is None:
         return _refused(case, *_outside(case), goal.notes)
     numbers = FactorNumbers(change_factor(request.in_force, gains), limit if math.isfinite(limit) else None)

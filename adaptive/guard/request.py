@@ -147,7 +147,7 @@ class ChangeRequest:
         if not all(0 <= excess < math.inf for excess in excesses) or (excesses and excesses[0] > min(excesses)):
             raise ValueError(f"models: excesses {excesses} must be finite, 0 or more, the first the least")
 
-    def held(self, gains: PidGains) -> PidGains | None:
+    def rounded(self, gains: PidGains) -> PidGains | None:
         """The set that the controller runs when it is given this one; None when it cannot hold it."""
         if self.units is None:
             return gains

@@ -178,7 +178,7 @@ class BumpPlanner:
         self._quiet_since_s = t_s
         self._seen, self._outside, self._squares, self._rested = 0, 0, 0.0, False
 
-    def look(self, sample: LoopSample, around: LoopAround) -> BumpNews | None:
+    def step(self, sample: LoopSample, around: LoopAround) -> BumpNews | None:
         """Take a sample; what it leads to, if anything."""
         if not self.settings.allowed:
             return None

@@ -35,11 +35,11 @@ class LoopBumps:
         self._retuner, self._hour_of = retuner, hour_of
         self.planner = BumpPlanner(settings, retuner.settings.pv_span, retuner.settings.sample_time_s)
 
-    def look(self, sample: LoopSample, *, free: bool = True) -> BumpNews | None:
+    def step(self, sample: LoopSample, *, free: bool = True) -> BumpNews | None:
         """Take a sample that the retuner has seen. free : nothing is being written to the controller."""
         if not self.planner.settings.allowed:
             return None
-        return self.planner.look(sample, self._around(sample, free=free))
+        return self.planner.step(sample, self._around(sample, free=free))
 
     def decided(self, decision: Decision) -> None:
         """A setpoint response that taught something is evidence; what loads alone teach leaves the process open."""

@@ -1,13 +1,16 @@
 """All samples, not only those of recognised responses: what the book of a region says, and what follows.
 
-    look      so many samples since the last one: a question of its own, or with the response that completes then
-    speak     where the response cannot tell (none, nothing identifiable, a residual that no load step explains,
-              a record that contradicts) and the odds are clear: settings worth having over the book, proved, on trial,
-              with a sentence; more action is proved on what responses have shown as well
-    object    where gains are to change, and the book speaks against it; then it may speak itself
-    excuse    a trial's response that swings under a load that wanders, on processes on which the tried set is robust
+    look_of                  so many samples since the last look: a question of its own, or with the response that
+                             completes then
+    proposal_by_all_samples  where the response cannot tell (none, nothing identifiable, a residual that no load step
+                             explains, a record that contradicts) and the odds are clear: settings worth having over
+                             the book, proved, on trial, with a sentence; more action is proved on what responses have
+                             shown as well
+    objection                where gains are to change, and the book speaks against it; then it may propose itself
+    robust_by_all_samples    a trial's response that swings under a load that wanders, on processes on which the tried
+                             set is robust
 
-The book does not speak where the output stands at a limit, and where a valve may not follow: such a case is not the
+The book proposes nothing where the output stands at a limit, and where a valve may not follow: such a case is not the
 book's. Nor where clear steps have shown the process and the loop mostly rests.
 """
 
@@ -23,7 +26,6 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, move, update
 from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.settings_by_odds import cost_at
-from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
@@ -33,7 +35,13 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.confirmation import doubt_of, exempt_from_confirmation, is_known, runaway
+from retuner.adaptive.supervision.confirmation import (
+    doubt_of,
+    exempt_from_confirmation,
+    is_known,
+    runaway,
+    valve_explains_more,
+)
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import AGREED, may_follow
@@ -238,7 +246,7 @@ def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Di
             return None
     if (doubt := doubt_of(found, own.diagnosis)) is not None:
         return doubt
-    if seen.look is None or log_odds_of_valve(Prepared.at(seen.look.window, book.dt_s), book.direction) <= MOST_VALVE:
+    if seen.look is None or not valve_explains_more(seen.look.window, book, MOST_VALVE):
         return None
     return Diagnosis(Cause.STICTION, HALF, {}, "a valve that sticks or has play explains all samples better")
 
@@ -350,8 +358,7 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
         return None
     record, settings, region = found.record, found.settings, found.record.region
     less = told.leans < 0
-    valve = log_odds_of_valve(Prepared.at(look.window, book.dt_s), book.direction)
-    if valve > (MOST_VALVE if less else 0.0):
+    if valve_explains_more(look.window, book, MOST_VALVE if less else 0.0):
         return None
     also = () if less else _by_responses(found, told.numbers.book_room, shown=shown)
     if also is None:

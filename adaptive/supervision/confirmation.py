@@ -1,7 +1,9 @@
 """Whether a change that is proved and worth it is sure.
 
 The loop itself may refute the model (`refutation`), the process may run away by itself (`runaway`), and a case that is
-not clear is put to the whole diagnosis before gains change (`confirmation`).
+not clear is put to the whole diagnosis before gains change (`confirmation`). Only here a valve is asked that may stick:
+by how pv stands (`stands`), by the diagnosis (`doubt_of`; diagnosis/sticking_valve.py), and by all samples
+(`valve_explains_more`).
 """
 
 import math
@@ -14,6 +16,9 @@ from retuner.adaptive.diagnosis.oscillation_online import stretch
 from retuner.adaptive.diagnosis.second_opinion import SWINGING, TOWARDS_SAFETY, Excitation, runs_away, unconfirmed
 from retuner.adaptive.diagnosis.swing_checks import at_own_crossover, foretold, not_seen
 from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
+from retuner.adaptive.explanations.book import Book
+from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
+from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import Proof
 from retuner.adaptive.identification.estimate import log_controller
 from retuner.adaptive.identification.plausible import Plausible
@@ -195,6 +200,11 @@ def stands(found: Findings) -> bool:
         return False
     still = stand_still(Window.of(seen), record.in_force, settings.diagnosis.standing)
     return still is not None and still.stands
+
+
+def valve_explains_more(window: Window, book: Book, odds: float) -> bool:
+    """Whether a valve that sticks or has play explains all samples by more than these odds (tempered, logarithm)."""
+    return log_odds_of_valve(Prepared.at(window, book.dt_s), book.direction) > odds
 
 
 def _of_this_process(found: Findings) -> Sequence[LoopSample]:

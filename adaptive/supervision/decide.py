@@ -69,7 +69,7 @@ from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import decay_seen
 from retuner.adaptive.trial.rollback import LOST_WORDS, NOTHING_KNOWN, less_stable
 from retuner.adaptive.trial.trial import Trial
-from retuner.adaptive.without_model.proposal_without_model import without_model
+from retuner.adaptive.without_model.proposal_without_model import step_without_model
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -169,7 +169,9 @@ def without_a_model(found: Findings) -> Outcome | None:
         return found.outcome(NOT_KNOWN, f"{why}; {_of_two_sets(why, crossed=record.crossed)}")
     locks, growth = found.settings.locks_of(record.region), found.growth
     own = Diagnosis(Cause.AGGRESSIVE, 0.9, growth.to_dict(), growth.sentence) if growth is not None else None
-    proposed = without_model(record.response, record.window, record.in_force, own, found.settings.without_model, locks)
+    proposed = step_without_model(
+        record.response, record.window, record.in_force, own, found.settings.without_model, locks
+    )
     reason = f"{why}; {proposed.sentence}"
     silent = learned.agreement == Agreement.SILENT and not record.response.sp_changed  # noise has peaks as well
     if proposed.tuning is None or silent:

@@ -56,13 +56,13 @@ class Action(StrEnum):
 
     Attributes
     ----------
-    NONE : nothing. ADVISE : a proposal for an operator. COMMIT : gains to be written and put on trial.
-    RESTORE : earlier gains to be written again.
+    NONE : nothing. ADVISE : a proposal for an operator. WRITE : gains to be written and put on trial. RESTORE :
+    earlier gains to be written again. COMMIT : the former name of WRITE.
     """
 
     NONE = "none"
     ADVISE = "advise"
-    COMMIT = "commit"
+    WRITE = COMMIT = "commit"  # the word of every ledger
     RESTORE = "restore"
 
 
@@ -211,7 +211,7 @@ class Decision(display_hook.Shown):
             "trial": self.trial,
             **({"delay": self.delay._asdict()} if self.delay else {}),
             **({"all_samples": self.all_samples.to_dict()} if self.all_samples else {}),
-            **({"later": True} if self.later and self.action == Action.COMMIT else {}),
+            **({"later": True} if self.later and self.action == Action.WRITE else {}),
         }
 
     def canonical(self) -> bytes:
@@ -236,7 +236,7 @@ def gains_dict(gains: PidGains) -> dict[str, float]:
     return {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}
 
 
-def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
+def blocked(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
     """The outcome with the reason why nothing may be changed now, when something was accepted."""
     if not outcome.changes:
         return outcome

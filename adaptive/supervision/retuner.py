@@ -36,7 +36,7 @@ from retuner.adaptive.supervision.decision import (
     Delay,
     Mode,
     Outcome,
-    held,
+    blocked,
     predicted_wrongly,
     proposing,
     restoring,
@@ -330,7 +330,7 @@ class Retuner:
         if prediction is not None:
             self.trials.begin(region, decision.gains_before, gains, prediction, self.now_s, ordered=True)
         phase = self.trials.phase(region)
-        return replace(decision, action=Action.COMMIT, gains_after=gains, prediction=prediction, trial=str(phase))
+        return replace(decision, action=Action.WRITE, gains_after=gains, prediction=prediction, trial=str(phase))
 
     def rolled_back(self, region: int) -> Decision | None:
         """A change that is undecided, or waits for approval, is to be rolled back; None when there is none."""
@@ -383,7 +383,7 @@ class Retuner:
         self.sample_number += 1
         gap_s = self.settings.gap_samples * self.settings.sample_time_s
         blended = self.table.lookup == Lookup.INTERPOLATED
-        ended = self.trials.look(sample, w.region, w.band, sample.t_s - last_s, gap_s, blended=blended)
+        ended = self.trials.watch(sample, w.region, w.band, sample.t_s - last_s, gap_s, blended=blended)
         if not ended:
             if seen is None:
                 return NOTHING if sample[0] < self._alone_s else self._looked()
@@ -465,7 +465,7 @@ class Retuner:
         told = [at for at in others if others_may_tell(at, self.region_models, self.excitation, self.foreign)]
         free = tuple(at for at in told if self.trials.idle(at, self.now_s))
         away = tuple(at for at in others if self.trials.away(at) and not self._person_decides(at))
-        case = self._case(seen)
+        case = self._response_record(seen)
         if not news and passed_over(self._led, case, self.settings):
             self._led = self._led._replace(passed_over=self._led.passed_over + 1)
             return None
@@ -501,7 +501,7 @@ class Retuner:
     def _on_trial(self, region: int, decision: Decision) -> Decision:
         """The decision, with the trial that begins where it asks for a write."""
         now, prediction, proof = decision.gains_after, decision.prediction, decision.proof
-        if decision.action != Action.COMMIT or now is None or prediction is None:
+        if decision.action != Action.WRITE or now is None or prediction is None:
             return decision
         urgent = proof is not None and proof.urgent
         self.trials.begin(region, decision.gains_before, now, prediction, self.now_s, urgent=urgent)
@@ -523,7 +523,7 @@ class Retuner:
         ask = self._person_decides(case.region)
         return self.trials.judge(case.region, seen_of(case, outcome, self.settings), case.in_force, self.now_s, ask=ask)
 
-    def _case(self, seen: Completed) -> ResponseRecord:
+    def _response_record(self, seen: Completed) -> ResponseRecord:
         """Everything that the decision depends on."""
         w, response = self._finder, seen.response
         return ResponseRecord(
@@ -550,7 +550,7 @@ class Retuner:
         proposes = self.trials.held_by_a_person(region, now_s)
         phase_allows = self.trials.may_change(region, now_s, urgent=urgent) or proposes
         if not phase_allows:
-            outcome = held(outcome, self.trials.of(region), now_s)
+            outcome = blocked(outcome, self.trials.of(region), now_s)
         accepted = outcome.changes and phase_allows
         prediction = outcome.prediction
         if accepted and prediction is None:
@@ -558,7 +558,7 @@ class Retuner:
             prediction = prediction_of(
                 outcome.proof, self.table, region, at, pattern, self.settings, self._finder.samples
             )
-        learned, wanted = outcome.learned, Action.COMMIT if self.settings.mode_of(region) in WRITES else Action.ADVISE
+        learned, wanted = outcome.learned, Action.WRITE if self.settings.mode_of(region) in WRITES else Action.ADVISE
         model = learned.region_model if learned else None
         self._decisions += 1
         made = Decision(

@@ -99,7 +99,7 @@ class RetunerSettings:
     pv_range: tuple[float, float] = EVERYWHERE
     units: VendorUnits | None = None
 
-    def held(self, gains: PidGains) -> PidGains:
+    def rounded(self, gains: PidGains) -> PidGains:
         """The set that the controller runs when it is given this one, or this one where it cannot hold it."""
         if self.units is None:
             return gains

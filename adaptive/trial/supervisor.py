@@ -229,7 +229,7 @@ class TrialSupervisor:
         trial = self.of(region)
         return "" if trial.old is None else unstable_again(trial.sets, self._known(region))
 
-    def look(
+    def watch(
         self, sample: LoopSample, region: int | None, band: float, elapsed_s: float, gap_s: float, *, blended: bool
     ) -> dict[int, TrialEvent]:
         """One sample while a trial is undecided: the regions where it was decided what is to run, with the cause.

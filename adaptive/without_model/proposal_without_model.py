@@ -42,7 +42,7 @@ class Proposed:
     basis: Basis | None = None
 
 
-def without_model(
+def step_without_model(
     response: Response,
     window: Window,
     gains: PidGains,

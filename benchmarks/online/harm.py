@@ -124,7 +124,7 @@ def run(task: Task) -> Row:
 def effects(judge: Judge, watching: Watching) -> list[Effect]:
     """The effect of every change that was written, in order."""
     return [
-        effect(judge, d.t_s, d.gains_before, d.gains_after, restored=d.action != Action.COMMIT)
+        effect(judge, d.t_s, d.gains_before, d.gains_after, restored=d.action != Action.WRITE)
         for d in watching.writes
         if d.gains_after is not None
     ]

@@ -153,7 +153,7 @@ class WatchedLoop:
 
 # ---- Who watches a loop in the comparison: retuner itself; see rivals.py for the others
 
-WRITTEN = frozenset({Action.COMMIT, Action.RESTORE})
+WRITTEN = frozenset({Action.WRITE, Action.RESTORE})
 """Actions after which gains are written."""
 OPENED = 8.0
 """Factor to which a change, and the sum of all changes, is held where the limits are opened."""

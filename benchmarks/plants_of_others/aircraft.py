@@ -102,7 +102,7 @@ def fly(gains: list[PidGains], bounds: tuple[float, float], seed: int, mode: str
                 begun = {}
                 error, count = error + abs(sp - flight.pitch_deg), count + 1
                 if (d := pid.decision) is not None:
-                    changes += d.action is Action.COMMIT
+                    changes += d.action is Action.WRITE
                     restored += d.action is Action.RESTORE
             lost |= not abs(flight.pitch_deg) < 30.0
     return {

@@ -139,7 +139,7 @@ class Controlled:
     @property
     def writes(self) -> list[Decision]:
         """Decisions that changed gains."""
-        return [d for d in self.decisions if d.action in {Action.COMMIT, Action.RESTORE} and d.gains_after is not None]
+        return [d for d in self.decisions if d.action in {Action.WRITE, Action.RESTORE} and d.gains_after is not None]
 
     def gains_at(self, t_s: float) -> PidGains:
         """In force at that time of the session."""

@@ -30,7 +30,7 @@ def draw(folder: Path, seed: int, start: str, loop: str = "T1") -> Path:
         lower.plot(hours, run.track.co, colour, lw=0.6)
     for made in runs[1].writes:
         for axes in (upper, lower):
-            axes.axvline(made.t_s / HOUR_S, color="tab:red" if made.action is Action.COMMIT else "tab:purple", lw=1)
+            axes.axvline(made.t_s / HOUR_S, color="tab:red" if made.action is Action.WRITE else "tab:purple", lw=1)
     upper.set_ylabel("temperature, °C")
     upper.legend(loc="lower right")
     lower.set_ylabel("heater, %")

@@ -161,7 +161,7 @@ def _harm(truth: Truth, live: Controlled) -> Row:
 def tell(live: Controlled, truth: Truth) -> None:
     """Every decision, with what is true."""
     for d in live.decisions:
-        after = d.gains_after if d.action in {Action.COMMIT, Action.RESTORE} else None
+        after = d.gains_after if d.action in {Action.WRITE, Action.RESTORE} else None
         now = truth.judge.of(after or d.gains_before)
         cause = "" if d.diagnosis is None else f" [{d.diagnosis.cause}]"
         sys.stdout.write(

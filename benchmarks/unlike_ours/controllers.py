@@ -207,7 +207,7 @@ class ByOwnLoop(Session):
         if decision is None:
             return
         before, region = self.pid.gains, self.retuner.region
-        if decision.action is Action.COMMIT and decision.gains_after is not None:
+        if decision.action is Action.WRITE and decision.gains_after is not None:
             now = decision.gains_after if decision.later else self.pid.write(decision.gains_after)
             self.retuner.committed(self.retuner.table.index(decision.region), now)
         elif decision.action is Action.RESTORE and region is not None:

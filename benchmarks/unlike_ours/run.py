@@ -171,7 +171,7 @@ def judged(streamed: Streamed) -> Iterator[Row]:
                 "unstable": math.isinf(after.ms) and math.isfinite(before.ms),
                 "ms_worse": after.ms > NOTICED * before.ms and after.ms > truth.ms_limit,
                 "j_worse": (after.j > max(NOTICED_J * before.j, J_LIMIT) and not rescued),
-                "right_changed": truth.in_spec(old) and decision.action is Action.COMMIT,
+                "right_changed": truth.in_spec(old) and decision.action is Action.WRITE,
                 "right_lost": lost,
                 "right_back": lost and decision.action is Action.RESTORE,
             }

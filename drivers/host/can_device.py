@@ -31,7 +31,7 @@ from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.host.lease_and_commands import CommandSender, LeaseKeeper, Probation
 from retuner.drivers.host.page_reader import PageReader, ReadBack
 from retuner.drivers.host.running_set import Belief, RunningBelief
-from retuner.drivers.host.write_protocol import Sequence, WriteOrder, WritePhase, WriteProtocol
+from retuner.drivers.host.write_protocol import SequenceNumbers, WriteOrder, WritePhase, WriteProtocol
 from retuner.drivers.protocol import frames
 from retuner.drivers.protocol.checksum import STAMP_SAMPLES, lease_stamp, to_wire
 from retuner.drivers.protocol.codec import Codec, FrameError, Refusal, Refused, schema
@@ -113,7 +113,7 @@ class CanDevice:
         self.lease = LeaseKeeper(settings.owner, length, length * settings.sample_time_s, settings.reply_s)
         self.write = WriteProtocol(self._reader, settings.reply_s)
         self.commands = CommandSender(settings.reply_s, settings.owner, self._codec.encode)
-        self.sequence = Sequence()
+        self.sequence = SequenceNumbers()
         self.probation = Probation(settings.probation_samples)
         self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node)
         self._joiner.go_on_after(after_s)

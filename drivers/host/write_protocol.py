@@ -124,7 +124,7 @@ class WriteOrder:
         return [wire.Stage(item, self.owner % wire.OWNER_TAG, value, self.seq) for item, value in values]
 
 
-class Sequence:
+class SequenceNumbers:
     """The newest sequence number that this host has used or the device has told of."""
 
     def __init__(self) -> None:

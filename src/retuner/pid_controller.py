@@ -381,7 +381,7 @@ class PidController(display_hook.Drawn, Closes):
     def _obey(self, decision: Decision) -> Decision:
         """Do what a decision asks for: the next step works with what the table has then."""
         self._last = decision
-        if decision.action is Action.COMMIT and decision.gains_after is not None:
+        if decision.action is Action.WRITE and decision.gains_after is not None:
             self._retuner.committed(self._retuner.table.index(decision.region), decision.gains_after)
         elif decision.action is Action.RESTORE:
             self._retuner.restored()

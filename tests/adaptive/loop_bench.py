@@ -53,7 +53,7 @@ class Bench:
             self.t += 1.0
 
     def obey(self, decision: Decision) -> bool:
-        if decision.action == Action.COMMIT and decision.gains_after:
+        if decision.action == Action.WRITE and decision.gains_after:
             self.retuner.committed(self.retuner.table.index(decision.region), decision.gains_after)
         return True
 

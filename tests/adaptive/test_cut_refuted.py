@@ -44,7 +44,7 @@ def test_a_tone_that_goes_on_through_a_cut_brings_the_set_before_back() -> None:
     decisions = rig.run(int(4 * TONE_S), amplitude=1.0, period_s=TONE_S)
     rig.retuner.region_models.clear()  # of the tone itself, by which the set before would be unstable
     decisions += rig.run(int(8 * TONE_S), amplitude=1.0, period_s=TONE_S)
-    back = [d for d in decisions if d.action is Action.COMMIT]
+    back = [d for d in decisions if d.action is Action.WRITE]
     assert [d.basis for d in back] == [Basis.RAN]
     assert back[0].gains_after == GOOD
     assert "goes on as before the last change" in back[0].reason

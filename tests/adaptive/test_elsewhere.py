@@ -159,7 +159,7 @@ def test_a_trial_that_waits_for_the_loop_ends_before_a_safer_change_there() -> N
     retuner._due = {1: safer}
     second = retuner.step(next(samples)).decision
     assert second is not None
-    assert second.action is Action.COMMIT
+    assert second.action is Action.WRITE
     assert second.gains_after == times(first.gains_after, 0.8)
     assert retuner.trials.of(1).old == first.gains_after
     assert scaled(0.25, 0.25) in retuner.trials.of(1).sets.earlier, "the way back still knows the set before both"
@@ -239,7 +239,7 @@ def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -
     assert retuner.enter(question, calm, retuner.sample_number).action is Action.NONE
     decision, phase = retuner.step(next(samples)).decision, retuner.phase
     assert decision is not None
-    assert (decision.action, decision.region) == (Action.COMMIT, retuner.table.regions.names[1])
+    assert (decision.action, decision.region) == (Action.WRITE, retuner.table.regions.names[1])
     assert decision.gains_after is not None
     assert decision.later
     assert decision.to_dict()["later"] is True

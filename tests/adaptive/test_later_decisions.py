@@ -81,7 +81,7 @@ def test_an_answer_that_travelled_decides_as_observe_does(at_once: Decision) -> 
     found = asked(bench)
     assert entered(bench, found).canonical() == at_once.canonical()
     assert "delay" not in at_once.to_dict()
-    assert at_once.action is Action.COMMIT
+    assert at_once.action is Action.WRITE
 
 
 def test_an_answer_entered_later_is_the_same_but_for_its_time_and_says_when(at_once: Decision) -> None:

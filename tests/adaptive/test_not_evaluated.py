@@ -86,7 +86,7 @@ def test_any_stage_may_raise_and_nothing_changes(at: str, monkeypatch: pytest.Mo
 def test_a_response_of_a_trial_that_is_not_evaluated_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(Retuner(table(scaled(0.4, 0.4)), USUAL), seed=2)
     bench.run(400)
-    made = next(d for _ in range(2000) for d in bench.run(1, 1.0) if d.action is Action.COMMIT)
+    made = next(d for _ in range(2000) for d in bench.run(1, 1.0) if d.action is Action.WRITE)
     assert bench.retuner.trials.phase(0) is TrialPhase.TRIAL
     break_at(monkeypatch, ValueError("for a test"), "identification")
     told = bench.run(500, 0.0)
@@ -141,7 +141,7 @@ def observed(retuner: Retuner, samples: list[LoopSample]) -> list[Decision]:
         assert retuner.open_question is None
         if made is not None:
             found.append(made)
-            if made.action is Action.COMMIT and made.gains_after is not None:
+            if made.action is Action.WRITE and made.gains_after is not None:
                 retuner.committed(0, made.gains_after)
             elif made.action is Action.RESTORE:
                 retuner.restored()

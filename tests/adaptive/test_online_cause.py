@@ -238,12 +238,12 @@ class Rig:
         return found
 
     def _obey(self, decision: Decision, sp: float, pv: float) -> None:
-        if decision.action not in {Action.COMMIT, Action.RESTORE} or decision.gains_after is None:
+        if decision.action not in {Action.WRITE, Action.RESTORE} or decision.gains_after is None:
             return
         new = law(decision.gains_after, co_min=self.limits[0], co_max=self.limits[1])
         self.state, self.rules = change(self.rules, new, self.state, sp, pv, 1.0), new
         self.revision += 1
-        if decision.action == Action.COMMIT:
+        if decision.action == Action.WRITE:
             self.retuner.committed(0, decision.gains_after)
         else:
             self.retuner.restored()
@@ -299,7 +299,7 @@ def test_an_unstable_loop_between_its_limits_is_made_stable() -> None:
     rig = Rig(PidGains(3.2 * GOOD.kp, 3.2 * GOOD.ki), co_max=1.5)
     rig.run(60)
     decisions = rig.run(400, sp=0.3)
-    committed = [d for d in decisions if d.action == Action.COMMIT]
+    committed = [d for d in decisions if d.action == Action.WRITE]
     assert committed
     assert committed[0].gains_after is not None
     assert committed[0].gains_after.kp < 0.7 * committed[0].gains_before.kp

@@ -15,7 +15,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.without_model.proposal_without_model import (
     Proposed,
     WithoutModelSettings,
-    without_model,
+    step_without_model,
 )
 from retuner.schedule.gains import PidGains
 
@@ -37,7 +37,7 @@ def proposed(
     peaks = tuple(Peak(AT + PERIOD / 4 + i * PERIOD / 2, (-s) ** i * s**0.5) for i in range(3))
     response = Response(AT, N - 1.0, peaks, Ending.COMPLETE, False, 0.01)
     diagnosis = Diagnosis(cause, 0.9, {}, f"because of {cause}") if cause else None
-    return without_model(response, window, gains, diagnosis, settings or WithoutModelSettings(), locks)
+    return step_without_model(response, window, gains, diagnosis, settings or WithoutModelSettings(), locks)
 
 
 INTEGRATING = PidGains(1.0, 1.0 / (PERIOD * 0.3 * math.sqrt(1 - 0.09) / math.pi))

@@ -38,7 +38,7 @@ def test_wrong_gains_are_cured_for_their_cause(kp: float, ki: float, cause: Caus
     start = PidGains(sign * GOOD.kp * kp, sign * GOOD.ki * ki)
     bench = made(start, sign=sign)
     decisions = bench.exercise()
-    committed = [d for d in decisions if d.action == Action.COMMIT]
+    committed = [d for d in decisions if d.action == Action.WRITE]
     assert committed[0].diagnosis is not None
     assert committed[0].diagnosis.cause == cause
     final = bench.retuner.table.gains_of(0)
@@ -54,7 +54,7 @@ def test_a_load_that_agrees_lets_the_rest_of_a_limited_change_through(monkeypatc
     monkeypatch.setattr(confirmation, "unconfirmed", None)  # nobody asks
     bench = made(scaled(0.25, 0.25))
     found = bench.run(400) + bench.run(600, 1.0) + bench.run(600, 1.0, 2.0)
-    steps = [d for d in found if d.action == Action.COMMIT]
+    steps = [d for d in found if d.action == Action.WRITE]
     assert [bool(d.response and d.response.sp_changed) for d in steps] == [True, False]
     assert steps[1].agreement == Agreement.AGREES
     assert all(d.gains_after and d.gains_after.ki > 1.5 * d.gains_before.ki for d in steps)
@@ -71,7 +71,7 @@ def test_a_load_that_confirms_what_a_setpoint_step_had_shown_changes_the_gains()
     (contradicting,) = bench.run(600, 1.0)
     (confirming,) = bench.run(600, 1.0, 1.0)
     assert (contradicting.agreement, contradicting.action) == (Agreement.CONTRADICTS, Action.NONE)
-    assert (confirming.agreement, confirming.action) == (Agreement.CHANGED, Action.COMMIT)
+    assert (confirming.agreement, confirming.action) == (Agreement.CHANGED, Action.WRITE)
     assert confirming.response is not None
     assert not confirming.response.sp_changed
     assert confirming.gains_after is not None

@@ -38,7 +38,7 @@ def test_a_decision_runs_through_the_steps_that_the_documentation_tells_in_its_o
         made = bench.run(500, 1.0)
     finally:
         sys.setprofile(before)
-    assert made[0].action is Action.COMMIT
+    assert made[0].action is Action.WRITE
     assert ran == [name for name in names if name in ran]
     assert set(names) - set(ran) <= {"objection", "proposal by all samples"}  # where there is a book by then
 

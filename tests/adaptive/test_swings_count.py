@@ -34,7 +34,7 @@ def watched(gains: PidGains, samples: int, *, gap_every: int = 0) -> tuple[PidCo
 def test_a_loop_that_every_model_calls_unstable_is_made_safer_by_the_second_record(gains: PidGains) -> None:
     assert math.isinf(sensitivity_peak(PROCESS, gains))
     pid, found = watched(gains, 1500)
-    first = next(i for i, d in enumerate(found) if d.action is Action.COMMIT)
+    first = next(i for i, d in enumerate(found) if d.action is Action.WRITE)
     assert first <= 1
     assert sensitivity_peak(PROCESS, pid.gains) < 2.5
     assert not any("one load response is not enough" in d.reason for d in found[1:])

@@ -25,11 +25,11 @@ def test_a_loop_that_behaves_is_moved_when_a_second_record_agrees() -> None:
     assert first.action is Action.NONE
     assert first.gains_after is None
     assert "a second record must agree" in first.reason
-    assert second.action is Action.COMMIT
+    assert second.action is Action.WRITE
     assert second.records == 2
 
 
 @pytest.mark.uncounted
 @pytest.mark.parametrize("share", [0.2, 0.6, 2.5])
 def test_a_loop_that_is_slow_or_swings_is_moved_at_once_by_a_setpoint_step_from_rest(share: float) -> None:
-    assert first_two(scaled(share, share))[0].action is Action.COMMIT
+    assert first_two(scaled(share, share))[0].action is Action.WRITE

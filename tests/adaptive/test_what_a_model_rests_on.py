@@ -58,7 +58,7 @@ def weighed(
         "stands": lambda *_: False,
         "exempt_from_confirmation": lambda *_: False,
         "is_known": lambda *_: False,
-        "without_model": lambda *_: SimpleNamespace(sentence="", numbers=NO_NUMBERS, tuning=None),
+        "step_without_model": lambda *_: SimpleNamespace(sentence="", numbers=NO_NUMBERS, tuning=None),
         "doubt_of": lambda *_: Diagnosis(doubt, 0.9, {}, "") if doubt else None,
     }
     for name, value in given.items():

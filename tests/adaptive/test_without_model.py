@@ -43,7 +43,7 @@ def decided(
         decision = retuner.observe(LoopSample(float(i), sp, pv, co))
         if decision is not None:
             decisions.append(decision)
-            if decision.action is Action.COMMIT and decision.gains_after is not None:
+            if decision.action is Action.WRITE and decision.gains_after is not None:
                 integral += (now.kp - decision.gains_after.kp) * (sp - pv)
                 retuner.committed(0, decision.gains_after)
     return decisions
@@ -56,7 +56,7 @@ def calm() -> list[Decision]:
 
 @pytest.mark.slow
 def test_a_calm_loop_is_made_faster_by_the_pattern_and_says_so(calm: list[Decision]) -> None:
-    first = next(d for d in calm if d.action is Action.COMMIT)
+    first = next(d for d in calm if d.action is Action.WRITE)
     assert first.basis is Basis.PATTERN
     assert first.code == "unproved_step"
     assert "pattern" in first.reason

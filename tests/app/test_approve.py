@@ -61,7 +61,7 @@ def advised(session: LoopSession, sample: LoopSample) -> bool:
 
 
 def written(session: LoopSession, sample: LoopSample) -> bool:
-    return bool(session.commits) and sample.t_s > session.commits[-1][0] + 2.0
+    return bool(session.changes) and sample.t_s > session.changes[-1][0] + 2.0
 
 
 @pytest.fixture

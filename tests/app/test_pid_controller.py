@@ -46,7 +46,7 @@ def changed(pid: PidController, tank: Tank) -> retuner.Decision:
     """Run until the first change is on trial."""
     run(pid, tank, 100, sp=0.0)
     made = run(pid, tank, 600)
-    assert [one.action for one in made] == [Action.COMMIT]
+    assert [one.action for one in made] == [Action.WRITE]
     return made[0]
 
 
@@ -86,7 +86,7 @@ def test_a_proposal_waits_for_approval_and_can_be_taken_back() -> None:
     run(pid, tank, 100, sp=0.0)
     advised = run(pid, tank, 600)[0]
     assert (advised.action, pid.gains) == (Action.ADVISE, WEAK)
-    assert pid.approve().action is Action.COMMIT
+    assert pid.approve().action is Action.WRITE
     assert pid.gains == advised.gains_after
     with pytest.raises(ValueError, match="not those it was proved from"):
         pid.approve()

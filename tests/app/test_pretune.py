@@ -240,7 +240,7 @@ def test_what_follows_is_the_modes_affair(mode: Mode) -> None:
     decision = feed(retuner, "pretune", body, 500.0)
     assert decision is not None
     assert 0 in retuner.region_models
-    wanted = {Mode.OFF: Action.NONE, Mode.ADVISE: Action.ADVISE, Mode.TRIAL: Action.COMMIT, Mode.AUTO: Action.COMMIT}
+    wanted = {Mode.OFF: Action.NONE, Mode.ADVISE: Action.ADVISE, Mode.TRIAL: Action.WRITE, Mode.AUTO: Action.WRITE}
     assert decision.action is wanted[mode]
     assert decision.basis is Basis.PRETUNE
     assert (decision.gains_after is None) == (mode is Mode.OFF)

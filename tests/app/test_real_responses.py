@@ -70,6 +70,6 @@ def test_a_real_step_of_a_heater_makes_the_first_settings() -> None:
     model = retuner.region_models[0].log.model()
     assert model.k / (model.tau1_s + model.theta_s) == pytest.approx(0.361 / 152, rel=0.15)  # the record's own notes
     assert decision.basis is Basis.PRETUNE
-    assert decision.action is Action.COMMIT
+    assert decision.action is Action.WRITE
     assert decision.gains_after is not None
     assert decision.gains_after.ki > gains.ki

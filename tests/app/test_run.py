@@ -372,7 +372,7 @@ def test_every_region_ends_robust_and_better_than_fixed_gains(seed: int) -> None
     table = config.gain_table()
     plant = known_plant(config)
     assert plant is not None
-    scores = region_scores(table, retuned.table, retuned.commits, run, still, plant.linearise, 2.0)
+    scores = region_scores(table, retuned.table, retuned.changes, run, still, plant.linearise, 2.0)
     assert len(scores) == 3
     for score in scores:
         assert score.changes >= 1

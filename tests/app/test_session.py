@@ -127,7 +127,7 @@ class DecidingRetuner(Retuner):
             "loop",
             name,
             Mode.AUTO,
-            Action.COMMIT,
+            Action.WRITE,
             "accepted",
             "because",
             self.table.gains_of(at),

@@ -140,14 +140,14 @@ def test_a_defect_puts_it_back_as_well(wire: Wire) -> None:
 
 def test_a_ledger_that_fails_begins_no_bump(wire: Wire) -> None:
     wire.session.bumps = LoopBumps(SOON, wire.session.retuner)
-    keep = wire.session._record
+    keep = wire.session._to_ledger
 
     def full(kind: str, t_s: float, body: object) -> None:
         if kind == "bump":
             wire.session.freeze("the disk is full")
         keep(kind, t_s, body)
 
-    wire.session._record = full
+    wire.session._to_ledger = full
     wire.run(100)
     assert wire.device.sp == 50.0
 

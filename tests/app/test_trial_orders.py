@@ -33,7 +33,7 @@ class Desk(NamedTuple):
         gains = PidGains(factor * GOOD.kp, factor * GOOD.ki)
         session._decided(session.retuner.ordered(0, Outcome("injected", "for a test"), gains, PROMISE))
         self.wire.until(P.TRIAL)
-        return next(d for d in reversed(session.decisions) if d.action is Action.COMMIT)
+        return next(d for d in reversed(session.decisions) if d.action is Action.WRITE)
 
     def happens(self, event: TrialEvent) -> None:
         self.wire.trials.event(0, event, self.wire.clock.now_s())

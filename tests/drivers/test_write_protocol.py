@@ -12,7 +12,7 @@ from retuner.drivers.host.page_reader import PageReader, ReadBack
 from retuner.drivers.host.write_protocol import (
     CLAIMS,
     TRANSITIONS,
-    Sequence,
+    SequenceNumbers,
     WriteInput,
     WriteOrder,
     WritePhase,
@@ -177,7 +177,7 @@ def test_refusals_in_words(reason: int, text: str) -> None:
 
 def test_only_the_answer_to_its_own_number_leads_a_host_back() -> None:
     """Somebody repeats an old refusal of another's set: the numbers that were used since stay used."""
-    numbers = Sequence()
+    numbers = SequenceNumbers()
     numbers.note(40)
     numbers.correct(Ack(Kind.STAGE, 9, Reason.STALE, 9), 41)
     assert numbers.after(8) == 41
@@ -186,11 +186,11 @@ def test_only_the_answer_to_its_own_number_leads_a_host_back() -> None:
 
 
 def test_the_next_sequence_is_newer_than_all_seen_and_wraps() -> None:
-    sequence = Sequence()
+    sequence = SequenceNumbers()
     assert sequence.after(4) == 5
     sequence.note(9)
     sequence.note(8)
     assert sequence.after(4) == 10
     sequence.note(65535)  # older than 9 on the circle: ignored
     assert sequence.after(9) == 10
-    assert Sequence().after(65535) == 0
+    assert SequenceNumbers().after(65535) == 0

@@ -84,7 +84,7 @@ def leave(
             scores_table(one.scores, one.unit, name, limit), partial(narrow_scores, one.scores, one.unit, name)
         )
     decisions = sum(len(loop.decisions) for loop in session.loops)
-    changes = sum(len(loop.commits) for loop in session.loops)
+    changes = sum(len(loop.changes) for loop in session.loops)
     done = f"{counted(decisions, 'decision')}, {counted(changes, 'change')} of gains"
     screen.say(f"{done}; report: {folder / REPORT}")
     screen.say(f"ledger head {ledger.head()}")
@@ -117,7 +117,7 @@ def _leave_loop(
     folder = loop_folder(job.folder, loop.name if job.config.several else "")
     columns = loop.trend.columns()
     fixed_columns = fixed.trend.columns() if fixed is not None and fixed.trend.rows else None
-    scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns, job.config.loops, say)
+    scores = scores_of(config, loop.table, loop.changes, columns, fixed_columns, job.config.loops, say)
     job.unwritten.write(folder / GAINS, to_toml(loop.table))
     advice, kind = advice_of(loop, other), config.output.trend
     with job.unwritten.trying():
@@ -137,7 +137,7 @@ def _leave_loop(
         decisions=list(loop.decisions),
         run=columns,
         fixed=fixed_columns,
-        commits=[t for t, _ in loop.commits],
+        changes=[t for t, _ in loop.changes],
         events=loop.scenario.played,
         facts=_facts(job, ledger, f"{TREND}.{kind}", i) | ({"not restored": loop.left_open} if loop.left_open else {}),
         stopped=config.scenario is not None and not loop.scenario.finished,
@@ -172,7 +172,7 @@ def _tell_what_next(job: RunJob, ledger: Ledger, left: Sequence[_Left], screen: 
         names = loop.table.regions.names
         locked = [region for i, region in enumerate(names) if loop.retuner.trials.phase(i) is TrialPhase.LOCKED]
         table = job.folder / one.report.parent / GAINS
-        changed = Changed(table, job.options.config) if loop.commits else None
+        changed = Changed(table, job.options.config) if loop.changes else None
         config = job.config.loops[job.config.names.index(name)]
         by_hand = product("foreign device").advice_only(config) if config.foreign_device else ""
         own, known_as = config.adaptation.approval_s, name if several else ""

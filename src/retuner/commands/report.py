@@ -102,9 +102,9 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
     names = before.regions.names
     changes = _changes(recorded, names)
     after = _final_table(recorded, before, changes)
-    commits = [(row.clock_s, names.index(row.body["region"])) for row in changes]
+    changed = [(row.clock_s, names.index(row.body["region"])) for row in changes]
     summary = _summary(recorded)
-    scores = scores_of(config, after, commits, columns)
+    scores = scores_of(config, after, changed, columns)
     steps = config.scenario.steps if config.scenario else []
     # the scores with what only the summary has kept: IAE with fixed gains, Ms of a plant that is not ours
     kept = {words(one, "region"): one for one in parts(summary, "scores")}
@@ -118,7 +118,7 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
         decisions=[without_place(row.body) for row in rows],
         run=columns,
         fixed=None,
-        commits=[t_s for t_s, _ in commits],
+        changes=[t_s for t_s, _ in changed],
         events=[step.at_s for step in steps if step.at_s <= columns["t"][-1]],
         facts={
             "session": str(recorded.folder),
@@ -133,14 +133,14 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
 
 def _changes(recorded: RecordedSession, names: tuple[str, ...]) -> list[Row]:
     """The rows of changes of the table's gains."""
-    commits = (row for row in recorded.rows if row.kind == "committed" and row.body.get("why") == "retune")
-    return [row for row in commits if row.body.get("region") in names]
+    changed = (row for row in recorded.rows if row.kind == "committed" and row.body.get("why") == "retune")
+    return [row for row in changed if row.body.get("region") in names]
 
 
 def scores_of(
     config: Config,
     after: GainTable,
-    commits: list[tuple[float, int]],
+    changed: list[tuple[float, int]],
     columns: Columns,
     fixed: Columns | None = None,
     bench: Sequence[Config] = (),
@@ -155,16 +155,16 @@ def scores_of(
     if config.device and config.device.plant:
         known = known_plant(config) or (stepped_plant(config, bench, columns["sp"], columns["co"]) if bench else None)
     try:
-        return _scores(config, after, commits, columns, fixed, known)
+        return _scores(config, after, changed, columns, fixed, known)
     except PlantFaultError as fault:  # a copy that tells nothing takes nothing from the report
         say(f"{config.loop.name}: no Ms on the simulated process: {fault}")
-        return _scores(config, after, commits, columns, fixed, None)
+        return _scores(config, after, changed, columns, fixed, None)
 
 
 def _scores(
     config: Config,
     after: GainTable,
-    commits: list[tuple[float, int]],
+    changed: list[tuple[float, int]],
     columns: Columns,
     fixed: Columns | None,
     known: KnownPlant | SteppedPlant | None,
@@ -172,7 +172,7 @@ def _scores(
     return region_scores(
         config.gain_table(),
         after,
-        commits,
+        changed,
         columns,
         fixed,
         known.linearise if known is not None else None,

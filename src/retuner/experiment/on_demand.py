@@ -44,7 +44,7 @@ class SettingsWriter:
     """
 
     def __init__(self, bench: Bench, sample_time_s: float, record: Recorder) -> None:
-        self._bench, self._dt_s, self._record = bench, sample_time_s, record
+        self._bench, self._dt_s, self._to_ledger = bench, sample_time_s, record
         self._patience_s = restore_patience_s(sample_time_s, bench.silent_s)
         self._stopped = self._running = False
         self._now_s, self._seq = 0.0, -1
@@ -58,7 +58,7 @@ class SettingsWriter:
         """
         reason = self._begin(gains, base) or self._finish()
         if reason:
-            self._record("refused", self._now_s, {"why": "experiment", "reason": reason})
+            self._to_ledger("refused", self._now_s, {"why": "experiment", "reason": reason})
         if self._stopped:
             raise KeyboardInterrupt
         return reason
@@ -82,7 +82,7 @@ class SettingsWriter:
             if device.connected and running is not None and not device.writing:
                 if running.gains != base:
                     return "the active gains have changed since these settings were shown"
-                self._record(
+                self._to_ledger(
                     "intent",
                     self._now_s,
                     {"why": "experiment", "gains": gains_dict(gains), "base": running.seq, "before": gains_dict(base)},
@@ -112,7 +112,7 @@ class SettingsWriter:
                             "gains": gains_dict(event.gains),
                             "crc": event.running.crc,
                         }
-                        self._record("committed", self._now_s, body)
+                        self._to_ledger("committed", self._now_s, body)
                         patience_s = self._now_s + CONFIRM_SAMPLES * self._dt_s
                         self._running = True
         return "" if self._running else "the controller does not answer; which set runs is not known"
@@ -154,7 +154,7 @@ class OnDemandExperiment:
         self._screen, self._bench = screen, bench
         self._yes, self._as_json = yes, as_json
         runner = ExperimentRunner(
-            bench.device, plan, config.loop.sample_time_s, bench.silent_s, self._record, self._on_sample
+            bench.device, plan, config.loop.sample_time_s, bench.silent_s, self._to_ledger, self._on_sample
         )
         self._runner = runner
         self._outcome = ExperimentResult(config.loop.name, config.loop.pv_unit, folder, runner)
@@ -207,7 +207,7 @@ class OnDemandExperiment:
                     self._screen.say("stopping: the initial state is being restored")
                 runner.abort(AbortCause.INTERRUPTED)
 
-    def _record(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
+    def _to_ledger(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
         """A row of the ledger; phases are told on the screen."""
         self._ledger.append(kind, body, t_s)
         if body.get("phase") not in {None, "before"}:
@@ -286,7 +286,7 @@ class OnDemandExperiment:
         assert outcome.found is not None
         assert outcome.found.chosen is not None
         assert before is not None
-        writer = SettingsWriter(self._bench, self._config.loop.sample_time_s, self._record)
+        writer = SettingsWriter(self._bench, self._config.loop.sample_time_s, self._to_ledger)
         outcome.written = writer.write(outcome.found.chosen.tuning.gains, before.gains)
         if outcome.written:
             self._screen.say(f"NOT written: {outcome.written}")

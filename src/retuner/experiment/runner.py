@@ -159,7 +159,7 @@ class ExperimentRunner:
         self.lost_ledger: LedgerError | None = None
         self._dt_s, self._silent_s = sample_time_s, silent_s
         self._patience_s = restore_patience_s(sample_time_s, silent_s)
-        self._record = record
+        self._to_ledger = record
         self._on_sample = on_sample
         self._helm = Helm(device, sample_time_s)
         self._following = Following(plan.kind, self._helm, max(round(silent_s / sample_time_s), FEWEST_PATIENT))
@@ -238,7 +238,7 @@ class ExperimentRunner:
         if self.lost_ledger is not None:
             return
         try:
-            self._record("experiment", self.samples[-1].t_s if self.samples else 0.0, body)
+            self._to_ledger("experiment", self.samples[-1].t_s if self.samples else 0.0, body)
         except LedgerError as error:
             self.lost_ledger = error
             self.abort(AbortCause.RECORDER, str(error))

@@ -164,12 +164,12 @@ class Replay:
                 return
             self._result.samples += 1
             self._t_s = joined.sample.t_s
-            self._decided(self._look(joined.sample))
+            self._decided(self._observe(joined.sample))
             self._rows_here()
             if not self._result.agrees:
                 return
 
-    def _look(self, sample: LoopSample) -> Decision | None:
+    def _observe(self, sample: LoopSample) -> Decision | None:
         """Take a sample as the session did: a question was answered at once, unless a row here says that it was not."""
         step = self._retuner.step(sample)
         waits = any(row.kind == "question" for row in self._rows_of(self._result.samples))

@@ -117,7 +117,7 @@ def live_line(decision: Decision, loop: str = "") -> str:
     colour = COLOURS.get(cause, "magenta")
     where = f"{loop} {decision.region}" if loop else decision.region
     head = f"[dim]{in_full(decision.t_s):>8} s[/] [bold]{escape(where):6}[/] [{colour}]{cause:10}[/]"
-    told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(short_reason(decision))]
+    told = [] if decision.action in {Action.WRITE, Action.ADVISE} else [escape(short_reason(decision))]
     told += [] if decision.action == Action.NONE else [f"[bold]{escape(change_text(decision))}[/]"]
     judged = decision.judgement.reason if decision.judgement and not back else ""
     told += [f"[cyan]trial: {escape(judged)}[/]"] if judged else []

@@ -166,7 +166,7 @@ MOST_PAGES = 40  # decisions with a page of their own, the newest ones: about 13
 class ReportData:
     """What a report tells of.
 
-    run, fixed : trends by column (fixed: the same run without retuning, or None). commits : times of changes.
+    run, fixed : trends by column (fixed: the same run without retuning, or None). changes : their times.
     events : times of setpoint and load steps, s. facts : provenance, name to value, shown at the end.
     decisions : of the run, or their documents out of a ledger. stopped : the run did not have its whole length.
     advice : sentences that propose to split or merge regions. ms_limit : of the guard, on the process as known.
@@ -180,7 +180,7 @@ class ReportData:
     decisions: Sequence[Decision | Document]
     run: Columns
     fixed: Columns | None
-    commits: list[float]
+    changes: list[float]
     events: list[float] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)
     stopped: bool = False
@@ -261,7 +261,7 @@ def marks_of(data: ReportData, documents: Sequence[Document]) -> list[Mark]:
         if action == "commit" or rolls_back(one):
             found.append(Mark(t_s, int(number(one, "number") or 0), rolled_back=action == "restore"))
     decided = any(not mark.rolled_back for mark in found)
-    return found if decided else [*found, *(Mark(t_s, 0, rolled_back=False) for t_s in data.commits)]
+    return found if decided else [*found, *(Mark(t_s, 0, rolled_back=False) for t_s in data.changes)]
 
 
 def _counted(count: int, what: str) -> str:

@@ -118,11 +118,11 @@ class GainWriter:
 
     def __init__(self, device: Device, retuner: Retuner, record: Recorder) -> None:
         self.device, self.retuner = device, retuner
-        self.commits: list[tuple[float, int]] = []
+        self.changes: list[tuple[float, int]] = []
         self.frozen = False  # begin nothing any more but the way back
         self.t_s = 0.0
         self.machine = StateMachine(WRITING, WriterPhase.IDLE)
-        self._record = record
+        self._to_ledger = record
         self._under_way: WantedSet | None = None
         self._pending: WantedSet | None = None
         self._retry_at_s = self._hold_until_s = 0.0
@@ -153,10 +153,10 @@ class GainWriter:
         """Whether a verified set is not known to run again."""
         return bool(self.retuner.trials.restoring)
 
-    def ask(self, decision: Decision) -> None:
-        """A decision wants its gains to run. A change waits until `keep` writes it, unless another one is ahead of it.
+    def queue(self, decision: Decision) -> None:
+        """A decision wants its gains to run. A change waits until `begin_due_write` has it written, unless another one
+        is ahead of it. A way back does not wait: the table has its set already, and that is written first of all.
 
-        A way back waits for nothing: the table has its set already, and `keep` has it run before everything else.
         What a person ordered is not on trial: a trial would keep the set before it, for a later change to go back to.
         """
         if decision.gains_after is None:
@@ -171,7 +171,7 @@ class GainWriter:
                     "gains": gains_dict(decision.gains_after),
                     "decision": decision.digest(),
                 }
-                self._record("restore", decision.t_s, body)
+                self._to_ledger("restore", decision.t_s, body)
             return
         region = self.retuner.table.regions.names.index(decision.region)
         later = region != self.retuner.region and self.retuner.table.lookup is Lookup.HARD
@@ -192,7 +192,7 @@ class GainWriter:
         """Let the schedule wait before it asks again."""
         self._retry_at_s = self.t_s + self._span_s(RETRY_SAMPLES)
 
-    def keep(self, now_s: float) -> None:
+    def begin_due_write(self, now_s: float) -> None:
         """Write the gains that the controller is to run and does not, if any; called once a sample."""
         running = self.device.running
         if self.open or self.device.writing or not self.device.connected or running is None:
@@ -203,7 +203,7 @@ class GainWriter:
         self._settle(running)
         wanted = self._to_restore(running, now_s) if self.restoring else self._wanted(running.gains)
         if wanted is not None and (not self.frozen or wanted.why == Why.RESTORE):
-            self._start(running, wanted, now_s)
+            self._begin(running, wanted, now_s)
 
     def done(self, event: WriteDone) -> None:
         """The controller runs the set, as read back; only now does the table change."""
@@ -225,7 +225,7 @@ class GainWriter:
         stored = write.stored if mixed and write.stored is not None else running.gains
         if write.why == Why.RETUNE and mixed:
             body["stored"] = gains_dict(stored)
-        self._record("committed", self.t_s, body)
+        self._to_ledger("committed", self.t_s, body)
         self._newest = write.why
         if write.why == Why.RETUNE:
             self._in_table_now(write, stored)
@@ -234,9 +234,9 @@ class GainWriter:
         """A set of a region where the loop is not: the table has it from now on."""
         self._pending = None
         self.machine.take(WriterInput.DROP)
-        gains = self.retuner.settings.held(write.gains)
+        gains = self.retuner.settings.rounded(write.gains)
         body = {"why": write.why, "region": self._name(write.region), "gains": gains_dict(gains), "reason": LATER}
-        self._record("committed", self.t_s, body)
+        self._to_ledger("committed", self.t_s, body)
         self._in_table_now(write, gains)
 
     def _in_table_now(self, write: WantedSet, stored: PidGains) -> None:
@@ -244,7 +244,7 @@ class GainWriter:
         before = self.retuner.table
         if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being rolled back
             return
-        self.commits.append((self.t_s, write.region))
+        self.changes.append((self.t_s, write.region))
         # Record that a change is on trial from now on, if it is
         trial = self.retuner.trials.of(write.region)
         if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY, TrialPhase.ENSURING} and trial.old is not None:
@@ -257,7 +257,7 @@ class GainWriter:
             }
             if trial.phase == TrialPhase.ENSURING:  # it was given up, came through after all, and is the better one
                 row["reason"] = f"it was written after all, and stays{f': {trial.back.reason}' if trial.back else ''}"
-            self._record("trial", self.t_s, row)
+            self._to_ledger("trial", self.t_s, row)
 
     def failed(self, event: WriteFailed, now_s: float) -> TrialEvent | None:
         """A write did not come about; the cause when that ends a trial, because something unexpected runs.
@@ -285,7 +285,7 @@ class GainWriter:
         ours = (gains for gains in (*table.gains, *tried) if gains is not None)
         return all(change_factor(running, gains) > SAME_GAINS for gains in ours)
 
-    def _start(self, running: RunningSet, wanted: WantedSet, now_s: float) -> None:
+    def _begin(self, running: RunningSet, wanted: WantedSet, now_s: float) -> None:
         """Record what is meant, then begin to write it; what could not be recorded is not written, but the way back.
 
         Leaving gains in force that nothing vouches for would be worse than a missing row.
@@ -299,7 +299,7 @@ class GainWriter:
             "before": gains_dict(running.gains),
             "decision": decision.digest() if decision else None,
         }
-        self._record("intent", self.t_s, body)
+        self._to_ledger("intent", self.t_s, body)
         if self.frozen and wanted.why != Why.RESTORE:
             return
         try:
@@ -328,7 +328,7 @@ class GainWriter:
             elif trial.phase is TrialPhase.WRITING:
                 reason = "the session ended in the middle of it, and it does not run"
                 body = {"why": Why.RETUNE, "region": self._name(at), "decision": None, "reason": reason}
-                self._record("dropped", self.t_s, body)
+                self._to_ledger("dropped", self.t_s, body)
                 self.retuner.not_written(at)
 
     def _to_restore(self, running: RunningSet, now_s: float) -> WantedSet | None:
@@ -363,13 +363,15 @@ class GainWriter:
         waits = [region for region in regions if table.lookup is Lookup.HARD and region != here]
         if waits:  # what runs is the set of the region that the loop is in
             body["waits"] = {self._name(region): gains_dict(table.gains_of(region)) for region in waits}
-        self._record("restored", self.t_s, body)
+        self._to_ledger("restored", self.t_s, body)
         self._refusals = 0
         self._restore_at_s = float("-inf")
         self.retuner.restored()
         for region in regions:
             if trials.phase(region) == TrialPhase.LOCKED:
-                self._record("lockout", self.t_s, {"region": self._name(region), "undos": trials.of(region).rollbacks})
+                self._to_ledger(
+                    "lockout", self.t_s, {"region": self._name(region), "undos": trials.of(region).rollbacks}
+                )
 
     def _wanted(self, running: PidGains) -> WantedSet | None:
         """What should be written now, if anything: a decision for the region in force first, then the schedule."""
@@ -403,7 +405,7 @@ class GainWriter:
         if table.lookup != Lookup.INTERPOLATED:
             return wanted
         new = table.with_gains(wanted.region, wanted.gains)
-        return replace(wanted, gains=self.retuner.settings.held(new.at(wanted.region, *self.retuner.scheduled)))
+        return replace(wanted, gains=self.retuner.settings.rounded(new.at(wanted.region, *self.retuner.scheduled)))
 
     def _drop(self, reason: str) -> None:
         """A decision that waited for the wire is not written."""
@@ -415,7 +417,7 @@ class GainWriter:
         """A decision is not written: recorded, and told."""
         if wanted.decision is not None:
             about = {"why": wanted.why, "region": self._name(wanted.region), "decision": wanted.decision.digest()}
-            self._record("dropped", self.t_s, {**about, "reason": reason})
+            self._to_ledger("dropped", self.t_s, {**about, "reason": reason})
             self.retuner.not_written(wanted.region)
 
     def _give_up(
@@ -433,14 +435,14 @@ class GainWriter:
             "running": gains_dict(running) if running else None,
             "unchanged": not written,
         }
-        self._record("refused", self.t_s, body)
+        self._to_ledger("refused", self.t_s, body)
         if wanted.why == Why.RETUNE and not written:
             self.retuner.not_written(wanted.region)
 
     def _in_table(self) -> PidGains | None:
         """What the table says should run here and now."""
         region, retuner = self.retuner.region, self.retuner
-        return None if region is None else retuner.settings.held(retuner.table.at(region, *retuner.scheduled))
+        return None if region is None else retuner.settings.rounded(retuner.table.at(region, *retuner.scheduled))
 
     @property
     def _tolerance(self) -> float:

@@ -122,7 +122,7 @@ class LoopSession:
         self.trend = Trend(two=retuner.table.regions.second is not None)
         self.decisions: deque[Decision] = deque(maxlen=DECISIONS_KEPT)
         self.writer = GainWriter(device, retuner, record)
-        self._record = record
+        self._to_ledger = record
         self._on_sample = on_sample
         self.frozen = ""
         self.bumps: LoopBumps | None = None  # bumps the setpoint, where that is allowed
@@ -147,9 +147,9 @@ class LoopSession:
         return self.retuner.table
 
     @property
-    def commits(self) -> list[tuple[float, int]]:
+    def changes(self) -> list[tuple[float, int]]:
         """Changes of the table: time and region."""
-        return self.writer.commits
+        return self.writer.changes
 
     @property
     def finished(self) -> bool:
@@ -211,14 +211,14 @@ class LoopSession:
         if now_s - self._sampled_s > UNSEEN_SAMPLES * self.retuner.settings.sample_time_s:
             self._abort(TrialEvent.LOST_TELEMETRY)
         self._end(now_s)
-        self.writer.keep(now_s)
+        self.writer.begin_due_write(now_s)
         self._close(now_s)
         return samples
 
     def link_faults(self, news: Iterable[FaultNews]) -> None:
         """Record what the link has to tell, and hold the adaptation where frames may be missing or stale."""
         for fault, times in news:
-            self._record("bus", self.writer.t_s, {"fault": fault, "times": times})
+            self._to_ledger("bus", self.writer.t_s, {"fault": fault, "times": times})
             if fault in HOLDING:
                 self.writer.hold(fault)
 
@@ -234,7 +234,7 @@ class LoopSession:
                 self.device.send_setpoint(step.sp, now_s)
             if step.load is not None:
                 self.device.send_load(step.load, now_s)
-        decision = self._look(sample)
+        decision = self._observe(sample)
         if self.retuner.region is not None and self.device.running is not None:
             self.trend.add(sample, self.retuner.region, self.device.running.gains)
         if self._on_sample is not None:
@@ -254,7 +254,7 @@ class LoopSession:
         if self.retuner.turned:  # as in manual: a bump goes back, none begins
             sample = sample._replace(mode=LoopMode.MANUAL)
         free = self.writer.free and self.machine.phase is SessionPhase.WATCHING
-        news = self.bumps.look(sample, free=free)
+        news = self.bumps.step(sample, free=free)
         again = self.bumps.planner.again(sample.t_s)
         if news is not None:
             self._bump_told(news, now_s)
@@ -263,7 +263,7 @@ class LoopSession:
 
     def _bump_told(self, news: BumpNews, now_s: float) -> None:
         """Record what becomes of a bump, and send its setpoint; what cannot be recorded is not begun."""
-        self._record("bump", self.writer.t_s, news.to_dict())
+        self._to_ledger("bump", self.writer.t_s, news.to_dict())
         if news.setpoint is not None and not (self.frozen and news.phase is BumpPhase.GOING):
             self.device.send_setpoint(news.setpoint, now_s)
 
@@ -272,7 +272,7 @@ class LoopSession:
         """Whether the setpoint may stand where a bump has put it."""
         return self.bumps is not None and self.bumps.planner.out
 
-    def _look(self, sample: LoopSample) -> Decision | None:
+    def _observe(self, sample: LoopSample) -> Decision | None:
         """Have the retuner take a sample; a question that it raises is answered here and now, or goes on its way."""
         step = self.retuner.step(sample)
         if step.question is None:
@@ -282,7 +282,7 @@ class LoopSession:
         if answer is not None:  # with what ended a trial at this sample, if anything did: see Retuner.enter
             return self.retuner.enter(step.question, answer.result, self.retuner.sample_number)
         region = self.table.regions.names[step.question.record.region]
-        self._record("question", step.question.t_s, {"asked": step.question.sample_number, "region": region})
+        self._to_ledger("question", step.question.t_s, {"asked": step.question.sample_number, "region": region})
         return step.decision
 
     def _enter_answer(self) -> None:
@@ -292,9 +292,9 @@ class LoopSession:
         if question is None or answer is None:
             return
         body = {"asked": question.sample_number, "code": answer.result.code, "reason": answer.trouble}
-        self._record("answer", self.writer.t_s, body)
+        self._to_ledger("answer", self.writer.t_s, body)
         if answer.result.code in {LATE, LOST}:
-            self._record("worker", self.writer.t_s, {"reason": answer.trouble})
+            self._to_ledger("worker", self.writer.t_s, {"reason": answer.trouble})
         self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
 
     def _decided(self, decision: Decision) -> None:
@@ -303,14 +303,14 @@ class LoopSession:
         if self.bumps is not None:
             self.bumps.decided(decision)
         self.remember(self.writer.t_s)  # before the row: what the ledger says was decided is never forgotten
-        self._record("decision", decision.t_s, decision.to_dict())
+        self._to_ledger("decision", decision.t_s, decision.to_dict())
         judged = decision.judgement
         if judged is not None:
-            self._record(
+            self._to_ledger(
                 "judged", decision.t_s, {"region": decision.region, **judged.to_dict(), "trial": decision.trial}
             )
-        if decision.action in {Action.COMMIT, Action.RESTORE}:
-            self.writer.ask(decision)
+        if decision.action in {Action.WRITE, Action.RESTORE}:
+            self.writer.queue(decision)
 
     def _event(self, event: Event, now_s: float) -> None:
         match event:
@@ -330,7 +330,7 @@ class LoopSession:
                 if isinstance(event, RunningChanged):
                     self._watch_action(event.running)
                 kind, body = trouble(event)
-                self._record(kind, self.writer.t_s, body)
+                self._to_ledger(kind, self.writer.t_s, body)
                 if isinstance(event, HELD_BY):
                     self.writer.hold(kind)
                 if isinstance(event, RunningChanged):
@@ -349,14 +349,14 @@ class LoopSession:
         if decision is None or running is None:
             return
         body = {"turned": self.retuner.turned, "gains": gains_dict(running.gains), "reason": decision.reason}
-        self._record("action", self.writer.t_s, body)
+        self._to_ledger("action", self.writer.t_s, body)
         self._decided(decision)
 
     def _abort(self, cause: TrialEvent | None) -> None:
         """Put a cause to the undecided trials that do not know it: recorded, then what is to run is decided."""
         if cause is None or not self.retuner.trials.concerned(cause):
             return
-        self._record("abort", self.writer.t_s, {"cause": cause.name.lower(), "reason": str(cause)})
+        self._to_ledger("abort", self.writer.t_s, {"cause": cause.name.lower(), "reason": str(cause)})
         decision = self.retuner.abort(cause)
         if decision is not None:
             self._decided(decision)
@@ -400,12 +400,12 @@ class LoopSession:
                 "running": gains_dict(running.gains) if running else None,
                 "reason": self.left_open,
             }
-            self._record("unrestored", self.writer.t_s, body)
+            self._to_ledger("unrestored", self.writer.t_s, body)
 
     def tell_absent(self, reason: str) -> None:
         """Record that the session goes on without this loop: its controller was never there."""
-        self._record("absent", self.writer.t_s, {"reason": reason})
+        self._to_ledger("absent", self.writer.t_s, {"reason": reason})
 
     def tell_over(self) -> None:
         """Record that no sample of this loop is looked at any more: in a session of several, where each has its end."""
-        self._record("over", self.writer.t_s, {"course": self.machine.phase.name.lower()})
+        self._to_ledger("over", self.writer.t_s, {"course": self.machine.phase.name.lower()})

@@ -136,7 +136,7 @@ def _decision(found: OrderState, body: Mapping[str, Any]) -> None:
         found.proposals[digest] = Proposal(
             digest, number, region, float(body["t_s"]), before, gains_of(body["gains_after"]), body.get("promise")
         )
-    elif body["action"] == Action.COMMIT:
+    elif body["action"] == Action.WRITE:
         found.tried[digest] = region
 
 
@@ -191,7 +191,7 @@ class OrderDesk:
     ) -> None:
         self._box = box
         self._retuner = retuner
-        self._record = record
+        self._to_ledger = record
         self._decisions = decisions
         self._expires_after_s = expires_after_s
         self._before = before
@@ -222,7 +222,7 @@ class OrderDesk:
         """Record an order, then tell the retuner of it, or keep it until the loop is in its region."""
         body: dict[str, object] = {"file": one_line(found.name)[:LONGEST], "accepted": False, "due": False}
         if found.order is None:
-            self._record("order", t_s, {**body, "reason": found.refused})
+            self._to_ledger("order", t_s, {**body, "reason": found.refused})
             return None
         meant, reason = self._meant(found.order, before)
         body |= {**found.order.to_dict(), **meant}
@@ -233,7 +233,7 @@ class OrderDesk:
         if reason or self._is_here(order) or not (body.get("proposal") or body.get("gains")):
             return self._due(order, t_s)
         self._waiting.append(order)
-        self._record("order", t_s, {**order.body, "reason": f"waits until the loop is in {order.region}"})
+        self._to_ledger("order", t_s, {**order.body, "reason": f"waits until the loop is in {order.region}"})
         return None
 
     def _due(self, order: Waiting, t_s: float) -> Decision | None:
@@ -254,7 +254,7 @@ class OrderDesk:
                 body |= {"accepted": False, "reason": reason}
         if body["accepted"] and body.get("order") == OrderKind.REJECT:
             self._rejected.add(str(body["digest"]))
-        self._record("order", t_s, body)
+        self._to_ledger("order", t_s, body)
         decision = feed(self._retuner, "order", body, t_s)
         if proposal and decision is not None and decision.gains_after is not None:
             self._taken_up[str(body["digest"])] = decision.number
@@ -341,7 +341,7 @@ class OrderDesk:
 
     def _not_tried(self, decision: Decision) -> str:
         """Why an approval finds nothing to release, empty when the decision is the region's newest change."""
-        changes = (d for d in reversed(self._decisions) if d.region == decision.region and d.action is Action.COMMIT)
+        changes = (d for d in reversed(self._decisions) if d.region == decision.region and d.action is Action.WRITE)
         named = next(changes, None) is decision
         return "" if named else f"{decision.region} awaits approval of another change than this one"
 

@@ -45,7 +45,7 @@ class Bench:
             seen = LoopSample(self.t, self.sp, self.sp + self.wander, 30.0, LoopMode.AUTO, False, self.sp)._replace(
                 **sample
             )
-            news = self.planner.look(seen, around)
+            news = self.planner.step(seen, around)
             if news is not None:
                 self.news.append(news)
             asked = news.setpoint if news is not None else self.planner.again(self.t)
@@ -427,7 +427,7 @@ def news(load: float) -> list[BumpNews]:
             bench.retuner.observe(sample)
             bench.retuner.region_models[0] = known
             bench.retuner.excitation[0] = replace(Excitation(), setpoints=2)
-            found.append(bumper.look(sample))
+            found.append(bumper.step(sample))
     return [one for one in found if one is not None]
 
 

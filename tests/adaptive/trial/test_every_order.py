@@ -87,7 +87,7 @@ class World:
     def sample(self, elapsed_s: float = 1.0, region: int = 0, limited: int = 0, mode: LoopMode = LoopMode.AUTO) -> None:
         self.t_s += elapsed_s
         seen = LoopSample(self.t_s, 1.0, 0.0, 0.0, mode, limited, 1.0, 0)
-        self.trials.look(seen, region, 0.01, elapsed_s, 50.0, blended=False)
+        self.trials.watch(seen, region, 0.01, elapsed_s, 50.0, blended=False)
 
     def at_limit(self) -> None:
         for _ in range(4):

@@ -47,7 +47,7 @@ class Stand:
     def cure(self) -> "Stand":
         """What is in force is unstable by all that is known; a cure comes on trial."""
         made = self.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
-        assert made.action is Action.COMMIT
+        assert made.action is Action.WRITE
         self.retuner.committed(0, GOOD)
         assert self.retuner.trials.phase(0) is P.TRIAL
         return self
@@ -141,7 +141,7 @@ def test_an_edit_is_kept_said_and_only_proposed_upon_until_its_time_is_over() ->
     proposal = Proposal.of(proposed)
     assert proposal is not None
     taken = approve(stand.retuner, proposal, stand.rig.t_s)
-    assert taken.action is Action.COMMIT
+    assert taken.action is Action.WRITE
     assert taken.reason.startswith("proposal ")
     assert taken.reason.endswith("was approved by an operator")
     assert stand.retuner.trials.phase(0) is P.WRITING
@@ -201,7 +201,7 @@ def test_a_proposal_is_approved_while_it_stands() -> None:
     (proposed,) = [d for d in stand.samples(1500) if d.gains_after]
     with pytest.raises(ValueError, match="it has expired"):
         approve_proposal(stand.retuner, proposed, expires_after_s=1.0)
-    assert approve_proposal(stand.retuner, proposed).action is Action.COMMIT
+    assert approve_proposal(stand.retuner, proposed).action is Action.WRITE
     with pytest.raises(ValueError, match="no proposal"):
         approve_proposal(stand.retuner, stand.retuner.ordered(0, Outcome("injected", "for a test")))
 
@@ -213,7 +213,7 @@ def test_after_its_time_the_loop_is_retuned_again_from_there() -> None:
     stand.samples(200)
     stand.rig.sp = 5.0
     (made,) = [d for d in stand.samples(1500) if d.gains_after]
-    assert made.action is Action.COMMIT
+    assert made.action is Action.WRITE
     assert made.gains_before == WEAK
 
 

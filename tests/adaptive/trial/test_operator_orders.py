@@ -62,7 +62,7 @@ def test_an_approved_proposal_is_written_as_it_was_and_on_trial() -> None:
     assert offered.digest == bench.decisions[0].digest()
     again = Proposal.from_dict(offered.to_dict())
     decision = approve(bench.retuner, again, bench.t_s)
-    assert (decision.action, decision.code) == (Action.COMMIT, "approved")
+    assert (decision.action, decision.code) == (Action.WRITE, "approved")
     assert decision.gains_after == offered.after
     assert decision.proof is not None
     assert decision.proof.accepted
@@ -82,7 +82,7 @@ def test_a_persons_own_gains_are_proposed_where_the_guard_proves_them_whole() ->
     assert offered is not None
     assert bench.retuner.table.gains[0] == SLOW
     written = approve(bench.retuner, offered, bench.t_s)
-    assert (written.action, written.gains_after) == (Action.COMMIT, own)
+    assert (written.action, written.gains_after) == (Action.WRITE, own)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_a_persons_own_gains_are_refused_with_the_reason(factor: float, taught: 
 
 
 def test_a_proposal_of_an_earlier_session_is_held_to_the_limits_per_change() -> None:
-    assert approve(Bench().retuner, OFFERED, 60.0).action is Action.COMMIT
+    assert approve(Bench().retuner, OFFERED, 60.0).action is Action.WRITE
     far = replace(OFFERED, after=PidGains(SLOW.kp * 5, SLOW.ki * 5))
     refused = approve(Bench().retuner, far, 60.0)
     assert refused.action is Action.NONE
@@ -107,7 +107,7 @@ def test_a_proposal_of_an_earlier_session_is_held_to_the_limits_per_change() -> 
 def test_less_of_everything_is_not_held_to_the_limits_per_change() -> None:
     calmer = replace(OFFERED, after=PidGains(SLOW.kp / 30, SLOW.ki / 30))
     written = approve(Bench().retuner, calmer, 60.0)
-    assert (written.action, written.gains_after) == (Action.COMMIT, calmer.after)
+    assert (written.action, written.gains_after) == (Action.WRITE, calmer.after)
     mixed = replace(OFFERED, after=PidGains(SLOW.kp / 30, SLOW.ki * 5))
     assert approve(Bench().retuner, mixed, 60.0).action is Action.NONE
 
@@ -170,7 +170,7 @@ def test_the_rollback_is_whole_and_not_on_trial() -> None:
     bench = Bench(GOOD)
     decision = revert(bench.retuner, 0, BAD["kc /4"], 60.0)
     assert decision is not None
-    assert (decision.action, decision.code) == (Action.COMMIT, "ordered_back")
+    assert (decision.action, decision.code) == (Action.WRITE, "ordered_back")
     assert decision.gains_after == BAD["kc /4"]
     bench.retuner.committed(0, BAD["kc /4"])
     assert bench.retuner.trials.phase(0) is P.IDLE
@@ -252,7 +252,7 @@ def test_a_lock_is_taken_off_and_a_change_that_waits_is_accepted() -> None:
     assert bench.retuner.trials.phase(0) is P.LOCKED
     held = revert(bench.retuner, 0, SLOW, 63.0)
     assert held is not None
-    assert held.action is Action.COMMIT  # a lock holds the retuner's changes, not the way back
+    assert held.action is Action.WRITE  # a lock holds the retuner's changes, not the way back
     assert approve(bench.retuner, replace(OFFERED, before=BETTER, after=GOOD), 63.0).code == "held_locked"
     assert unlock(bench.retuner, 0, 64.0)
     assert bench.retuner.trials.phase(0) is P.IDLE

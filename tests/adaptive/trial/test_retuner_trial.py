@@ -35,7 +35,7 @@ class Stand:
         self.rig = Rig(GOOD, noise=0.02)
         assert list(self.run(60)) == []
         made = self.retuner.ordered(0, Outcome("injected", "for a test"), new, PROMISE)
-        assert made.action is Action.COMMIT
+        assert made.action is Action.WRITE
         assert self.retuner.trials.phase(0) is P.WRITING
         self.retuner.committed(0, new)
         self.rig.change(new)

@@ -133,7 +133,7 @@ def test_the_end_of_a_session_that_waits_is_put_to_a_region_once_whatever_the_sa
     for number in range(40):
         mode = LoopMode.AUTO if number % 4 else LoopMode.MANUAL
         sample = LoopSample(3.0 + number, 50.0, 50.0, 50.0, mode, 0, 50.0, 1)
-        assert not bench.trials.look(sample, 0, 0.1, 1.0, 5.0, blended=False)
+        assert not bench.trials.watch(sample, 0, 0.1, 1.0, 5.0, blended=False)
         assert bench.trials.abort(E.LOST_TELEMETRY, sample.t_s) == ()
         assert bench.trials.abort(E.STOPPED, sample.t_s) == ()
     assert bench.trials.abort(E.DEVICE_REVERTED, 50.0) == (0,), "what runs is to be seen again"

@@ -225,7 +225,7 @@ def sample(t_s: float, **values: float) -> LoopSample:
 
 
 def look(bench: Bench, s: LoopSample, region: int = 0, elapsed_s: float = 1.0, *, blended: bool = False) -> object:
-    return bench.trials.look(s, region, 0.1, elapsed_s, 5.0, blended=blended)
+    return bench.trials.watch(s, region, 0.1, elapsed_s, 5.0, blended=blended)
 
 
 @pytest.mark.parametrize("phase", [p for p in UNDECIDED if p not in STAYS], ids=lambda p: p.name)
@@ -383,10 +383,10 @@ def test_manual_and_gaps_do_not_end_the_trial_of_a_set_that_does_not_run(
     mode: LoopMode, elapsed_s: float, region: int | None, blended: bool
 ) -> None:
     bench = Bench()
-    bench.trials.look(LoopSample(0.0, 1.0, 1.0, 1.0), 1, 0.1, 1.0, 3.0, blended=False)
+    bench.trials.watch(LoopSample(0.0, 1.0, 1.0, 1.0), 1, 0.1, 1.0, 3.0, blended=False)
     bench.into(P.AWAY)
     sample = LoopSample(100.0, 1.0, 1.0, 1.0, mode)
-    ended = bench.trials.look(sample, region, 0.1, elapsed_s, 3.0, blended=blended)
+    ended = bench.trials.watch(sample, region, 0.1, elapsed_s, 3.0, blended=blended)
     stays = region == 1 and not blended
     assert bool(ended) is not stays
     assert (bench.table[0] == NEW) is stays
