@@ -6,11 +6,13 @@
 second term is what too little robustness costs. The expectation is over the processes of the grid with their odds, so a
 set is given where it is worth having on the whole, and only where next to no likely process makes a bad loop of it.
 
-Candidates are SIMC's settings (Skogestad 2003) of the likeliest processes at several tau_c, and the set in force with
-less or more of all its actions, which keeps a derivative. No candidate has more than MOST_AT_ONCE times the gain and
-integral action in force: one record shows a process a few times, and the next record confirms. Nor has one a shorter
-integral time: a load that enters behind the process looks like a process with next to no lag (of 6 good loops under a
-random walk 2 had got three times the integral action, Ms 2.7 and 4.9).
+Candidates are SIMC's settings (Skogestad 2003) at several tau_c, and the set in force with less or more of all its
+actions, which keeps a derivative. SIMC's gain is that of one of the likeliest processes. The integral time at that gain,
+min(tau1, 4 / (k' Kc)), is the middle of the odds: of each process's own the shortest would win, and a level would swing
+slowly. No candidate has more than MOST_AT_ONCE times the gain and integral action in force: one record shows a process
+a few times, and the next record confirms. Nor has one a shorter integral time: a load that enters behind the process
+looks like a process with next to no lag (of 6 good loops under a random walk 2 had got three times the integral action,
+Ms 2.7 and 4.9).
 """
 
 import math
@@ -35,7 +37,7 @@ from retuner.adaptive.explanations.process_grid import (
 from retuner.adaptive.explanations.tuning_odds import TuningOdds
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.adaptive.rules.simc import TAU_I_FACTOR, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -65,6 +67,7 @@ class WorthSettings:
         require_in_range(self, "settings by odds")
 
 
+MIDDLE = 0.5  # the quantile of the odds
 TAU_CS = (1.0, 1.5, 2.5, 4.0)  # tau_c of the candidates, in effective dead times
 SCALES = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
 """Factors on all actions of the set in force."""
@@ -182,7 +185,7 @@ def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
     before = expected_cost(likely, odds.gains, settings)[0]
     most: float = -math.inf
     best: tuple[Tuning, FloatArray] | None = None
-    for tuning in _candidates(odds.gains, known[: settings.rules], odds.sample_time_s, settings):
+    for tuning in _candidates(odds.gains, known, likely.weights, odds.sample_time_s, settings):
         cost, peaks = expected_cost(likely, tuning.gains, settings)
         bad = float(likely.weights @ (peaks > settings.ms_bad))
         if bad > settings.bad_share or float(likely.weights @ np.isinf(peaks)) > settings.unstable_share:
@@ -263,25 +266,25 @@ def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSetti
 
 
 def _candidates(
-    active: PidGains, likeliest: list[ProcessModel], sample_time_s: float, settings: WorthSettings
+    active: PidGains, known: list[ProcessModel], weights: FloatArray, sample_time_s: float, settings: WorthSettings
 ) -> Iterator[Tuning]:
-    """Settings to be weighed; none beyond what a record carries at once."""
+    """Settings to be weighed; none beyond what a record carries at once. weights : of the known processes, sum 1."""
     most = settings.most_at_once
-    for model in likeliest:
-        seen = model.seen_by_controller(sample_time_s)
-        theta = without_second_lag(seen).theta_s
+    plain = [without_second_lag(model.seen_by_controller(sample_time_s)) for model in known]
+    lags, slopes = np.array([(m.tau1_s or math.inf, m.slope) for m in plain]).T
+    for model in plain[: settings.rules]:
         for ratio in TAU_CS:
-            tuning = simc(seen, ratio * theta)
-            size = abs(tuning.gains.kp) / (most * abs(active.kp)) if active.kp else 1.0
-            if size > 1.0:  # SIMC's at that gain: its gain is 1 / (k' (tau_c + theta))
-                tuning = simc(seen, size * (ratio + 1.0) * theta - theta)
-            new = tuning.gains
-            if active.ki and abs(new.ki) > most * abs(active.ki):
-                new = PidGains(new.kp, most * active.ki)
-            if active.kp and abs(new.ki * active.kp) > abs(new.kp * active.ki):
-                new = PidGains(new.kp, new.kp * active.ki / active.kp)  # no shorter integral time: see the head
-            if abs(new.kp) >= settings.least_at_once * abs(active.kp):
-                yield Tuning(tuning.rule, tuning.form, new, tuning.tau_c_s)
+            kc = 1.0 / (model.slope * (1.0 + ratio) * model.theta_s)
+            if active.kp and abs(kc) > most * abs(active.kp):
+                kc = most * active.kp
+            tau_i = quantile(np.minimum(lags, TAU_I_FACTOR / (slopes * kc)), weights, MIDDLE)
+            ki = kc / tau_i
+            if active.ki and abs(ki) > most * abs(active.ki):
+                ki = most * active.ki
+            if active.kp and abs(ki * active.kp) > abs(kc * active.ki):
+                ki = kc * active.ki / active.kp  # no shorter integral time: see the head
+            if abs(kc) >= settings.least_at_once * abs(active.kp):
+                yield Tuning("simc", "series", PidGains(kc, ki), 1.0 / (model.slope * kc) - model.theta_s)
     for scale in SCALES:
         if scale <= most:
             yield Tuning("simc", "series", PidGains(active.kp * scale, active.ki * scale, active.kd * scale))

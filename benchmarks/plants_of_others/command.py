@@ -18,7 +18,7 @@ from pathlib import Path
 
 from online.runner import collect, rows_of
 
-from plants_of_others import aircraft, eastman, session
+from plants_of_others import aircraft, eastman, session, slow_levels
 from plants_of_others.columns import COLUMNS, Distillation
 from plants_of_others.loop import Card, Plant
 from plants_of_others.motor import Motor
@@ -74,6 +74,9 @@ def main() -> int:
     pitch.add_argument("--seed", type=int, default=1)
     pitch.add_argument("--sessions", type=int, default=1)
     pitch.add_argument("--start", choices=("all", *aircraft.STARTS), default="all")
+    levels = parts.add_parser("levels", help="level loops that swing slowly: what diagnose says of their records")
+    levels.add_argument("--seed", type=int, default=1)
+    levels.add_argument("--sessions", type=int, default=6, help="records")
     picture = parts.add_parser("picture", help="the picture of docs/developers/plants-of-others.md")
     picture.add_argument("folder", type=Path)
     picture.add_argument("--seed", type=int, default=1)
@@ -88,7 +91,8 @@ def main() -> int:
     if options.part == "picture":
         _say([str(draw(options.folder, options.seed, options.start))])
         return 0
-    return aircraft.measure(options) if options.part == "aircraft" else _measure(options)
+    alone = {"aircraft": aircraft.measure, "levels": slow_levels.measure}
+    return alone.get(options.part, _measure)(options)
 
 
 def _measure(options: argparse.Namespace) -> int:

@@ -95,14 +95,14 @@ class Eastman:
         def script(t_h: float) -> tuple[float, int]:
             return hours[min(int(t_h / event_h), EVENTS)]
 
-        self._run(controls, loop, event_h * (EVENTS + 1), script, seed=1.0 + seed, flag=None)
+        self.run(controls, loop, event_h * (EVENTS + 1), script, seed=1.0 + seed, flag=None)
 
     def calm(self, controls: Mapping[str, Control], seconds: float) -> None:
         """No noise, no disturbance."""
         loop = next(iter(controls))
-        self._run(controls, loop, seconds / 3600.0, lambda _t: (0.0, 0), seed=1.0, flag=EXACT)
+        self.run(controls, loop, seconds / 3600.0, lambda _t: (0.0, 0), seed=1.0, flag=EXACT)
 
-    def _run(
+    def run(
         self,
         controls: Mapping[str, Control],
         loop: str,
@@ -112,6 +112,7 @@ class Eastman:
         seed: float,
         flag: int | None,
     ) -> None:
+        """Hours of the plant. script : by hour, how far the loop's setpoint is moved, and the disturbance."""
         simulator = self._package.TennesseeEastmanProcess(solver_method="Euler")
         # the package's controller with others in the place of some of its loops
         parent = self._package.RickerMultiLoopController
