@@ -7,12 +7,12 @@ second term is what too little robustness costs. The expectation is over the pro
 set is given where it is worth having on the whole, and only where next to no likely process makes a bad loop of it.
 
 Candidates are SIMC's settings (Skogestad 2003) at several tau_c, and the set in force with less or more of all its
-actions, which keeps a derivative. SIMC's gain is that of one of the likeliest processes. The integral time at that gain,
-min(tau1, 4 / (k' Kc)), is the middle of the odds: of each process's own the shortest would win, and a level would swing
-slowly. No candidate has more than MOST_AT_ONCE times the gain and integral action in force: one record shows a process
-a few times, and the next record confirms. Nor has one a shorter integral time: a load that enters behind the process
-looks like a process with next to no lag (of 6 good loops under a random walk 2 had got three times the integral action,
-Ms 2.7 and 4.9).
+actions, which keeps a derivative. SIMC's gain is that of one of the likeliest processes. The integral time at that
+gain, min(tau1, 4 / (k' Kc)), is the middle of the odds: of each process's own the shortest would win, and a level would
+swing slowly. No candidate has more than MOST_AT_ONCE times the gain and integral action in force: one record shows a
+process a few times, and the next record confirms. Nor has one a shorter integral time: a load that enters behind the
+process looks like a process with next to no lag (of 6 good loops under a random walk 2 had got three times the integral
+action, Ms 2.7 and 4.9).
 """
 
 import math
