@@ -278,11 +278,8 @@ def _candidates(
             if active.kp and abs(kc) > most * abs(active.kp):
                 kc = most * active.kp
             tau_i = quantile(np.minimum(lags, TAU_I_FACTOR / (slopes * kc)), weights, MIDDLE)
-            ki = kc / tau_i
-            if active.ki and abs(ki) > most * abs(active.ki):
-                ki = most * active.ki
-            if active.kp and abs(ki * active.kp) > abs(kc * active.ki):
-                ki = kc * active.ki / active.kp  # no shorter integral time: see the head
+            shortest = max(abs(active.kp), abs(kc) / most) / abs(active.ki) if active.ki else math.inf  # see the head
+            ki = kc / max(tau_i, shortest)
             if abs(kc) >= settings.least_at_once * abs(active.kp):
                 yield Tuning("simc", "series", PidGains(kc, ki), 1.0 / (model.slope * kc) - model.theta_s)
     for scale in SCALES:
