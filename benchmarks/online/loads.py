@@ -83,7 +83,7 @@ def period(watched: WatchedLoop, bumps: LoopBumps, watching: Watching, load: lis
         for decision in watching.decisions[told_of:]:
             bumps.decided(decision)
         told_of = len(watching.decisions)
-        news = bumps.look(LoopSample(watched.t_s, sp, pv, co, LoopMode.AUTO, False, sp, watched.revision))
+        news = bumps.step(LoopSample(watched.t_s, sp, pv, co, LoopMode.AUTO, False, sp, watched.revision))
         sp = news.setpoint if news is not None and news.setpoint is not None else sp
     watched.sp = sp
 

@@ -8,7 +8,7 @@ import pytest
 
 from retuner.adaptive.trial.persons_edit import lasting_words
 from retuner.cli import main
-from retuner.decision_page.explain import one_line, response_text
+from retuner.decision_page.decision_words import one_line, response_text
 from retuner.decision_page.row_values import brief
 from retuner.ledger import Ledger, Row
 from retuner.report.ledger_words import LedgerLine, told

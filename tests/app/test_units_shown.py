@@ -8,9 +8,9 @@ import pytest
 from retuner.cli import main
 from retuner.config.loading import UnusableError, load_config, parse_config, parse_session
 from retuner.decision_page import shown_units
-from retuner.decision_page.explain import settings_text, short_settings
+from retuner.decision_page.decision_sentences import moves
+from retuner.decision_page.decision_words import settings_text, short_settings
 from retuner.decision_page.shown_units import show_units_of, show_units_told
-from retuner.decision_page.text import moves
 from retuner.schedule.document import to_toml
 from retuner.schedule.gains import PidGains
 

@@ -12,7 +12,7 @@ from retuner.commands.options import tell
 from retuner.commands.signatures import ApproveOptions, RevertOptions
 from retuner.config.loading import load_session
 from retuner.config.model import Config
-from retuner.decision_page.explain import settings_text
+from retuner.decision_page.decision_words import settings_text
 from retuner.decision_page.shown_units import show_units_of
 from retuner.decisions.proposed_schedule import table_in
 from retuner.errors import LedgerError, UserError, one_line, user_input

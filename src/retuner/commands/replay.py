@@ -12,7 +12,7 @@ from retuner.commands.options import FormOptions
 from retuner.commands.recorded.record_options import read_record, renamed, tell_assumed
 from retuner.commands.signatures import ReplayOptions
 from retuner.config import Config, load_config
-from retuner.decision_page.explain import one_line
+from retuner.decision_page.decision_words import one_line
 from retuner.decision_page.shown_units import show_units_of
 from retuner.drivers.recorded.frame_log import is_frame_log
 from retuner.drivers.recorded.recorded_samples import (

@@ -16,7 +16,7 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Peak
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.supervision.decision import Decision
-from retuner.decision_page.explain import document_of
+from retuner.decision_page.decision_words import document_of
 from retuner.decision_page.row_values import (
     Document,
     decided_on,

@@ -18,10 +18,10 @@ from retuner.adaptive.loop.open_loop import grid, open_loop
 from retuner.adaptive.loop.simulate import StepResponse, step_response
 from retuner.adaptive.process.model import ComplexArray, LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.decision_page.decision_sentences import new_name, old_name
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.response_drawing import time_unit
 from retuner.decision_page.svg import AFTER, BEFORE, FAINT, LIMIT, SETPOINT, settings, svg, thinned
-from retuner.decision_page.text import new_name, old_name
 from retuner.schedule.gains import PidGains
 
 REAL, IMAGINARY = (-2.3, 0.7), (-1.75, 0.75)  # the part of the plane that is drawn: round -1

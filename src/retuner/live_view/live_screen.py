@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from retuner.adaptive.supervision.decision import Action, Decision
-from retuner.decision_page.explain import (
+from retuner.decision_page.decision_words import (
     cause_text,
     change_text,
     model_text,
@@ -22,11 +22,12 @@ from retuner.decision_page.explain import (
     response_text,
     rolls_back,
     settings_text,
+    short_reason,
     stays,
 )
 from retuner.errors import one_line
 from retuner.live_view.loop_seen import LoopSeen, RegionSeen
-from retuner.report.console import COLOURS, KEPT, MOST_CHARACTERS, ROLLED_BACK, live_line, short_reason
+from retuner.report.console import COLOURS, KEPT, MOST_CHARACTERS, ROLLED_BACK, live_line
 
 # The lines of the live view, made for a width: none is ever longer, so none wraps.
 #

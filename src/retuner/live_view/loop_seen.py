@@ -14,7 +14,7 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Mode, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.decision_page.explain import settings_text
+from retuner.decision_page.decision_words import settings_text
 from retuner.drivers.device import RunningSet
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from retuner.decision_page.explain import ms_words, short_settings
+from retuner.decision_page.decision_words import ms_words, short_settings
 from retuner.ledger import Row
 from retuner.report.scores import RegionScore
 from retuner.session.order_queue import SHORT, shown

@@ -11,10 +11,18 @@ from rich.table import Table
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision
-from retuner.decision_page.explain import cause_text, change_text, model_text, rolls_back, short_settings, stays
+from retuner.decision_page.decision_sentences import MS_LIMIT, ms_text
+from retuner.decision_page.decision_words import (
+    cause_text,
+    change_text,
+    model_text,
+    rolls_back,
+    short_reason,
+    short_settings,
+    stays,
+)
 from retuner.decision_page.row_values import in_full
 from retuner.decision_page.shown_units import units_of
-from retuner.decision_page.text import MS_LIMIT, ms_text
 from retuner.report.scores import RegionScore
 from retuner.streams import LastingStream
 
@@ -123,11 +131,6 @@ def live_line(decision: Decision, loop: str = "") -> str:
     told += [f"[cyan]trial: {escape(judged)}[/]"] if judged else []
     model = model_text(decision)
     return f"{head} {'; '.join(told)}{f'; [dim]model: {escape(model)}[/]' if model else ''}"
-
-
-def short_reason(decision: Decision) -> str:
-    """Why: of a rollback the first clause, the report has the others."""
-    return decision.reason.split("; ")[0] if rolls_back(decision) else decision.reason
 
 
 def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit: float = MS_LIMIT) -> Table:

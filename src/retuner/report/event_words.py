@@ -4,7 +4,7 @@ end, requests of an operator. Rows that need nobody's attention give no line.
 
 from collections.abc import Callable, Mapping
 
-from retuner.decision_page.explain import settings_text
+from retuner.decision_page.decision_words import settings_text
 from retuner.decision_page.row_values import Document, gains_of, number, part, words
 
 LINK = {"up": "CAN link up", "silent": "CAN link silent", "down": "CAN link down"}

@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 from retuner.adaptive.trial.judge import TrialFinding
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
-from retuner.decision_page.explain import (
+from retuner.decision_page.decision_words import (
     EDITED,
-    cause_text,
-    model_text,
-    ms_words,
-    part_words,
+    explanation_text,
+    knowledge_text,
+    proof_text,
     response_text,
     settings_text,
     stays,
@@ -175,85 +174,19 @@ def _decision(body: Document) -> Words:
     said = reason if own else f"{done}: {reason}"
     said += f"; in place of {older}" if older else ""
     title = f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}"
-    seen = (response_text(body), _explained(body), _known(body))
+    seen = (response_text(body), explanation_text(body), knowledge_text(body))
     return Words(
         title,
         "" if stays(body) else _settings(body, "gains_before"),
         _settings(body, "gains_after") if action != "none" else "",
         " | ".join(text for text in seen if text),
-        _proof(body, action, reason),
+        proof_text(body, action, reason),
     )
-
-
-def _proof(body: Document, action: str, reason: str) -> str:
-    """The guard's word on what is written, proposed or refused; what the rule gives where that must wait."""
-    verdict = part(body, "verdict")
-    said = _proved(verdict, reason)
-    if action == "restore" or (not said and action != "none"):
-        return ""
-    if action != "none":
-        return said
-    refused = said if verdict and verdict.get("accepted") is not True else ""  # else proved, and held back for now
-    given = gains_of(part(part(body, "proposal"), "parallel"))
-    return "; ".join(filter(None, (refused, f"the rule gives {settings_text(given)}" if given else "")))
 
 
 ABOUT_A_TRIAL = ("undo_", "kept_")  # beginnings of the codes of decisions on what becomes of a change on trial
 OWN_WORDS = ("refused", "rollback refused", "an operator replaced")
 """Beginnings of reasons that say by themselves what is done."""
-STOOD = {
-    "agrees": "this record agrees",
-    "odd": "this record contradicts it, and is kept as an alternative",
-    "changed": "this record and the one that contradicted before replace the model",
-    "opened": "this record contradicts what was known, near instability",
-    "silent": "this record says nothing of it",
-}
-"""How a record stood to what was known."""
-
-
-def _explained(body: Document) -> str:
-    """The cause, with its reason where that is not the decision's own."""
-    cause, why = cause_text(body), words(part(body, "diagnosis"), "reason")
-    if not part(body, "response"):
-        return ""
-    return cause if not why or why in words(body, "reason") else f"{cause}: {why}"
-
-
-def _known(body: Document) -> str:
-    """What the process is by now, how this record stood to that, and by how many loads it was explained."""
-    model = model_text(body)
-    if not model:
-        return ""
-    # How the record stood to what was known; of the first one here that is the prediction from the other regions
-    surprise, estimate = words(body, "surprise"), part(body, "estimate")
-    if surprise == "agrees" and words(body, "code").startswith("undo_"):
-        stood = ""
-    elif surprise == "agrees" and number(body, "records") == 1:
-        stood = "as predicted from the other regions"
-    elif surprise == "odd" and estimate.get("identifiable") is False:
-        stood = "this record contradicts it, but does not settle a model by itself"
-    else:
-        stood = STOOD.get(surprise, "")
-    estimate = part(body, "estimate")
-    loads, rival = len(numbers(estimate, "loads")), part(estimate, "rival")
-    steps = f"{loads} load step{'s' * (loads != 1)}"
-    by_loads = words(part(body, "response"), "upset") != "setpoint"
-    beside = (f"explained by {steps}" if by_loads else f"with {steps} beside the setpoint's") if loads else ""
-    other = "another model explains the record as well" if rival else ""
-    return ", ".join(text for text in (model, beside, stood, other) if text)
-
-
-def _proved(verdict: Document, reason: str) -> str:
-    """The guard's word, what Ms was before, and how much of the way to what the rule gives was gone."""
-    said = words(verdict, "reason")
-    if not said or said in reason:
-        return ""
-    if verdict.get("accepted") is not True or verdict.get("allowed") == []:
-        return said
-    before, share = ms_words(number(part(verdict, "ms"), "before")), part_words(verdict)
-    was = "" if f"Ms {before} ->" in said else f"; Ms before {before}"
-    part_of = share.partition("full change")[0]
-    return f"{said}{was}" + (f"; {share}" if share and part_of not in said else "")
 
 
 def _write(body: Document) -> Words:

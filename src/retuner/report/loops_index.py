@@ -3,10 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from retuner.decision_page.explain import rolls_back
-from retuner.decision_page.html import document, escaped, paragraph, table
+from retuner.decision_page.decision_document import Linked
+from retuner.decision_page.decision_words import rolls_back
 from retuner.decision_page.row_values import Document, words
 from retuner.report.scores import RegionScore
+from retuner.templates import rendered
 
 
 class LoopLine(NamedTuple):
@@ -48,24 +49,18 @@ def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
     )  # fmt: skip
     rows = [
         (
-            f'<a href="{escaped(one.report)}">{escaped(one.name)}</a>' if one.report else escaped(one.name),
-            *map(escaped, (one.decisions, one.changes, one.rolled_back, one.advised)),
-            escaped(_iae(one.iae)),
-            escaped(one.trouble),
+            Linked(one.name, one.report or ""),
+            *(one.decisions, one.changes, one.rolled_back, one.advised),
+            _iae(one.iae),
+            one.trouble,
         )
         for one in loops
     ]
-    classes = ["bad" if one.trouble else "" for one in loops]
     changes = sum(one.changes for one in loops)
     lead = f"{len(loops)} loops, {changes} change{'s' * (changes != 1)} written. Each name leads to the loop's report."
-    body = [
-        "<h1>Retuning report</h1>",
-        paragraph(lead, "lead"),
-        table(heads, rows, classes),
-        "<h2>Provenance</h2>",
-        table(("what", "value"), ((escaped(k), f"<code>{escaped(v)}</code>") for k, v in facts.items())),
-    ]
-    return document("Retuning report", "".join(body))
+    classes = ["bad" if one.trouble else "" for one in loops]
+    page = {"title": "Retuning report", "lead": lead, "heads": heads, "rows": rows, "classes": classes, "facts": facts}
+    return rendered("loops.html.jinja", **page)
 
 
 def _iae(ratios: tuple[float, float] | None) -> str:

@@ -12,8 +12,10 @@ from retuner.adaptive.diagnosis.cause import TUNING_CAUSES
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.supervision.decision import Decision
 from retuner.decision_page.decision_article import article
+from retuner.decision_page.decision_document import Explained, Linked, Toned
+from retuner.decision_page.decision_sentences import MS_LIMIT, ms_text
 from retuner.decision_page.decision_view import DecisionView, view_of, what_came_of, worth_pages
-from retuner.decision_page.explain import (
+from retuner.decision_page.decision_words import (
     cause_text,
     change_text,
     document_of,
@@ -23,17 +25,15 @@ from retuner.decision_page.explain import (
     settings_text,
     stays,
 )
-from retuner.decision_page.html import document as html_document
-from retuner.decision_page.html import escaped, figure, paragraph, table, text_table
 from retuner.decision_page.row_values import Document, decided_on, in_full, number, part, words
 from retuner.decision_page.shown_units import units_of
-from retuner.decision_page.text import MS_LIMIT, ms_text
 from retuner.report.plots import Mark, trend_svg, twin_svg
 from retuner.report.scores import Columns, RegionScore, Twin, twin_steps
 from retuner.report.what_if import of_region, panel_style
 from retuner.report.what_if import section as what_if_section
 from retuner.schedule.late_dataclass import dataclass, field
 from retuner.schedule.table import GainTable
+from retuner.templates import rendered
 
 # What stands in each region now: gains, what is known of the process, where a trial or a lock stands.
 #
@@ -111,8 +111,8 @@ def _standing(last: Document) -> str:
     return "on trial" if words(last, "action") == "commit" else trial
 
 
-def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[str] = ()) -> str:
-    """The table, and the grid where there are two scheduling variables, as HTML.
+def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[str] = ()) -> dict[str, object]:
+    """The table, and the grid where there are two scheduling variables.
 
     advice : sentences that propose to split or merge regions.
     """
@@ -121,8 +121,7 @@ def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[s
         (now.name, f"{now.seen}", now.process or "nothing yet", now.cause, _marks(now))
         for now in regions_now(names, decisions)
     ]
-    heads = ("region", "responses", "process model", "now", "state")
-    return text_table(heads, rows) + "".join(map(paragraph, advice)) + _grid(table)
+    return {"rows": rows, "advice": advice, "grid": _grid(table)}
 
 
 def _marks(now: RegionNow) -> str:
@@ -136,11 +135,11 @@ def _marks(now: RegionNow) -> str:
     return ", ".join(one for one in told if one)
 
 
-def _grid(table: GainTable) -> str:
+def _grid(table: GainTable) -> tuple[Sequence[str], Sequence[Sequence[str]]] | None:
     """Settings by cell, the first variable down and the second across; nothing for one variable."""
     regions = table.regions
     if len(regions.axes) < 2:
-        return ""
+        return None
     down, across = regions.axes
     heads = (f"{down.label} \\ {across.label}", *(across.text(j) for j in range(len(across))))
     rows = [
@@ -153,7 +152,7 @@ def _grid(table: GainTable) -> str:
         )
         for i in range(len(down))
     ]
-    return f"<h3>{escaped('Settings over both variables')}</h3>{text_table(heads, rows)}"
+    return heads, rows
 
 
 SAME_GAINS = 1e-4  # relative difference up to which gains of a trend are those of the table (the wire rounds them)
@@ -225,23 +224,29 @@ def render(data: ReportData) -> str:
         share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
         much = f"{abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than" if round(share, 2) else "the same as"
         parts.append(f"The integrated error is {much} with fixed gains.")
-    body = [
-        f"<h1>{escaped(data.loop)}: retuning report</h1>",
-        figure(trend_svg(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit)),
-        paragraph(" ".join(parts), "lead"),
-        "<h2>Regions</h2>",
-        _scores_table(data, documents),
-        overview(data.after, documents, data.advice),
-        _twins(data),
-        what_if_section(panels, {"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]}),
-        "<h2>Decisions</h2>",
-        paragraph(_decisions_note(len(views) == MOST_PAGES), "muted"),
-        _decisions_table(documents, {view.number for view in views}, data.run["t"]),
-        "".join(map(_page, views)),
-        "<h2>Provenance</h2>",
-        table(("what", "value"), ((escaped(k), f"<code>{escaped(v)}</code>") for k, v in data.facts.items())),
-    ]
-    return html_document(f"{data.loop}: retuning report", "".join(body), panel_style())
+    twins = _twins(data)
+    return rendered(
+        "report.html.jinja",
+        title=f"{data.loop}: retuning report",
+        panel_style=panel_style(),
+        trend=trend_svg(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit),
+        lead=" ".join(parts),
+        scores=_scores_table(data, documents),
+        scores_note=(
+            f"Settings in {units.form} form unless marked. Ms is the peak of the sensitivity on the simulated process, "
+            f"the largest over the operating points visited; the limit is {data.ms_limit:g}."
+        ),
+        regions=overview(data.after, documents, data.advice),
+        twins=twins,
+        twins_note="" if data.fixed is not None else "There was no run with fixed gains to compare with.",
+        what_if=what_if_section(
+            panels, {"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]}
+        ),
+        decisions_note=_decisions_note(len(views) == MOST_PAGES),
+        decisions=_decisions_table(documents, {view.number for view in views}, data.run["t"]),
+        pages=[(view.number, _page_line(view), article(view)) for view in views],
+        facts=data.facts,
+    )
 
 
 def _decisions_note(more: bool) -> str:
@@ -269,10 +274,9 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}{' was' if count == 1 else 's were'}"
 
 
-def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
+def _scores_table(data: ReportData, documents: Sequence[Document]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
     """Each region before and after; Ms over the limit is red, with the reason."""
-    unit = escaped(data.unit)
-    iae = (f"IAE fixed [{unit} s]", f"IAE retuned [{unit} s]")
+    iae = (f"IAE fixed [{data.unit} s]", f"IAE retuned [{data.unit} s]")
     heads = ("region", "baseline gains", "final gains", "changes", "Ms before", "Ms after", *iae)
     rows = []
     for s in data.scores:
@@ -280,23 +284,19 @@ def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
         mark = "good" if s.iae < fixed else "bad" if s.iae > fixed else ""
         rows.append(
             (
-                escaped(s.region),
-                *(escaped(settings_text(gains, data.loop)) for gains in (s.before, s.after)),
-                escaped(s.changes),
+                s.region,
+                *(settings_text(gains, data.loop) for gains in (s.before, s.after)),
+                s.changes,
                 ms_text(s.ms_before),
                 _ms_cell(s, data.ms_limit, documents),
                 "-" if s.iae_fixed is None else in_full(s.iae_fixed),
-                f'<span class="{mark}">{in_full(s.iae)}</span>',
+                Toned(in_full(s.iae), mark),
             )
         )
-    note = (
-        f"Settings in {units_of(data.loop).form} form unless marked. Ms is the peak of the sensitivity on the "
-        f"simulated process, the largest over the operating points visited; the limit is {data.ms_limit:g}."
-    )
-    return table(heads, rows) + paragraph(note, "muted")
+    return heads, rows
 
 
-def _ms_cell(score: RegionScore, limit: float, documents: Sequence[Document]) -> str:
+def _ms_cell(score: RegionScore, limit: float, documents: Sequence[Document]) -> str | Explained:
     """Ms of the final gains; over the limit in red, with the reason why nothing brought it below."""
     text = ms_text(score.ms_after)
     if score.ms_after is None or score.ms_after <= limit:
@@ -313,10 +313,10 @@ def _ms_cell(score: RegionScore, limit: float, documents: Sequence[Document]) ->
         changed = any(words(one, "action") == "commit" for one in own)
         one_process = "; the model is one for the whole region, this value is the worst over its operating points"
         why = f"{'the newest ' if changed else 'nothing was changed; the newest '}{told}{seen}{one_process}"
-    return f'<b class="bad">{text}, over {limit:g}</b><br><span class="small">{escaped(why)}</span>'
+    return Explained(f"{text}, over {limit:g}", why)
 
 
-def _twins(data: ReportData) -> str:
+def _twins(data: ReportData) -> list[str]:
     """One step before and after, per region whose gains have changed."""
     names = data.after.regions.names
     still = {one.region for one in data.scores if not one.changes and one.before == one.after}
@@ -327,10 +327,7 @@ def _twins(data: ReportData) -> str:
             continue
         commissioned = as_commissioned(data, twin)
         images.append(twin_svg(data.run, data.fixed, twin, name, data.unit, commissioned=commissioned))
-    if not images:
-        return ""
-    told = "" if data.fixed is not None else paragraph("There was no run with fixed gains to compare with.", "muted")
-    return f'<h2>The same step, before and after</h2>{told}<div class="twins">{"".join(images)}</div>'
+    return images
 
 
 def as_commissioned(data: ReportData, twin: Twin) -> bool:
@@ -345,14 +342,16 @@ def as_commissioned(data: ReportData, twin: Twin) -> bool:
     )
 
 
-def _decisions_table(documents: Sequence[Document], paged: set[int], t_s: FloatArray) -> str:
+def _decisions_table(
+    documents: Sequence[Document], paged: set[int], t_s: FloatArray
+) -> tuple[Sequence[str], Sequence[Sequence[object]], Sequence[str]]:
     """A row for each decision; paged : numbers of those that have a page. t_s : of the run, as its picture has it."""
     long = bool(len(t_s)) and float(t_s[-1] - t_s[0]) > LONG_S
     heads = ("no.", "time [h:mm]" if long else "time [s]", "region", "response", "cause", "reason", "process", "change")
     rows, classes = [], []
     for document in documents:
         name = f"{number(document, 'number') or 0:.0f}"
-        link = f'<a href="#{_anchor(int(name))}">{name}</a>' if int(name) in paged else name
+        link = Linked(name, f"#decision-{name}" if int(name) in paged else "")
         at_s = number(document, "t_s") or 0.0
         minutes = round((at_s - float(t_s[0])) / 60) if long else 0
         when = f"{minutes // 60}:{minutes % 60:02d}" if long else f"{at_s:,.0f}"
@@ -365,16 +364,11 @@ def _decisions_table(documents: Sequence[Document], paged: set[int], t_s: FloatA
             model_text(document),
             change_text(document),
         )
-        rows.append((link, *map(escaped, told)))
+        rows.append((link, *told))
         classes.append("" if words(document, "action") == "none" else "commit")
-    return table(heads, rows, classes)
+    return heads, rows, classes
 
 
-def _anchor(decision: int) -> str:
-    return f"decision-{decision}"
-
-
-def _page(view: DecisionView) -> str:
-    """A page that is seen when its row's link is followed, and on paper."""
-    line = f"Decision {view.number}: {words(view.document, 'region')} at {in_full(view.t_s)} s"
-    return f'<section class="page" id="{_anchor(view.number)}"><h2>{escaped(line)}</h2>{article(view)}</section>'
+def _page_line(view: DecisionView) -> str:
+    """The heading of a page, which is seen when its row's link is followed, and on paper."""
+    return f"Decision {view.number}: {words(view.document, 'region')} at {in_full(view.t_s)} s"

@@ -12,7 +12,6 @@ from retuner.adaptive.schedule_choice.scheduling_variables import RegionCrossing
 from retuner.adaptive.schedule_design.places import OUT
 from retuner.adaptive.schedule_design.record_stretches import CurveShape
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.decision_page.html import document, escaped, figure, paragraph, text_table
 from retuner.decision_page.shown_units import chosen_units
 from retuner.decision_page.svg import BANDS, FAINT, MARK, settings, svg, thinned
 from retuner.report.plots import FIXED, PV, SP
@@ -22,6 +21,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import CAN
 from retuner.schedule.table import GainTable, Lookup
 from retuner.scheduling import ScheduleDesign
+from retuner.templates import rendered
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -358,46 +358,37 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
         if known == len(places)
         else f" At {len(places) - known} of {len(places)} places the records show too little."
     )
-    body = [
-        f"<h1>{escaped(name)}: gain schedule over {escaped(along)}</h1>",
-        paragraph(f"{found.reason[0].upper()}{found.reason[1:]}. {what}{where}", "lead"),
-        figure(svg(schedule_figure(found, windows), SHOWS)),
-        paragraph(
-            "Bands are two standard deviations; ticks at the foot show where the records were; grey is not accurate "
-            "enough. Dashed lines are boundaries, dotted ones knots.",
-            "muted",
-        ),
-        *([] if found.table is None else [_sets(found.table)]),
-        *(paragraph(told) for told in (aim_sentence(found),) if told),
-        "<h2>In motion</h2>",
-        *(paragraph(told) for told in (push_sentence(found), limit_sentence(found)) if told),
-        *(paragraph(sentence) for sentence in motion_sentences(found)),
-        "<h2>What to record next</h2>",
-        paragraph(experiment_sentence(found)),
-        "<h2>Which variable</h2>",
-        *(paragraph(told) for told in (variable_sentence(found),) if told),
-        text_table(
+    return rendered(
+        "schedule.html.jinja",
+        title=f"{name}: gain schedule",
+        along=along,
+        lead=f"{found.reason[0].upper()}{found.reason[1:]}. {what}{where}",
+        drawing=svg(schedule_figure(found, windows), SHOWS),
+        sets=None if found.table is None else _sets(found.table),
+        section="" if found.table is None else schedule_section(found.table),
+        aim=aim_sentence(found),
+        motion=(push_sentence(found), limit_sentence(found), *motion_sentences(found)),
+        experiment=experiment_sentence(found),
+        variable=variable_sentence(found),
+        candidates=(
             ("variable", "evidence over a constant process [nats]", "changes with it", "ln likelihood"),
             [
                 (e.variable, f"{e.ln_evidence:.0f}", "yes" if e.changes else "no", f"{e.log_likelihood:.0f}")
                 for e in found.design.candidates
             ],
         ),
-    ]
-    return document(f"{name}: gain schedule", "\n".join(body))
+    )
 
 
-def _sets(table: GainTable) -> str:
-    """The sets, and the section for the configuration."""
+def _sets(table: GainTable) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
+    """The sets."""
     units = chosen_units()
     rows = [
         (name, table.regions.text(i), *_dialled(gains, units), f"{gains.kp:.5g}, {gains.ki:.5g}, {gains.kd:.5g}")
         for i, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True))
     ]
     dialled = ("Kc", "tau_I [s]") if units is None else (units.heads,)
-    heads = ("region", "range", *dialled, "kp, ki, kd (parallel)")
-    section = f"<pre>{escaped(schedule_section(table))}</pre>"
-    return "<h2>The sets</h2>" + text_table(heads, rows) + "<h2>For the configuration</h2>" + section
+    return ("region", "range", *dialled, "kp, ki, kd (parallel)"), rows
 
 
 def _dialled(gains: PidGains, units: ControllerUnits | None) -> tuple[str, ...]:

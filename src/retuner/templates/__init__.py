@@ -1,9 +1,15 @@
 """Templates of configurations and pages, and the starter configurations among them."""
 
+from functools import cache
 from importlib.resources import files
-from typing import Any
+from itertools import groupby
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any
 
 from retuner.errors import UserError
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 STARTER = "starter"
 
@@ -26,10 +32,18 @@ def starter(profile: str = "") -> str:
 
 def rendered(name: str, **values: Any) -> str:
     """The text of a template (Jinja) with these values; of a name that is not given it is an error."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  slow to load, for one command
+    return _environment().get_template(name).render(values)
 
-    loader = PackageLoader("retuner", "templates")
-    made = Environment(  # noqa: S701  of programs, which no browser reads
-        loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
-    )
-    return made.get_template(name).render(zip=zip, **values)
+
+@cache
+def _environment() -> "Environment":
+    """Where templates are read: what goes into HTML is escaped, what goes into a program is not."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape  # noqa: PLC0415  slow to load
+
+    made = Environment(
+        loader=PackageLoader("retuner", "templates"), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True, autoescape=select_autoescape(("html.jinja",)),
+    )  # fmt: skip
+    made.globals["zip"] = zip
+    made.filters["runs"] = lambda items, name: [(key, [*some]) for key, some in groupby(items, attrgetter(name))]
+    return made

@@ -6,7 +6,7 @@ import pytest
 from decision_documents import COMMIT, MODEL, changed, view
 
 from retuner.decision_page.decision_article import article
-from retuner.decision_page.text import footing, robustness
+from retuner.decision_page.decision_sentences import footing, robustness
 
 KNOWN = {"model": {**MODEL, "k": 1.4}, "std": {"k": 0.42}}
 FOUND: Any = COMMIT["estimate"]

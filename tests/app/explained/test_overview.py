@@ -7,6 +7,7 @@ from retuner.report.report import overview, regions_now
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Axis, Regions
 from retuner.schedule.table import GainTable
+from retuner.templates import rendered
 
 ROW = Regions("sp", "degC", ("low", "middle"), 0.0, (50.0,), 100.0, 1.0, 0.0)
 
@@ -41,7 +42,9 @@ def test_a_trial_that_is_over_is_not_told_as_going_on(last: dict[str, object], s
 
 def test_the_overview_says_what_is_known_borrowed_and_advised() -> None:
     table = GainTable("oven", ROW, (PidGains(2.0, 0.1), PidGains(1.0, 0.05)))
-    text = overview(table, [COMMIT, BORROWED, RESTORED], ["two processes <in> middle"])
+    text = rendered(
+        "regions.html.jinja", regions=overview(table, [COMMIT, BORROWED, RESTORED], ["two processes <in> middle"])
+    )
     for told in ("nothing yet", "1 rolled back", "two processes &lt;in&gt; middle", "mode auto"):
         assert told in text
     assert "Settings over both variables" not in text
@@ -52,6 +55,6 @@ def test_a_map_of_two_variables_is_a_grid() -> None:
         ("a", "b", "c", "d"), Axis("sp", "degC", 0.0, (50.0,), 100.0), Axis("co", "%", 0.0, (40.0,), 100.0)
     )
     table = GainTable("oven", regions, tuple(PidGains(kp, 0.1) for kp in (1.0, 2.0, 3.0, 4.0)))
-    text = plain(overview(table, []))
+    text = plain(rendered("regions.html.jinja", regions=overview(table, [])))
     assert '<tr class=""><td>50 to 100 degC</td><td>c: Kc 3 tau_I 30 s</td><td>d: Kc 4 tau_I 40 s</td></tr>' in text
     assert "<th>sp \\ co</th><th>0 to 40 %</th><th>40 to 100 %</th>" in text

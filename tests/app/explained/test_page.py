@@ -26,10 +26,10 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.loop.margins import margins
 from retuner.decision_page import robustness_drawing
-from retuner.decision_page.decision_article import article, ms_limit, page
+from retuner.decision_page.decision_article import article, page
+from retuner.decision_page.decision_sentences import headline, ms_limit
 from retuner.decision_page.decision_view import DecisionView, what_came_of, worth_pages
-from retuner.decision_page.explain import one_line
-from retuner.decision_page.text import headline
+from retuner.decision_page.decision_words import one_line
 
 VOID = {"meta", "img", "br"}
 
@@ -87,7 +87,7 @@ def test_every_kind_of_decision_has_a_page(kind: str) -> None:
          ["<h3>Proof", "<h3>Cause", "<h3>Proposal", "accepted"]),
         (PATTERN, ["Rule pattern, from the response pattern, without a model."],
          ["<h3>Proof", "<h3>Cause", "<h3>Process model"]),
-        (BORROWED, ["Rule simc, tau_c 36 s, from the neighbouring regions&#x27; models.", "26 +- 9 ",
+        (BORROWED, ["Rule simc, tau_c 36 s, from the neighbouring regions&#39; models.", "26 +- 9 ",
                     "none of its own: estimated from neighbouring regions"], []),
     ],
 )  # fmt: skip

@@ -24,8 +24,8 @@ from retuner.commands.options import RecordOptions, tell
 from retuner.commands.recorded.record_options import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import controller, read_records_of_loop, require_fitting, require_length
 from retuner.commands.signatures import DiagnoseOptions
+from retuner.decision_page.decision_words import settings_text
 from retuner.decision_page.evidence_words import REGULAR, evidence_lines
-from retuner.decision_page.explain import settings_text
 from retuner.decision_page.shown_units import chosen_units
 from retuner.diagnosing import RecordDiagnosis
 from retuner.errors import UserError, user_input

@@ -19,7 +19,7 @@ from retuner.commands.recorded.identify import described
 from retuner.commands.recorded.schedule import described as schedule_lines
 from retuner.decision_page.decision_article import article
 from retuner.decision_page.decision_view import DecisionView
-from retuner.decision_page.explain import document_of, one_line
+from retuner.decision_page.decision_words import document_of, one_line
 from retuner.decision_page.html import escaped
 from retuner.decision_page.shown_units import chosen_units
 from retuner.decision_page.svg import drawn

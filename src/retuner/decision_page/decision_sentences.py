@@ -1,4 +1,4 @@
-"""A decision in sentences: what was seen, what follows, how robust the loop is before and after."""
+"""A decision in sentences, for its document: what was seen, what follows, how robust the loop is before and after."""
 
 import math
 
@@ -7,7 +7,7 @@ from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.decision_page.decision_view import DecisionView
-from retuner.decision_page.explain import part_words, process_text, settings_text, stays
+from retuner.decision_page.decision_words import part_words, process_text, settings_text, stays
 from retuner.decision_page.row_values import number, part, parts, words
 from retuner.decision_page.shown_units import units_of
 from retuner.schedule.gains import PidGains

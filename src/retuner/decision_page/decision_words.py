@@ -1,6 +1,7 @@
-"""A decision in one readable line: what was seen, the cause, what the process is, what changes.
+"""A decision in one readable line, and its parts: what was seen, the cause, the process, what changes, the proof.
 
-Each function takes a Decision, or the document of one as the ledger keeps it.
+Terminal, ledger, tables and pages say these in the same words. Each function takes a Decision, or the document of one
+as the ledger keeps it.
 """
 
 import math
@@ -8,7 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.decision_page.row_values import Document, brief, decided_on, gains_of, number, part, parts, words
+from retuner.decision_page.row_values import Document, brief, decided_on, gains_of, number, numbers, part, parts, words
 from retuner.decision_page.shown_units import units_of
 from retuner.schedule.gains import PidGains
 
@@ -178,3 +179,75 @@ def one_line(decision: "Decision | Document") -> str:
         "" if words(document, "code") == EDITED else change_text(document),
     ]
     return " | ".join(one for one in told if one)
+
+
+def proof_text(body: Document, action: str, reason: str) -> str:
+    """The guard's word on what is written, proposed or refused; what the rule gives where that must wait."""
+    verdict = part(body, "verdict")
+    said = _proved(verdict, reason)
+    if action == "restore" or (not said and action != "none"):
+        return ""
+    if action != "none":
+        return said
+    refused = said if verdict and verdict.get("accepted") is not True else ""  # else proved, and held back for now
+    given = gains_of(part(part(body, "proposal"), "parallel"))
+    return "; ".join(filter(None, (refused, f"the rule gives {settings_text(given)}" if given else "")))
+
+
+STOOD = {
+    "agrees": "this record agrees",
+    "odd": "this record contradicts it, and is kept as an alternative",
+    "changed": "this record and the one that contradicted before replace the model",
+    "opened": "this record contradicts what was known, near instability",
+    "silent": "this record says nothing of it",
+}
+"""How a record stood to what was known."""
+
+
+def explanation_text(body: Document) -> str:
+    """The cause, with its reason where that is not the decision's own."""
+    cause, why = cause_text(body), words(part(body, "diagnosis"), "reason")
+    if not part(body, "response"):
+        return ""
+    return cause if not why or why in words(body, "reason") else f"{cause}: {why}"
+
+
+def knowledge_text(body: Document) -> str:
+    """What the process is by now, how this record stood to that, and by how many loads it was explained."""
+    model = model_text(body)
+    if not model:
+        return ""
+    # How the record stood to what was known; of the first one here that is the prediction from the other regions
+    surprise, estimate = words(body, "surprise"), part(body, "estimate")
+    if surprise == "agrees" and words(body, "code").startswith("undo_"):
+        stood = ""
+    elif surprise == "agrees" and number(body, "records") == 1:
+        stood = "as predicted from the other regions"
+    elif surprise == "odd" and estimate.get("identifiable") is False:
+        stood = "this record contradicts it, but does not settle a model by itself"
+    else:
+        stood = STOOD.get(surprise, "")
+    loads, rival = len(numbers(estimate, "loads")), part(estimate, "rival")
+    steps = f"{loads} load step{'s' * (loads != 1)}"
+    by_loads = words(part(body, "response"), "upset") != "setpoint"
+    beside = (f"explained by {steps}" if by_loads else f"with {steps} beside the setpoint's") if loads else ""
+    other = "another model explains the record as well" if rival else ""
+    return ", ".join(text for text in (model, beside, stood, other) if text)
+
+
+def _proved(verdict: Document, reason: str) -> str:
+    """The guard's word, what Ms was before, and how much of the way to what the rule gives was gone."""
+    said = words(verdict, "reason")
+    if not said or said in reason:
+        return ""
+    if verdict.get("accepted") is not True or verdict.get("allowed") == []:
+        return said
+    before, share = ms_words(number(part(verdict, "ms"), "before")), part_words(verdict)
+    was = "" if f"Ms {before} ->" in said else f"; Ms before {before}"
+    part_of = share.partition("full change")[0]
+    return f"{said}{was}" + (f"; {share}" if share and part_of not in said else "")
+
+
+def short_reason(decision: "Decision") -> str:
+    """Why: of a rollback the first clause, the report has the others."""
+    return decision.reason.split("; ")[0] if rolls_back(decision) else decision.reason
