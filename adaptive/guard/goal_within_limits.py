@@ -9,6 +9,7 @@ refused.
 """
 
 import math
+from typing import Self
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.guard.guard_settings import GuardSettings
@@ -22,9 +23,11 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Gains to go to. wanted : before they were cut, locks apart.
+    """Gains to go to, or to prove on the way there. wanted : before they were cut, locks apart.
 
     notes : what was cut. cut_by, numbers : the first limit that cut it. no_room : that limit turned it back.
+    On the way: aim : where it leads; share : of the whole way; whole : not half or quarter of what the limits allow;
+    beyond : farther than one change may usually go, for an urgent one.
     """
 
     gains: PidGains
@@ -34,6 +37,14 @@ class Goal:
     cut_by: Ruling | None = None
     numbers: Numbers = NO_NUMBERS
     no_room: bool = False
+    aim: PidGains | None = None
+    share: float = 1.0
+    whole: bool = True
+    beyond: bool = False
+
+    def step(self, moved: tuple[PidGains, float], *, whole: bool, beyond: bool = False) -> Self:
+        """A step on the way to these gains. moved : where it ends, and its share of the way."""
+        return replace(self, gains=moved[0], aim=self.gains, share=moved[1], whole=whole, beyond=beyond)
 
 
 @dataclass(frozen=True, slots=True)

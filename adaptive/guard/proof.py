@@ -139,20 +139,6 @@ SHARES = (1.0, 0.5, 0.25)  # Full, half and quarter step
 SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)  # shares of a step that are tried where the controller rounds
 
 
-@dataclass(frozen=True, slots=True)
-class TriedSettings:
-    """Gains to prove. share : of the whole way to the goal. whole : not half or quarter of what the limits allow.
-
-    beyond : farther than one change may usually go, for an urgent one.
-    """
-
-    gains: PidGains
-    share: float
-    goal: Goal
-    whole: bool
-    beyond: bool = False
-
-
 @dataclass(slots=True)
 class _Case:
     """A request with what is worked out once."""
@@ -287,22 +273,22 @@ def _too_small(case: _Case, goal: Goal) -> tuple[Ruling, Numbers] | None:
     return Ruling.TOO_SMALL, FactorNumbers(factor, limit)
 
 
-def _candidates(case: _Case, wanted: list[Goal]) -> Iterator[TriedSettings]:
+def _candidates(case: _Case, wanted: list[Goal]) -> Iterator[Goal]:
     """What to prove, in order: whole steps at every tau_c, then half and quarter steps to the slowest goal."""
     old, s = case.request.in_force, case.settings
     if case.urgent:
         for goal in wanted:
             moved = within_limits(old, goal.gains, 1.0, s, less_unlimited=True)
-            if moved is not None and _safe_direction(case, moved[0], goal):
-                yield from _inside(case, TriedSettings(moved[0], moved[1], goal, whole=True, beyond=True))
+            if moved is not None and _safe_direction(case, moved[0], goal.gains):
+                yield from _inside(case, goal.step(moved, whole=True, beyond=True))
     for share in SHARES:
         for goal in wanted if share == 1.0 else wanted[-1:]:
             moved = within_limits(old, goal.gains, share, s)
             if moved is not None:
-                yield from _inside(case, TriedSettings(moved[0], moved[1], goal, share == 1.0))
+                yield from _inside(case, goal.step(moved, whole=share == 1.0))
 
 
-def _inside(case: _Case, candidate: TriedSettings) -> Iterator[TriedSettings]:
+def _inside(case: _Case, candidate: Goal) -> Iterator[Goal]:
     """The candidate as the controller would hold it, if it keeps every limit; remembers the first that one did not.
 
     Rounding may carry a step past a limit that it was cut to, so one that is rounded may stop a little short of it.
@@ -329,13 +315,13 @@ def _between(old: PidGains, new: PidGains, share: float) -> PidGains:
     return PidGains(*(o + share * (n - o) for o, n in pairs))
 
 
-def _safe_direction(case: _Case, gains: PidGains, goal: Goal) -> bool:
+def _safe_direction(case: _Case, gains: PidGains, aim: PidGains) -> bool:
     """Whether a step is one that an oscillating loop may take at once."""
     old = case.request.in_force
-    return less_of_everything(old, gains) if not case.over else case.loops.safer(old, gains, goal.gains)
+    return less_of_everything(old, gains) if not case.over else case.loops.safer(old, gains, aim)
 
 
-def _best(case: _Case, tried: list[TriedSettings], doubted: bool) -> Proof | None:
+def _best(case: _Case, tried: list[Goal], doubted: bool) -> Proof | None:
     """The first candidate that is proved; else, for a loop over its limit, the largest step that makes it safer.
 
     That step is tried at the slowest tau_c first.
@@ -351,9 +337,9 @@ def _best(case: _Case, tried: list[TriedSettings], doubted: bool) -> Proof | Non
             return _accepted(case, candidate, Ruling.URGENT if candidate.beyond else Ruling.ACCEPTED)
     if not case.over:
         return None
-    by_safety = sorted(tried, key=lambda c: (not c.beyond, not c.whole, -c.goal.tau_c_s, -c.share))
+    by_safety = sorted(tried, key=lambda c: (not c.beyond, not c.whole, -c.tau_c_s, -c.share))
     for candidate in by_safety:
-        if loops.safer(old, candidate.gains, candidate.goal.gains) and _borders_hold(case, candidate.gains):
+        if loops.safer(old, candidate.gains, candidate.aim or candidate.gains) and _borders_hold(case, candidate.gains):
             return _accepted(case, candidate, Ruling.SAFER)
     return None
 
@@ -378,7 +364,7 @@ def _border_check(case: _Case, border: NeighbourBorder, gains: PidGains) -> Chec
     )
 
 
-def _why_not(case: _Case, tried: list[TriedSettings]) -> tuple[Ruling, Numbers]:
+def _why_not(case: _Case, tried: list[Goal]) -> tuple[Ruling, Numbers]:
     """The refusal of the gentlest candidate, with its numbers."""
     s = case.settings
     if not tried:
@@ -430,7 +416,7 @@ def _unproved(case: _Case, goal: Goal) -> Proof:
     )
 
 
-def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Proof:
+def _accepted(case: _Case, candidate: Goal, ruling: Ruling) -> Proof:
     request, s, loops, gains = case.request, case.settings, case.loops, candidate.gains
     nominal, worst, before = loops.nominal(gains), loops.worst(gains), loops.nominal(request.in_force)
     before_worst = loops.worst(request.in_force)
@@ -443,8 +429,8 @@ def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Proof:
         *robustness_checks((nominal, worst), (before, before_worst), s),
         *(check for check in borders if check is not None),
     )
-    urgent = case.urgent and _safe_direction(case, gains, candidate.goal)
-    step = _share(request.in_force, gains, candidate.goal)
+    urgent = case.urgent and _safe_direction(case, gains, candidate.aim or gains)
+    step = _share(request.in_force, gains, candidate)
     return Proof(
         ruling,
         gains,
@@ -452,10 +438,10 @@ def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Proof:
         nominal,
         worst,
         before,
-        candidate.goal.tau_c_s,
+        candidate.tau_c_s,
         numbers,
         checks,
-        candidate.goal.notes,
+        candidate.notes,
         tuple(request.models),
         urgent,
     )
