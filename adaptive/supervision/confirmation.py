@@ -76,10 +76,10 @@ def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
     return damping is not None and damping > settings.swing.grows
 
 
-def confirmation(found: Findings, change: Outcome, proof: Proof, worth: str, lost: int) -> Outcome:
+def confirmation(found: Findings, change: Outcome, proof: Proof, why: str, lost: int) -> Outcome:
     """The change, where the case is clear or the whole diagnosis names the tuning as well; else the outcome without it.
 
-    worth : why it is. lost : responses in a row at which the loop was unstable on every plausible model. No case is
+    why : it is worth it. lost : responses in a row at which the loop was unstable on every plausible model. No case is
     clear where pv stands while the output travels.
     """
     learned, model, cause = found.learned, found.in_use, change.diagnosis
@@ -98,7 +98,7 @@ def confirmation(found: Findings, change: Outcome, proof: Proof, worth: str, los
             # As good as a clear one: what agrees with it later needs no second confirmation
             clear = found.excitation.clear + 1
             change = replace(change, excitation=replace(found.excitation, clear=clear))
-    return replace(change, code=proof.code, reason=found.words(f"{cause.reason}; {worth}"))
+    return replace(change, code=proof.code, reason=found.words(f"{cause.reason}; {why}"))
 
 
 def _not_confirmed(found: Findings, change: Outcome, cause: Diagnosis, doubt: Diagnosis, lost: int) -> Outcome:

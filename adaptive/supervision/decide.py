@@ -310,6 +310,8 @@ def gains_that_win(found: Findings, own: Outcome) -> Outcome:
     2. Where a tone goes on through the last change to less action: the set that ran before it.
     3. None, where the book of all samples speaks against these.
     4. Those of the book, where there are none by now, and it is one to ask.
+
+    How far the model's gains go is weighed before, by `worth`.
     """
     winner = set_before(found, own) or own
     seen = all_samples(found, winner)

@@ -2,7 +2,9 @@
 
 Connecting is SEARCHING (who is there: protocol, frame layout, sample time) -> READING (what runs) -> CONNECTED. What
 runs is known from read-back alone (running_set.py); when the device falls silent it is unknown until read again.
-Only the host that holds the lease (lease_and_commands.py) may change anything; the others watch.
+Only the host that holds the lease (lease_and_commands.py) may change anything; the others watch. A write begins in
+`begin_write` as an order; write_protocol.py has its frames, which `_send_due` sends at each poll, as retuner.dbc lays
+them out.
 """
 
 from collections.abc import Callable

@@ -15,7 +15,6 @@ asks what runs, and only that answer decides between done and failed. While the 
 on asking and the result is unknown, and said to be.
 """
 
-from collections.abc import Callable
 from enum import Enum
 
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed, WriteUnknown
@@ -232,7 +231,17 @@ class WriteProtocol:
             self._time_out()
         self._deadline_s = now_s + self._timeout_s
         self._tries += 1
-        return self._actions()[self.phase](self._order)
+        match self.phase:
+            case WritePhase.STAGING:
+                return self._stage(self._order)
+            case WritePhase.COMMITTING:
+                return self._order.commit(self._nonce)
+            case WritePhase.FENCING:
+                return [wire.Abort(self._order.seq)]
+            case WritePhase.READING:
+                return [self._reader.ask(wire.Page.RUNNING)]
+            case _:
+                return []
 
     def _lease_gone(self) -> None:
         """Begin once more without the lease, or, after too many times, give up: no commit at all."""
@@ -253,15 +262,6 @@ class WriteProtocol:
         """Whether nothing has been sent yet that could make the set run, and this has not happened too often."""
         unsent = self.phase is WritePhase.COMMITTING and self._tries == 0
         return self._claims < CLAIMS and (unsent or self.phase in {WritePhase.STAGING, WritePhase.CLAIMING})
-
-    def _actions(self) -> dict[WritePhase, Callable[[WriteOrder], list[wire.Frame]]]:
-        return {
-            WritePhase.CLAIMING: lambda _: [],
-            WritePhase.STAGING: self._stage,
-            WritePhase.COMMITTING: lambda order: order.commit(self._nonce),
-            WritePhase.FENCING: lambda order: [wire.Abort(order.seq)],
-            WritePhase.READING: lambda _: [self._reader.ask(wire.Page.RUNNING)],
-        }
 
     def _stage(self, order: WriteOrder) -> list[wire.Frame]:
         """Gains, the question how they stand there, and with a key the question for the challenge."""

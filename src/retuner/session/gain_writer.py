@@ -5,7 +5,8 @@
     3  the schedule: another region, other gains
 
 A decision on a region where the loop is not changes the table alone: the schedule writes its set when the loop comes.
-While a change is being rolled back the table has the set to run already, so nothing writes another one.
+While a change is being rolled back the table has the set to run already, so nothing writes another one. A write goes to
+the device's `begin_write` (on CAN drivers/host/can_device.py), which tells its end by `done` or `failed`.
 """
 
 from enum import Enum, StrEnum
