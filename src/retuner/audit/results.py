@@ -24,12 +24,12 @@ from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit import AREA
 from retuner.audit.catalogue import Catalogue
 from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault, smaller
-from retuner.decision_page.html import palette
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 from retuner.report.what_if import page_script, panel_style
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.late_dataclass import asdict, dataclass, field
+from retuner.templates import palette
 
 # ---- How the loops of each area of a plant ran, day by day or week by week
 

@@ -16,7 +16,7 @@ from matplotlib import rc_context, rcParams
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.decision_page.html import palette
+from retuner.templates import palette
 
 BEFORE, AFTER, MODEL, SETPOINT, FAINT, LIMIT = "#d55e00", "#0072b2", "#d55e00", "#222222", "#9a9a9a", "#cc79a7"
 """Colours that colour-blind readers tell apart (Okabe & Ito 2008), each with a line style of its own beside it."""

@@ -15,7 +15,6 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from retuner.decision_page.html import palette
 from retuner.errors import UserError
 from retuner.report.what_if import page_script, panel_style, script_hash
 from retuner.serve import documents
@@ -25,6 +24,7 @@ from retuner.serve.page_access import LASTS_S, PageAccess
 from retuner.serve.runs import WatchedLoop, WatchedSession
 from retuner.session.orders import Order, OrderKind, proposed_gains, put_order
 from retuner.session.outputs import REPORT
+from retuner.templates import palette
 
 LARGEST = 4096  # bytes of what a browser sends
 MOST_STREAMS = 200

@@ -30,6 +30,12 @@ def starter(profile: str = "") -> str:
     return files("retuner").joinpath("templates", f"{profile or STARTER}.toml").read_text(encoding="utf-8")
 
 
+@cache
+def palette() -> str:
+    """The colours of every page and drawing, light and dark."""
+    return files("retuner.templates").joinpath("palette.css").read_text(encoding="utf-8")
+
+
 def rendered(name: str, **values: Any) -> str:
     """The text of a template (Jinja) with these values; of a name that is not given it is an error."""
     return _environment().get_template(name).render(values)

@@ -4,6 +4,7 @@ import base64
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import singledispatch
+from html import escape
 
 from matplotlib.figure import Figure
 
@@ -20,7 +21,6 @@ from retuner.commands.recorded.schedule import described as schedule_lines
 from retuner.decision_page.decision_article import article
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.decision_words import document_of, one_line
-from retuner.decision_page.html import escaped
 from retuner.decision_page.shown_units import chosen_units
 from retuner.decision_page.svg import drawn
 from retuner.diagnosing import RecordDiagnosis
@@ -201,7 +201,7 @@ def _picture(
 
 def _shown(result: object, picture: Figure | None = None) -> str:
     """Words, and below them the picture, light or dark as the reader's screen is."""
-    words = f"<pre>{escaped(text(result))}</pre>"
+    words = f"<pre>{escape(text(result))}</pre>"
     if picture is None:
         return words
     data = base64.b64encode(drawn(picture, "picture of the result", ".svg")).decode()
