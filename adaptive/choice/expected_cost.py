@@ -7,10 +7,12 @@
     w_m          ~ e^(-excess / (2 temper)),      odds of something else = product over what the records are like
 
 m are the models that the records still allow, excess the rise of their deviance (plausible.py), tempered because the
-remainders of real records are not white. J is the mean over a setpoint and a load step of IAE over that of SIMC on the
-same model (Grimholt & Skogestad 2012). The limits are those by which settings are judged, Ms of 1.8 and J of 1.25. Each
-is as wide as models are wrong, so that nothing hangs on the second digit of an Ms. No Ms costs more than a stated most;
-a long wait costs all of its length. An unstable loop costs that most or, where a stable set costs so much, more than
+remainders of real records are not white. J is the mean over a setpoint and a load step of IAE over the rule's on the
+same model (Grimholt & Skogestad 2012), at the smallest tau_c that keeps the limit of Ms: with a second lag SIMC's own
+goes up to 1.98. The limits are those by which settings are judged, Ms of 1.8 and J of 1.25. Each is as wide as models
+are wrong, so that nothing hangs on the second digit of an Ms. An IAE under the rule's is no merit where Ms is over its
+limit: robustness was paid for it. No Ms costs more than a stated most; a long wait costs all of its length. An
+unstable loop costs that most or, where a stable set costs so much, more than
 any of them: on each model, and as a whole where it is unstable on the most likely one.
 
 Something else: the models are a fiction, and only what was seen is known. The loop in force is stable, and decays as it
@@ -39,10 +41,9 @@ from collections.abc import Sequence
 from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.robust_simc import asks_for_integral, by_integral, less_damped
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
-from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset
 from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.schedule.gains import PidGains
@@ -141,7 +142,7 @@ def outlooks(
     found = sorted(allowed, key=lambda model: model.excess)[:MOST_MODELS]  # stable: the best one stays first
     sampled = [plausible.model.seen_by_controller(loop.sample_time_s) for plausible in found]
     weights = [math.exp(-plausible.excess / (2 * settings.temper)) for plausible in found]
-    processes, rules = [model.linear() for model in sampled], [_of_rule(model) for model in sampled]
+    processes, rules = [model.linear() for model in sampled], [_of_rule(model, settings) for model in sampled]
     rows = _j_of_all(processes, rules, sets, loop)
     peaks = [[sensitivity_peak(process, one.gains, loop.tau_f_s) for process in processes] for one in sets]
     table = _costs(rows, peaks, settings)
@@ -182,11 +183,10 @@ def without_privilege(found: Sequence[Outlook], settings: ChoiceSettings) -> lis
     return [one if one.stable else replace(one, cost=max([one.cost, *stable])) for one in found]
 
 
-def _of_rule(model: ProcessModel) -> PidGains:
-    """Settings that J is over: SIMC's, or those that take its place."""
-    if asks_for_integral(model):
-        return by_integral(less_damped(model)).gains
-    return simc(model, without_second_lag(model).theta_s).gains
+def _of_rule(model: ProcessModel, settings: ChoiceSettings) -> PidGains:
+    """Settings that J is over: the rule's, which keep the limit of Ms (SIMC's own, with a second lag, up to 1.98)."""
+    robust = RobustSettings(ms_nominal=settings.ms_limit, ms_worst=math.inf, ms_third=math.inf)
+    return robust_simc_on(model, (), 0.0, robust).tuning.gains
 
 
 def _j_of_all(
@@ -214,7 +214,8 @@ def cost(j: float, ms: float, settings: ChoiceSettings) -> float:
     if not math.isfinite(ms) or not math.isfinite(j):
         return settings.most
     late = math.log(j / settings.j_limit)
-    slow = math.log(j) + settings.out * _step(late / settings.j_width)
+    kept = _step(-math.log(ms / settings.ms_limit) / settings.ms_width)
+    slow = math.log(j) * (kept if j < 1.0 else 1.0) + settings.out * _step(late / settings.j_width)
     return max(slow, min(slow + over(ms / settings.ms_limit, settings), settings.most))
 
 

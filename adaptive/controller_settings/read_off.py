@@ -373,7 +373,7 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
             a, b = first.values[name], second.values[name]
             return (
                 f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second; "
-                "the settings were changed, or they depend on another variable"
+                "the settings were changed, they depend on another variable, or the integral was held for a while"
             )
     slow = _slow(found, window)
     if slow is None:

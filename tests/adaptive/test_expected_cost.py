@@ -27,7 +27,7 @@ from retuner.adaptive.guard.request import ChangeRequest, Evidence, Locks
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -79,6 +79,23 @@ def test_a_step_out_of_a_very_long_wait_is_worth_what_it_brings() -> None:
     for j in (4.0, 8.0, 16.0, 32.0):
         assert cost(j, 1.2, SETTINGS) - cost(j / 2, 1.2, SETTINGS) == pytest.approx(math.log(2), abs=0.01)
     assert cost(32.0, 3.0, SETTINGS) >= cost(32.0, 1.2, SETTINGS)
+
+
+def test_an_iae_under_the_rules_is_no_merit_where_ms_is_over_its_limit() -> None:
+    assert cost(1.0, 2.1, SETTINGS) - cost(0.5, 2.1, SETTINGS) < 0.05
+    assert cost(1.0, 1.5, SETTINGS) - cost(0.5, 1.5, SETTINGS) > 0.6
+
+
+def test_iae_is_over_that_of_a_rule_that_keeps_the_limit_of_ms() -> None:
+    """Behind a second lag SIMC itself is over it: what its Ms brings in IAE does not keep a loop there."""
+    model = ProcessModel(ProcessType.INTEGRATING_LAG, 1.0, 0.0, 10.0, 1.0)
+    theta = without_second_lag(model).theta_s
+    tight, calm = (Choosable(simc(model, ratio * theta).gains) for ratio in (1.0, 1.35))
+    found = outlooks([Plausible(model, 0.0)], [tight, calm], None, LOOP, SETTINGS)
+    assert found[0].ms > 1.9
+    assert found[1].ms < SETTINGS.ms_limit
+    assert found[0].j < 0.9
+    assert found[0].cost - found[1].cost > SETTINGS.price
 
 
 def test_an_unstable_set_is_no_way_out_of_a_very_slow_loop() -> None:

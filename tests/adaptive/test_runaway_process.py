@@ -106,6 +106,14 @@ def test_a_change_that_would_let_it_go_is_not_made_and_says_so(setpoint: bool) -
     assert "would not hold it" in doubt.reason
 
 
+def test_the_step_that_cuts_a_response_short_is_not_the_one_that_is_asked() -> None:
+    window = record(-0.08)
+    window.sp[-1] = 2.0
+    doubt = asked(window, LESS)
+    assert doubt is not None
+    assert "would not hold it" in doubt.reason
+
+
 def test_other_changes_are_none_of_its_business() -> None:
     assert asked(record(-0.08), PidGains(0.2, 0.002)) is None
     assert asked(record(0.0), LESS) is None

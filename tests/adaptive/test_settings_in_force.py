@@ -206,6 +206,10 @@ def test_the_real_servo_shows_its_settings():
         (lambda w: Window(w.t_s, w.sp, w.pv, np.clip(w.co, 50, 50.3)), "only 4 samples"),
         (lambda w: Window(w.t_s, w.sp, np.interp(w.t_s, w.t_s[::9], w.pv[::9]), w.co), "compressed 9 times"),
         (lambda w: Window(w.t_s, w.sp, w.pv, np.where(w.t_s < 400, w.co, 50 + 3 * (w.co - 50))), "first half"),
+        (
+            lambda w: Window(w.t_s, w.sp, w.pv, w.co - 0.03 * np.cumsum(np.where(w.t_s < 400, w.sp - w.pv, 0.0))),
+            "or the integral was held",
+        ),
     ],
 )
 def test_records_that_do_not_show_the_settings_are_refused_in_a_sentence(spoil, said):
