@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner.adaptive.choice.expected_cost import UPSETS
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
+from retuner.adaptive.identification.robust_simc import RobustSettings, believed, robust_simc_on
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.from_neighbours import spread
@@ -22,6 +23,8 @@ from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.findings import no_more_action, propose
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.adaptive.trial.batch_responses import ClosedLoop
+from retuner.adaptive.trial.response_numbers import shapes
 from retuner.schedule.gains import PidGains
 
 S = RetunerSettings(0.5, 100.0)
@@ -62,6 +65,32 @@ def test_a_gain_is_too_large_where_ms_leaves_the_proposals_own_limit(factor: flo
     gains = PidGains(factor * best.kp, factor * best.ki)
     assert 1.65 < ms(FIRST, gains) < S.cause.ms_high
     assert of(known(FIRST, 1e-3), gains)[1] == cause
+
+
+def test_with_a_smaller_setpoint_weight_the_integral_time_is_shorter_and_no_less_robust() -> None:
+    long = replace(FIRST, tau1_s=32.0)
+    proposals = [
+        propose(known(long, 1e-3), known(long).log, PidGains(1.0, 0.03), replace(S, setpoint_weight=b)).tuning.gains
+        for b in (1.0, 0.99, 0.3)
+    ]
+    rule, hardly, light = proposals
+    assert rule.kp / rule.ki == pytest.approx(32.0)
+    assert ms(long, light) <= 1.68
+    assert light.kp / light.ki < 0.7 * 32.0
+    for gains, b, better in ((hardly, 0.99, 1.0), (light, 0.3, 1.15)):
+        loops = [ClosedLoop(long.seen_by_controller(S.sample_time_s).linear(), one, b) for one in (rule, gains)]
+        before, after = ([one.iae for one in row] for row in shapes(loops, UPSETS))
+        assert sum(x / y for x, y in zip(before, after, strict=True)) / 2 >= better
+
+
+def test_a_shorter_integral_time_must_be_robust_on_every_process_that_is_allowed() -> None:
+    light, taken = replace(S, setpoint_weight=0.3), dict[float, float]()
+    for std in (1e-3, 0.12):
+        known_now = known(FIRST, std)
+        gains = propose(known_now, known_now.log, PidGains(1.0, 0.03), light).tuning.gains
+        assert max(ms(one.model, gains) for one in believed(known_now.plausible, 4.0)) <= S.robust.ms_worst
+        taken[std] = gains.ki
+    assert taken[0.12] < taken[1e-3]
 
 
 def test_what_is_less_known_gets_a_slower_proposal() -> None:
