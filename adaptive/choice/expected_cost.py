@@ -305,7 +305,7 @@ def choose(found: Sequence[Outlook], way: Outlook | None, seen: ModelEvidence, s
     brings, spread = max(asked, key=lambda one: one[0] - sure * one[1])
     pays = gains[best] > 0.0 and brings > settings.price
     goes = danger or (pays and brings > settings.price + sure * spread)
-    more = doubt(_once_more(seen), settings)
+    more = doubt(replace(seen, records=seen.records + 1), settings)
     waits = not goes and (pays or _gain(found[0], found[best], more) > settings.price)
     now, then = found[0], found[best]
     iae = then.j / now.j if math.isfinite(now.j) and math.isfinite(then.j) else -1.0
@@ -331,16 +331,12 @@ def _gain(now: Outlook, then: Outlook, p: float) -> float:
     return (1.0 - p) * (now.cost - then.cost) - p * then.unknown
 
 
-def _once_more(seen: ModelEvidence) -> ModelEvidence:
-    """The evidence with another record like it."""
-    return replace(seen, records=seen.records + 1)
-
-
 def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool, pays: bool) -> str:
     """The choice for people."""
     iae = f"IAE {percent(numbers.iae)} of the present" if numbers.iae >= 0 else "IAE not comparable"
     then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
-    sure = f"{_chance(numbers.doubt)} chance that something other than the tuning explains this"
+    chance = percent(numbers.doubt) if numbers.doubt >= LEAST_SAID else f"less than {percent(LEAST_SAID)}"
+    sure = f"{chance} chance that something other than the tuning explains this"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
     why = "a second record must agree first" if waits else _too_little(numbers)
@@ -362,11 +358,6 @@ def _too_little(numbers: ChoiceNumbers) -> str:
 def percent(share: float, digits: int = 0) -> str:
     """A share in percent."""
     return f"{100.0 * share:.{digits}f} %"
-
-
-def _chance(p: float) -> str:
-    """A probability, of which nothing is said to be sure."""
-    return percent(p) if p >= LEAST_SAID else f"less than {percent(LEAST_SAID)}"
 
 
 LEAST_SAID = 0.01  # probability below which its digits say nothing

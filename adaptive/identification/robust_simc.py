@@ -50,6 +50,7 @@ class RobustSettings:
     believed : excess up to which a model counts as plausible here; default 4.
     tau_c_most : largest tau_c over theta for the sake of the best model; default 3 (a process that swings needs it).
     tau_c_doubt : the same for the sake of the others; default 1.8.
+    tau_i_share : integral time over SIMC's; default 1.
     """
 
     ms_nominal: float = 1.68
@@ -59,6 +60,7 @@ class RobustSettings:
     believed: float = 4.0
     tau_c_most: float = 3.0
     tau_c_doubt: float = 1.8
+    tau_i_share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,25 +85,20 @@ def robust_simc_on(
     sample_time_s: float,
     settings: RobustSettings,
     in_force: PidGains | None = None,
-    shorter: float = 1.0,
 ) -> RobustTuning:
-    """Settings for the most likely model and all that are still allowed; PI, or PID as said at the head of the file.
-
-    shorter : share of SIMC's integral time that PI settings get.
-    """
+    """Settings for the most likely model and all that are still allowed; PI, or PID as said at the head of the file."""
     model = less_damped(process.seen_by_controller(sample_time_s))
     others = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, settings.believed)]
     if in_force is not None and in_force.kd and model.tau2_s:
         with_derivative, robust = _tightest(model, others, settings, PID)
         if robust:
             return with_derivative
-    return _tightest(model, others, settings, PI, shorter)[0]
+    return _tightest(model, others, settings, PI)[0]
 
 
 def _tightest(
-    model: ProcessModel, others: Sequence[ProcessModel], settings: RobustSettings, kind: ControllerKind,
-    shorter: float = 1.0,
-) -> tuple[RobustTuning, bool]:  # fmt: skip
+    model: ProcessModel, others: Sequence[ProcessModel], settings: RobustSettings, kind: ControllerKind
+) -> tuple[RobustTuning, bool]:
     """Settings with the smallest tau_c that is robust, or with the largest; and whether they are robust."""
     theta = (model.of_second_order() if kind is PID else without_second_lag(model)).theta_s
     third = third_lag(model, settings.hidden_share)
@@ -109,7 +106,7 @@ def _tightest(
 
     def at(ratio: float) -> RobustTuning:
         given = by_integral(model, ratio) if asks_for_integral(model) else simc(model, ratio * theta, kind)
-        given = replace(given, gains=replace(given.gains, ki=given.gains.ki / shorter))
+        given = replace(given, gains=replace(given.gains, ki=given.gains.ki / settings.tau_i_share))
         ms = sensitivity_peak(model.linear(), given.gains)
         worst = max([ms, *(sensitivity_peak(m.linear(), given.gains) for m in others)])
         return RobustTuning(given, ms, worst)

@@ -397,17 +397,13 @@ def _excited(seen: _JudgedWindow) -> _Counted:
     error = np.abs(seen.window.sp - seen.window.pv)[seen.during]
     bands, least = float(np.max(error)) / seen.response.band, seen.settings.excitation_bands
     numbers = AdmissionNumbers(peak_bands=bands)
-    for ground, values in ((_frozen_co(seen), seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
+    frozen_co = Ground.SATURATED if all(sample.limited for sample in seen.own) else Ground.CO_FROZEN
+    for ground, values in ((frozen_co, seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
         if values.max() == values.min():
             return _Counted(replace(numbers, limit=seen.settings.limited_share), ground)
     if bands >= least or seen.response.sp_changed:
         return _Counted(numbers)
     return _Counted(replace(numbers, limit=least), Ground.LOW_EXCITATION)
-
-
-def _frozen_co(seen: _JudgedWindow) -> Ground:
-    """What an output is called that never moves: at a limit it is held there."""
-    return Ground.SATURATED if all(sample.limited for sample in seen.own) else Ground.CO_FROZEN
 
 
 _RULES = (

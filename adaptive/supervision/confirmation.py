@@ -274,11 +274,8 @@ def _last_step(record: ResponseRecord) -> Window | None:
     """
     response, revision = record.response, record.samples[-1].revision
     end_s = response.t_end_s if response.sp_changed else response.t_start_s
-    kept = [s for s in record.samples if s.t_s <= end_s and s.revision == revision and s.t_s >= record.entered_s]
-    steps = [i for i in range(1, len(kept)) if kept[i].sp != kept[i - 1].sp]
-    if steps and len(kept) - steps[-1] < FEWEST_OF_STEP:  # it cut the response short: the one before is asked
-        kept = kept[: steps.pop()]
-    at = steps[-1] if steps else 0
+    kept = [s for s in record.samples if s.t_s < end_s and s.revision == revision and s.t_s >= record.entered_s]
+    at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
     own = kept[max(at - SAMPLES_BEFORE_STEP, 0) :]
     followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
     return Window.of(own) if at and followed and len(own) >= FEWEST_OF_STEP else None

@@ -38,7 +38,6 @@ from retuner.adaptive.guard.both_sides_of_border import worst_between
 from retuner.adaptive.guard.request import Support
 from retuner.adaptive.guard.step_size import along, less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.rules.rule import Tuning
@@ -57,6 +56,7 @@ from retuner.adaptive.supervision.findings import (
     Findings,
     RobustProposal,
     findings_of,
+    over_limit,
     too_bold,
     unambiguous,
 )
@@ -64,7 +64,6 @@ from retuner.adaptive.supervision.judge_evidence import beside_walk, may_follow,
 from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, known_of, unproved_request
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.question import OTHER_LOOP, Question, ResponseRecord, not_evaluated
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import decay_seen
 from retuner.adaptive.trial.rollback import LOST_WORDS, NOTHING_KNOWN, less_stable
@@ -120,7 +119,7 @@ def by_model(found: Findings) -> Outcome:
         return _stays(found, cause, learned)
     proof = proved(found, model, wanted)  # may the region have the gains that the rule gives?
     lost = 0
-    if lost_on_all(proof.allowed, found.record.in_force, found.settings):
+    if over_limit(proof.allowed, found.record.in_force, found.settings, math.inf, math.inf):
         lost = found.record.excitation.lost + 1
         found = replace(found, excitation=replace(found.excitation_now, lost=lost))
     change = replace(
@@ -233,13 +232,6 @@ def _proof_of(found: Findings, known: KnownProcesses, tuning: Tuning, guard: Gua
     record = found.record
     damping = record.pattern.damping if record.pattern is not None else None
     return prove(change_request(tuning, record.region, record.commissioned, known, found.learned, damping), guard)
-
-
-def lost_on_all(allowed: Sequence[Plausible], gains: PidGains, settings: RetunerSettings) -> bool:
-    """Whether a loop is unstable with these gains on every model, of which there is one at least."""
-    dt_s, filter_s = settings.sample_time_s, settings.filter_s
-    processes = (one.model.seen_by_controller(dt_s).linear() for one in allowed)
-    return bool(allowed) and all(math.isinf(sensitivity_peak(process, gains, filter_s)) for process in processes)
 
 
 def worth(found: Findings, model: RegionModel, wanted: RobustProposal, proof: Proof) -> tuple[Choice, Proof]:

@@ -428,14 +428,13 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
         diagnosis = closer if closer.cause == Cause.AGGRESSIVE else diagnosis
     ready = region_model.identifiable
     if not ready:
-        danger = over_limit(region_model.plausible, in_force, dt_s, robust.believed, cause.ms_high)
+        danger = over_limit(region_model.plausible, in_force, settings, robust.believed, cause.ms_high)
         ready = danger and diagnosis.cause in SWINGING
         tuning = replace(tuning, gains=no_more_action(tuning.gains, in_force, diagnosis.cause))
     return RobustProposal(tuning, diagnosis, ready)
 
 
-SHORTER = (1.0, 0.8, 0.65, 0.5)
-"""Shares of SIMC's integral time that are tried."""
+SHORTER = (1.0, 0.8, 0.65, 0.5)  # shares of SIMC's integral time that are tried
 
 
 def _by_weight(
@@ -448,13 +447,14 @@ def _by_weight(
     """
     dt_s, b = settings.sample_time_s, settings.setpoint_weight
     shares = SHORTER if b < 1.0 and not in_force.kd and not asks_for_integral(best) else SHORTER[:1]
-    found = [robust_simc_on(best, known.plausible, dt_s, robust, in_force, share) for share in shares]
-    held = [one for one in found if one.ms_nominal <= robust.ms_nominal and one.ms_worst <= robust.ms_worst]
-    if found[0] not in held or len(held) == 1:
-        return found[0].tuning
-    sets = [Choosable(one.tuning.gains) for one in held]
-    judged = outlooks([Plausible(best, 0.0)], sets, None, LoopSettings(dt_s, b, settings.filter_s), settings.choice)
-    return min(zip(held, judged, strict=True), key=lambda pair: pair[1].j)[0].tuning
+    tried = [replace(robust, tau_i_share=share) for share in shares]
+    first, *more = (robust_simc_on(best, known.plausible, dt_s, one, in_force) for one in tried)
+    held = [one for one in more if one.ms_nominal <= robust.ms_nominal and one.ms_worst <= robust.ms_worst]
+    if not held:
+        return first.tuning
+    sets, loop = [one.tuning for one in (first, *held)], LoopSettings(dt_s, b, settings.filter_s)
+    judged = outlooks([Plausible(best, 0.0)], [Choosable(one.gains) for one in sets], None, loop, settings.choice)
+    return min(zip(sets, judged, strict=True), key=lambda pair: pair[1].j)[0]
 
 
 def no_more_action(wanted: PidGains, in_force: PidGains, cause: Cause) -> PidGains:
@@ -481,11 +481,11 @@ def _nominal(best: ProcessModel, settings: RetunerSettings) -> float:
 
 
 def over_limit(
-    allowed: Sequence[Plausible], in_force: PidGains, sample_time_s: float, excess: float, limit: float
+    allowed: Sequence[Plausible], gains: PidGains, settings: RetunerSettings, excess: float, limit: float
 ) -> bool:
-    """Whether the gains in force are over an Ms limit on every model that is believed to within an excess."""
-    models = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, excess)]
-    return bool(models) and all(sensitivity_peak(m.linear(), in_force) > limit for m in models)
+    """Whether gains are over an Ms limit on every model that is believed to within an excess; of infinity: unstable."""
+    found = [p.model.seen_by_controller(settings.sample_time_s).linear() for p in believed(allowed, excess)]
+    return bool(found) and all(sensitivity_peak(process, gains, settings.filter_s) >= limit for process in found)
 
 
 def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, settings: RetunerSettings) -> str:

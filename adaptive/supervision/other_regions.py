@@ -121,7 +121,7 @@ def _far_off(found: Findings, region: int, models: Sequence[Plausible], now: Pid
     cost = costs(models, gains, now, *loop)
     if 0 < cost[0] < settings.borrowing.far_off and max(cost) < 1:
         return True
-    return over_limit(models, gains, settings.sample_time_s, settings.robust.believed, settings.cause.ms_high)
+    return over_limit(models, gains, settings, settings.robust.believed, settings.cause.ms_high)
 
 
 def _wander(found: Findings, proof: Proof) -> float:

@@ -33,6 +33,10 @@ class Upset:
     load_step: float = 0.0
     pulse: float = 0.0
 
+    def rest(self, process: LinearProcess) -> float:
+        """Controller output at rest after it."""
+        return (0.0 if process.integrators else self.setpoint / process.k) - self.load_step
+
 
 @dataclass(frozen=True, slots=True)
 class Trace:
@@ -65,10 +69,7 @@ def traces(loops: Sequence[ClosedLoop], upsets: Sequence[Upset]) -> list[list[Tr
     e, u = made.run()
     n = len(upsets)
     return [
-        [
-            Trace(steps[i], e[:, i * n + j], u[:, i * n + j], _rest(loop.process, upset))
-            for j, upset in enumerate(upsets)
-        ]
+        [Trace(steps[i], e[:, i * n + j], u[:, i * n + j], upset.rest(loop.process)) for j, upset in enumerate(upsets)]
         for i, loop in enumerate(loops)
     ]
 
@@ -91,11 +92,6 @@ def _with_states(process: LinearProcess) -> LinearProcess:
     if process.integrators or process.lags_s or process.quadratics:
         return process
     return replace(process, lags_s=(LEAST_LAG * process.theta_s or 1.0,))
-
-
-def _rest(process: LinearProcess, upset: Upset) -> float:
-    """Controller output at rest after the upset."""
-    return (0.0 if process.integrators else upset.setpoint / process.k) - upset.load_step
 
 
 class _Lanes:

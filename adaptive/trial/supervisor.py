@@ -196,7 +196,8 @@ class TrialSupervisor:
         trial = self.of(region)
         edits = trial.edits + (trial.ran and ours == trial.new and trial.cause != E.OPERATOR_EDIT)
         kept = replace(trial.with_earlier(ours), old=ours, new=now, ran=True, prediction=None, edits=edits, back=None)
-        self._trials[region] = replace(kept, until_s=t_s + self._hold_s(edits), cause=E.OPERATOR_EDIT)
+        hold_s = self.settings.edit_hold_s * 2.0 ** min(max(edits - 1, 0), MOST_EDITS)
+        self._trials[region] = replace(kept, until_s=t_s + hold_s, cause=E.OPERATOR_EDIT)
         self._move(region, E.OPERATOR_EDIT, t_s)
 
     def event(self, region: int, event: TrialEvent, t_s: float) -> bool:
@@ -403,10 +404,6 @@ class TrialSupervisor:
             tau_i_s = self._tau_i_s(trial.back.gains if trial.back else trial.old)
             base = max(self.settings.cool_down_tau_i * tau_i_s, self._shortest_s)
         return base * 2.0 ** min(max(trial.rollbacks - 1, 0), self.settings.cool_down_most)
-
-    def _hold_s(self, edits: int) -> float:
-        """Time for which a person's gains are held."""
-        return self.settings.edit_hold_s * 2.0 ** min(max(edits - 1, 0), MOST_EDITS)
 
     @staticmethod
     def _tau_i_s(gains: PidGains | None) -> float:
