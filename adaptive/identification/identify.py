@@ -152,24 +152,31 @@ def identify_manual(window: Window, sign: int | None = None) -> ModelEstimate:
     return moving if moving.best.criterion + price < rest.best.criterion else rest
 
 
-def fitted(window: Window, signs: tuple[int, ...], settings: FitSettings) -> list[Candidate]:
-    """The fits of a record by itself, best first. Raises ValueError: co or pv do not change at all in the record."""
+def fitted(
+    window: Window, signs: tuple[int, ...], settings: FitSettings, barred_s: tuple[float, ...] = (),
+    samples: int | None = None,
+) -> list[Candidate]:  # fmt: skip
+    """The fits of a record by itself, best first, on so many samples; None for as many as show its dead time.
+
+    barred_s : see candidates. Raises ValueError: co or pv do not change at all in the record.
+    """
     for name, values in (("co", window.co), ("pv", window.pv)):
         if np.ptp(values) == 0:
             raise ValueError(f"{name} stays at {values[0]:g} in the whole record: nothing to identify from")
     signals = (window.t_s, window.sp, window.pv, window.co)
     record = tuple(np.asarray(values, dtype=np.float64).tobytes() for values in signals)
-    return list(_fitted(record, window.noise_std, signs, settings))
+    return list(_fitted(record, window.noise_std, signs, settings, barred_s, samples))
 
 
-@lru_cache(maxsize=1)  # one record's is asked for twice, to identify and to diagnose it
+@lru_cache(maxsize=16)  # a record is asked for twice, to identify and to diagnose it; its parts alone and joined
 def _fitted(
-    record: tuple[bytes, ...], noise_std: float, signs: tuple[int, ...], settings: FitSettings
-) -> list[Candidate]:
+    record: tuple[bytes, ...], noise_std: float, signs: tuple[int, ...], settings: FitSettings,
+    barred_s: tuple[float, ...], samples: int | None,
+) -> list[Candidate]:  # fmt: skip
     t_s, sp, pv, co = map(np.frombuffer, record)
     window = Window(t_s, sp, pv, co, noise_std)
-    found = candidates(window, signs, settings.choice, settings.most_samples)
-    most = _samples_that_show(window, found[0], settings.most_samples)
+    found = candidates(window, signs, settings.choice, samples or settings.most_samples, barred_s)
+    most = None if samples else _samples_that_show(window, found[0], settings.most_samples)
     return found if most is None else candidates(window, signs, settings.choice, most)
 
 
@@ -206,7 +213,7 @@ class Fits:
         """Fits with no load step at a setpoint change, best first."""
         if not self._coincident(self._anywhere[0]):
             return self._anywhere
-        return candidates(self._window, self._signs, self._settings.choice, self._samples, self._changes_s)
+        return fitted(self._window, self._signs, self._settings, self._changes_s, self._samples)
 
     @property
     def _samples(self) -> int:
