@@ -171,6 +171,9 @@ def _from_parts(
     A part has few loads, so its search finds the process; with several sharp loads the search of the whole, which
     places them on a grid, ends in a local optimum. A worse explanation that begins so is no rival, and is not noted.
     """
+    fit = seen.best().fit
+    if fit.misfit.loads < 2 and np.std(record.pv - fit.explained) <= WIDER_SEARCH_RATIO * record.noise_std:
+        return  # one load that leaves next to the noise alone is where it belongs
     edges = np.linspace(0, len(window.t_s), PARTS + 1).round().astype(int).tolist()
     for first, end in pairwise(edges):
         part = window.part(slice(first, end))
