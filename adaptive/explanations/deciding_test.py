@@ -54,7 +54,7 @@ def deciding_test(odds: TuningOdds, record: Prepared, error_std: float) -> Decid
     load, std = _load(odds, record)
     drawn, weight, kinds = _drawn(odds)
     hold = _hold(odds, drawn, weight)
-    energy = np.array([_energies(odds, one, drawn, hold, load) for one in drawn]) * (error_std / std) ** 2
+    energy = _energies(odds, drawn, hold, load) * (error_std / std) ** 2
     decides = [_decides(energy * size**2, weight, kinds) for size in SIZES]
     return _smallest(TestKind.SETPOINT, error_std, hold * odds.sample_time_s, decides)
 
@@ -160,14 +160,15 @@ def _settling(odds: TuningOdds, process: _Process) -> int:
     return min(max(int(away[-1]) + 1 if len(away) else SHORTEST, SHORTEST), LONGEST)
 
 
-def _energies(odds: TuningOdds, true: _Process, drawn: Sequence[_Process], hold: int, load: LoadModel) -> FloatArray:
-    """D for a step of s between one process and each, shape (processes,)."""
+def _energies(odds: TuningOdds, drawn: Sequence[_Process], hold: int, load: LoadModel) -> FloatArray:
+    """D for a step of s out and back, of each process that is true under its own co: shape (true, processes)."""
     setpoint = np.concatenate([np.ones(hold), np.zeros(hold)])
-    _, co = _closed_loop(odds, true, setpoint)
-    pv = _answer(true, co)
-    white = impulse_response(load.a, load.c, len(pv))
-    apart = filtered(spectrum(np.array([pv - _answer(other, co) for other in drawn])), len(pv), white)
-    return np.asarray(np.einsum("ij,ij->i", apart, apart))
+    co = np.array([_closed_loop(odds, true, setpoint)[1] for true in drawn])
+    n, impulse = len(setpoint), np.append(1.0, np.zeros(len(setpoint) - 1))
+    passed = spectrum(filtered(spectrum(co), n, impulse_response(load.a, load.c, n)))
+    answers = np.array([filtered(passed, n, _answer(process, impulse)) for process in drawn])
+    own = answers[np.arange(len(drawn)), np.arange(len(drawn))]
+    return np.array([np.einsum("ij,ij->i", apart, apart) for apart in own - answers]).T
 
 
 def _decides(energy: FloatArray, weight: FloatArray, kinds: FloatArray) -> float:

@@ -195,6 +195,30 @@ class UnderLoads:
         return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)), dtype=np.float64)
 
 
+@lru_cache(maxsize=1024)
+def _behind(
+    lag: float, loads: tuple[tuple[float, int], ...], seconds: tuple[float, ...], through: int | None
+) -> tuple[tuple[LoadModel, ...], tuple[float, ...], FloatArray, FloatArray, FloatArray]:
+    """What under_loads needs of a first lag and loads, whatever the record: their models, poles that unknown starts
+    fall with, how many unknowns there are under each load, poles of the second lags, and the models for the engine.
+    """
+    behind = 0.0 if through is None else second_lags(lag)[through]
+    by_order = {
+        order: iter(load_models(lag, tuple(b for b, o in loads if o == order), order, behind * (order == VALUE)))
+        for order in {order for _, order in loads}
+    }
+    models = tuple(next(by_order[order]) for _, order in loads)
+    starts = second_lags(lag)[1:] if through is None else (lag if AT_PV in by_order else 0.0, behind)
+    falls = tuple(_pole(one) for one in starts if one)
+    unknown = np.array([len({*falls} - {*model.roots}) + len(model.roots) for model in models])
+    poles = np.array([0.0 if not second else _pole(second) for second in seconds])
+    packed = np.zeros((len(models), 7))
+    for row, model in zip(packed, models, strict=True):
+        degree = row[0] = len(model.roots)
+        row[1 : 1 + degree], row[4 : 4 + degree] = model.roots, model.c[1:]
+    return models, falls, unknown, poles, packed
+
+
 def under_loads(
     record: Prepared, inputs: FloatArray, lag: float, loads: Sequence[tuple[float, int]], dead_times: Sequence[float],
     *, first_only: bool = False, through: int | None = None, tones: FloatArray | None = None, ends: Sequence[int] = (0,)
@@ -207,15 +231,7 @@ def under_loads(
     ascending; every load comes with each of these numbers. The rows of the answer are second lags by inputs.
     """
     rows = slice(through, None if through is None else through + 1) if not first_only else slice(1)
-    seconds, behind = second_lags(lag)[rows], 0.0 if through is None else second_lags(lag)[through]
-    by_order = {
-        order: iter(load_models(lag, tuple(b for b, o in loads if o == order), order, behind * (order == VALUE)))
-        for order in {order for _, order in loads}
-    }
-    models = [next(by_order[order]) for _, order in loads]
-    starts = second_lags(lag)[1:] if through is None else (lag if AT_PV in by_order else 0.0, behind)
-    falls = tuple(_pole(one) for one in starts if one)
-    unknown = [len({*falls} - {*model.roots}) + len(model.roots) for model in models]
+    models, falls, unknown, poles, packed = _behind(lag, tuple(loads), second_lags(lag)[rows], through)
     freedom = len(record.pv) - np.add.outer(unknown, ends).ravel().astype(np.float64)
     tones = np.zeros((0, len(record.pv))) if tones is None else tones
     size = float(np.var(record.pv)) or 1.0
@@ -223,12 +239,8 @@ def under_loads(
         both = unsmoothed(np.vstack([record.pv, inputs]), record.smoothing)
         record, inputs = replace(record, pv=both[0], smoothing=0.0), both[1:]
     if (engine := compiled()) is not None:
-        poles = [0.0 if not second else _pole(second) for second in seconds]
-        walks = [(model.roots, model.c) for model in models]
-        noise = record.resolution**2
-        gain, information, left = engine.walks(
-            record.pv, inputs, lag, walks, poles, falls, dead_times, noise, tones, ends
-        )
+        asked = (packed, poles, falls, dead_times, record.resolution**2)
+        gain, information, left = engine.walks(record.pv, inputs, lag, *asked, tones, ends)
         return UnderLoads(gain, information, left, freedom, size)
     moved = responses(inputs, lag)[rows].reshape(-1, len(record.pv))
     each = [_whitened(record, moved, falls, model, dead_times, tones[:end]) for model in models for end in ends]

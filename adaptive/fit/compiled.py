@@ -188,27 +188,21 @@ def screened(record: Window, by: tuple[float, float, float, int], numbers: int) 
     return out
 
 
-Walk = tuple[tuple[float, ...], tuple[float, ...]]
-"""Model of a load that wanders: the roots of A, and the coefficients of C, the newest first."""
-
-
 def walks(
-    pv: FloatArray, inputs: FloatArray, lag: float, loads: Sequence[Walk], seconds: Sequence[float],
+    pv: FloatArray, inputs: FloatArray, lag: float, loads: FloatArray, seconds: FloatArray,
     falls: Sequence[float], dead_times: Sequence[float], noise: float, tones: FloatArray, ends: Sequence[int],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """gain, information and left of UnderLoads. seconds, falls : poles. noise : variance of what pv cannot show.
+    """gain, information and left of UnderLoads. loads : rows of degree, roots of A and coefficients of C (walk.h).
 
-    tones, ends : see under_loads; each load comes with each number of tones.
+    seconds, falls : poles. noise : variance of what pv cannot show. tones, ends : see under_loads; each load comes with
+    each number of tones.
     """
     pole = 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
-    packed_loads = np.zeros((len(loads), 7))
-    for row, (roots, c) in zip(packed_loads, loads, strict=True):
-        row[0], row[1 : 1 + len(roots)], row[4 : 3 + len(c)] = len(roots), roots, c[1:]
     shape = (len(loads) * len(ends), len(seconds) * len(inputs), len(dead_times))
     gain, information, left = (np.empty(shape) for _ in range(3))
     rise = 1.0 if math.isinf(lag) else abs(1.0 - pole)
     _engine.walk(
-        np.ascontiguousarray(pv), np.ascontiguousarray(inputs), packed_loads, np.array(seconds), np.array(falls),
+        np.ascontiguousarray(pv), np.ascontiguousarray(inputs), loads, seconds, np.array(falls),
         np.array(dead_times), np.array((pole, rise, noise)), np.ascontiguousarray(tones), np.array(ends, dtype=float),
         gain, information, left,
     )  # fmt: skip
