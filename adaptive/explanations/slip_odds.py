@@ -21,6 +21,7 @@ load under a fast loop stays a valve: pv is a square under a triangle of co, as 
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -38,9 +39,9 @@ from retuner.adaptive.explanations.wandering_load import (
     under_loads,
     whitening,
 )
-from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray, median
-from retuner.adaptive.valve.slips import Co, Slips, steps_chosen
+from retuner.adaptive.valve.plateaus import steps_chosen
+from retuner.adaptive.valve.slips import Co, Slips, TriedSlips, one_moved, with_one_more
 from retuner.schedule.late_dataclass import replace
 
 SHOCK_LAGS, SECONDS, LONGEST = (2.0, 6.0, 15.0, 40.0, 120.0, math.inf), (0.0, 0.3), 20.0
@@ -50,8 +51,9 @@ STEPPING: Loads = ((0.1, VALUE), (0.8, VALUE))
 JUMPING: Loads = (*STEPPING, (0.02, SLOPE), (0.1, SLOPE), (0.8, SLOPE))
 """Bandwidths and orders of loads beside slips and co, beside steps, and of those that jump or turn a corner."""
 MOST_STEPS, MOST_JUMPS = 40, 12
-STEP_PRICE, JUMP_PRICE = 5.0, 1.5
-"""What a step costs that is a start only; and a jump of the load beside co, in ln n."""
+STEP_PRICE, LEAST_PRICE, JUMP_PRICE = 5.0, 3.0, 1.5
+"""What a step costs that is a start only, a slip at the least, and a jump of the load beside co, in ln n. Of 35 valves
+that were told 34 have free steps at the second likelier than co itself by 15 or more, one more than are looked for."""
 UNIQUE = 1e-6
 """A shock of which less than this share is not explained by the others is no further one."""
 STARTS, POLISHED, ROUNDS = 12, 2, 3
@@ -83,33 +85,34 @@ def log_odds_of_slips(record: Prepared, direction: int) -> float:
         return -math.inf
     record = record.coarser(MOST_ROWS)
     co = Co(record.co)
-    alone = max(_through(record, direction, record.co[None], FREE_DEAD_TIMES))
-    trials = [_settled(trial) for trial in _starts(record, direction, co)]
-    slips = max(trials, key=lambda trial: trial.best, default=None)
+    alone = _through(record, direction, record.co, FREE_DEAD_TIMES)
+    seen, most = _steps_seen(record)
+    if most < alone:
+        return -math.inf
+    trials = [_settled(trial, co) for trial in _starts(record, direction, co, seen)]
+    slips = min(trials, key=lambda trial: trial.cost, default=None)
     if slips is None:
         return -math.inf
     position, price = _placed(co, slips.at)
-    told = max(_through(record, direction, position[None], DEAD_TIMES)) - price
+    told = _through(record, direction, position, DEAD_TIMES) - price
     if told <= alone:
         return -math.inf
     return (told - max(alone, _jumping(record))) / TEMPER
 
 
-def _through(record: Prepared, direction: int, inputs: FloatArray, dead: Sequence[float]) -> Iterator[float]:
-    """The largest ln L of an input behind each first lag and under each load."""
-    for lag in LAGS:
-        for load in BESIDE:
-            yield float(_told(record, direction, inputs, lag, load, dead)[0])
+def _through(record: Prepared, direction: int, moved: FloatArray, dead: Sequence[float]) -> float:
+    """The largest ln L of an input behind a first lag and under a load."""
+    return max(float(np.max(_told(record, direction, moved[None], lag, BESIDE, dead))) for lag in LAGS)
 
 
 def _told(
-    record: Prepared, direction: int, inputs: FloatArray, lag: float, load: tuple[float, int], dead: Sequence[float]
+    record: Prepared, direction: int, inputs: FloatArray, lag: float, loads: Loads, dead: Sequence[float]
 ) -> FloatArray:
-    """ln L of every input with its best second lag and dead time, shape (inputs,); no gain of the wrong sign."""
-    fits = under_loads(record, inputs, lag, (load,), dead)
+    """ln L of inputs, each with its best second lag, dead time and gain of the right sign, shape (loads, inputs)."""
+    fits = under_loads(record, inputs, lag, loads, dead)
     right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
-    told = TEMPER * fits.tempered(right[..., None])[0, ..., 0].max(axis=1)
-    return np.asarray(told.reshape(-1, len(inputs)).max(axis=0))
+    told = TEMPER * fits.tempered(right[..., None])[..., 0].max(axis=2)
+    return np.asarray(told.reshape(len(loads), -1, len(inputs)).max(axis=1))
 
 
 def shocks(
@@ -128,8 +131,7 @@ def shocks(
     response = np.concatenate([[0.0], memory[:-1]])
     if second:
         response = filtered(spectrum(response), n, np.exp(-np.arange(n, dtype=np.float64) / second))
-    chosen = engine.steps_chosen if (engine := compiled()) is not None else steps_chosen
-    found, left = chosen(y, response, basis, UNIQUE, most)
+    found, left = steps_chosen(y, response, basis, UNIQUE, most)
     noise = n * record.resolution**2
     told = -(n - basis.shape[1]) / 2.0 * np.log((np.array(left) + noise) / float(np.var(record.pv)))
     return [row + 1 for row in found], told
@@ -172,67 +174,63 @@ def _placed(co: Co, slips: Slips) -> tuple[FloatArray, float]:
     return position - position[0], float(np.sum(np.log(might))) + own + OWN_NUMBERS / 2.0 * math.log(n)
 
 
-class SlipSearch:
-    """Slips behind one first lag under one load. at : the best so far. best : what it tells, ln L less its price."""
-
-    def __init__(
-        self, record: Prepared, direction: int, co: Co, lag: float, load: tuple[float, int], at: Slips
-    ) -> None:
-        self.co, self.at, self._asked = co, at, (record, direction, lag, load)
-        self.best = -math.inf
-        self.better([at])
-
-    def better(self, each: Sequence[Slips]) -> bool:
-        """Whether one of them is, which is kept then."""
-        placed = [_placed(self.co, slips) for slips in each]
-        if not placed:
-            return False
-        record, direction, lag, load = self._asked
-        told = _told(record, direction, np.array([one for one, _ in placed]), lag, load, DEAD_TIMES)
-        told -= [price for _, price in placed]
-        i = int(np.argmax(told))
-        if told[i] <= self.best:
-            return False
-        self.at, self.best = each[i], float(told[i])
-        return True
+def _costs(
+    record: Prepared, direction: int, co: Co, lag: float, load: tuple[float, int], each: Sequence[Slips]
+) -> FloatArray:
+    """What slips behind one first lag under one load tell, with the sign turned and their price added."""
+    placed = [_placed(co, slips) for slips in each]
+    if not placed:
+        return np.zeros(0)
+    told = _told(record, direction, np.array([one for one, _ in placed]), lag, (load,), DEAD_TIMES)[0]
+    return np.asarray([price for _, price in placed] - told)
 
 
-def _starts(record: Prepared, direction: int, co: Co) -> Iterator[SlipSearch]:
-    """The likeliest slips as they are first seen."""
-    found = []
+def _steps_seen(record: Prepared) -> tuple[list[list[int]], float]:
+    """Sets of rows at which pv steps, the likeliest first; and ln L that no valve passes which slips.
+
+    Its slips are steps whose sizes are free in no way, and cost more than LEAST_PRICE each. Where steps are as many as
+    are looked for, nothing bounds it.
+    """
+    found, most = [], -math.inf
     for lag in SHOCK_LAGS:
         for second in (share * min(lag, LONGEST) for share in SECONDS):
             for load in STEPPING:
                 rows, told = shocks(record, lag, second, load, MOST_STEPS)
-                told -= STEP_PRICE * np.arange(len(told))
-                found.append((float(np.max(told)), sorted(rows[: int(np.argmax(told))])))
-    seen = [rows for _, rows in sorted(found, key=lambda one: -one[0])[:STARTS]]
-    seen += [turns] if len(turns := co.turns()) <= MOST_TURNS else []
-    each = [
+                counts = np.arange(len(told))
+                free, priced = told - LEAST_PRICE * counts, told - STEP_PRICE * counts
+                most = math.inf if np.argmax(free) == MOST_STEPS else max(most, float(np.max(free)))
+                found.append((float(np.max(priced)), sorted(rows[: int(np.argmax(priced))])))
+    return [rows for _, rows in sorted(found, key=lambda one: -one[0])[:STARTS]], most
+
+
+def _starts(record: Prepared, direction: int, co: Co, seen: list[list[int]]) -> Iterator[TriedSlips]:
+    """The likeliest slips as they are first seen. seen : sets of rows of steps of pv."""
+    seen = [*seen, *([turns] if len(turns := co.turns()) <= MOST_TURNS else [])]
+    each = dict.fromkeys(
         Slips(tuple(sorted({max(row - late, 1) for row in rows})), share, float(co.u[0]))
         for rows in seen
         if len(rows) >= FEWEST
         for late in LATE
         for share in SHARES[::3]
-    ]
+    )
     if not each:
         return
     placed = [_placed(co, slips) for slips in each]
     moved, prices = np.array([one for one, _ in placed]), np.array([price for _, price in placed])
     behind = [(lag, load) for lag in LAGS for load in STEPPING]
-    told = np.array([_told(record, direction, moved, lag, load, DEAD_TIMES) - prices for lag, load in behind])
+    told = np.concatenate([_told(record, direction, moved, lag, STEPPING, DEAD_TIMES) for lag in LAGS]) - prices
     taken: set[tuple[int, ...]] = set()
-    for i in np.argsort(-told.max(axis=0), kind="stable").tolist():
-        if each[i].rows not in taken and len(taken) < POLISHED:
-            taken.add(each[i].rows)
-            yield SlipSearch(record, direction, co, *behind[int(np.argmax(told[:, i]))], each[i])
+    for i, slips in sorted(enumerate(each), key=lambda one: -float(told[:, one[0]].max())):
+        if slips.rows not in taken and len(taken) < POLISHED:
+            taken.add(slips.rows)
+            yield TriedSlips(partial(_costs, record, direction, co, *behind[int(np.argmax(told[:, i]))]), slips)
 
 
-def _settled(trial: SlipSearch) -> SlipSearch:
+def _settled(trial: TriedSlips, co: Co) -> TriedSlips:
     """Shares, starts and times in turn, slips less and one more, until nothing pays."""
-    co, n = trial.co, len(trial.co.u)
+    n = len(co.u)
     for _ in range(ROUNDS):
-        before = trial.best
+        before = trial.cost
         trial.better([replace(trial.at, share=share) for share in SHARES])
         typical = median(co.bands(trial.at))
         firsts = float(co.u[0]) + typical * np.linspace(-1.0, 1.0, PLACES)
@@ -241,21 +239,14 @@ def _settled(trial: SlipSearch) -> SlipSearch:
         while i < len(trial.at.rows):
             trial.better(_moved(trial.at, i, n))
             i += 1
-        while trial.better(_with_one_more(trial.at, n)):
+        while len(trial.at.rows) < MOST_STEPS and trial.better(with_one_more(trial.at, n, TRIED)):
             pass
-        if trial.best < before + 1.0:
+        if trial.cost > before - 1.0:
             break
     return trial
 
 
 def _moved(at: Slips, which: int, n: int) -> list[Slips]:
     """One slip earlier or later, between its neighbours; or left out, alone and with the next one."""
-    before, row, after = (0, *at.rows, n)[which : which + 3]
-    rows = [(*at.rows[:which], row + move, *at.rows[which + 1 :]) for move in MOVES if before < row + move < after]
-    rows += [at.rows[:which] + at.rows[which + count :] for count in (1, 2)]
-    return [replace(at, rows=one) for one in rows if len(one) >= FEWEST]
-
-
-def _with_one_more(at: Slips, n: int) -> list[Slips]:
-    places = [row for row in np.linspace(1, n - 1, TRIED).astype(int).tolist() if row not in at.rows]
-    return [replace(at, rows=tuple(sorted((*at.rows, row)))) for row in places if len(at.rows) < MOST_STEPS]
+    without = [at.rows[:which] + at.rows[which + count :] for count in (1, 2)]
+    return one_moved(at, which, n, MOVES) + [replace(at, rows=one) for one in without if len(one) >= FEWEST]

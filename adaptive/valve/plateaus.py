@@ -90,12 +90,7 @@ def as_steps(pv: FloatArray) -> Steps:
 
 @dataclass(frozen=True)
 class _Responses:
-    """Responses to a jump at each row from 1 on, as columns j = 0 ... n - 2; the jump of column j is at row j + 1.
-
-    What is summed against all of them goes backwards over the rows once, with r = exp(-1/T):
-
-        sum_i x_i [1 - r^(i-s)] over i >= s  =  S_s - E_s,    S_s = x_s + S_(s+1),  E_s = x_s + r E_(s+1)
-    """
+    """Responses to a jump at each row from 1 on, as columns j = 0 ... n - 2; the jump of column j is at row j + 1."""
 
     n: int
     lag: float
@@ -105,18 +100,6 @@ class _Responses:
         since = np.arange(self.n)[:, None] - (np.atleast_1d(np.asarray(at, dtype=np.intp))[None, :] + 1)
         return np.asarray(np.concatenate([np.zeros(self.n), self.to_jump])[since + self.n])
 
-    def against(self, x: FloatArray) -> FloatArray:
-        """Products of a signal with all of them, shape (n - 1,)."""
-        backwards = x[::-1]
-        sums = np.cumsum(backwards)
-        if self.lag:
-            sums -= _faded(backwards, float(np.exp(-1 / self.lag)))
-        return np.asarray(sums[::-1][1:])
-
-    def squares(self) -> FloatArray:
-        """Sums of their squares, shape (n - 1,)."""
-        return np.asarray(np.cumsum(self._response(np.arange(self.n - 1)) ** 2)[::-1])
-
     @property
     def to_jump(self) -> FloatArray:
         """Rows from a jump on, shape (n,)."""
@@ -125,15 +108,6 @@ class _Responses:
     def _response(self, since: npt.NDArray[np.intp]) -> FloatArray:
         """The response so many rows after a jump."""
         return -np.expm1(-since / self.lag) if self.lag else np.ones(since.shape)
-
-
-def _faded(x: FloatArray, share: float) -> FloatArray:
-    """y_i = x_i + share y_(i-1), shape (n,): sums over 1, 2, 4, ... samples, each twice as long as the one before."""
-    y, many = x.copy(), 1
-    while many < len(y) and share > 0:
-        y[many:] = y[many:] + share * y[:-many]
-        many, share = 2 * many, share * share
-    return y
 
 
 def _rest(n: int, lag: float) -> FloatArray:
@@ -151,47 +125,48 @@ def _with_lag(pv: FloatArray, lag: float, sigma: float) -> tuple[float, list[int
     """Criterion and columns of the best description with one lag."""
     n, responses = len(pv), _Responses(len(pv), lag)
     rest = _rest(n, lag)
+    rows, left = steps_chosen(pv, responses.to_jump, rest, LEAST_NEW_SHARE, MOST_JUMPS)
+    prices = [price(rss, n, sigma, jumps) for jumps, rss in enumerate(left)]
+    chosen = rows[: prices.index(min(prices))]
     if (engine := compiled()) is not None:
-        response = responses.to_jump
-        rows, left = engine.steps_chosen(pv, response, rest, LEAST_NEW_SHARE, MOST_JUMPS)
-        prices = [price(float(rss), n, sigma, jumps) for jumps, rss in enumerate(left)]
-        chosen, rss = engine.steps_moved(
-            pv, response, rest, LEAST_NEW_SHARE, rows[: prices.index(min(prices))], MOVED_ROWS, MOVED_PASSES
-        )
+        chosen, rss = engine.steps_moved(pv, responses.to_jump, rest, LEAST_NEW_SHARE, chosen, MOVED_ROWS, MOVED_PASSES)
     else:
-        chosen = _chosen(pv, responses, rest, sigma)
         for _ in range(MOVED_PASSES):
             chosen = _moved(pv, responses, rest, chosen)
         rss = float(np.sum((pv - _fitted(pv, responses, rest, chosen)) ** 2))
     return price(rss, n, sigma, len(chosen)), chosen
 
 
-def _chosen(pv: FloatArray, responses: _Responses, rest: FloatArray, sigma: float) -> list[int]:
-    """Columns that pay, one by one; as many as the criterion asks for."""
-    n = len(pv)
-    left = pv - rest @ (rest.T @ pv)
-    whole = responses.squares()
-    free = whole - sum(responses.against(column) ** 2 for column in rest.T)
-    basis = rest
-    found: list[int] = []
-    best, kept = price(float(left @ left), n, sigma, 0), 0
-    for _ in range(MOST_JUMPS):
-        usable = free > LEAST_NEW_SHARE * whole
-        taken = np.where(usable, responses.against(left) ** 2 / np.where(usable, free, 1.0), 0.0)
-        j = int(np.argmax(taken))
-        if taken[j] <= 0:
+def steps_chosen(
+    pv: FloatArray, rise: FloatArray, basis: FloatArray, unique: float, most: int
+) -> tuple[list[int], list[float]]:
+    """Columns of up to so many steps, each where it takes away most, and sums of squares before and after each.
+
+    rise : response to a step. basis : orthonormal columns of what is there without any. unique : a column of which less
+    than this share is not explained by the others is no further step.
+    """
+    if (engine := compiled()) is not None:
+        found, taken_away = engine.steps_chosen(pv, rise, basis, unique, most)
+        return found, taken_away.tolist()
+    rows = np.arange(len(pv))
+    since = rows[:, None] - rows[None, 1:]
+    steps = np.where(since >= 0, rise[np.maximum(since, 0)], 0.0)
+    left = pv - basis @ (basis.T @ pv)
+    whole = np.einsum("ij,ij->j", steps, steps)
+    along, free = left @ steps, whole - np.sum((basis.T @ steps) ** 2, axis=0)
+    found, remain = list[int](), [float(left @ left)]
+    while len(found) < most:
+        usable = free > unique * whole
+        j = int(np.argmax(np.where(usable, along**2 / np.where(usable, free, 1.0), 0.0)))
+        new = steps[:, j] - basis @ (basis.T @ steps[:, j])
+        if not usable[j] or not float(new @ new) > 0:
             break
-        column = responses.columns(j)[:, 0]
-        new = column - basis @ (basis.T @ column)
         new /= np.linalg.norm(new)
-        basis = np.column_stack([basis, new])
-        left = left - new * (new @ left)
-        free = free - responses.against(new) ** 2
+        basis, taken, told = np.column_stack([basis, new]), float(new @ left), new @ steps
+        left, along, free = left - taken * new, along - taken * told, free - told**2
         found.append(j)
-        now = price(float(left @ left), n, sigma, len(found))
-        if now < best:
-            best, kept = now, len(found)
-    return found[:kept]
+        remain.append(float(left @ left))
+    return found, remain
 
 
 def _moved(pv: FloatArray, responses: _Responses, rest: FloatArray, chosen: list[int]) -> list[int]:

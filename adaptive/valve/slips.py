@@ -17,7 +17,8 @@ helps.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -25,12 +26,13 @@ import numpy.typing as npt
 from retuner.adaptive.fit.dynamics import Dynamics
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import LOAD_COST, WHITE, Misfit
-from retuner.adaptive.fit.refine import refine
+from retuner.adaptive.fit.refine import Fit, refine
 from retuner.adaptive.fit.structure import SLOPE, THETA
 from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, CandidateList, judged
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, distinct, median
+from retuner.adaptive.valve.plateaus import steps_chosen
 from retuner.adaptive.valve.valve_fit import with_best_gain
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -147,25 +149,21 @@ def slipping(linear: Candidate, most_loads: int) -> Slipping | None:
     record = linear.fit.misfit.record
     misfit = replace(
         linear.fit.misfit, type=ProcessType.FOPDT, loads=0, corners=0, sigma=record.noise_std, ar=(), ramp=False,
-        rounded=False,
-        harmonics=0, most_order=WHITE,
+        rounded=False, harmonics=0, most_order=WHITE,
     )  # fmt: skip
-    co, found = Co(record.co), []
-    steps = as_steps(misfit)
-    if steps is not None:
-        found.append(min(_from_steps(replace(misfit, type=steps.type), co, steps), key=_cost, default=None))
+    co, found = Co(record.co), list[Iterator[Start]]()
+    if (steps := as_steps(misfit)) is not None:
+        found.append(_from_steps(replace(misfit, type=steps.type), co, steps))
     turns = co.turns()
     if FEWEST_SLIPS <= len(turns) <= MOST_SLIPS:
-        found.append(min(_from_turns(misfit, co, turns), key=_cost, default=None))
-    settled = [_settled(start, co) for start in found if start is not None]
+        found.append(_from_turns(misfit, co, turns))
+    starts = [min(each, key=lambda start: start.left, default=None) for each in found]
+    settled = [_settled(start, co) for start in starts if start is not None]
     best = min(settled, key=lambda s: s.criterion, default=None)
-    return None if best is None else _with_loads(best, most_loads)
-
-
-def _with_loads(at: Slipping, most: int) -> Slipping:
-    """The explanation with load steps, where they pay."""
-    fit = improved(at.fit, most, CandidateList([at.fit]))
-    return replace(at, fit=fit, criterion=at.criterion + fit.criterion - at.fit.criterion)
+    if best is None:
+        return None
+    fit = improved(best.fit, most_loads, CandidateList([best.fit]))  # with load steps, where they pay
+    return replace(best, fit=fit, criterion=best.criterion + fit.criterion - best.fit.criterion)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,10 +174,6 @@ class Start:
     misfit: Misfit
     slips: Slips
     x: FloatArray
-
-
-def _cost(start: Start) -> float:
-    return start.left
 
 
 def _from_turns(misfit: Misfit, co: Co, turns: Sequence[int]) -> Iterator[Start]:
@@ -229,37 +223,10 @@ def _greedy(pv: FloatArray, lag: float, second: float) -> tuple[float, list[int]
     dynamics, middle = Dynamics(second * lag, 1 / lag), np.arange(0.5, n, dtype=np.float64)
     rise = dynamics.step(middle)
     rest, _ = np.linalg.qr(np.stack([np.ones(n), rise, dynamics.impulse(middle)][: 3 if second else 2], axis=1))
-    engine, most = compiled(), min(MOST_SLIPS, n // ROWS_PER_STEP)
-    chosen = engine.steps_chosen if engine is not None else steps_chosen
-    found, left = chosen(pv, rise, rest, UNIQUE, most)
+    found, left = steps_chosen(pv, rise, rest, UNIQUE, min(MOST_SLIPS, n // ROWS_PER_STEP))
     prices = [n * math.log(max(rss, 1e-300) / n) + LOAD_COST * i * math.log(n) for i, rss in enumerate(left)]
     least = min(prices)
     return least, found[: prices.index(least)]
-
-
-def steps_chosen(
-    pv: FloatArray, rise: FloatArray, basis: FloatArray, unique: float, most: int
-) -> tuple[list[int], list[float]]:
-    """Rows of up to so many steps, each where it takes away most, and sums of squares before and after each."""
-    rows = np.arange(len(pv))
-    since = rows[:, None] - rows[None, 1:]
-    steps = np.where(since >= 0, rise[np.maximum(since, 0)], 0.0)
-    left = pv - basis @ (basis.T @ pv)
-    whole = np.einsum("ij,ij->j", steps, steps)
-    along, free = left @ steps, whole - np.sum((basis.T @ steps) ** 2, axis=0)
-    found, remain = list[int](), [float(left @ left)]
-    while len(found) < most:
-        usable = free > unique * whole
-        j = int(np.argmax(np.where(usable, along**2 / np.where(usable, free, 1.0), 0.0)))
-        new = steps[:, j] - basis @ (basis.T @ steps[:, j])
-        if not usable[j] or not float(new @ new) > 0:
-            break
-        new /= np.linalg.norm(new)
-        basis, taken, told = np.column_stack([basis, new]), float(new @ left), new @ steps
-        left, along, free = left - taken * new, along - taken * told, free - told**2
-        found.append(j)
-        remain.append(float(left @ left))
-    return found, remain
 
 
 def _from_steps(misfit: Misfit, co: Co, steps: FreeSteps) -> Iterator[Start]:
@@ -289,34 +256,34 @@ def explained_by(misfit: Misfit, p: FloatArray, co: Co, each: Sequence[Slips]) -
 
 
 class TriedSlips:
-    """Slips tried with the process held: what they leave, price of the slips included. at : the best so far."""
+    """Slips tried with the process held. at : the best so far. cost : of it, by what tells those of several."""
 
-    def __init__(self, fit: Candidate, at: Slips, co: Co) -> None:
-        self._misfit, self._p, self._co, self.at = fit.fit.misfit, fit.fit.p, co, at
-        self._error = (MODEL_ERROR * self._misfit.record.pv_range) ** 2
-        (self._cost,) = self._costs([at])
-
-    def _costs(self, each: Sequence[Slips]) -> Iterator[float]:
-        """The criterion, up to a constant."""
-        n = len(self._co.u)
-        for slips, (gain, left) in zip(each, explained_by(self._misfit, self._p, self._co, each), strict=True):
-            price = SLIP_COST * len(slips.rows) * math.log(n)
-            yield n * math.log(max(left, 0.0) / n + self._error) + price if gain > 0 else math.inf
+    def __init__(self, costs: Callable[[Sequence[Slips]], Iterable[float]], at: Slips) -> None:
+        self._costs, self.at, self.cost = costs, at, math.inf
+        self.better([at])
 
     def better(self, each: Sequence[Slips]) -> bool:
         """Whether one of them is, which is kept then."""
-        before = self.at
+        before = self.cost
         for slips, tried in zip(each, self._costs(each), strict=True):
-            if tried < self._cost - 1e-9:
-                self.at, self._cost = slips, tried
-        return self.at is not before
+            if tried < self.cost - 1e-9:
+                self.at, self.cost = slips, tried
+        return self.cost < before
+
+
+def _costs(fit: Fit, co: Co, each: Sequence[Slips]) -> Iterator[float]:
+    """The criterion, up to a constant, price of the slips included."""
+    n, error = len(co.u), (MODEL_ERROR * fit.misfit.record.pv_range) ** 2
+    for slips, (gain, left) in zip(each, explained_by(fit.misfit, fit.p, co, each), strict=True):
+        price = SLIP_COST * len(slips.rows) * math.log(n)
+        yield n * math.log(max(left, 0.0) / n + error) + price if gain > 0 else math.inf
 
 
 def _settled(start: Start, co: Co) -> Slipping:
     """Slips and process refined in turn, until neither helps."""
     best = _explained(start.misfit, co, start.slips, start.x)
     for _ in range(MOST_ROUNDS):
-        slips = _varied(TriedSlips(best.fit, best.slips, co), co)
+        slips = _varied(TriedSlips(partial(_costs, best.fit.fit, co), best.slips), co)
         after = _explained(best.fit.fit.misfit, co, slips, best.fit.fit.p)
         if after.criterion > best.criterion - LEAST_GAIN_PER_ROUND:
             break
@@ -332,23 +299,24 @@ def _varied(trial: TriedSlips, co: Co) -> Slips:
     trial.better([replace(at, share=share) for share in shares])
     trial.better([replace(trial.at, first=float(co.u[0]) + part * typical) for part in STARTS])
     for i in range(len(at.rows)):
-        trial.better(_moved(trial.at, i, n))
+        trial.better(one_moved(trial.at, i, n, MOVES))
     for row in trial.at.rows:
         trial.better([replace(trial.at, rows=tuple(r for r in trial.at.rows if r != row))])
-    while len(trial.at.rows) < MOST_SLIPS and trial.better(_with_one_more(trial.at, n)):
+    while len(trial.at.rows) < MOST_SLIPS and trial.better(with_one_more(trial.at, n, TRIED)):
         pass
     return trial.at
 
 
-def _moved(at: Slips, which: int, n: int) -> list[Slips]:
-    """One slip earlier or later, between its neighbours."""
+def one_moved(at: Slips, which: int, n: int, moves: Sequence[int]) -> list[Slips]:
+    """One slip of n rows earlier or later, between its neighbours."""
     before, row, after = (0, *at.rows, n)[which : which + 3]
-    moved = [row + move for move in MOVES if before < row + move < after]
+    moved = [row + move for move in moves if before < row + move < after]
     return [replace(at, rows=(*at.rows[:which], row, *at.rows[which + 1 :])) for row in moved]
 
 
-def _with_one_more(at: Slips, n: int) -> list[Slips]:
-    places = [row for row in np.linspace(1, n - 1, TRIED).astype(int).tolist() if row not in at.rows]
+def with_one_more(at: Slips, n: int, tried: int) -> list[Slips]:
+    """One slip more, at so many rows of n."""
+    places = [row for row in np.linspace(1, n - 1, tried).astype(int).tolist() if row not in at.rows]
     return [replace(at, rows=tuple(sorted((*at.rows, row)))) for row in places]
 
 
