@@ -1,4 +1,4 @@
-"""One decision: which set of gains is expected to cost least, over all that may be behind a response.
+"""Which set of gains is expected to cost least, over all that may be behind a response.
 
     expected(set) = (1 - p) sum_m w_m cost(set, m)  +  p cost(set, something else)
 

@@ -2,7 +2,7 @@
 
 The curves through what is known of the regions (region_curves.py) say what the process is at places from end to end of
 every region, and how well that is known. The chances that a set is in spec at them add up to how many of them it is
-expected to serve. Asked is never whether the sets in force are the best ones, for that is seen to from response to
+expected to serve. Whether the sets in force are the best ones is not asked here: that is seen to from response to
 response. A region with the set that serves it best is weighed against the same region with a boundary in it and the
 best set on either side, and against means of the sets at the centres. What is not known well lowers all of them alike,
 so doubt proposes nothing. Nothing is changed by it: a person takes it up, or leaves it.

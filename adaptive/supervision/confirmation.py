@@ -1,7 +1,7 @@
 """Whether a change that is proved and worth it is sure.
 
 The loop itself may refute the model (`refutation`), the process may run away by itself (`runaway`), and a case that is
-not clear is put to the whole diagnosis before gains change (`confirmation`). Only here a valve is asked that may stick:
+not clear is put to the whole diagnosis before gains change (`confirmation`). Whether a valve may stick is asked only here:
 by how pv stands (`stands`), by the diagnosis (`doubt_of`; diagnosis/sticking_valve.py), and by all samples
 (`valve_explains_more`).
 """
@@ -79,8 +79,8 @@ def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
 def confirmation(found: Findings, change: Outcome, proof: Proof, why: str, lost: int) -> Outcome:
     """The change, where the case is clear or the whole diagnosis names the tuning as well; else the outcome without it.
 
-    why : it is worth it. lost : responses in a row at which the loop was unstable on every plausible model. No case is
-    clear where pv stands while the output travels.
+    why : it is worth it. lost : responses in a row at which the loop was unstable on every plausible model. A case
+    is never clear where pv stands while the output travels.
     """
     learned, model, cause = found.learned, found.in_use, change.diagnosis
     assert learned is not None

@@ -2,8 +2,8 @@
 
     findings_of          what does the record say, what does its region know with it, and what   findings.py
                          settings follow from that?
-    without_a_model,     what follows: the guard's proof of these settings (guard/proof.py), are here, confirmation.py
-    by_model             they worth their risk (choice/expected_cost.py), and is it sure?
+    without_a_model,     what follows: are these settings proved (guard/proof.py), are they      here,
+    by_model             worth their risk (choice/expected_cost.py), and is it sure?             confirmation.py
     gains_that_win       of what follows from the model, the set before and all samples: which   here,
                          gains win, and why?                                                     by_all_samples.py
     expectation,         what are these gains held to, what does a trial's record say of both    judge_evidence.py

@@ -128,7 +128,7 @@ class Decision(display_hook.Shown):
     mode : of the region at the time. The stages that were not reached are None; `reason` is the sentence of the one
         that decided, `code` its name for machines, `numbers` what it weighed.
     gains_before : in force.
-    gains_after : what shall be written (action COMMIT or RESTORE) or is advised.
+    gains_after : what shall be written (action WRITE or RESTORE) or is advised.
     records : how many records the region's model rests on.
     basis : what the proposal rests on.
     prediction : what gains_after promise.

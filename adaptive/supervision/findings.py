@@ -225,10 +225,9 @@ def swing(found: Findings) -> Findings:
     """Has a swing without a setpoint step, or what had another cause before, a cause other than the tuning?
 
     A swing that was known to come, by what clear setpoint steps have shown, is the loop's own whatever a tone explains.
-    Where something else was found before, it is asked again, of all that the gains in force have shown lately. Each
-    response for which it wins counts for it, each that the loop by itself explains counts against it, and as long as
-    the former are more it is alive: nothing is learned. Unknown and noise count for neither. A load response from rest
-    to rest counts against it unasked.
+    A cause that was found before is asked about again, with all that the gains in force have shown lately. A response
+    that it explains best counts for it, one that the loop explains by itself counts against it. While more count for
+    it, nothing is learned. Unknown and noise count for neither; a load response from rest to rest counts against it.
     """
     record, settings = found.record, found.settings
     if record.crossed:

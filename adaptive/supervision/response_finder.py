@@ -178,7 +178,7 @@ class ResponseFinder:
         return self._completed(self._region, response) if response else None
 
     def state(self) -> FinderState:
-        """Where it stands: see memory.py, which turns it into plain values."""
+        """Where it stands: see state_file.py, which turns it into plain values."""
         noise = NoiseState(self._median, self._last, self._before)
         return FinderState(
             self._region, self._state, noise, tuple(self._samples), self._setpoint, self._rounding, self._broken

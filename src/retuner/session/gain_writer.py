@@ -6,7 +6,7 @@
 
 A decision on a region where the loop is not changes the table alone: the schedule writes its set when the loop comes.
 While a change is being rolled back the table has the set to run already, so nothing writes another one. A write goes to
-the device's `begin_write` (on CAN drivers/host/can_device.py), which tells its end by `done` or `failed`.
+the device's `begin_write` (on CAN drivers/host/can_device.py), whose WriteDone or WriteFailed come back here.
 """
 
 from enum import Enum, StrEnum
@@ -194,7 +194,7 @@ class GainWriter:
         self._retry_at_s = self.t_s + self._span_s(RETRY_SAMPLES)
 
     def begin_due_write(self, now_s: float) -> None:
-        """Write the gains that the controller is to run and does not, if any; called once a sample."""
+        """Write the gains that the controller is to run and does not, if any; called once a poll."""
         running = self.device.running
         if self.open or self.device.writing or not self.device.connected or running is None:
             return
