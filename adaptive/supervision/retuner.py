@@ -545,7 +545,7 @@ class Retuner:
     def _decision(
         self, region: int, outcome: Outcome, question: Question | None = None, judgement: Judgement | None = None
     ) -> Decision:
-        """What follows from an outcome by mode and trial: a write, advice or neither. question : that this answers, if any."""
+        """What follows from an outcome by mode and trial: a write or advice. question : that it answers, if any."""
         now_s, urgent = self.now_s, bool(outcome.proof and outcome.proof.urgent)
         proposes = self.trials.held_by_a_person(region, now_s)
         phase_allows = self.trials.may_change(region, now_s, urgent=urgent) or proposes
