@@ -1,8 +1,8 @@
 """Whether a change that is proved and worth it is sure.
 
 The loop itself may refute the model (`refutation`), the process may run away by itself (`runaway`), and a case that is
-not clear is put to the whole diagnosis before gains change (`confirmation`). Whether a valve may stick is asked only here:
-by how pv stands (`stands`), by the diagnosis (`doubt_of`; diagnosis/sticking_valve.py), and by all samples
+not clear is put to the whole diagnosis before gains change (`confirmation`). Whether a valve may stick is asked here
+alone: by how pv stands (`stands`), by the diagnosis (`doubt_of`; diagnosis/sticking_valve.py), and by all samples
 (`valve_explains_more`).
 """
 
