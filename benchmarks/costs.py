@@ -117,7 +117,28 @@ def on_line(base: float) -> Iterator[tuple[str, float]]:
     yield "a decision on line, worst", max(decided) / base
 
 
-GROUPS = {"records": on_records, "engine": of_engine, "commands": of_commands, "online": on_line}
+def of_demo(base: float) -> Iterator[tuple[str, float]]:
+    """What `make demo` runs, without its page server: the virtual oven retuned, with a report."""
+    with tempfile.TemporaryDirectory() as folder:
+        given = ["run", str(HISTORY.parents[1] / "examples" / "oven.toml"), "--out", str(Path(folder, "run")), "--json"]
+        yield "the demo", cpu_s(["-c", COMMAND.format(given)]) / base
+
+
+def of_plant(_: float) -> Iterator[tuple[str, float]]:
+    """A month of loops in Parquet over arrow's own reading: read, and read and screened."""
+    sys.path.append(str(HISTORY.parent / "audit"))
+    from audit import made_plant, screening
+
+    with tempfile.TemporaryDirectory() as folder:
+        spent_on = screening(Path(folder, "unit001.parquet"), made_plant(Path(folder), 20, 30.0, SEED))
+    yield "a month of Parquet, read", spent_on["read"]
+    yield "a month of Parquet, read and screened", spent_on["read"] + spent_on["screen"]
+
+
+GROUPS = {
+    "records": on_records, "engine": of_engine, "commands": of_commands, "online": on_line, "demo": of_demo,
+    "plant": of_plant,
+}  # fmt: skip
 
 
 def measured(rounds: int, only: list[str]) -> dict[str, float]:
