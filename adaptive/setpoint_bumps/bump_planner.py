@@ -11,9 +11,10 @@ A loop that loads move all the time is never at rest, and one step shows its loa
 bump goes to and fro about the old setpoint, at times that are not even, and the whole of it is fitted as one record
 (identification/by_setpoint.py).
 
-The planner moves nothing itself: it hands out the setpoint that is to be sent. It believes only what comes back in
-the samples. A setpoint that is neither the old one nor the bump's is a person's or another loop's: it stays, and the
-bump is over. Whatever else ends a bump puts the old setpoint back.
+A bump is announced where `_is_due`, and begins where `_begins_or_is_put_off`; both ask whether it would teach anything
+(loop_bumps.py). The planner moves nothing itself: it hands out the setpoint that is to be sent. It believes only what
+comes back in the samples. A setpoint that is neither the old one nor the bump's is a person's or another loop's: it
+stays, and the bump is over. Whatever else ends a bump puts the old setpoint back.
 """
 
 import math
@@ -78,7 +79,7 @@ class BumpEvent(StrEnum):
 
 
 P, E = BumpPhase, BumpEvent
-TROUBLE = (E.NOT_TAKEN, E.AT_REST, E.TOO_LONG, E.EXCURSION, E.LIMITED, E.NOT_IN_AUTO, E.NOT_ALLOWED, E.ENDED)
+ENDINGS = (E.NOT_TAKEN, E.AT_REST, E.TOO_LONG, E.EXCURSION, E.LIMITED, E.NOT_IN_AUTO, E.NOT_ALLOWED, E.ENDED)
 COURSE: dict[tuple[BumpPhase, BumpEvent], BumpPhase] = {
     (P.WATCHING, E.DUE): P.ANNOUNCED,
     (P.ANNOUNCED, E.PUT_OFF): P.WATCHING,
@@ -86,10 +87,10 @@ COURSE: dict[tuple[BumpPhase, BumpEvent], BumpPhase] = {
     (P.ANNOUNCED, E.ENDED): P.WATCHING,
     (P.ANNOUNCED, E.BEGUN): P.GOING,
     (P.GOING, E.TAKEN): P.HOLDING,
-    **{(P.GOING, cause): P.RETURNING for cause in TROUBLE if cause is not E.AT_REST},
+    **{(P.GOING, cause): P.RETURNING for cause in ENDINGS if cause is not E.AT_REST},
     (P.GOING, E.OTHERS): P.WATCHING,
     (P.HOLDING, E.NEXT): P.GOING,
-    **{(P.HOLDING, cause): P.RETURNING for cause in TROUBLE if cause is not E.NOT_TAKEN},
+    **{(P.HOLDING, cause): P.RETURNING for cause in ENDINGS if cause is not E.NOT_TAKEN},
     (P.HOLDING, E.OTHERS): P.WATCHING,
     (P.RETURNING, E.LEFT_OUT): P.RETURNING,
     (P.RETURNING, E.OTHERS): P.WATCHING,
@@ -195,7 +196,7 @@ class BumpPlanner:
                 return None
             return self._announced(sample, around) if self._is_due(sample, around) else self._too_small(sample, around)
         cause = self._cause(sample, around)
-        return None if cause is None else self._taken(cause, sample.t_s)
+        return None if cause is None else self._happened(cause, sample.t_s)
 
     def _quiet_s(self, sample: LoopSample) -> float:
         """Time since the process was shown last."""
@@ -218,7 +219,7 @@ class BumpPlanner:
 
     def end(self, t_s: float) -> BumpNews | None:
         """The session ends: the setpoint goes back, if it is out."""
-        return self._taken(BumpEvent.ENDED, t_s)
+        return self._happened(BumpEvent.ENDED, t_s)
 
     def again(self, t_s: float) -> float | None:
         """The setpoint to be sent once more because it has not come back yet; None for nothing."""
@@ -357,7 +358,7 @@ class BumpPlanner:
             return None
         return BumpEvent.NEXT if len(self._holds) > 1 else BumpEvent.AT_REST
 
-    def _taken(self, cause: BumpEvent, t_s: float) -> BumpNews | None:
+    def _happened(self, cause: BumpEvent, t_s: float) -> BumpNews | None:
         new = COURSE.get((self.phase, cause))
         if new is None:
             return None
