@@ -273,7 +273,9 @@ class LoopSession:
         return self.bumps is not None and self.bumps.planner.out
 
     def _observe(self, sample: LoopSample) -> Decision | None:
-        """Have the retuner take a sample; a question that it raises is answered here and now, or goes on its way."""
+        """Have the retuner take a sample; a question that it raises is answered by decide.py, here and now or
+        in another process, and the answer entered as a decision.
+        """
         step = self.retuner.step(sample)
         if step.question is None:
             return step.decision
