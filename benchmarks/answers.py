@@ -39,6 +39,7 @@ from cases.plant import HeldPlant
 from online import batch, changes, harm, injected
 from online.judge import Judge, Judgement
 from online.loop import WatchedLoop, Watching, one_region, settings
+from online.runner import Task
 
 from retuner import PidGains, identify
 from retuner.diagnosing import diagnose
@@ -153,7 +154,7 @@ def _batch() -> dict[str, batch.Task]:
 def other(name: str) -> Answer:
     """The row of a run of another part of benchmarks/online."""
     part, kind, index = name.split(", ")
-    row: Answer = ROWS[part][0].run(ROWS[part][0].tasks(SEED, kind, int(index) + 1)[-1])
+    row: Answer = ROWS[part][0].run(Task(kind, SEED, int(index)))
     return row
 
 

@@ -14,7 +14,7 @@ time constants of 0.3 to 30 dead times.
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from online.batch import NOISE, PV_SPAN, SAMPLES_PER_THETA, STARTS
 from online.harm import effects
 from online.judge import Judge, Judgement, counted
 from online.loop import LostLoop, Moved, WatchedLoop, Watching, one_region, settings
+from online.runner import Task
 from online.varying import Changing, Local, VaryingPlant
 from retuner.schedule.gains import PidGains
 
@@ -39,20 +40,6 @@ DRIFTING = 18
 FACTOR = 2.0
 LENGTH_THETA = 60.0
 REST_SAMPLES = 60
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One loop."""
-
-    kind: str
-    seed: int
-    index: int
-
-
-def tasks(seed: int, kind: str, count: int) -> list[Task]:
-    """The first `count` loops of a kind."""
-    return [Task(kind, seed, index) for index in range(count)]
 
 
 def run(task: Task) -> Row:

@@ -8,90 +8,60 @@ Examples
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from online import batch, changes, derivative, harm, injected, loads, own_fault, real_loads, tours, wrong_starts
-from online.runner import collect, rows_of
+from online.runner import PLACES, Task, collect, rows_of
 
 ALL = "all"
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One part: a module with KINDS, run, line and table. tasks : of options and a kind. quiet : no line a run."""
+    """One part: a module with KINDS, run, line and table. asks : names of its options. quiet : no line a run."""
 
     module: ModuleType
     title: str
-    tasks: Callable[[argparse.Namespace, str], Sequence[Any]]
+    asks: tuple[str, ...] = ()
     loops: int = 40
     first: str = ALL
     quiet: bool = False
 
-
-def _batch(options: argparse.Namespace, _: str) -> list[batch.Task]:
-    wanted = {key: getattr(options, key) for key in ("opened", "only", "noise", "verbose", "starts", "rivals")}
-    return batch.tasks(options.seed, every=options.every, offset=options.offset, **wanted)
-
-
-def _harm(options: argparse.Namespace, kind: str) -> list[harm.Task]:
-    return harm.tasks(options.seed, kind, options.hours if kind == "quiet" else options.loops)
-
-
-def _loads(options: argparse.Namespace, kind: str) -> list[loads.Task]:
-    wanted = {key: getattr(options, key) for key in ("opened", "verbose", "bumps")}
-    return loads.tasks(options.seed, kind, options.loops, **wanted)
-
-
-def _real(options: argparse.Namespace, kind: str) -> list[real_loads.Task]:
-    wanted = {key: getattr(options, key) for key in ("fold", "section", "alone", "verbose")}
-    return real_loads.tasks(options.seed, options.loops, options.data, kind, **wanted)
-
-
-def _tours(options: argparse.Namespace, kind: str) -> list[tours.Task]:
-    wanted = {key: getattr(options, key) for key in ("places", "lookup", "opened", "verbose")}
-    return tours.tasks(options.seed, kind, options.loops, options.start, **wanted)
+    def tasks(self, options: argparse.Namespace) -> Sequence[Any]:
+        """What is to be run."""
+        wanted = {name: getattr(options, name) for name in (*self.asks, "verbose")}
+        if self.module is batch:
+            return batch.tasks(options.seed, every=options.every, offset=options.offset, **wanted)
+        kinds = self.module.KINDS if options.kind == ALL else (options.kind,)
+        count = {kind: options.hours if kind == "quiet" and self.module is harm else options.loops for kind in kinds}
+        each = [Task(kind, options.seed, index, **wanted) for kind in kinds for index in range(count[kind])]
+        return each[options.offset :: options.every]
 
 
 PARTS = {
-    "batch": Part(batch, "the standard batch of 134 processes, gains off", _batch, quiet=True),
-    "tours": Part(tours, "nonlinear plants: visits until a region is good", _tours, 8, tours.SMOOTH),
-    "changes": Part(
-        changes,
-        "processes that change, coloured noise, starts in motion",
-        lambda options, kind: changes.tasks(options.seed, kind, options.loops),
+    "batch": Part(
+        batch, "the standard batch of 134 processes, gains off", ("opened", "only", "noise", "starts", "rivals"),
         quiet=True,
     ),
-    "harm": Part(harm, "do no harm: quiet hours, stiction, outside oscillations, saturation", _harm),
-    "injected": Part(
-        injected,
-        "deliberately bad changes on trial",
-        lambda options, kind: injected.tasks(options.seed, kind, options.loops, options.wander),
+    "tours": Part(
+        tours, "nonlinear plants: visits until a region is good", ("start", "places", "lookup", "opened"), 8,
+        tours.SMOOTH,
     ),
-    "loads": Part(loads, "loads of every kind and no setpoint step, gains off", _loads, 20),
-    "own": Part(
-        own_fault,
-        "loops that swing by their own fault, Ms over 3",
-        lambda options, kind: own_fault.tasks(options.seed, kind, options.loops, verbose=options.verbose),
-        20,
+    "changes": Part(changes, "processes that change, coloured noise, starts in motion", quiet=True),
+    "harm": Part(harm, "do no harm: quiet hours, stiction, outside oscillations, saturation"),
+    "injected": Part(injected, "deliberately bad changes on trial", ("wander",)),
+    "loads": Part(loads, "loads of every kind and no setpoint step, gains off", ("opened", "bumps"), 20),
+    "own": Part(own_fault, "loops that swing by their own fault, Ms over 3", loops=20),
+    "derivative": Part(derivative, "loops with derivative action, gains off", loops=16),
+    "wrong": Part(wrong_starts, "gains off under an external oscillation, or over a sticking valve", loops=13),
+    "real": Part(
+        real_loads, "wrong and good gains under the loads of real loops", ("fold", "section", "alone", "data"), 8
     ),
-    "derivative": Part(
-        derivative,
-        "loops with derivative action, gains off",
-        lambda options, _: derivative.tasks(options.seed, options.loops, verbose=options.verbose),
-        16,
-    ),
-    "wrong": Part(
-        wrong_starts,
-        "gains off under an external oscillation, or over a sticking valve",
-        lambda options, kind: wrong_starts.tasks(options.seed, kind, options.loops, verbose=options.verbose),
-        13,
-    ),
-    "real": Part(real_loads, "wrong and good gains under the loads of real loops", _real, 8),
-}
+}  # fmt: skip
 
 
 def main() -> int:
@@ -110,11 +80,7 @@ def main() -> int:
                     _say([f"{part.title}{limits}; {len(some)} runs, seeds {seeds}", *part.module.table(some), ""])
         return 0 if rows else 1
     part = PARTS[options.part]
-    if part.module is batch:
-        tasks = part.tasks(options, ALL)
-    else:
-        kinds = part.module.KINDS if options.kind == ALL else (options.kind,)
-        tasks = [task for kind in kinds for task in part.tasks(options, kind)][options.offset :: options.every]
+    tasks = part.tasks(options)
     shown = part.module.line if options.verbose or not part.quiet else None
     rows, whole = collect(part.module.run, tasks, options.jobs, options.out, shown)
     if part.module is batch and not options.verbose:
@@ -159,7 +125,7 @@ def _parser() -> argparse.ArgumentParser:
     of["real"].add_argument("--alone", action="store_true", help="no setpoint step")
     of["real"].add_argument("--section", type=int, default=1000, help="samples between two setpoint steps")
     of["tours"].add_argument("--start", choices=("middle", "quarter", "own"), default="quarter")
-    of["tours"].add_argument("--places", type=int, default=tours.PLACES, help="of each tour")
+    of["tours"].add_argument("--places", type=int, default=PLACES, help="of each tour")
     of["tours"].add_argument("--lookup", choices=("hard", "interpolated"), default="hard")
     again = parts.add_parser("tables", help="the tables again, of rows from files")
     again.add_argument("files", type=Path, nargs="+", metavar="FILE", help="as --out writes them")

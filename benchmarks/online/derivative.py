@@ -11,7 +11,7 @@ and a load step, up to 1.25. The derivative hurts where the gains at the end hav
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from cases.loop import run as simulated
 from cases.plant import HeldPlant, log_uniform, robustness
 
 from online.judge import MS_LIMIT, MS_OVER_BEST, Judgement, counted
+from online.runner import Task
 from retuner import PidController, PidGains
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.process.reduction import half_rule
@@ -33,20 +34,6 @@ STARTS = ((0.25, 0.5, 2.0, 3.0), (0.5, 1.0, 2.0, 4.0), (0.5, 1.0, 2.0))
 """Factors on Kc, tau_I and tau_D."""
 UPSETS, SAMPLES_PER_THETA, FILTER, NOISE, LENGTH = 6, 6, 0.1, 0.01, 40.0
 J_LIMIT, SP0, STEP, PV_SPAN, CO_SPAN = 1.25, 50.0, 1.0, 10.0, 1e4
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One loop. verbose : tell what was decided."""
-
-    seed: int
-    index: int
-    verbose: bool = False
-
-
-def tasks(seed: int, loops: int, *, verbose: bool) -> list[Task]:
-    """The first so many loops."""
-    return [Task(seed, index, verbose) for index in range(loops)]
 
 
 class PidJudge:

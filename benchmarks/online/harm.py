@@ -31,6 +31,7 @@ from cases.signals import Valve, coloured, oscillation, random_walk
 
 from online.judge import Effect, Judge, at_most, effect
 from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
+from online.runner import Task
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.supervision.decision import Action
 from retuner.schedule.gains import PidGains
@@ -47,15 +48,6 @@ SPAN_OVER_SWING = 20.0
 """Range of pv over the size of what happens in a loop."""
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One loop."""
-
-    kind: str
-    seed: int
-    index: int
-
-
 @dataclass(slots=True)
 class Scene:
     """What happens in a loop: loads and additions to pv a sample, setpoint steps as (first sample, sp)."""
@@ -69,11 +61,6 @@ class Scene:
     valve: Valve | None = None
     quantum: float = 0.0
     bounded: bool = False
-
-
-def tasks(seed: int, kind: str, count: int) -> list[Task]:
-    """The first `count` loops of a kind."""
-    return [Task(kind, seed, index) for index in range(count)]
 
 
 def run(task: Task) -> Row:

@@ -38,6 +38,7 @@ from cases.setting import Loop, draw_loop, scaled
 from online.judge import Judge, counted
 from online.loads import PERIODS, load_of
 from online.loop import FixedGains, LostLoop, WatchedLoop, Watching, one_region, settings
+from online.runner import Task
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.process.reduction import half_rule
@@ -62,21 +63,6 @@ INEXACT = 1.3
 """Factor by which the model of a right set may be off."""
 LOST = 100.0
 """A loop further from its setpoint than this many steps has been lost."""
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One change."""
-
-    kind: str
-    seed: int
-    index: int
-    wander: str = ""
-
-
-def tasks(seed: int, kind: str, count: int, wander: str = "") -> list[Task]:
-    """The first `count` changes of a kind."""
-    return [Task(kind, seed, index, wander) for index in range(count)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,6 @@ many periods, what was changed for the worse, and what was made unstable.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,6 +30,7 @@ from online.batch import NOISE, PV_SPAN, SAMPLES_PER_THETA, STARTS, told
 from online.harm import effects
 from online.judge import Judge, Judgement, counted
 from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
+from online.runner import Task
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
@@ -44,23 +44,6 @@ CALM = 0.05
 PERIODS = 6
 LENGTH_THETA = 60.0
 REST_SAMPLES = 60
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One loop. opened : limits of a change at x8 instead of the defaults. verbose : tell what was decided."""
-
-    kind: str
-    seed: int
-    index: int
-    opened: bool = False
-    verbose: bool = False
-    bumps: float = 0.0
-
-
-def tasks(seed: int, kind: str, count: int, *, opened: bool, verbose: bool, bumps: float = 0.0) -> list[Task]:
-    """The first `count` loops of a kind."""
-    return [Task(kind, seed, index, opened, verbose, bumps) for index in range(count)]
 
 
 def bumping(percent: float, watching: Watching, period_s: float) -> LoopBumps:

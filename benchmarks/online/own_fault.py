@@ -12,7 +12,6 @@ the others name; and when, in periods of the swing, Ms first came under 3, and s
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from online.batch import PV_SPAN, told
 from online.harm import effects
 from online.judge import Judge, counted
 from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
+from online.runner import Task
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES
 from retuner.adaptive.supervision.decision import Decision
 from retuner.schedule.gains import PidGains
@@ -38,21 +38,6 @@ ROOM = {"damped": 1e6, "growing": 300.0, "limits": 4.0}
 """How far the output may go from rest, in setpoint steps of the process's gain."""
 NOISE = 0.01
 TRIES = 200
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One loop. verbose : tell what was decided."""
-
-    kind: str
-    seed: int
-    index: int
-    verbose: bool = False
-
-
-def tasks(seed: int, kind: str, count: int, *, verbose: bool) -> list[Task]:
-    """The first `count` loops of a kind."""
-    return [Task(kind, seed, index, verbose) for index in range(count)]
 
 
 def run(task: Task) -> Row:

@@ -13,7 +13,6 @@ at the start, and the IAE of a load step is larger at the end by more than a ten
 
 import functools
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from cases.setting import scaled
 from world.draw import piece, real_loops
 
 from online.judge import Judge, Judgement, effect
+from online.runner import Task
 from retuner import PidController, PidGains
 from retuner.adaptive.process.model import LinearProcess
 
@@ -35,30 +35,6 @@ CURED_MS, CURED_J, HIGH_MS, SLOWER = 1.9, 2.0, 2.0, 1.15
 STEPS, STEP, PV_STD, NOISE_STD, SP0, CO_SPAN = 8, 8.0, 2.0, 0.3, 50.0, 1e4
 LOST = 1e4
 MORE_SLUGGISH = 1.1
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One loop. alone : no setpoint step. fold : loads of every second tag only. section : samples between two steps.
-
-    verbose : tell what was decided.
-    """
-
-    start: str
-    seed: int
-    index: int
-    folder: str
-    fold: int | None
-    alone: bool
-    section: int
-    verbose: bool = False
-
-
-def tasks(
-    seed: int, loops: int, folder: str, kind: str, *, fold: int | None, section: int, alone: bool, verbose: bool
-) -> list[Task]:
-    """The first so many loops from a start: the same loops from all."""
-    return [Task(kind, seed, index, folder, fold, alone, section, verbose) for index in range(loops)]
 
 
 def process_of(rng: np.random.Generator) -> LinearProcess:
@@ -92,13 +68,13 @@ def run(task: Task) -> Row:
     judge = _judge(task.seed, task.index)
     rng = np.random.default_rng([task.seed, task.index, 52])
     n = STEPS * task.section
-    load, rest = load_of(rng, task.folder, task.fold, n), np.zeros(n)
+    load, rest = load_of(rng, task.data, task.fold, n), np.zeros(n)
     moved = simulated(judge.process, Controller(judge.best), 1.0, Upsets(rest, load=load))
     load = load * (PV_STD / float(np.std(moved.pv)))
     noise = rng.normal(size=n) * NOISE_STD
-    start = scaled(judge.best, *STARTS[task.start])
+    start = scaled(judge.best, *STARTS[task.kind])
     pid = PidController(
-        start, dt_s=1.0, pv_range=(0.0, 100.0), co_range=(-CO_SPAN, CO_SPAN), mode="auto", history=0, name=task.start
+        start, dt_s=1.0, pv_range=(0.0, 100.0), co_range=(-CO_SPAN, CO_SPAN), mode="auto", history=0, name=task.kind
     )
     judged, story, lost = [judge.of(start)], list[str](), False
     plant, y, changes, unstable = HeldPlant(judge.process, 1.0), 0.0, 0, 0
@@ -125,7 +101,7 @@ def run(task: Task) -> Row:
     kind = "integrating" if judge.process.integrators else f"{len(judge.process.lags_s)} lags"
     return {
         "part": "real",
-        "start": task.start,
+        "start": task.kind,
         "seed": task.seed,
         "index": task.index,
         "alone": task.alone,

@@ -8,13 +8,40 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 Row = dict[str, Any]
 T = TypeVar("T")
+PLACES = 42  # of a tour
 REPORTS = 10
 """Lines of progress where standard error is no terminal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One loop of a part of the measurement: of a kind, drawn by seed and index.
+
+    verbose : tell what was decided. opened : limits of a change at x8 instead of the defaults. The others are what some
+    parts ask besides, as the command line says it: bumps of the setpoint, a load that wanders, where a tour starts and
+    how long it is, records of real loads.
+    """
+
+    kind: str
+    seed: int
+    index: int
+    verbose: bool = False
+    opened: bool = False
+    bumps: float = 0.0
+    wander: str = ""
+    start: str = "quarter"
+    places: int = PLACES
+    lookup: str = "hard"
+    data: str = ""
+    fold: int | None = None
+    alone: bool = False
+    section: int = 1000
 
 
 def results(work: Callable[[T], Row], tasks: Sequence[T], jobs: int) -> Iterator[Row]:

@@ -30,6 +30,7 @@ from schedules.subject import Live, Subject
 
 from online.judge import Judge, counted, effect
 from online.loop import FixedGains, LostLoop, Supervisor, WatchedLoop, Watching, settings
+from online.runner import Task
 from retuner.adaptive.guard import GuardSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -41,7 +42,6 @@ SMOOTH = "smooth"
 DRAWN = (SMOOTH, "constant")
 KINDS = (*DRAWN, "tank", "ph", "reactor", "drive", "oven")
 REGIONS = 4
-PLACES = 42
 HOLD_THETA, MOST_SAMPLES = 80.0, 2500
 NEAREST, FARTHEST = 0.04, 0.3
 """Size of a step, in shares of the range."""
@@ -51,25 +51,6 @@ EASED = (1.0, 0.97, 0.94, 0.9, 0.85, 0.8, 0.75, 0.7)
 """Shares of the gains of SIMC with perfect knowledge that are tried for a region that these are too much for."""
 OVEN_BOUNDS, OVEN_GAINS = (90.0, 150.0), ((0.22, 260.0), (4.2, 70.0), (0.85, 330.0))
 """As in examples/oven.toml: Kc and tau_I."""
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One plant and tour."""
-
-    seed: int
-    index: int
-    kind: str
-    start: str
-    places: int = PLACES
-    lookup: str = "hard"
-    opened: bool = False
-    verbose: bool = False
-
-
-def tasks(seed: int, kind: str, count: int, start: str, **more: Any) -> list[Task]:
-    """So many tours of one kind of plant."""
-    return [Task(seed, index, kind, start, **more) for index in range(count)]
 
 
 class _Deviation:

@@ -9,7 +9,7 @@ valve makes under good gains. Judged on the true process without tone and valve,
 """
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -23,27 +23,13 @@ from online import harm
 from online.batch import STARTS, told
 from online.judge import Judge, Judgement, counted
 from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
+from online.runner import Task
 from retuner.schedule.gains import PidGains
 
 Row = dict[str, Any]
 KINDS = ("tone", "valve")
 UPSETS, LENGTH_THETA, REST_SAMPLES = 6, 60.0, 200
 SHAPES = ("triangle", "saw", "filtered-square", "pulses")
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One loop. verbose : tell what was decided."""
-
-    kind: str
-    seed: int
-    index: int
-    verbose: bool = False
-
-
-def tasks(seed: int, kind: str, count: int, *, verbose: bool) -> list[Task]:
-    """The first so many loops of a kind."""
-    return [Task(kind, seed, index, verbose) for index in range(count)]
 
 
 def drawn(kind: str, rng: np.random.Generator) -> tuple[harm.Scene, PidGains, tuple[float, float]]:

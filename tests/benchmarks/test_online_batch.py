@@ -13,7 +13,7 @@ from online.judge import Judge, at_most, effect
 from online.loop import FixedGains, LostLoop, WatchedLoop, one_region
 from online.rivals import batch as processes
 from online.rivals import relay_then_ziegler_nichols, step_then_simc
-from online.runner import finite, rows_of
+from online.runner import Task, finite, rows_of
 from online.varying import Changing, Local, Range, VaryingPlant
 
 from retuner.adaptive.loop.margins import ultimate
@@ -243,7 +243,7 @@ def test_one_step_gives_simc_that_is_in_spec():
 
 
 def test_an_unstable_set_on_trial_is_taken_back_to_the_verified_one():
-    row = injected.run(injected.Task("integral", 3, 1))
+    row = injected.run(Task("integral", 3, 1))
     assert math.isinf(row["ms"])
     assert row["rolled_back"]
     assert row["verified"]
@@ -277,9 +277,9 @@ def test_a_right_set_takes_the_place_of_a_sluggish_one():
 @pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_load_that_wanders_takes_back_no_right_set_and_hides_no_unstable_one():
-    right = injected.run(injected.Task("right", 31, 3, "walk"))
+    right = injected.run(Task("right", 31, 3, wander="walk"))
     assert not right["rolled_back"]
-    wrong = injected.run(injected.Task("gain", 31, 0, "walk"))
+    wrong = injected.run(Task("gain", 31, 0, wander="walk"))
     assert math.isinf(wrong["ms"])
     assert wrong["rolled_back"]
 
@@ -361,7 +361,7 @@ def test_doubling_the_gain_takes_simc_out_of_spec_and_the_new_simc_is_in_it():
 @pytest.mark.slow
 @pytest.mark.uncounted
 def test_a_loop_that_changes_is_run_and_judged_as_what_it_has_become():
-    row = changes.run(changes.Task("gain", 3, 0))
+    row = changes.run(Task("gain", 3, 0))
     assert len(row["spec"]) == changes.AFTER
     assert row["records"] >= 3
     assert all(ms >= 1.0 for ms in row["ms"])
