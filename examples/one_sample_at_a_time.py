@@ -16,7 +16,7 @@ from retuner import GainTable, LoopSample, PidGains, Retuner, RetunerSettings
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.trial.phase import TrialEvent
-from retuner.decision_page.explain import one_line
+from retuner.decision_page.decision_words import one_line
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.pid import change, law, start, step
 from retuner.schedule.regions import Regions

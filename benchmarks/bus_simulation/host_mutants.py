@@ -71,22 +71,22 @@ HOST_MUTANTS = tuple(
         ),
         (
             "the lease never runs out at the host",
-            HOST + "requests",
+            HOST + "lease_and_commands",
             "if self.held and now_s - self._since_s >= self._length_s:",
             "if False:",
         ),
-        ("another's lease is taken for ours", HOST + "requests", "if ack.seq != self.owner or ", "if "),
+        ("another's lease is taken for ours", HOST + "lease_and_commands", "if ack.seq != self.owner or ", "if "),
         (
             "a refused lease counts as given",
-            HOST + "requests",
+            HOST + "lease_and_commands",
             "before, self.held = self.other, ack.reason == Reason.OK",
             "before, self.held = self.other, True",
         ),
-        ("the counter of the lease stands", HOST + "requests", "(self._counter + 1)", "(self._counter + 0)"),
+        ("the counter of the lease stands", HOST + "lease_and_commands", "(self._counter + 1)", "(self._counter + 0)"),
         (
             "that the lease is gone is not heard",
-            HOST + "requests",
-            "if ack.reason == Reason.NOT_OWNER and self.lease.held:",
+            HOST + "can_device",
+            "if ack.reason == frames.Reason.NOT_OWNER and self.lease.held:",
             "if False:",
         ),
         (
@@ -167,8 +167,8 @@ HOST_MUTANTS = tuple(
         # epochs
         (
             "a stale acknowledge is taken",
-            HOST + "requests",
-            "if epoch is None or ack.epoch != epoch % EPOCH_TAG:",
+            HOST + "can_device",
+            "if epoch is None or ack.epoch != epoch % frames.EPOCH_TAG:",
             "if epoch is None:",
         ),
         (
@@ -191,9 +191,9 @@ HOST_MUTANTS = tuple(
         ),
         (
             "a restart does not touch the write",
-            HOST + "requests",
-            "        self.write.on_restart()\n        self.lease.forget()",
-            "        self.lease.forget()",
+            HOST + "can_device",
+            "            self.write.on_restart()\n            self.lease.forget()",
+            "            self.lease.forget()",
         ),
         # what is told and kept
         (
@@ -204,8 +204,8 @@ HOST_MUTANTS = tuple(
         ),
         (
             "a set is kept that is on probation",
-            HOST + "requests",
-            "        if seq == self.probation.seq:\n            raise",
+            HOST + "can_device",
+            "        if running.seq == self.probation.seq:\n            raise",
             "        if False:\n            raise",
         ),
         (
