@@ -3,10 +3,11 @@
     P(cause) = w P_steps(cause) + (1 - w) P_walk(cause)
 
 P_walk     process, valve and a load that wanders, by their likelihoods over all records and windows of the loop
-           (explanations/): aggressive, slow integrating, sluggish, ok, stiction, nonlinear (the gain changes along pv)
+           (explanations/): aggressive, slow integrating, sluggish, ok, stiction, nonlinear (the gain changes along pv);
+           where a valve is in question, external: a load that repeats
 P_steps    the verdict where loads are steps, ramps or a tone (diagnosis/diagnose.py), with its confidence
-w          the odds that loads are what the second says: its fit against the walk, by likelihood. Where its residual is
-           white noise after a few steps it is by far the likelier one; under the loads of a plant it is not
+w          the odds that loads are what the second says: its fit against the walk, with a valve or without. Where its
+           residual is white noise after a few steps it is by far the likelier one; under the loads of a plant it is not
 
 A test in manual, co in steps, adds its likelihood. What needs no fit (a dead signal, manual, a relay, a controller that
 acts the wrong way) stays as it is told. Records of one loop add up: one process, loads of their own.
@@ -28,6 +29,7 @@ from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
+from retuner.adaptive.explanations.periodic_load import log_odds_of_repeating
 from retuner.adaptive.explanations.process_grid import gain_unit, shapes
 from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
@@ -66,6 +68,7 @@ class Walk:
     record : the longest window as it was compared. of_record : the log-likelihood of that one, tempered as it comes.
     moved : largest share of setpoint or hand in what moves a record (wandering_load.py).
     swings : probability that a load swings, by process of the grid; period_s : of that swing, nan for none.
+    repeats : ln Bayes factor of a load that repeats, tempered; where a valve is in question.
     """
 
     log_likelihood: FloatArray
@@ -76,6 +79,7 @@ class Walk:
     moved: float
     swings: FloatArray
     period_s: float
+    repeats: float = -math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +134,8 @@ def diagnose_records(
     sign = known.direction if known is not None else direction
     tests = [w for w, f in zip(windows, each, strict=True) if _final(w, f) and _in_steps(w)]
     asked = [*(w for w, _ in open_ones), *tests]
-    walks = [w for one in ((sign,) if sign else (1, -1)) if (w := _walk(asked, known, one, settings)) is not None]
+    signs = (sign,) if sign else (1, -1)
+    walks = [w for one in signs if (w := _walk(asked, known, one, settings)) is not None]
     walk = min(walks, key=lambda w: w.valve, default=None)  # of either sign, where none is known
     if walk is None:
         return OddsFound(_alone(told, settings), record=at)
@@ -138,9 +143,11 @@ def diagnose_records(
     if known is not None:
         odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
         odds = with_overshoot(odds, [one for w, f in open_ones if (one := _overshoot(w, f))], settings.limits)
-    free = max(unlike(f) for _, f in open_ones)
-    under_walk = _under_walk(walk, odds, sum(shapes_of(f, settings) for _, f in open_ones), free, settings)
-    under_steps, weight = _under_steps(open_ones, under_walk, walk, settings)
+    free, by_shape = max(unlike(f) for _, f in open_ones), sum(shapes_of(f, settings) for _, f in open_ones)
+    if walk.valve > 0.0 or by_shape > 0.0:
+        walk = max((_repeating(walk, [w for w, _ in open_ones], one) for one in signs), key=lambda w: w.repeats)
+    under_walk, whole = _under_walk(walk, odds, by_shape, free, settings)
+    under_steps, weight = _under_steps(open_ones, under_walk, whole, walk, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
     causes = _mixed(under_steps, under_walk, weight, most)
     return replace(_verdict(told, causes, weight, odds, walk, open_ones, settings, sure=gains is not None), record=at)
@@ -229,6 +236,17 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     return Walk(total, valve, along, records[longest], of_longest, max(shares), swings, period_s)
 
 
+def _repeating(walk: Walk, windows: Sequence[Window], direction: int) -> Walk:
+    """What all records say for a load that repeats; none does that one of them denies. direction : of the process."""
+    found, period_s = 0.0, math.nan
+    for window in windows:
+        one, period_s = log_odds_of_repeating(Prepared.at(window, window.sample_time_s), direction)
+        if one <= 0.0:
+            return walk
+        found += one
+    return replace(walk, repeats=found, period_s=period_s)
+
+
 UNSEEN, SEEN = -1.0, 4.0
 """Evidence of a record in which no valve with slips of its own is likelier: of one and the same, others may show it.
 And of a valve of one band, from which none is looked for."""
@@ -260,46 +278,62 @@ def _overshoot(window: Window, found: RecordVerdict) -> RecordOvershoot | None:
 
 def _under_walk(
     walk: Walk, odds: TuningOdds | None, shapes: float, free: float, settings: OddsSettings
-) -> dict[Cause, float]:
-    """Odds under a load that wanders. shapes : what shapes and plateaus say for a valve, in all records.
+) -> tuple[dict[Cause, float], float]:
+    """Odds under a load that wanders, and ln of how many times likelier loop, valve and load that repeats are than the
+    loop alone. Whether the gain changes along pv is not asked where loads are steps.
 
-    free : logarithm of a factor against the valves of the grid up to which it says nothing (unlike).
+    shapes : what shapes and plateaus say for a valve, in all records. free : logarithm of a factor against the valves
+    of the grid up to which it says nothing (unlike).
     """
-    linear = 1.0 - settings.stiction - settings.nonlinear
-    evidence = said_for_valve(walk.valve, shapes, free, settings)
-    stiction = settings.stiction / linear * math.exp(min(max(evidence, -50.0), 300.0))
+    linear = 1.0 - settings.stiction - settings.nonlinear - settings.repeats
     # Loads alone may bend a record, and no process that bends has a pv that stands while co travels
     bends = walk.moved >= settings.moved and shapes < math.log(settings.stands)
     along = walk.along.log_bayes if bends else min(walk.along.log_bayes, 0.0)
-    nonlinear = settings.nonlinear / linear * math.exp(min(max(along, -50.0), 300.0))
-    whole = 1.0 + stiction + nonlinear
-    rest = {Cause(name): p for name, p in odds.classes.items()} if odds is not None else {Cause.UNKNOWN: 1.0}
-    found = {cause: p / whole for cause, p in rest.items()}
-    if odds is not None and np.any(walk.swings):  # a loop in order whose load swings: the cause is outside
+    said = {
+        Cause.STICTION: math.log(settings.stiction) + said_for_valve(walk.valve, shapes, free, settings),
+        Cause.NONLINEAR: math.log(settings.nonlinear) + along,
+        Cause.EXTERNAL: math.log(settings.repeats) + settings.valve_weight * walk.repeats,
+        Cause.OK: math.log(linear),
+    }
+    whole = float(np.logaddexp.reduce(list(said.values())))
+    beside_steps = float(np.logaddexp.reduce([one for cause, one in said.items() if cause != Cause.NONLINEAR]))
+    p = {cause: math.exp(one - whole) for cause, one in said.items()}
+    alone, repeats = p.pop(Cause.OK), p[Cause.EXTERNAL]
+    if odds is None:
+        return {**p, Cause.UNKNOWN: alone}, beside_steps - math.log(linear)
+    # of a loop that has too little robustness the cause is not outside, whatever its load does
+    tight = _less({Cause(name): one for name, one in odds.classes.items()})
+    found = {Cause(name): one * (alone + repeats * (Cause(name) in LESS)) for name, one in odds.classes.items()}
+    p[Cause.EXTERNAL] = repeats * (1.0 - tight)
+    if np.any(walk.swings):  # a loop in order whose load swings: the cause is outside
         robust = np.where(odds.robustness.ms <= settings.limits.ms_high, odds.weights, 0.0)
         outside = float(np.sum(robust * walk.swings)) / max(float(np.sum(robust)), 1e-300)
-        found |= {Cause.OK: found[Cause.OK] * (1.0 - outside), Cause.EXTERNAL: found[Cause.OK] * outside}
-    return {Cause.STICTION: stiction / whole, Cause.NONLINEAR: nonlinear / whole, **found}
+        p[Cause.EXTERNAL] += found[Cause.OK] * outside
+        found[Cause.OK] *= 1.0 - outside
+    return {**p, **found}, beside_steps - math.log(linear)
 
 
 def _under_steps(
     open_ones: Sequence[tuple[Window, RecordVerdict]],
     under_walk: Mapping[Cause, float],
+    whole: float,
     walk: Walk,
     settings: OddsSettings,
 ) -> tuple[dict[Cause, float], float]:
-    """Odds where loads are steps or a tone, over the records in which that is likely; and how likely it is there."""
+    """Odds where loads are steps or a tone, over the records in which that is likely; and how likely it is there.
+
+    whole : of `_under_walk`.
+    """
     total: dict[Cause, float] = {}
-    p = min(under_walk[Cause.STICTION], 1.0 - 1e-12)
-    most, valve = 0.0, math.log(max(p, 1e-12) / (1.0 - p))
+    most = 0.0
     for window, found in open_ones:
         told = found.diagnosis
-        tone = _one_tone(window, found, settings) * math.exp(-max(walk.valve, 0.0))
+        tone = _one_tone(window, found, settings) * math.exp(-whole)
         if told.cause == Cause.UNKNOWN:
-            if not tone and not _tone_is_white(found, settings):
+            if not tone:
                 continue
             told = replace(told, cause=Cause.EXTERNAL, confidence=HALF)
-        weight = max(_weight_of_steps(told.cause, found, walk, valve, settings), tone)
+        weight = max(_weight_of_steps(told.cause, found, walk, whole, settings), tone)
         shares = {cause: (1 - told.confidence) * p for cause, p in under_walk.items()}  # where steps are silent
         shares[told.cause] = shares.get(told.cause, 0.0) + told.confidence
         for cause in dict.fromkeys((*shares, *total)):
@@ -335,24 +369,14 @@ BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The fit that a verdict rests on; the loop by itself for all others."""
 
 
-def _tone_is_white(found: RecordVerdict, settings: OddsSettings) -> bool:
-    """Whether a verdict of steps left open what one lasting tone explains to the noise, and likelier than the loop."""
-    fit = found.fits.get("external")
-    likelier = found.diagnosis.evidence.get("external_lead", 0.0) > 0.0
-    return fit is not None and likelier and _lasts(found) and _white(fit, settings)
-
-
 def _white(fit: Candidate, settings: OddsSettings) -> bool:
     """Whether a fit with few load steps leaves noise alone: no load that wanders leaves that."""
     noise = fit.fit.misfit.record.noise_std
     return fit.colour.std <= settings.noise_left * noise and fit.fit.misfit.loads <= settings.few_loads
 
 
-def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, valve: float, settings: OddsSettings) -> float:
-    """Probability that loads are the steps, or the tone, that a cause rests on, against a load that wanders.
-
-    valve : logarithm of the odds of a valve under such a load, by its likelihood and by how pv stands.
-    """
+def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, whole: float, settings: OddsSettings) -> float:
+    """Probability that loads are the steps, or the tone, that a cause rests on, against all that `whole` counts."""
     fit = found.fits.get(BEHIND.get(cause, "linear"))
     if fit is None:
         return settings.tone_alone if cause == Cause.EXTERNAL else HALF
@@ -360,13 +384,11 @@ def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, valve: floa
     left = float(np.mean((misfit.record.pv - fit.fit.at.explained) ** 2))
     left /= max(record.sample_time_s / misfit.record.sample_time_s, 1.0)
     steps = misfit.loads + misfit.harmonics
-    lead = lead_of_steps(left, steps, len(misfit.record.pv), record, walk.of_record)
-    most = 1.0
-    if cause == Cause.EXTERNAL:  # harmonics cost a tone much
-        lead, most = (max(lead, 0.0), 1.0) if _white(fit, settings) else (lead, settings.tone_alone)
-    if cause != Cause.STICTION:  # a valve under a load that wanders is a rival as well
-        lead -= TEMPER * max(walk.valve, valve, 0.0)
-    return most / (1.0 + math.exp(-min(max(lead / TEMPER, -50.0), 50.0)))
+    lead = lead_of_steps(left, steps, len(misfit.record.pv), record, walk.of_record) / TEMPER
+    most = settings.tone_alone if cause == Cause.EXTERNAL else 1.0
+    if cause == Cause.EXTERNAL and _white(fit, settings):  # harmonics cost a tone much
+        lead, most = max(lead, 0.0) * settings.valve_weight, 1.0
+    return most / (1.0 + math.exp(-min(max(lead - whole, -50.0), 50.0)))
 
 
 HALF = 0.5
@@ -493,7 +515,10 @@ def _settings(
 
 def _less(causes: Mapping[Cause, float]) -> float:
     """Odds of the causes that ask for less action."""
-    return causes.get(Cause.AGGRESSIVE, 0.0) + causes.get(Cause.SLOW_INTEGRATING, 0.0)
+    return sum(causes.get(cause, 0.0) for cause in LESS)
+
+
+LESS = (Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING)
 
 
 def _calmer(found: Worthwhile, odds: TuningOdds) -> bool:

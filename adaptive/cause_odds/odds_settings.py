@@ -16,10 +16,13 @@ class OddsSettings:
         chance: of 49 loops in order under real loads 19 were called otherwise, 12 are.
     stiction : prior that a valve which sticks or has play is behind a record; 0.1 to 0.4, default 0.25 (20 to 30 % of
         loops oscillate because of their valve: Jelali & Huang 2010).
+    repeats : prior of a load from outside that steps to and fro or goes up and down in ramps, at even times: the limit
+        cycle of a valve elsewhere, behind its process; 0.01 to 0.2, default 0.05.
     nonlinear : prior that the gain changes along pv by two and more within the record's range; 0.01 to 0.1, default
         0.03; no more gain is given where the records leave it larger odds.
-    valve_weight : power of a valve's Bayes factor; 0.5 to 3, default 2.5: its tempered likelihood was too doubtful
-        where the truth was known (benchmarks/world). other_valve, other_weight : share of valves that are unlike every
+    valve_weight : power of the Bayes factor of a valve, of a load that repeats, and of a tone that leaves the noise
+        alone; 0.5 to 3, default 2.5: the tempered likelihood was too doubtful where the truth was known
+        (benchmarks/world). other_valve, other_weight : share of valves that are unlike every
         one of the grid, and the power that a factor against a valve has for them; default 0.3 and 0.25 (of 60 sticking
         valves that mattered 24 had a factor under e, the lowest e^-5).
     shapes_say : how many times likelier a record is by a valve where shapes and plateaus named one; 2 to 20, default 6
@@ -58,6 +61,7 @@ class OddsSettings:
     sluggish: float = 0.29
     stiction: float = 0.25
     nonlinear: float = 0.03
+    repeats: float = 0.05
     valve_weight: float = 2.5
     other_valve: float = 0.3
     other_weight: float = 0.25
@@ -92,6 +96,7 @@ class OddsSettings:
         for name in (
             "stiction",
             "nonlinear",
+            "repeats",
             "noise_left",
             "most",
             "more_odds",

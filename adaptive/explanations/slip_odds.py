@@ -85,9 +85,9 @@ def log_odds_of_slips(record: Prepared, direction: int) -> float:
         return -math.inf
     record = record.coarser(MOST_ROWS)
     co = Co(record.co)
-    alone = _through(record, direction, record.co, FREE_DEAD_TIMES)
+    by_co = alone(record, direction)
     seen, most = _steps_seen(record)
-    if most < alone:
+    if most < by_co:
         return -math.inf
     trials = [_settled(trial, co) for trial in _starts(record, direction, co, seen)]
     slips = min(trials, key=lambda trial: trial.cost, default=None)
@@ -95,9 +95,14 @@ def log_odds_of_slips(record: Prepared, direction: int) -> float:
         return -math.inf
     position, price = _placed(co, slips.at)
     told = _through(record, direction, position, DEAD_TIMES) - price
-    if told <= alone:
+    if told <= by_co:
         return -math.inf
-    return (told - max(alone, _jumping(record))) / TEMPER
+    return (told - max(by_co, _jumping(record))) / TEMPER
+
+
+def alone(record: Prepared, direction: int) -> float:
+    """The largest ln L of co itself."""
+    return _through(record, direction, record.co, FREE_DEAD_TIMES)
 
 
 def _through(record: Prepared, direction: int, moved: FloatArray, dead: Sequence[float]) -> float:
@@ -122,6 +127,18 @@ def shocks(
 
     second : a further lag that the shocks go through, 0 for none. beside : what co does, shape (n,).
     """
+    n = len(record.pv)
+    y, basis, response = whitened(record, lag, load, beside, second)
+    found, left = steps_chosen(y, response, basis, UNIQUE, most)
+    noise = n * record.resolution**2
+    told = -(n - basis.shape[1]) / 2.0 * np.log((np.array(left) + noise) / float(np.var(record.pv)))
+    return [row + 1 for row in found], told
+
+
+def whitened(
+    record: Prepared, lag: float, load: tuple[float, int], beside: FloatArray | None = None, second: float = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """As for `shocks`: pv whitened, orthonormal columns of starts and co's part in it, and what a shock does."""
     n, model = len(record.pv), load_model(lag, *load)
     memory, basis = whitening(n, (math.exp(-1.0 / second),) if second else (), model)
     rows = record.pv[None] if beside is None else np.array([record.pv, beside])
@@ -131,10 +148,7 @@ def shocks(
     response = np.concatenate([[0.0], memory[:-1]])
     if second:
         response = filtered(spectrum(response), n, np.exp(-np.arange(n, dtype=np.float64) / second))
-    found, left = steps_chosen(y, response, basis, UNIQUE, most)
-    noise = n * record.resolution**2
-    told = -(n - basis.shape[1]) / 2.0 * np.log((np.array(left) + noise) / float(np.var(record.pv)))
-    return [row + 1 for row in found], told
+    return y, basis, response
 
 
 def _jumping(record: Prepared) -> float:

@@ -5,7 +5,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -208,16 +208,16 @@ def test_equal_odds_keep_their_order_in_every_process() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cause", "weight", "valve"),
+    ("cause", "weight", "rivals"),
     [
         (Cause.AGGRESSIVE, 0.12, 0.0),
-        (Cause.EXTERNAL, 0.5, -3.0),
+        (Cause.EXTERNAL, 0.5, 0.0),
         (Cause.EXTERNAL, 0.018, 4.0),  # a valve behind a load that wanders is a rival of the tone
-        (Cause.STICTION, 0.12, 4.0),
+        (Cause.STICTION, 0.002, 4.0),
     ],
 )
 def test_steps_that_leave_the_noise_alone_count_by_their_likelihood_and_a_tone_as_much_as_a_walk(
-    monkeypatch: pytest.MonkeyPatch, cause: Cause, weight: float, valve: float
+    monkeypatch: pytest.MonkeyPatch, cause: Cause, weight: float, rivals: float
 ) -> None:
     """A slow swing in noise was too much gain from every second row, where a walk was e^10 times likelier."""
     record = SimpleNamespace(pv=np.zeros(9), sample_time_s=1.0, noise_std=1.0)
@@ -226,9 +226,22 @@ def test_steps_that_leave_the_noise_alone_count_by_their_likelihood_and_a_tone_a
         colour=SimpleNamespace(std=0.8), fit=SimpleNamespace(misfit=misfit, at=SimpleNamespace(explained=np.ones(9)))
     )
     found: Any = SimpleNamespace(fits={"linear": fit, "external": fit, "stuck": fit})
-    walk: Any = SimpleNamespace(record=record, of_record=np.zeros(1), valve=valve)
+    walk: Any = SimpleNamespace(record=record, of_record=np.zeros(1))
     monkeypatch.setattr(odds, "lead_of_steps", lambda *_: -12.0)
-    assert odds._weight_of_steps(cause, found, walk, 0.0, OddsSettings()) == pytest.approx(weight, abs=0.01)
+    assert odds._weight_of_steps(cause, found, walk, rivals, OddsSettings()) == pytest.approx(weight, abs=0.01)
+
+
+def test_a_tone_that_leaves_the_noise_alone_weighs_as_a_valve_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A triangle from outside was a sticking valve with 97 %, whose power alone was 2.5."""
+    record = SimpleNamespace(pv=np.zeros(9), sample_time_s=1.0, noise_std=1.0)
+    misfit = SimpleNamespace(record=record, loads=0, harmonics=5)
+    fit = SimpleNamespace(
+        colour=SimpleNamespace(std=0.8), fit=SimpleNamespace(misfit=misfit, at=SimpleNamespace(explained=np.ones(9)))
+    )
+    found, walk = (SimpleNamespace(fits={"external": fit}), SimpleNamespace(record=record, of_record=np.zeros(1)))
+    monkeypatch.setattr(odds, "lead_of_steps", lambda *_: 6.0 * 18.0)
+    weight = odds._weight_of_steps(Cause.EXTERNAL, cast("Any", found), cast("Any", walk), 2.5 * 14.5, OddsSettings())
+    assert weight > 0.99
 
 
 def test_a_healthy_flow_loop_does_not_bend_where_its_first_tenth_is_cropped() -> None:
@@ -253,10 +266,10 @@ def test_a_lasting_tone_weighs_less_the_likelier_a_valve_is(monkeypatch: pytest.
     monkeypatch.setattr(odds, "_one_tone", lambda *_: 1.0)
     monkeypatch.setattr(odds, "_weight_of_steps", lambda *_: 0.0)
     found: Any = SimpleNamespace(diagnosis=Diagnosis(Cause.UNKNOWN, 0.5, {}, ""))
-    for valve, weight in ((-3.0, 1.0), (0.0, 1.0), (2.0, math.exp(-2.0))):
-        walk: Any = SimpleNamespace(valve=valve)
+    walk: Any = SimpleNamespace()
+    for rivals, weight in ((0.0, 1.0), (2.0, math.exp(-2.0))):
         share = {Cause.STICTION: 0.2, Cause.OK: 0.8}
-        assert odds._under_steps([(loop(), found)], share, walk, OddsSettings())[1] == pytest.approx(weight)
+        assert odds._under_steps([(loop(), found)], share, rivals, walk, OddsSettings())[1] == pytest.approx(weight)
 
 
 def test_a_record_in_which_no_slip_is_seen_speaks_a_little_against_those_of_another(

@@ -1,6 +1,9 @@
 """What outvotes the odds for a valve, and what does not: a gain along pv, and valves unlike the grid's."""
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +22,7 @@ def test_where_pv_stands_while_co_travels_the_gain_does_not_bend() -> None:
     settings = OddsSettings()
     along, record = GainAlongPv(20.0, 5.0, 0.0, 1.0), Prepared(np.zeros(1), np.zeros(1), 0.0, 1.0)
     walk = Walk(np.zeros(1), -1.0, along, record, np.zeros(1), 0.9, np.zeros(()), math.nan)
-    free, stands = (odds._under_walk(walk, None, math.log(x), 0.0, settings) for x in (1.0, settings.stands))
+    free, stands = (odds._under_walk(walk, None, math.log(x), 0.0, settings)[0] for x in (1.0, settings.stands))
     assert max(free, key=free.__getitem__) == Cause.NONLINEAR
     assert stands[Cause.STICTION] > stands[Cause.NONLINEAR]
 
@@ -41,11 +44,28 @@ def test_the_valves_of_the_grid_say_more_against_a_pv_that_stands_than_against_a
     named = RecordVerdict(Diagnosis(Cause.STICTION, 0.6, {}, "a triangle wave"))
     stands = RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.6, {"stand_degree": 1.0}, "pv stands"))
     odds_of = [
-        odds._under_walk(walk, None, shapes_of(one, settings), unlike(one), settings)[Cause.STICTION]
+        odds._under_walk(walk, None, shapes_of(one, settings), unlike(one), settings)[0][Cause.STICTION]
         for one in (named, stands)
     ]
     assert odds_of[0] > 0.6
     assert odds_of[1] < 0.5
+
+
+def test_a_load_that_repeats_is_a_rival_of_the_valve_and_of_a_robust_loop_alone() -> None:
+    """And what is not asked where loads are steps, whether the gain bends, is no rival of these."""
+    settings = OddsSettings()
+    along, record = GainAlongPv(3.0, 5.0, 0.0, 1.0), Prepared(np.zeros(1), np.zeros(1), 0.0, 1.0)
+    walk = Walk(np.zeros(1), 4.0, along, record, np.zeros(1), 0.9, np.zeros(()), 60.0, repeats=4.0)
+    by_tightness = []
+    for tight in (0.0, 0.9):
+        classes = {"ok": 1.0 - tight, "aggressive": tight, "slow_integrating": 0.0, "sluggish": 0.0}
+        of_loop: Any = SimpleNamespace(classes=classes)
+        by_tightness.append(odds._under_walk(walk, of_loop, 0.0, 0.0, settings))
+    (found, rivals), (tight_one, _) = by_tightness
+    assert found[Cause.STICTION] > found[Cause.EXTERNAL] > 0.1  # as likely as the valve, and rarer
+    assert tight_one[Cause.EXTERNAL] < 0.2 * found[Cause.EXTERNAL] < tight_one[Cause.AGGRESSIVE]
+    straight = replace(walk, along=GainAlongPv(-3.0, 5.0, 0.0, 1.0))
+    assert odds._under_walk(straight, None, 0.0, 0.0, settings)[1] == pytest.approx(rivals)
 
 
 @pytest.mark.parametrize(("degree", "cause"), [(0.5, Cause.UNKNOWN), (2.0, Cause.STICTION)])
