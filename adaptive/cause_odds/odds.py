@@ -144,7 +144,8 @@ def diagnose_records(
         odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
         odds = with_overshoot(odds, [one for w, f in open_ones if (one := _overshoot(w, f))], settings.limits)
     free, by_shape = max(unlike(f) for _, f in open_ones), sum(shapes_of(f, settings) for _, f in open_ones)
-    if walk.valve > 0.0 or by_shape > 0.0:
+    stepped = any(setpoint_changes(w) for w, _ in open_ones)  # what a valve does after a step may repeat as steps do
+    if not stepped and (walk.valve > 0.0 or by_shape > 0.0):
         walk = max((_repeating(walk, [w for w, _ in open_ones], one) for one in signs), key=lambda w: w.repeats)
     under_walk, whole = _under_walk(walk, odds, by_shape, free, settings)
     under_steps, weight = _under_steps(open_ones, under_walk, whole, walk, settings)

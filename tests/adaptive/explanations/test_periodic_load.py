@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from retuner.adaptive.cause_odds import odds
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.explanations.periodic_load import log_odds_of_repeating
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
@@ -78,3 +79,13 @@ def test_signals_that_stand_say_nothing() -> None:
     moves, still = np.random.default_rng(1).standard_normal(100), np.zeros(100)
     for pv, co in ((moves, still), (still, moves)):
         assert log_odds_of_repeating(Prepared(pv, co, 0.0, 1.0), 1)[0] == -math.inf
+
+
+def test_where_the_setpoint_steps_no_load_that_repeats_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A valve that followed each setpoint step late was a load from outside with 85 %."""
+    monkeypatch.setattr(odds, "log_odds_of_repeating", lambda *_: (50.0, PERIOD))
+    of = record(load("triangle"))
+    sp = np.where(np.arange(N) < N // 2, 50.0, 60.0)
+    window = Window(np.arange(float(N)), sp, 50.0 + of.pv, 40.0 + of.co)
+    causes = diagnose_windows([window], gains=PidGains(GAIN, RESET)).diagnosis.causes
+    assert causes["external"] < 0.1
