@@ -259,6 +259,18 @@ def to_ideal(gains: PidGains) -> IdealGains:
     return IdealGains(gains.kp, gains.kp / gains.ki if gains.ki else None, gains.kd / gains.kp if gains.kd else 0.0)
 
 
+LONGEST_TAU_D = 0.25
+
+
+def series_kept(gains: PidGains, before: PidGains) -> PidGains:
+    """Gains with a derivative time of no more than a quarter of the integral time (ideal form), or than that share was
+    before: a controller in series form has no others (Skogestad 2003).
+    """
+    share = max(LONGEST_TAU_D, before.kd * before.ki / before.kp**2 if before.kp else 0.0)
+    most = share * gains.kp**2 / gains.ki if gains.kp and gains.ki else gains.kd
+    return PidGains(gains.kp, gains.ki, math.copysign(min(abs(gains.kd), abs(most)), gains.kd))
+
+
 def to_series(gains: PidGains) -> SeriesGains:
     """The series form of a controller, with tau_i >= tau_d.
 

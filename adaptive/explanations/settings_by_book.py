@@ -37,7 +37,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, series_kept
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
 _MS = 1.1, 3.5  # every limit of Ms lies between these: they follow a person's own (supervision/retuner_settings.py)
@@ -190,19 +190,9 @@ HELD = 1.5
 
 
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
-    """All actions so many times, and the integral time besides.
-
-    Where the integral time gets shorter, the derivative stays within a quarter of it: a controller in series form has
-    no others (Skogestad 2003). A set whose derivative is longer already keeps the ratio.
-    """
-    kp, ki, kd = (all_of_them * gain for gain in (gains.kp, gains.ki / integral_time, gains.kd))
-    if kp and ki and kd and integral_time < 1.0:
-        most = max(SERIES_TAU_D, gains.kd * gains.ki / gains.kp**2) * kp**2 / ki
-        kd = math.copysign(min(abs(kd), abs(most)), kd)
-    return PidGains(kp, ki, kd)
-
-
-SERIES_TAU_D = 0.25  # the longest tau_D, as a share of tau_I, both of the ideal form, that a series form has
+    """All actions so many times, and the integral time besides; the derivative as a series form has it."""
+    times = (all_of_them * gain for gain in (gains.kp, gains.ki / integral_time, gains.kd))
+    return series_kept(PidGains(*times), gains)
 
 
 def _more(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -> Iterator[PidGains]:

@@ -17,7 +17,7 @@ from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.guard.ruling import LimitNumbers, Ruling
 from retuner.adaptive.guard.step_size import change_factor
 from retuner.adaptive.identification.robust_simc import asks_for_integral
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, series_kept
 from retuner.schedule.late_dataclass import dataclass, replace
 
 
@@ -182,11 +182,11 @@ class _Limits:
 
 
 def without_short_derivative(gains: PidGains, request: ChangeRequest, settings: GuardSettings) -> PidGains:
-    """Gains on the way to a goal, without a derivative that is too short for the sampling time there."""
+    """Gains on the way to a goal, without a derivative too short for the sampling time, or longer than series has."""
     if request.locks.tau_d or not gains.kp or not gains.kd:
         return gains
     least = settings.tau_d_samples * request.sample_time_s * (1 - TOLERANCE)
-    return gains if gains.kd / gains.kp >= least else PidGains(gains.kp, gains.ki)
+    return series_kept(gains, request.in_force) if gains.kd / gains.kp >= least else PidGains(gains.kp, gains.ki)
 
 
 def _cut(value: float, low: Bound, high: Bound) -> tuple[float, Bound | None]:

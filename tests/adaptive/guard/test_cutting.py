@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
-from retuner.adaptive.guard.goal_within_limits import Goal, calmer, goals
+from retuner.adaptive.guard.goal_within_limits import Goal, calmer, goals, without_short_derivative
 from retuner.adaptive.guard.ruling import LimitNumbers
 from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
@@ -326,3 +326,15 @@ def test_where_hardly_more_than_the_integral_counts_a_cut_of_both_keeps_it() -> 
     assert all(goal.gains.ki < 1.05 * old.ki for goal in others)
     lagging = replace(asked, models=(Plausible(ProcessModel(ProcessType.FOPDT, 0.1, 60.0, 0.0, 7.4), 0.0),))
     assert all(goal.gains.ki < 1.05 * old.ki for goal in goals(wanted, 5.0, lagging, SETTINGS, over_limit=False))
+
+
+@pytest.mark.parametrize(("kd", "kept"), [(0.5, 0.25), (0.1, 0.1), (0.0, 0.0)])
+def test_a_step_on_the_way_keeps_a_derivative_that_a_series_form_has(kd: float, kept: float) -> None:
+    """kc at its limit leaves tau_I to shorten alone; a panel in series form could not take the gains."""
+    old = PidGains(1.0, 0.5, kd)
+    asked = ChangeRequest(old, old, Tuning("simc", "series", old), (), 0.01)
+    found = without_short_derivative(PidGains(1.0, 1.0, kd), asked, GuardSettings())
+    assert found == PidGains(1.0, 1.0, kept)
+    longer = PidGains(1.0, 0.5, 0.8)  # no series form had it before
+    asked = ChangeRequest(longer, longer, Tuning("simc", "series", longer), (), 0.01)
+    assert without_short_derivative(PidGains(1.0, 1.0, 0.8), asked, GuardSettings()).kd == pytest.approx(0.4)
