@@ -94,6 +94,7 @@ def colour(r: FloatArray, least_std: float, most_order: int) -> tuple[float, tup
 def searched(grid: SearchGrid, sigma: float, most_loads: int) -> Iterator[Node]:
     """Every node of the coarse search with 0, 1, ... load steps."""
     lags, thetas = grid.lags_s, grid.thetas_s
+    most_loads = min(most_loads, len(grid.at_s))  # changes of the setpoint may bar all but a few places
     shape = (len(lags) * len(thetas), most_loads + 1)
     deviance, slope, chosen = np.empty(shape), np.empty(shape), np.empty((shape[0], most_loads))
     span = float(grid.clock.t_s[-1] - grid.clock.t_s[0])
