@@ -172,6 +172,18 @@ def test_the_coarse_search_finds_the_same_nodes_where_load_steps_are_barred() ->
             assert node.deviance == pytest.approx(other.deviance, rel=1e-7)
 
 
+@pytest.mark.parametrize("places", [0, 1])
+def test_fewer_places_than_load_steps_are_searched_with_what_there_is(places: int) -> None:
+    record = drawn_record(np.random.default_rng(3))
+    misfit = Misfit(record, ProcessType.FOPDT, 1, 0, record.noise_std, 0.3)
+    grid = SearchGrid.of(misfit)
+    few = replace(grid, at_s=grid.at_s[3 : 3 + places])
+    expected = list(_searched(few, misfit, places))
+    found = list(compiled.searched(few, misfit.sigma, 2))
+    assert [node.loads for node in found] == [node.loads for node in expected]
+    assert [node.deviance for node in found] == pytest.approx([node.deviance for node in expected], rel=1e-7)
+
+
 def test_the_colour_of_a_remainder_is_the_same() -> None:
     rng = np.random.default_rng(4)
     for order in range(5):
