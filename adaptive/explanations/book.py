@@ -5,8 +5,8 @@ without a tone from outside and with one (tone.py).
     update    ln w  <-  ln w + ln((1 - ODD) L / max L + ODD mean L / max L)
     move      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard);      a tone begins and ends likewise
 
-A tone lasts, so that it is kept with each process whether there is one. Its shape and its drift are never known to the
-noise, and what is left looks like a loop near instability: beside one, only windows with a setpoint step show it.
+A tone lasts, so that it is kept with each process whether there is one: a single window of it may look like a loop near
+instability, and several of them would make that sure.
 
 No window makes anything sure: it may be an odd one, that says nothing. A process may change, so what is known fades to
 what was known before any record. Windows add up point by point on one grid (process_grid.py), because gains are counted
@@ -52,9 +52,8 @@ ODD, FEWEST_SAMPLES = 0.02, 30
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
 GRID = (len(shapes(EVERY_LAG)), len(DEAD_TIMES), len(GAINS))
-PLANES, WEIGHED, STEPS = (3 + len(ORDERS), *GRID), 2, -1
-"""Every process without a tone and with one, whose weights count; then, without, under each order of load by itself;
-and beside a tone, by the windows with a setpoint step alone."""
+PLANES, WEIGHED = (2 + len(ORDERS), *GRID), 2
+"""Every process without a tone and with one, whose weights count; then, without, under each order of load by itself."""
 WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))  # planes whose weights are one together
 BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 """Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
@@ -102,12 +101,12 @@ class Book:
         rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
         logs = np.concatenate([np.where(possible, 0.0, -math.inf), np.where(held, rare, -math.inf)])
         tones = logs + np.log([1.0 - TONE, TONE])[:, None, None, None]
-        levels = _levels(np.concatenate([tones, np.tile(logs, (PLANES[0] - WEIGHED, 1, 1, 1))]))
+        levels = _levels(np.concatenate([tones, np.tile(logs, (len(ORDERS), 1, 1, 1))]))
         return cls(gains.direction, unit, dt_s, t_s, 0, 0, levels, levels, levels)
 
     def weights(self) -> FloatArray:
         """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
-        return np.asarray(_processes(_weights(self.levels)).sum(axis=0))
+        return np.asarray(_weights(self.levels)[:WEIGHED].sum(axis=0))
 
     @property
     def tone(self) -> float:
@@ -152,17 +151,16 @@ class Book:
 def update(book: Book, window: Window, *, grows: bool = False) -> Book:
     """Take in a window of all samples since the last one. grows : it will come again, with more samples."""
     record = Prepared.at(window, book.dt_s)
-    logs = _logs(book.whole)
+    logs = -STEP * _array(book.whole)
     if len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
         columns, taken, prices = likeliest_tone(Prepared.at(replace(window, pv=window.sp - window.pv), book.dt_s).pv)
         each, by_order = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG)
         alone, line, drifting = (one - price / TEMPER for one, price in zip(each, prices, strict=True))
-        toned = np.logaddexp(line, drifting) - math.log(2.0)
-        stepped = np.ptp(window.sp) > np.std(window.sp - window.pv)
-        found = np.array([alone, toned, *by_order, toned if stepped else np.zeros_like(toned)])
+        found = np.array([alone, np.logaddexp(line, drifting) - math.log(2.0), *by_order])
         for one in WHOLE:
             share = np.exp(found[one] - float(np.max(found[one])))
             logs[one] += np.log((1.0 - ODD) * share + ODD * float(np.mean(share)))
+    logs[_array(book.whole) == DEEPEST] = -math.inf
     now = replace(book, levels=_levels(logs))
     if grows:
         return now
@@ -176,11 +174,8 @@ def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
     """
     change, turn = (-math.expm1(-max(elapsed_s, 0.0) / lasts) for lasts in (hazard_s, TONE_LASTS * book.dt_s))
     weights = _weights(book.whole)
-    known = _processes(weights)
-    begins, ends = TONE * weights[:WEIGHED].sum(axis=0), (1.0 - TONE) * known.sum(axis=0)
-    beside = known[1] + turn * (TONE * known.sum(axis=0) - known[1])
-    weights[:WEIGHED] += turn * (np.array([ends, begins]) - weights[:WEIGHED])
-    weights[STEPS] = beside / float(beside.sum())
+    alone = weights[:WEIGHED].sum(axis=0)
+    weights[:WEIGHED] += turn * (np.array([1.0 - TONE, TONE])[:, None, None, None] * alone - weights[:WEIGHED])
     return replace(book, whole=_mixed(weights, book.prior, change))
 
 
@@ -190,11 +185,27 @@ def doubted(book: Book, change: float) -> Book:
     return replace(book, levels=levels, whole=whole)
 
 
+def heard(book: Book, sure: float, *, tone: bool) -> Book:
+    """Where the diagnosis of a response has found a tone, or a swing of the loop's own. sure : share of the first
+    answers that are right.
+
+    It compares them under loads that are steps, by samples that stand in the windows and in the next response's
+    diagnosis as well: so its likelihood ratio is tempered as theirs are.
+    """
+    lead = (math.log(sure / (1.0 - sure)) - math.log(TONE / (1.0 - TONE))) / TEMPER
+    more = np.array([0.0, lead if tone else -lead])[:, None, None, None]
+    levels, whole = (_with(known, more) for known in (book.levels, book.whole))
+    return replace(book, levels=levels, whole=whole)
+
+
+def _with(known: bytes, more: FloatArray) -> bytes:
+    logs = np.where(_array(known) == DEEPEST, -math.inf, -STEP * _array(known))
+    logs[:WEIGHED] += more
+    return _levels(logs)
+
+
 def _mixed(weights: FloatArray, prior: bytes, change: float) -> bytes:
-    before = _weights(prior)
-    beside = (1.0 - change) * _processes(weights)[1] + change * _processes(before)[1]
-    weights = (1.0 - change) * weights + change * before
-    weights[STEPS] = beside / float(beside.sum())
+    weights = (1.0 - change) * weights + change * _weights(prior)
     return _levels(np.where(weights > 0.0, np.log(np.maximum(weights, 1e-300)), -math.inf))
 
 
@@ -202,17 +213,9 @@ def _array(levels: bytes) -> FloatArray:
     return np.frombuffer(levels, dtype=np.uint8).reshape(PLANES).astype(np.float64)
 
 
-def _processes(weights: FloatArray) -> FloatArray:
-    """What is known of the process without a tone and with one, sum 1; shape (2, shapes, dead times, gains)."""
-    return np.array([weights[0], float(weights[1].sum()) * weights[STEPS]])
-
-
-def _logs(levels: bytes) -> FloatArray:
-    return np.where((kept := _array(levels)) == DEEPEST, -math.inf, -STEP * kept)
-
-
 def _weights(levels: bytes) -> FloatArray:
-    weights = np.exp(_logs(levels))
+    kept = _array(levels)
+    weights = np.where(kept < DEEPEST, np.exp(-STEP * kept), 0.0)
     for one in WHOLE:
         weights[one] /= float(weights[one].sum())
     return np.asarray(weights, dtype=np.float64)

@@ -4,11 +4,10 @@ A loop near instability swings at a frequency of its own, but loads that wander 
 within a few periods. A tone keeps its period. Without one among the hypotheses, a process on which the loop is just
 unstable at its frequency, G(jw) = -1/C(jw), explains any tone. Two kinds, likely alike:
 
-    line      one frequency, a size and a phase that change evenly: what the window's own lines tell of the frequency is
-              off by a share of a line, and what that leaves of a tone passed for a loop near instability     4 columns
+    line      one frequency, one size, one phase                                                               2 columns
     drifting  besides, one with the phase that the error had over TRACKED periods, in a mean, and that times its own
-              frequency's distance from the line, since a filter turns each by another angle (where the window has as
-              many)                                                                                           8 columns
+              frequency's distance from the line, since a filter turns each by another angle                   6 columns
+              (where a window has fewer periods: with a size that grows or falls evenly, 4 columns)
 
 The frequency is that of the error's line that is highest over those around it: a setpoint step, or a load that
 wanders, has the highest of all at the lowest frequencies. What was chosen by the record is paid for: the half of
@@ -35,28 +34,6 @@ def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, int, int],
     the price of each, as a logarithm that is not tempered. error : setpoint less pv, shape (n,).
     """
     n, away = len(error), error - np.mean(error)
-    top, length = _line(away)
-    turned, mean_over = 2.0 * math.pi * top / length * np.arange(n), round(TRACKED * length / top)
-    line, phases = np.array([np.cos(turned), np.sin(turned)]), 0.0
-    line = besides = np.vstack([line, line * np.linspace(-1.0, 1.0, n)])
-    if mean_over + 2 <= n:
-        off = np.unwrap(np.angle(np.convolve(away * np.exp(-1j * turned), np.hanning(mean_over + 2), "same")))
-        drifting, phases = np.array([np.cos(turned + off), np.sin(turned + off)]), 2.0 * n / mean_over
-        besides = np.vstack([line, drifting, drifting * np.gradient(off)])
-    column, chosen, few, many = 0.5 * math.log(n / 2.0), math.log(n / FEWEST_SAMPLES), len(line), len(besides)
-    return besides, (0, few, many), (0.0, few * column + chosen, (many + phases) * column + chosen)
-
-
-def tone_seen(error: FloatArray) -> tuple[float, float]:
-    """The frequency of the likeliest tone, rad per sample, and the standard deviation that it gives the error."""
-    top, length = _line(error - np.mean(error))
-    basis = np.linalg.qr(likeliest_tone(error)[0].T)[0]
-    return 2.0 * math.pi * top / length, float(np.std(basis @ (basis.T @ (error - np.mean(error)))))
-
-
-def _line(away: FloatArray) -> tuple[int, int]:
-    """The line that is highest over those around it, of so many to a turn. away : an error less its mean."""
-    n = len(away)
     length = FINER << (n - 1).bit_length()
     first = math.ceil(FEWEST_PERIODS * length / n)
     least = LEAST * float(np.sum(np.abs(away))) or np.finfo(np.float64).tiny  # an even error has no line
@@ -65,4 +42,14 @@ def _line(away: FloatArray) -> tuple[int, int]:
     low, high = lines // AROUND, np.minimum(lines * AROUND, len(size))
     over = first + int(np.argmax(size[lines] - (upto[high] - upto[low]) / (high - low)))
     wide = max(over - FINER, first)
-    return wide + int(np.argmax(size[wide : over + FINER])), length
+    top = wide + int(np.argmax(size[wide : over + FINER]))
+    turned, mean_over = 2.0 * math.pi * top / length * np.arange(n), round(TRACKED * length / top)
+    line, phases = np.array([np.cos(turned), np.sin(turned)]), 0.0
+    besides = line * np.linspace(-1.0, 1.0, n)
+    if mean_over + 2 <= n:
+        off = np.unwrap(np.angle(np.convolve(away * np.exp(-1j * turned), np.hanning(mean_over + 2), "same")))
+        drifting, phases = np.array([np.cos(turned + off), np.sin(turned + off)]), 2.0 * n / mean_over
+        besides = np.vstack([drifting, drifting * np.gradient(off)])
+    column, chosen, number = 0.5 * math.log(n / 2.0), math.log(n / FEWEST_SAMPLES), 2 + len(besides)
+    prices = (0.0, 2.0 * column + chosen, (number + phases) * column + chosen)
+    return np.vstack([line, besides]), (0, 2, number), prices

@@ -21,9 +21,9 @@ import numpy as np
 
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, move, update
+from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, move, update
 from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.settings_by_odds import cost_at
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
@@ -91,17 +91,17 @@ def look_of(
         book = None
     first_s = max(since_s, -math.inf if book is None else book.t_s)
     most = round(WHOLE / LOOK * after_s / dt_s)
-    rows = [sample for sample in samples if sample.t_s > first_s][-WINDOWS * most :]
+    rows = [sample for sample in samples if sample.t_s > first_s][-most:]
     if len(rows) < FEWEST_SAMPLES_ON_TRIAL or (
         not on_trial and (len(rows) < FEWEST_SAMPLES or len(rows) * dt_s < after_s)
     ):
         return None
-    limited = sum(1 for sample in rows[-most:] if sample.limited) / min(len(rows), most)
-    return Look(book, Window.of(rows), most, limited, due)
+    limited = sum(1 for sample in rows if sample.limited) / len(rows)
+    return Look(book, Window.of(rows), grows=len(rows) < ROUNDED * most, limited=limited, due=due)
 
 
-WINDOWS = 2  # of a look: what no window has held before is entered too, as the setpoint step of a long response
 FEWEST_SAMPLES, FEWEST_SAMPLES_ON_TRIAL = 300, 50  # samples of a look
+ROUNDED = 0.99
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +130,7 @@ class AllSamples:
         if book is not None and told is not None and not self.silent:
             winner = replace(winner, all_samples=told.numbers)
             if self.look is not None:
-                early = (
-                    self.look.grows(self.look.window) and told.leans < 0
-                )  # half a window calls a good loop too tight now and then
+                early = self.look.grows and told.leans < 0  # half a window calls a good loop too tight now and then
                 book = book if early else replace(book, leans=told.leans)
             if winner.code == LOOKED:
                 winner = replace(winner, reason=f"{winner.reason}; {told.words}")
@@ -154,14 +152,22 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
         now_s, first_s = float(look.window.t_s[-1]), float(look.window.t_s[0])
         known = look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)
         known = doubted(known, settings.changed_odds) if changed else move(known, now_s - first_s, settings.hazard_s)
-        for part in look.parts:
-            book = known = update(known, part, grows=look.grows(part))
+        book = update(known, look.window, grows=look.grows)
+    if book is not None and (tone := _finds_tone(found, own)) is not None:
+        book = heard(book, MOST[Cause.EXTERNAL], tone=tone)
     seen = AllSamples(look, book, book is not record.book, None, shown)
     asked = book is not None and (own.changes or not seen.silent)
     if book is None or not asked:
         return seen
     by_loads = all(sample.sp == record.samples[-1].sp for sample in record.samples)
     return replace(seen, told=by_book(book, gains, settings, by_loads=by_loads))
+
+
+def _finds_tone(found: Findings, own: Outcome) -> bool | None:
+    """Whether the response's own diagnosis has found a tone, or a swing of the loop's own; None for neither."""
+    if own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL:
+        return True
+    return False if found.foreign is not None and found.foreign < found.record.foreign else None
 
 
 def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
@@ -240,7 +246,7 @@ def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Di
             return None
     if (doubt := doubt_of(found, own.diagnosis)) is not None:
         return doubt
-    if seen.look is None or not valve_explains_more(seen.look.newest, book, MOST_VALVE):
+    if seen.look is None or not valve_explains_more(seen.look.window, book, MOST_VALVE):
         return None
     return Diagnosis(Cause.STICTION, HALF, {}, "a valve that sticks or has play explains all samples better")
 
@@ -252,18 +258,17 @@ HALF, FEWEST_ROWS = 0.5, 16
 
 def _rests(found: Findings, look: Look) -> bool:
     """Whether the error mostly lies within the noise band, so that no load wanders."""
-    away = np.abs(look.newest.sp - look.newest.pv) > found.record.response.band
+    away = np.abs(look.window.sp - look.window.pv) > found.record.response.band
     return float(np.mean(away)) < found.settings.book.restless
 
 
 NEARLY = 0.95  # share of an action down to which it is the same
 
 
-def _may_speak(found: Findings, own: Outcome, seen: AllSamples, look: Look) -> bool:
-    """Whether the case is the book's: also a tone's, where it knows of one."""
-    tone, record = seen.told is not None and seen.told.numbers.book_tone >= found.settings.book.tone, found.record
-    other = own.code not in OPEN and not (tone and own.code == Cause.EXTERNAL)
-    if other or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
+def _may_speak(found: Findings, own: Outcome, look: Look) -> bool:
+    """Whether the case is the book's."""
+    record = found.record
+    if own.code not in OPEN or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
         return False
     stood = own.diagnosis is not None and own.diagnosis.cause is Cause.SATURATION  # before the look began, too
     if stood or look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
@@ -280,11 +285,10 @@ SPOILT = frozenset({
 
 def robust_by_all_samples(found: Findings, winner: Outcome) -> bool:
     """Whether the set on trial is robust on next to all processes by all samples, those of its trial among them: then a
-    load that wanders, or a tone, explains a response that swings.
+    load that wanders explains a response that swings.
     """
-    book, settings = winner.book or found.record.book, found.settings.book
-    high = 1.0 if book is None else shares(book.drawn(settings.drawn), found.record.in_force, settings)[0]
-    return high <= 1.0 - settings.less_odds
+    numbers, settings = winner.all_samples, found.settings.book
+    return winner.book is not None and numbers is not None and numbers.book_high <= 1.0 - settings.less_odds
 
 
 MOST_LIMITED = 0.02  # share of samples with the output at a limit up to which they show the loop
@@ -342,7 +346,7 @@ def proposal_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> 
     the likeliest of these what is proved is to be worth a change.
     """
     look = seen.look
-    if look is None or not _may_speak(found, own, seen, look) or (seen.shown and _rests(found, look)):
+    if look is None or not _may_speak(found, own, look) or (seen.shown and _rests(found, look)):
         return None
     return _proved_by_all_samples(found, own, seen)
 
@@ -354,7 +358,7 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
         return None
     record, settings, region = found.record, found.settings, found.record.region
     less = told.leans < 0
-    if valve_explains_more(look.newest, book, MOST_VALVE if less else 0.0):
+    if valve_explains_more(look.window, book, MOST_VALVE if less else 0.0):
         return None
     also = () if less else _by_responses(found, told.numbers.book_room, shown=shown)
     if also is None:

@@ -7,12 +7,9 @@ import numpy as np
 
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.explanations.book import FEWEST_SAMPLES
-from retuner.adaptive.explanations.tone import tone_seen
 from retuner.adaptive.guard import Proof
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed
-from retuner.adaptive.loop.open_loop import open_loop
 from retuner.adaptive.region_model.update import Agreement, Learned
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample
@@ -79,23 +76,13 @@ def prediction_of(
 
 
 def prediction_of_proof(found: Findings, proof: Proof) -> Prediction | None:
-    """What the gains of a proof promise; how pv moved before steps to and fro is what loads do by themselves, and a
-    tone from outside goes on: as large as now times |S| new over |S| now at its frequency, the most of all models.
-    """
-    record, settings = found.record, found.settings
-    told = prediction_of(proof, record.table, record.region, record.at, record.pattern, settings, record.samples)
-    if told is None or proof.gains is None:
+    """What the gains of a proof promise; how pv moved before steps to and fro is what loads do by themselves."""
+    record = found.record
+    at = record.table, record.region, record.at
+    told = prediction_of(proof, *at, record.pattern, found.settings, record.samples)
+    if told is None or found.steps is None:
         return told
-    if found.steps is not None:
-        told = replace(told, wander=max(told.wander, found.steps.wander))
-    known = record.book is not None and record.book.tone >= settings.book.tone
-    if not known or not proof.allowed or len(record.samples) < FEWEST_SAMPLES:
-        return told
-    turns, std = tone_seen(np.array([sample.sp - sample.pv for sample in record.samples]))
-    sampled = [one.model.seen_by_controller(settings.sample_time_s).linear() for one in proof.allowed]
-    both = ([abs(1.0 + open_loop(one, gains).at(turns / settings.sample_time_s)) for one in sampled]
-            for gains in (record.in_force, proof.gains))  # fmt: skip
-    return replace(told, wander=max(told.wander, std * max(now / new for now, new in zip(*both, strict=True))))
+    return replace(told, wander=max(told.wander, found.steps.wander))
 
 
 def posterior_of(

@@ -125,33 +125,15 @@ class ResponseRecord:
 class Look(NamedTuple):
     """All samples of a region that are to be entered into its book. book : as it is, None to begin one.
 
-    most : samples to a window. limited : share of them with the output at a limit. due : else it is looked at only
-    before a change.
+    grows : the window comes again with more samples. limited : share of them with the output at a limit. due : else
+    it is looked at only before a change.
     """
 
     book: Book | None
     window: Window
-    most: int
+    grows: bool
     limited: float
     due: bool = True
-
-    @property
-    def parts(self) -> list[Window]:
-        """The windows: whole ones, the oldest first, and one that comes again with more samples."""
-        last = max(len(self.window.t_s) - FEWEST, 1)
-        return [self.window.part(slice(i, i + self.most)) for i in range(0, last, self.most)]
-
-    @property
-    def newest(self) -> Window:
-        """The last samples, a window of them at most."""
-        return self.window.part(slice(-self.most, None))
-
-    def grows(self, window: Window) -> bool:
-        """Whether a window comes again with more samples."""
-        return len(window.t_s) < ROUNDED * self.most
-
-
-ROUNDED, FEWEST = 0.99, 3  # share of a window that is a whole one; samples to a window
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retuner.adaptive.explanations.book import TONE, TONE_LASTS, Book, move, update
+from retuner.adaptive.explanations.book import TONE, TONE_LASTS, Book, heard, move, update
 from retuner.adaptive.explanations.process_grid import robustness
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book
-from retuner.adaptive.explanations.tone import likeliest_tone, tone_seen
+from retuner.adaptive.explanations.tone import likeliest_tone
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
@@ -27,16 +27,15 @@ def cycle(period: float, jitter: float, n: int = N) -> FloatArray:
     return np.asarray(np.sin(2.0 * math.pi * np.interp(np.arange(n), edges, np.arange(len(edges)))))
 
 
-def recorded(gains: PidGains, load: FloatArray, sp: float = 0.0) -> Window:
-    """A lag with dead time and gain one under a load. sp : to which the setpoint steps in the middle."""
+def recorded(gains: PidGains, load: FloatArray) -> Window:
+    """A lag with dead time and gain one under a load."""
     rules = law(gains, co_min=-1e6, co_max=1e6)
     state, rows, pv, late = start(rules, 0.0, 0.0, 0.0), [], 0.0, [0.0] * DEAD
     noise = 0.1 * np.random.default_rng(8).normal(size=len(load))
     for i, upset in enumerate(load.tolist()):
         seen = pv + float(noise[i])
-        now = sp if 2 * i > len(load) else 0.0
-        state, co = step(rules, state, now, seen, 1.0)
-        rows.append((float(i), now, seen, co))
+        state, co = step(rules, state, 0.0, seen, 1.0)
+        rows.append((float(i), 0.0, seen, co))
         late.append(co + upset)
         pv += (late.pop(0) - pv) * (1.0 - math.exp(-1.0 / LAG))
     return Window(*np.array(rows).T)
@@ -49,38 +48,7 @@ def test_the_tone_is_found_and_takes_the_error_with_it(period: float) -> None:
     basis = np.linalg.qr(np.column_stack([np.ones(N), columns[: taken[1]].T]))[0]
     assert np.std(error - basis @ (basis.T @ error)) < 0.1
     assert prices[0] == 0.0 < prices[1] < prices[2]
-    assert taken == (0, 4, len(columns))
-
-
-@pytest.mark.parametrize("period", [12.07, 47.3, 185.7])
-def test_of_a_tone_whose_period_lies_between_the_lines_nothing_is_left(period: float) -> None:
-    """What its two columns left, some percent, was a loop near instability with 97 % for 9 of 14 good loops."""
-    error = np.sin(2.0 * math.pi * np.arange(N) / period + 1.0)
-    columns, taken, _ = likeliest_tone(error)
-    left = []
-    for end in (2, taken[1]):
-        basis = np.linalg.qr(np.column_stack([np.ones(N), columns[:end].T]))[0]
-        left.append(float(np.std(error - basis @ (basis.T @ error))))
-    assert left[1] < 0.01
-    assert left[1] < 0.3 * left[0]
-
-
-@pytest.mark.parametrize("sp", [0.0, 3.0])
-def test_beside_a_tone_the_process_is_known_by_what_the_setpoint_has_made_of_it(sp: float) -> None:
-    book = Book.begun(GOOD, 1.0, 0.0)
-    told = update(book, recorded(GOOD, cycle(60.0, 0.0), sp))
-    before, after = (by_book(one, GOOD, SETTINGS).numbers for one in (book, told))
-    assert after.book_tone > 0.8
-    known = after.book_ms_high - after.book_ms_low < 0.3 * (before.book_ms_high - before.book_ms_low)
-    assert known is (sp > 0.0)
-    assert after.book_high < SETTINGS.less_odds
-
-
-def test_a_tone_is_measured() -> None:
-    w = 2.0 * math.pi / 50.0
-    turns, std = tone_seen(2.0 * np.sin(w * np.arange(N)))
-    assert turns == pytest.approx(w, rel=0.01)
-    assert std == pytest.approx(math.sqrt(2.0), rel=0.01)
+    assert taken == (0, 2, len(columns))
 
 
 @pytest.mark.parametrize("period", [12.0, 47.3, 150.0])
@@ -148,3 +116,20 @@ def test_a_tone_ends_as_time_goes_by() -> None:
     assert TONE + 0.5 < later.tone < book.tone
     assert much_later.tone == pytest.approx(TONE, abs=0.02)
     assert np.allclose(much_later.weights(), book.weights(), atol=1e-4)  # of the process nothing was forgotten
+
+
+def test_what_diagnoses_of_responses_find_counts_in_the_book() -> None:
+    """A loop near instability that windows prefer to a tone by a little, each, had been cut at last: Ms 1.63 to 1.28,
+    though 45 of its 60 responses were a tone by their own diagnosis.
+    """
+    begun = Book.begun(GOOD, 1.0, 0.0)
+    said = begun
+    for _ in range(10):
+        said = heard(said, 0.76, tone=True)
+    assert begun.tone < 0.5
+    assert said.tone > 0.9
+    assert move(said, 0.0, 1e9).tone == pytest.approx(said.tone, abs=0.01), "also where a window is weighed anew"
+    for _ in range(10):
+        said = heard(said, 0.76, tone=False)
+    assert said.tone == pytest.approx(begun.tone, abs=0.03)
+    assert said.weights() == pytest.approx(begun.weights(), abs=1e-6)
