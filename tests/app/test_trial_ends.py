@@ -179,8 +179,10 @@ def test_a_defect_of_ours_takes_the_change_back_before_it_is_told(make_wire: Cal
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError(where)
 
-    owners = {"progress": (session, "_on_sample"), "judge": (session.retuner.trials, "look")}
-    setattr(*owners.get(where, (session.retuner, where)), broken)
+    owners = {"progress": (session, "_on_sample"), "judge": (session.retuner.trials, "watch")}
+    owner, name = owners.get(where, (session.retuner, where))
+    assert hasattr(owner, name)  # else nothing breaks, and the session has no end
+    setattr(owner, name, broken)
     if where == "_seen":
         session.device.send_setpoint(55.0, wire.clock.now_s())
     with pytest.raises(ZeroDivisionError, match=where):
