@@ -63,6 +63,20 @@ def test_a_level_loop_gets_simcs_integral_time_at_the_gain_that_a_record_carries
     assert abs(found.models[0].k) * new.kp**2 / new.ki == pytest.approx(4.0, rel=0.05)
 
 
+def test_a_level_loop_gets_the_integral_time_of_the_middle_of_the_odds_and_not_the_shortest() -> None:
+    slope, gains = 0.001, PidGains(1.0, 1.0 / 30.0)
+    shape = next(i for i, one in enumerate(shapes()) if one.integrates and not one.second)
+    slopes = (GAINS * units()[shape] / gain_unit(gains, 1.0)).ravel()
+    at = int(np.argmin(np.abs(slopes - slope)))
+    even = np.full((len(shapes()), len(DEAD_TIMES), len(GAINS)), -1e3)
+    even[shape, DEAD_TIMES.index(5.0), [at - 2, at, at + 2]] = 0.0
+    found = worthwhile(tuning_odds(even, gains, 1.0, PRIOR, TuningLimits()), WorthSettings())
+    assert found is not None
+    new = found.tuning.gains
+    assert slopes[at] * new.kp**2 / new.ki == pytest.approx(4.0, rel=0.05)
+    assert slopes[at + 2] > 1.2 * slopes[at]
+
+
 def test_a_loop_in_order_needs_no_other_settings() -> None:
     odds, _ = odds_of(2.2)
     assert worthwhile(odds, WorthSettings()) is None
