@@ -19,7 +19,7 @@ def main() -> None:
     config = load_config(ROOT / "examples" / "oven.toml")
     retuned = Run(config, nothing).simulated().loops[0]
     fixed = Run(config, nothing, mode=Mode.OFF).simulated().loops[0]
-    marks = [Mark(t_s, 0, rolled_back=False) for t_s, _ in retuned.commits]
+    marks = [Mark(t_s, 0, rolled_back=False) for t_s, _ in retuned.changes]
     figure = trend_figure(retuned.trend.columns(), fixed.trend.columns(), marks, config.regions(), config.loop.pv_unit)
     (ROOT / "docs" / "oven.svg").write_text(svg_file(figure, "An oven retuned in three regions"), encoding="utf-8")
 
