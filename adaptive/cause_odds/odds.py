@@ -67,8 +67,8 @@ class Walk:
     or of slips at times of their own. along : what they say for a gain that changes along pv.
     record : the longest window as it was compared. of_record : the log-likelihood of that one, tempered as it comes.
     moved : largest share of setpoint or hand in what moves a record (wandering_load.py).
-    swings : probability that a load swings, by process of the grid; period_s : of that swing, nan for none.
-    repeats : ln Bayes factor of a load that repeats, tempered; where a valve is in question.
+    swings : probability that a load swings, by process of the grid. repeats : ln Bayes factor of a load that repeats,
+    tempered; where a valve is in question. period_s : of that swing or load (in the last record), nan for none.
     """
 
     log_likelihood: FloatArray

@@ -9,11 +9,10 @@
 m are the models that the records still allow, excess the rise of their deviance (plausible.py), tempered because the
 remainders of real records are not white. J is the mean over a setpoint and a load step of IAE over the rule's on the
 same model (Grimholt & Skogestad 2012), at the smallest tau_c that keeps the limit of Ms: with a second lag SIMC's own
-goes up to 1.98. The limits are those by which settings are judged, Ms of 1.8 and J of 1.25. Each is as wide as models
-are wrong, so that nothing hangs on the second digit of an Ms. An IAE under the rule's is no merit where Ms is over its
-limit: robustness was paid for it. No Ms costs more than a stated most; a long wait costs all of its length. An
-unstable loop costs that most or, where a stable set costs so much, more than
-any of them: on each model, and as a whole where it is unstable on the most likely one.
+goes up to 1.98. The limits are those by which settings are judged, Ms of 1.8 and J of 1.25; each is a smooth step, as
+wide as typical model error. An IAE under the rule's is no merit where Ms is over its limit: robustness was paid for it.
+No Ms costs more than a stated most; a long wait costs all of its length. An unstable loop costs that most or, where a
+stable set costs so much, more than any of them: on each model, and as a whole where it is unstable on the likeliest.
 
 Something else: the models are a fiction, and only what was seen is known. The loop in force is stable, and decays as it
 did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung. An action that was

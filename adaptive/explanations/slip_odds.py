@@ -16,7 +16,7 @@ round. Then they are moved, dropped and joined by others while that pays.
 
 A load may jump as well, or turn a corner: then a whitened record of a loop by itself has single shocks. They are found
 in the same way beside co, at 3/2 ln n each (Schwarz 1978: a size, and a time that any row may be). A slow triangle of a
-load under a fast loop stays a valve: pv is a square under a triangle of co, as it is behind one.
+load under a fast loop looks like a valve here: pv is a square under a triangle of co. Its rival is periodic_load.py.
 """
 
 import math
@@ -52,8 +52,9 @@ JUMPING: Loads = (*STEPPING, (0.02, SLOPE), (0.1, SLOPE), (0.8, SLOPE))
 """Bandwidths and orders of loads beside slips and co, beside steps, and of those that jump or turn a corner."""
 MOST_STEPS, MOST_JUMPS = 40, 12
 STEP_PRICE, LEAST_PRICE, JUMP_PRICE = 5.0, 3.0, 1.5
-"""What a step costs that is a start only, a slip at the least, and a jump of the load beside co, in ln n. Of 35 valves
-that were told 34 have free steps at the second likelier than co itself by 15 or more, one more than are looked for."""
+"""Price of a step that is a start only, and of one in the bound on slips; of a jump of the load beside co, in ln n. The
+bound is found by trial: of 35 valves that were told, 34 have free steps at 3 each that are likelier than co itself by
+15 or more, and one has as many as are looked for."""
 UNIQUE = 1e-6
 """A shock of which less than this share is not explained by the others is no further one."""
 STARTS, POLISHED, ROUNDS = 12, 2, 3
@@ -200,10 +201,9 @@ def _costs(
 
 
 def _steps_seen(record: Prepared) -> tuple[list[list[int]], float]:
-    """Sets of rows at which pv steps, the likeliest first; and ln L that no valve passes which slips.
+    """Sets of rows at which pv steps, the likeliest first; and ln L that a valve which slips is not taken to pass.
 
-    Its slips are steps whose sizes are free in no way, and cost more than LEAST_PRICE each. Where steps are as many as
-    are looked for, nothing bounds it.
+    Its slips are steps whose sizes are not free. Where steps are as many as are looked for, there is no bound.
     """
     found, most = [], -math.inf
     for lag in SHOCK_LAGS:
