@@ -75,6 +75,13 @@ def test_a_load_that_wanders_or_turns_once_does_not_repeat() -> None:
         assert log_odds_of_repeating(record(moves), 1)[0] < 0.0
 
 
+def test_a_round_and_a_half_is_no_load_that_repeats() -> None:
+    """Of real sticking valves such crops had odds for one."""
+    whole = record(load("square"))
+    short = Prepared(whole.pv[:235], whole.co[:235], 0.0, 1.0)
+    assert log_odds_of_repeating(short, 1)[0] <= 0.0
+
+
 def test_signals_that_stand_say_nothing() -> None:
     moves, still = np.random.default_rng(1).standard_normal(100), np.zeros(100)
     for pv, co in ((moves, still), (still, moves)):
