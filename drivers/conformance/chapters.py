@@ -9,14 +9,14 @@ from retuner.drivers.protocol.codec import COMMAND_BITS, Codec
 from retuner.drivers.protocol.frames import Identity, Page, Read, TelemetryPv, TelemetrySp
 
 CHAPTERS: tuple[tuple[str, Check], ...] = (
-    ("Connecting", frame_checks.connecting), ("Frames", frame_checks.frames), ("Samples", frame_checks.samples),
+    ("Connecting", frame_checks.connecting), ("Frames", frame_checks.frames),
     ("Who may command: the lease", frame_checks.leases), ("Changing gains", set_checks.staging),
     ("Changing gains", set_checks.committing), ("Changing gains", set_checks.swapping),
     ("Changing gains", set_checks.refusing), ("Changing gains", set_checks.fencing),
     ("Changing gains", set_checks.busy), ("Trial", set_checks.trial),
     ("Storing and restarting", set_checks.storing), ("Authentication of commits", set_checks.codes),
-    ("Setpoint, mode, load", frame_checks.commands), ("Who may command: the lease", frame_checks.stamps),
-    ("Storing and restarting", set_checks.restarting),
+    ("Setpoint, mode, load", frame_checks.commands), ("Samples", frame_checks.samples),
+    ("Who may command: the lease", frame_checks.stamps), ("Storing and restarting", set_checks.restarting),
 )  # fmt: skip
 
 

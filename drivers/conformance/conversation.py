@@ -2,7 +2,7 @@
 
 import secrets
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, Protocol, TypeVar
 
 import can
@@ -18,6 +18,7 @@ from retuner.schedule.late_dataclass import dataclass
 
 SEQUENCES, COUNTERS = 1 << 16, 1 << 8
 LEASE_SAMPLES = 2000
+PASSING = 400  # frames kept of what comes by itself: a hundred samples of two halves, with their life signs
 UNKNOWN = PidGains(1.0, 0.0)  # before the device has said what it runs
 NO_FLAGS = wire.Flags(0)
 Answer = TypeVar("Answer", bound=wire.DeviceFrame)
@@ -74,6 +75,7 @@ class Conversation:
 
     far : where the device is. node : its number. key : the secret for commits; None for none.
 
+    passing : the last samples and life signs that came by themselves.
     spoilt : what was wrong in itself with frames that came, at whatever time.
     """
 
@@ -84,7 +86,7 @@ class Conversation:
         self.owner = wire.OWNER_TAG * secrets.randbelow(1000) + 9
         self._counter = secrets.randbelow(COUNTERS)
         self._token = secrets.randbelow(wire.TOKENS)
-        self._pv: deque[wire.TelemetryPv] = deque(maxlen=16)
+        self.passing: deque[wire.Frame] = deque(maxlen=PASSING)
         self.spoilt: list[str] = []
 
     # what is said
@@ -98,22 +100,40 @@ class Conversation:
                 frames.append(frame)
             elif frame.refusal is not Refusal.FOREIGN and not message.is_extended_id:
                 self.spoilt.append(f"a frame of command 0x{message.arbitration_id & 31:02X}: {frame.refusal}")
+        asked = any(isinstance(frame, wire.Identity) for frame in frames)  # a life sign is part of that answer
         for frame in frames:
+            if isinstance(frame, wire.TelemetryPv | wire.TelemetrySp) or (
+                isinstance(frame, wire.Heartbeat) and not asked
+            ):
+                self.passing.append(frame)
             if isinstance(frame, wire.Heartbeat):
                 self.known.epoch, self.known.sample = frame.epoch, frame.sample
                 self.known.flags = wire.Flags(frame.flags)
             elif isinstance(frame, wire.Status):
                 self.known.latest, self.known.refused, self.known.owner = frame.latest, frame.refused, frame.owner
-            elif isinstance(frame, wire.TelemetryPv):
-                self._pv.append(frame)
-            elif isinstance(frame, wire.TelemetrySp) and self._pv and self._pv[-1].counter == frame.counter:
-                right = frame.crc == sample_crc(self.node, self._pv[-1], frame)
+            elif isinstance(frame, wire.TelemetrySp):
+                pv = next(self._halves(), None)
+                right = pv is None or pv.counter != frame.counter or frame.crc == sample_crc(self.node, pv, frame)
                 self.spoilt += [] if right else [f"the CRC-16 of sample {frame.counter}"]
         return frames
 
+    def _halves(self) -> Iterator[wire.TelemetryPv]:
+        """First halves of samples, the newest first."""
+        return (frame for frame in reversed(self.passing) if isinstance(frame, wire.TelemetryPv))
+
     def last_before(self, counter: int) -> wire.TelemetryPv | None:
         """The first half of the sample before this one, if it has come."""
-        return next((half for half in self._pv if half.counter == (counter - 1) % COUNTERS), None)
+        return next((half for half in self._halves() if half.counter == (counter - 1) % COUNTERS), None)
+
+    def newest(self) -> tuple[float, float]:
+        """sp and co as they were told last; waits for a sample where none has come. NoAnswerError: none comes."""
+        if not any(isinstance(frame, wire.TelemetrySp) for frame in self.passing):
+            self.samples()
+        sp = next((frame.sp for frame in reversed(self.passing) if isinstance(frame, wire.TelemetrySp)), None)
+        pv = next(self._halves(), None)
+        if sp is None or pv is None:
+            raise NoAnswerError("no sample of two halves")
+        return sp, pv.co
 
     def raw(self, message: can.Message) -> list[wire.Frame]:
         """Send bytes; what comes back."""
@@ -130,7 +150,11 @@ class Conversation:
         """Let so many controller samples pass; what comes meanwhile."""
         frames: list[wire.Frame] = []
         for _ in range(count):
-            frames += self.decoded(self.far.sample())
+            half = next(self._halves(), None)
+            came = self.decoded(self.far.sample())
+            if half is not None and not any(isinstance(frame, wire.TelemetryPv) for frame in came):
+                came += self.decoded(self.far.sample())  # the second half of a sample that was there
+            frames += came
             self.known.sample += 1
         return frames
 
@@ -242,10 +266,10 @@ class Conversation:
         ]
 
     def write(self, gains: PidGains) -> tuple[int, list[wire.Frame]]:
-        """Stage and commit a set, and let two samples pass; its number, and what came."""
+        """Stage and commit a set, and let a sample pass; its number, and what came."""
         seq = self.fresh_seq()
         frames = self.say(*self.stage(seq, gains), *self.codes(seq, gains), self.commit(seq, gains))
-        frames += self.samples(2)
+        frames += self.samples()
         self.look()
         return seq, frames
 

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from collections.abc import Callable
 from itertools import pairwise
 
 import can
@@ -15,7 +16,8 @@ from retuner.drivers.protocol.codec import COMMAND_BITS, schema
 
 READ, STAGE = 2, 4
 HEARTBEATS_MAX = 100  # samples between two heartbeats at most
-SHORT_LEASE = 4  # samples
+SHORT_LEASE = 2  # samples
+SAMPLES_SEEN = 12  # the last ones that came in passing
 OTHER = 77  # another host
 SAMPLES_TO_STAMP = 4  # samples to the next stamp, within which it may have come by the time that a request is there
 
@@ -109,12 +111,13 @@ def sealed(node: int, command: int, payload: bytes) -> can.Message:
 
 
 def samples(found: Examination) -> None:
-    """Telemetry: two halves, one counter, one CRC; heartbeats with the whole counter."""
+    """Telemetry, the last of what came: two halves, one counter, one CRC; heartbeats with the whole counter."""
     talk = found.talk
-    told = talk.samples(12)
+    talk.samples(max(SAMPLES_SEEN - sum(isinstance(frame, wire.TelemetrySp) for frame in talk.passing), 0))
+    told = list(talk.passing)
     pairs = [
         (a, b) for a, b in pairwise(halves(told)) if isinstance(a, wire.TelemetryPv) and isinstance(b, wire.TelemetrySp)
-    ]
+    ][-SAMPLES_SEEN:]
     if not found.holds("fewer than ten samples of two halves came in twelve samples", len(pairs) >= 10):
         return
     for pv, sp in pairs:
@@ -124,13 +127,13 @@ def samples(found: Examination) -> None:
     found.expect("the counter goes from sample to sample by", steps, {1})
     found.expect("low bits of the running number in telemetry", pairs[-1][1].running, talk.known.seq % wire.RUNNING_TAG)
     # A life sign often enough, with the counter of the telemetry
-    talk, waited = found.talk, 0
+    waited = 0
     while not any(isinstance(frame, wire.Heartbeat) for frame in told) and waited < HEARTBEATS_MAX:
         told += talk.samples(10)
         waited += 10
     if not found.holds(f"no HEARTBEAT in {HEARTBEATS_MAX} samples", any(isinstance(f, wire.Heartbeat) for f in told)):
         return
-    at = next(i for i, frame in enumerate(told) if isinstance(frame, wire.Heartbeat))
+    at = max(i for i, frame in enumerate(told) if isinstance(frame, wire.Heartbeat))
     beat = told[at]
     before = [frame for frame in told[:at] if isinstance(frame, wire.TelemetrySp)]
     if before and isinstance(beat, wire.Heartbeat):
@@ -206,7 +209,10 @@ def _stale_leases(found: Examination) -> None:
 def stamps(found: Examination) -> None:
     """A request counts that was stamped within the last 64 samples, and no older one."""
     talk = found.talk
-    talk.samples(max(2 * STAMP_SAMPLES - talk.known.sample, 0))
+    talk.own()  # the counters of its requests are the newest from here on
+    for _ in range(2 * STAMP_SAMPLES - talk.known.sample):  # switched on lately: more answers are looked at meanwhile
+        talk.samples()
+        talk.look()
     if talk.known.sample % STAMP_SAMPLES > STAMP_SAMPLES - SAMPLES_TO_STAMP:
         talk.samples(2 * SAMPLES_TO_STAMP)
     talk.look()
@@ -235,7 +241,7 @@ def _lease_ends(found: Examination) -> None:
 def commands(found: Examination) -> None:
     """Setpoint and mode: acted on once, told again, refused when older."""
     talk = found.talk
-    sp = next(half.sp for half in halves(talk.samples(2)) if isinstance(half, wire.TelemetrySp))
+    sp, _ = talk.newest()
     newer, older = talk.counter(), (talk.counter(0) - 3) % 256
     first = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(newer, sp, talk.owner))
     if first is not None and wire.Reason(first.reason) is wire.Reason.STALE:
@@ -255,22 +261,29 @@ def commands(found: Examination) -> None:
 
 def setpoint(talk: Conversation, sp: float) -> bool:
     """Set the target, whatever counters were used before; whether the device took it."""
-    answer = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(talk.counter(), sp, talk.owner))
+    return _took(talk, wire.Kind.SETPOINT, lambda: wire.Setpoint(talk.counter(), sp, talk.owner)) is wire.Reason.OK
+
+
+def manual(talk: Conversation) -> wire.Reason | None:
+    """Hold co where it is, whatever counters were used before; what the device says."""
+    _, co = talk.newest()
+    return _took(talk, wire.Kind.MODE, lambda: wire.Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
+
+
+def _took(talk: Conversation, kind: wire.Kind, command: Callable[[], wire.Frame]) -> wire.Reason | None:
+    """The answer to a command, said again with the next counter where the first was an old one."""
+    answer = talk.ack(kind, command())
     if answer is not None and answer.reason == wire.Reason.STALE:
         talk.counter((answer.latest - talk.counter(0)) % 256)
-        answer = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(talk.counter(), sp, talk.owner))
-    return answer is not None and answer.reason == wire.Reason.OK
+        answer = talk.ack(kind, command())
+    return None if answer is None else wire.Reason(answer.reason)
 
 
 def _modes(found: Examination) -> None:
     talk = found.talk
-    co = next(half.co for half in halves(talk.samples(2)) if isinstance(half, wire.TelemetryPv))
-    answer = talk.ack(wire.Kind.MODE, wire.Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
-    if answer is not None and wire.Reason(answer.reason) is wire.Reason.STALE:
-        talk.counter((answer.latest - talk.counter(0)) % 256)
-        answer = talk.ack(wire.Kind.MODE, wire.Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
-    found.expect("MODE manual", None if answer is None else wire.Reason(answer.reason), wire.Reason.OK)
-    told = halves(talk.samples(3))
+    found.expect("MODE manual", manual(talk), wire.Reason.OK)
+    _, co = talk.newest()
+    told = halves(talk.samples(2))
     found.expect("mode in telemetry", {h.mode for h in told[-4:] if isinstance(h, wire.TelemetrySp)}, {LoopMode.MANUAL})
     held = max(abs(h.co - co) for h in told[-4:] if isinstance(h, wire.TelemetryPv))
     found.holds(f"co moved by {held:g} % in manual", held < 0.01)

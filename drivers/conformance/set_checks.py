@@ -5,9 +5,9 @@ from dataclasses import replace
 from functools import partial
 
 from retuner.adaptive.signals.sample import LoopMode
-from retuner.drivers.conformance.conversation import Conversation, first_ack
+from retuner.drivers.conformance.conversation import first_ack
 from retuner.drivers.conformance.examination import Check, Examination, near
-from retuner.drivers.conformance.frame_checks import halves, setpoint
+from retuner.drivers.conformance.frame_checks import manual, setpoint
 from retuner.drivers.protocol import frames as wire
 from retuner.drivers.protocol.checksum import page_crc, set_crc
 from retuner.schedule.gains import PidGains
@@ -83,13 +83,14 @@ def _one_sample(found: Examination, frames: list[wire.Frame], seq: int) -> None:
 def _bumpless(found: Examination) -> None:
     """co stays exactly as it is in manual; the repeated commit gets the same answer."""
     talk = found.talk
-    talk.say(wire.Mode(talk.counter(), LoopMode.MANUAL, _co(talk), talk.owner))
-    before = _co(talk)
+    manual(talk)
+    talk.samples()
+    _, before = talk.newest()
     seq = talk.fresh_seq()
     commit = talk.commit(seq, found.first)
     talk.say(*talk.stage(seq, found.first), *talk.codes(seq, found.first), commit)
-    talk.samples(2)
-    moved = abs(_co(talk) - before)
+    talk.samples()
+    moved = abs(talk.newest()[1] - before)
     found.holds(f"co jumped by {moved:g} % when the gains were changed in manual", moved < 0.01)
     found.expect("the same COMMIT again", talk.reason(wire.Kind.COMMIT, commit), wire.Reason.OK)
     talk.say(wire.Mode(talk.counter(), LoopMode.AUTO, 0.0, talk.owner))
@@ -102,12 +103,12 @@ def swapping(found: Examination) -> None:
     talk, first = found.talk, found.first
     new = replace(first, kp=1.5 * first.kp) if first.kp else first
     dt = talk.one(wire.Identity, wire.Page.IDENTITY).sample_time
-    sp = [half for half in halves(talk.samples(2)) if isinstance(half, wire.TelemetrySp)][-1].sp
-    error = (-10.0 if _co(talk) > 50.0 else 10.0) / (first.kp or 1.0)
+    sp, co = talk.newest()
+    error = (-10.0 if co > 50.0 else 10.0) / (first.kp or 1.0)
     if new == first or not setpoint(talk, sp + error):
         found.left_out.append("the swap in automatic: it has no kp, or takes no other setpoint")
         return
-    talk.samples(2)
+    talk.samples()
     _, frames = talk.write(new)
     setpoint(talk, sp)
     told = [half for half in frames if isinstance(half, wire.TelemetryPv | wire.TelemetrySp | wire.Ack)]
@@ -136,10 +137,6 @@ def _no_jump(
     found.holds(f"co jumped by {moved:.3g} % in the sample of the swap", abs(moved) < 0.5 * abs(jump))
 
 
-def _co(talk: Conversation) -> float:
-    return [half.co for half in halves(talk.samples(2)) if isinstance(half, wire.TelemetryPv)][-1]
-
-
 def refusing(found: Examination) -> None:
     """Every condition of a commit that is not met has its reason, burns the number, and changes nothing."""
     talk, good = found.talk, found.other
@@ -164,6 +161,8 @@ def refusing(found: Examination) -> None:
     _refusal(found, "gains 10,000 times as large", up, lambda seq: talk.commit(seq, up), far)
     tiny = PidGains(good.kp / 1e4, good.ki / 1e4, good.kd / 1e4)
     _refusal(found, "gains 10,000 times as small", tiny, lambda seq: talk.commit(seq, tiny), (wire.Reason.RATIO,))
+    talk.samples(1)  # a set that was refused and yet waits would run from here on
+    found.runs("a sample after refused COMMITs", talk.known.gains)
     _switched_on(found)
     down = PidGains(-good.kp, -good.ki, -good.kd)
     _refusal(found, "gains of the other sign", down, lambda seq: talk.commit(seq, down), far)
@@ -222,7 +221,6 @@ def _judge(
     found.expect(
         f"STAGE under the number of a COMMIT with {name}", talk.reason(wire.Kind.STAGE, stage), wire.Reason.STALE
     )
-    talk.samples(1)
     found.runs(f"after a COMMIT with {name}", before)
 
 
@@ -265,7 +263,7 @@ def fencing(found: Examination) -> None:
         talk.look()
         return
     found.expect("ABORT of a commit that waits", None if answer is None else wire.Reason(answer.reason), wire.Reason.OK)
-    talk.samples(2)
+    talk.samples(1)
     found.runs("after the ABORT of a commit that waited", before)
     found.expect("the fenced COMMIT, late", talk.reason(wire.Kind.COMMIT, *codes, commit), wire.Reason.STALE)
     found.expect(
@@ -299,7 +297,7 @@ def busy(found: Examination) -> None:
         found.expect(
             "COMMIT while another waits", None if commit is None else wire.Reason(commit.reason), wire.Reason.BUSY
         )
-    talk.samples(2)
+    talk.samples(1)
     talk.look()
     found.confirmed()
 

@@ -14,11 +14,12 @@ from effort import sized
 
 from retuner.cli import main
 from retuner.drivers.clock import SimulatedClock
+from retuner.drivers.conformance import frame_checks
 from retuner.drivers.conformance.chapters import CHAPTERS, OTHERS_S, chapters, nodes_heard, sample_time_of
 from retuner.drivers.conformance.conversation import Conversation, NoAnswerError, OnBus
 from retuner.drivers.conformance.examination import Examination, examine
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
-from retuner.drivers.protocol.frames import GainBox
+from retuner.drivers.protocol.frames import GainBox, Reason
 from retuner.schedule.gains import PidGains
 
 KEY = bytes(range(16))
@@ -113,6 +114,31 @@ def test_answers_within_one_sample_are_not_condemned(late_s: float, sample_s: fl
     found = examine(Conversation(OnBus(link, wire.clock, 1, sample_s), 1), chapters())
     assert found.findings == []
     assert found.tried > 150
+
+
+def test_counters_that_an_examiner_before_has_used_are_no_fault() -> None:
+    box = GainBox(kp_max=100.0, ki_max=10.0, kd_max=50.0, ratio_max=10.0)
+    device = VirtualDevice(VirtualDeviceSettings(PidGains(1.0, 0.0625, 0.25), box=box, trial_samples=0), LagPlant())
+    device.step()
+    talk = Conversation(InThread(device), 1)
+    talk.own()
+    assert frame_checks.manual(talk) is Reason.OK
+    talk.counter(200)  # 56 behind
+    assert frame_checks.manual(talk) is Reason.OK
+    talk.own()
+    talk.counter(200)
+    found = Examination(talk)
+    frame_checks.stamps(found)
+    assert found.findings == []
+
+
+def test_an_examination_of_a_device_that_runs_takes_25_samples() -> None:
+    wire = Wire(0.0, 1.0)
+    wire.wait_until(200.0)
+    wire.receive_all()
+    link: Any = wire
+    assert examine(Conversation(OnBus(link, wire.clock, 1, 1.0), 1), chapters()).findings == []
+    assert wire.clock.now_s() - 200.0 < 25 + 8  # and eight where a period of stamps is about to end
 
 
 def test_the_node_and_its_sample_time_are_found_by_listening() -> None:
