@@ -425,11 +425,14 @@ def _verdict(
     shares = {str(c): q for c, q in causes.items()}
     by_steps = weight >= HALF and told.diagnosis.cause == cause
     open_to_odds = sure and not (by_steps and told.tuning is not None)
-    alone = _swings_alone(open_ones) and _less(causes) < settings.loads_odds
+    # an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it
+    alone = not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
+    alone = alone and _less(causes) < settings.loads_odds
     wanted = odds if open_to_odds and not alone else None
     worth = _settings(causes, wanted, walk.moved, settings) if wanted is not None else None
-    if wanted is not None and worth is not None and not _calmer(worth, wanted) and _overshoot_seen(open_ones):
-        worth = None
+    overshoots = any(f.diagnosis.evidence.get("overshoot", 0.0) > OVERSHOOTS for _, f in open_ones)
+    if wanted is not None and worth is not None and not _calmer(worth, wanted) and overshoots:
+        worth = None  # more action is no answer, whatever a load does beside the responses
     if by_steps and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
@@ -476,16 +479,6 @@ PLAIN = 4.0
 """Usual errors of a step that confirms a cause which loads alone seem to show."""
 IN_QUESTION = 0.05
 """Odds of a valve from which it is asked for."""
-
-
-def _overshoot_seen(open_ones: Sequence[tuple[Window, RecordVerdict]]) -> bool:
-    """Whether setpoint responses overshoot so far that more action is no answer, whatever a load does beside them."""
-    return any(found.diagnosis.evidence.get("overshoot", 0.0) > OVERSHOOTS for _, found in open_ones)
-
-
-def _swings_alone(open_ones: Sequence[tuple[Window, RecordVerdict]]) -> bool:
-    """Whether an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it."""
-    return not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
 
 
 def _settings(

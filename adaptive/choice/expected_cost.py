@@ -296,7 +296,9 @@ def choose(found: Sequence[Outlook], way: Outlook | None, seen: ModelEvidence, s
     p = doubt(seen, settings)
     gains = [_gain(found[0], outlook, p) for outlook in found]
     danger = in_danger(found, seen)
-    best = _safest(found, gains) if danger else max(range(1, len(found)), key=lambda i: gains[i])
+    # in danger the best of what is stable on the most likely model; where nothing is, the whole of the proved change
+    able = [i for i in range(1, len(found)) if found[i].stable or not danger] or [1]
+    best = max(able, key=lambda i: gains[i])
     asked = [(gains[best], (1.0 - p) * found[best].spread)]
     if way is not None:
         asked.append((_gain(found[0], way, p), (1.0 - p) * way.spread))
@@ -317,12 +319,6 @@ def in_danger(found: Sequence[Outlook], seen: ModelEvidence) -> bool:
     """Whether the set in force is unstable and what was proved in its place is to run, whatever it costs."""
     now = found[0]
     return not now.stable and (now.lost or seen.records > 1)
-
-
-def _safest(found: Sequence[Outlook], gains: Sequence[float]) -> int:
-    """The best of what is stable on the most likely model; where nothing is, the whole of the proved change."""
-    stable = [i for i in range(1, len(found)) if found[i].stable]
-    return max(stable, key=lambda i: gains[i], default=1)
 
 
 def _gain(now: Outlook, then: Outlook, p: float) -> float:

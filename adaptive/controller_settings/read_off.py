@@ -378,18 +378,16 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
     slow = _slow(found, window)
     if slow is None:
         return ""
-    pair = [_central_kp(f, dt) for f, dt in ((found, window.sample_time_s), (slow, SLOW * window.sample_time_s))]
+    both = ((found, window.sample_time_s), (slow, SLOW * window.sample_time_s))
+    pair = [
+        f.values["kp"] - f.values.get("ki", 0.0) * dt / 2 for f, dt in both
+    ]  # of a law that integrates means of two
     if _apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings.slow_disagreement):
         return (
             f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones; the record is too coarse for "
             "this controller's derivative, or the controller used another pv"
         )
     return ""
-
-
-def _central_kp(found: Regression, dt_s: float) -> float:
-    """kp of a controller that integrates the mean of two samples."""
-    return found.values["kp"] - found.values.get("ki", 0.0) * dt_s / 2
 
 
 def _differ(name: str, a: Regression, b: Regression, settings: LawSettings) -> bool:

@@ -132,7 +132,8 @@ class Book:
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
         kept = {name: getattr(self, name) for name in ("direction", "unit", "dt_s", "t_s", "records", "leans")}
-        return kept | {name: _packed(getattr(self, name)) for name in ("levels", "whole", "prior")}
+        arrays = {name: zlib.compress(getattr(self, name)) for name in ("levels", "whole", "prior")}
+        return kept | {name: base64.b64encode(packed).decode("ascii") for name, packed in arrays.items()}
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Book":
@@ -227,10 +228,6 @@ def _levels(logs: FloatArray) -> bytes:
     under = np.round((top - np.maximum(logs, top - DEEPEST * STEP)) / STEP)
     kept: npt.NDArray[np.uint8] = np.where(np.isneginf(logs), DEEPEST, np.minimum(under, DEEPEST - 1)).astype(np.uint8)
     return kept.tobytes()
-
-
-def _packed(levels: bytes) -> str:
-    return base64.b64encode(zlib.compress(levels)).decode("ascii")
 
 
 def _unpacked(text: str) -> bytes:

@@ -219,7 +219,8 @@ class Likelihood:
 
     def best(self, starts: Sequence[FloatArray]) -> Likely | None:
         """The best of the refined starts, each with several strengths of the load. starts : of the process alone."""
-        noise = math.log(max(_roughness(self._left), 1e-9))
+        bends = np.concatenate([np.diff(v, 2) for v in self._left])  # which a slow motion hardly has
+        noise = math.log(max(math.sqrt(float(np.mean(bends**2)) / 6), 1e-9))
         corner = math.log(USUAL_CORNER * self.records[-1].dt_s)
         seen = max(float(np.std(np.concatenate(self._left))), 1e-9)
         tried = []
@@ -288,11 +289,6 @@ def whitening(covariances: FloatArray, order: int) -> tuple[FloatArray, float]:
         a[1 : k + 1] += turned * a[k - 1 :: -1][:k] if k > 1 else turned
         variance *= 1 - turned * turned
     return a, variance
-
-
-def _roughness(series: Sequence[FloatArray]) -> float:
-    """Standard deviation of the noise by second differences, which a slow motion hardly has."""
-    return math.sqrt(float(np.mean(np.concatenate([np.diff(v, 2) for v in series]) ** 2)) / 6)
 
 
 @lru_cache(maxsize=1)

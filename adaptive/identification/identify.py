@@ -348,14 +348,8 @@ def broad(d: int) -> FloatArray:
 def _inflation(r: FloatArray, parameters: int) -> float:
     """Factor on sigma: what is left above it, and the information that correlated residuals do not hold."""
     dof = max(len(r) - parameters - 2, 1)
-    return math.sqrt(float(r @ r) / dof * _correlation(r))
-
-
-def _correlation(r: FloatArray) -> float:
-    """How many correlated samples count as one: (1 + rho)/(1 - rho) for a first-order autocorrelation rho >= 0."""
-    rho = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-300)
-    rho = min(max(rho, 0.0), LARGEST_RHO)
-    return (1 + rho) / (1 - rho)
+    rho = min(max(float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-300), 0.0), LARGEST_RHO)
+    return math.sqrt(float(r @ r) / dof * ((1 + rho) / (1 - rho)))  # first-order autocorrelation rho
 
 
 def _compress(jacobian: FloatArray, r: FloatArray, p: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:

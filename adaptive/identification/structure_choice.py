@@ -119,7 +119,8 @@ def candidates(
         _from_parts(window, record, signs, settings, seen)
         winner = seen.best()
     if asked_for(winner) and not np.any(np.diff(window.sp)):
-        with_corners([winner, *_few_loads(rivals)], settings.most_loads, seen)
+        few = [c for c in rivals if c.fit.misfit.loads < 2]  # two steps that stand for a ramp bend the process most
+        with_corners([winner, *few], settings.most_loads, seen)
         winner = seen.best()
     for relative in _relatives(winner, seen, inverse=settings.inverse):
         seen.add(improved(relative, settings.most_loads, seen, RELATIVE_MOVES))
@@ -212,11 +213,6 @@ def _loads_first(rivals: list[Candidate], most_loads: int) -> list[Candidate]:
         fit = improved(white, most_loads, CandidateList([]), WHITE_MOVES).fit
         found.append(judged(replace(fit, misfit=replace(fit.misfit, most_order=first.misfit.most_order))))
     return found
-
-
-def _few_loads(rivals: list[Candidate]) -> list[Candidate]:
-    """Fits with a single load or a drift at most: two steps that stand for a ramp have bent the process most."""
-    return [c for c in rivals if c.fit.misfit.loads < 2]
 
 
 def _structures(record: Record, sign: int, settings: StructureSettings) -> list[Fit]:

@@ -329,7 +329,9 @@ def _pictures(pv: FloatArray, co: FloatArray, n: float) -> dict[str, float | Non
     """Indexes that look at the shape of the waves; n : samples per period."""
     width = max(int(n / SMOOTHED), 1)
     found: dict[str, float | None] = {}
-    waves = {name: _band_passed(x, n, width) for name, x in (("pv", pv), ("co", co))}
+    # without what is slower than two periods, smoothed over width samples
+    smooth = {name: running_mean(x, width) if width > 1 else x for name, x in (("pv", pv), ("co", co))}
+    waves = {name: smooth[name] - running_mean(x, 2 * round(n) + 1) for name, x in (("pv", pv), ("co", co))}
     for name, x in waves.items():
         noise = noise_sigma(x) if width == 1 else noise_sigma(pv if name == "pv" else co) / width**0.5
         band = max(NOISE_BAND * noise, 0.2 * float(np.std(x)))
@@ -350,12 +352,6 @@ def _pictures(pv: FloatArray, co: FloatArray, n: float) -> dict[str, float | Non
     if symbols is not None:
         found |= {"yamashita_rho1": symbols[0], "yamashita_rho3": symbols[1]}
     return found
-
-
-def _band_passed(x: FloatArray, n: float, width: int) -> FloatArray:
-    """A signal without what is slower than two periods, smoothed over width samples."""
-    slow = running_mean(x, 2 * round(n) + 1)
-    return (running_mean(x, width) if width > 1 else x) - slow
 
 
 def _detection(window: Window, gains: PidGains | None, period_s: float | None) -> dict[str, float | None]:

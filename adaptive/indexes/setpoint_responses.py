@@ -58,18 +58,13 @@ def setpoint_responses(sp: FloatArray, pv: FloatArray) -> SetpointResponses | No
         rest = abs(float(sp[start - 1] - pv[start - 1])) - PEAK_BAND * sigma
         if abs(step) > STEP_BAND * sigma and end - last >= FEWEST_SAMPLES and rest <= AT_REST * abs(step):
             error = (sp[last:end] - pv[last:end]) / step
-            if not _cut_short(error):
+            if np.any(error < AT_REST):  # else it ends before pv has come near its setpoint
                 read.append((*_response(error, PEAK_BAND * sigma / abs(step)), abs(step)))
     if not read:
         return None
     damped = [d for _, d, _ in read if d is not None]
     overshoot, size = median([one[0] for one in read]), median([one[2] for one in read])
     return SetpointResponses(len(read), overshoot, median(damped) if damped else None, size)
-
-
-def _cut_short(e: FloatArray) -> bool:
-    """Whether a response ends, by the next step or with the record, before pv has come near its setpoint."""
-    return not np.any(e < AT_REST)
 
 
 def _response(e: FloatArray, band: float) -> tuple[float, float | None]:

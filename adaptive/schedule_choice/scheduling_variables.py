@@ -69,15 +69,13 @@ def follows_loop(windows: Sequence[Window], values: Sequence[FloatArray]) -> boo
     longest = max(0.1 * float(windows[0].t_s[-1] - windows[0].t_s[0]), 2 * dt)
     for lag in (0.0, *np.geomspace(dt, longest, LAGS).tolist()):
         for name in OWN:
-            behind = np.concatenate([_behind(getattr(w, name), math.exp(-dt / lag) if lag else 0.0) for w in windows])
+            decay, signals = math.exp(-dt / lag) if lag else 0.0, [getattr(w, name) for w in windows]
+            # each behind a first-order lag, at rest at first
+            late = [recursion(np.full(len(x) - 1, decay), (1 - decay) * x[1:], x[0]) for x in signals]
+            behind = np.concatenate(late)
             if float(np.ptp(behind)) and _left(behind, np.concatenate(list(values))) < (1 - FOLLOWS) * varied:
                 return True
     return False
-
-
-def _behind(x: FloatArray, decay: float) -> FloatArray:
-    """A signal behind a first-order lag, at rest at first."""
-    return recursion(np.full(len(x) - 1, decay), (1 - decay) * x[1:], x[0])
 
 
 def _left(x: FloatArray, y: FloatArray) -> float:

@@ -336,7 +336,9 @@ def noise_of(left: Sequence[FloatArray], floor: float) -> Noise:
 
     floor : least sigma, in pv units.
     """
-    rows = [_lags(x - np.mean(x), MOST_ORDER) for x in left if len(x) > 4 * MOST_ORDER]
+    around = [x - np.mean(x) for x in left if len(x) > 4 * MOST_ORDER]
+    # rows of x_i, x_(i-1), ..., x_(i-MOST_ORDER)
+    rows = [np.stack([x[MOST_ORDER - k : len(x) - k] for k in range(MOST_ORDER + 1)], axis=1) for x in around]
     scale = [max(float(np.std(x)), floor) for x in left if len(x) > 4 * MOST_ORDER]
     matrix = np.concatenate([m / s for m, s in zip(rows, scale, strict=True)])
     y, past = matrix[:, 0], matrix[:, 1:]
@@ -352,11 +354,6 @@ def noise_of(left: Sequence[FloatArray], floor: float) -> Noise:
     sizes = np.array([len(x) for x in left])
     sigma = np.sqrt((PRIOR_SAMPLES * common + sizes * np.array(variances)) / (PRIOR_SAMPLES + sizes))
     return Noise(ar, np.maximum(sigma, floor))
-
-
-def _lags(x: FloatArray, most: int) -> FloatArray:
-    """Rows of x_i, x_(i-1), ..., x_(i-most)."""
-    return np.stack([x[most - k : len(x) - k] for k in range(most + 1)], axis=1)
 
 
 # ---- Where to start: one process for all stretches, over a grid of lag and dead time; and load steps, one by one

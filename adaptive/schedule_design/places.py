@@ -100,12 +100,10 @@ class Place:
         # J of these gains in steps of ROUNDED, asked once: what a search over thousands of sets can pay for
         near = PidGains(*(_rounded(gain) for gain in (gains.kp, gains.ki, gains.kd)))
         if near not in self._j:
-            setpoint, load = iae(self.model, near, self.sample_time_s) if self._stable(near) else (math.inf, math.inf)
+            stable = math.isfinite(sensitivity_peak(self.processes[0], near))
+            setpoint, load = iae(self.model, near, self.sample_time_s) if stable else (math.inf, math.inf)
             self._j[near] = 0.5 * (setpoint / self.iae[0] + load / self.iae[1])
         return self._j[near] <= limits.j
-
-    def _stable(self, gains: PidGains) -> bool:
-        return math.isfinite(sensitivity_peak(self.processes[0], gains))
 
     def _least_j(self, gains: PidGains) -> float:
         """What J is at the least: an error that never changes its sign has the integral 1/(k ki), of a load 1/ki."""

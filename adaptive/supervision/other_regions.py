@@ -68,7 +68,9 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Outc
     table, model = record.table, _known_of(found, region, known)
     if model is None or not model.identifiable:
         return None
-    model = _as_the_table(found, region, known, model)
+    # one hypothesis more: the table's set is as right there as another one is elsewhere
+    more = as_right_as_others(known, region, found.record.commissioned.gains, now_s, settings.tracker)
+    model = replace(model, plausible=(*model.plausible, *more))
     asked = KnownProcesses(table, {**known, region: model}, now_s, settings)
     wanted = tuning_of(asked, region, table.gains_of(region))
     if not wanted.ready or not wanted.diagnosis.retune:
@@ -95,13 +97,6 @@ def _known_of(found: Findings, region: int, known: Mapping[int, RegionModel]) ->
     if own is None and len(lenders(known, sign)) < LEAST_LENDERS:
         return None
     return borrowed(known, region, record.table.regions, now_s, sign, settings.borrowing, settings.tracker, own)
-
-
-def _as_the_table(found: Findings, region: int, known: Mapping[int, RegionModel], model: RegionModel) -> RegionModel:
-    """The chances with one hypothesis more: the table's set is as right there as another one is elsewhere."""
-    record, now_s = found.record, float(found.record.window.t_s[-1])
-    more = as_right_as_others(known, region, record.commissioned.gains, now_s, found.settings.tracker)
-    return replace(model, plausible=(*model.plausible, *more))
 
 
 def _counted(request: ChangeRequest, known: Mapping[int, RegionModel]) -> ChangeRequest:

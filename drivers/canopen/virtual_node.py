@@ -15,7 +15,7 @@ from canopen.objectdictionary import datatypes
 from retuner.drivers.canopen.canopen_access import CanOpenAccess
 from retuner.drivers.canopen.eds_file import EdsFile, Variable, holds
 from retuner.drivers.profiles.bench_loop import BenchLoop, load_of
-from retuner.drivers.profiles.mapping import DeviceMapping, ObjectOf, States
+from retuner.drivers.profiles.mapping import DeviceMapping, ObjectOf
 from retuner.schedule.vendor_units import VendorUnits
 
 HEARTBEAT = 0x700
@@ -105,7 +105,8 @@ class VirtualCanOpenNode:
         told: dict[tuple[int, int], int] = {}
         for states in (*mapping.stops, *([mapping.mode] if mapping.mode else [])):
             variable, _ = self._variable(states.at)
-            told[variable.index, variable.subindex] = told.get((variable.index, variable.subindex), 0) | _good(states)
+            at = variable.index, variable.subindex
+            told[at] = told.get(at, 0) | states.expected[0]  # as it should be
         for (index, sub), value in told.items():
             told_by = self._file.dictionary.get_variable(index, sub)
             assert told_by is not None
@@ -139,14 +140,11 @@ class VirtualCanOpenNode:
         if load is not None:
             self.loop.load = load
         elif not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
-            self._hand_in(message)
+            try:
+                self._network.notify(message.arbitration_id, bytearray(message.data), message.timestamp)
+            except (ValueError, LookupError, TypeError, IndexError, OSError):  # a damaged frame
+                self.refused += 1
         return self._taken()
-
-    def _hand_in(self, message: can.Message) -> None:
-        try:
-            self._network.notify(message.arbitration_id, bytearray(message.data), message.timestamp)
-        except (ValueError, LookupError, TypeError, IndexError, OSError):  # a damaged frame
-            self.refused += 1
 
     def emergency(self, code: int) -> list[can.Message]:
         """Tell of an error, or with code 0 that it is over."""
@@ -177,8 +175,3 @@ class VirtualCanOpenNode:
             self.refused += 1
             raise canopen.SdoAbortedError(0x06090030) from error
         self.numbers = new
-
-
-def _good(states: States) -> int:
-    """A value of a state object that is as it should be."""
-    return states.expected[0]

@@ -231,11 +231,8 @@ def _identifier(name: str) -> int | None:
 
 
 def _there(names: Sequence[str], wanted: str) -> str:
-    ranked = sorted(names, key=lambda name: -_alike(name.lower(), wanted.lower()))
+    low = wanted.lower()
+    # by the longest piece of the wanted name, from its start, that is in a name
+    ranked = sorted(names, key=lambda name: -max(n for n in range(len(low) + 1) if low[:n] in name.lower()))
     shown = ", ".join(ranked[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
     return f"there is {shown}" if names else "there is none"
-
-
-def _alike(name: str, wanted: str) -> int:
-    """Length of the longest piece of the wanted name, from its start, that is in this one."""
-    return max((n for n in range(len(wanted) + 1) if wanted[:n] in name), default=0)

@@ -83,16 +83,13 @@ class VirtualDbcDevice:
             return []
         if message.is_remote_frame:
             slots = [s for s in self._on_request if s[0] == message.arbitration_id]
-            return [self._frame(slot) for slot in slots if self._is_of(slot, message)]
+            extended = message.is_extended_id
+            return [self._frame(s) for s in slots if self._places[s].layout.is_extended_frame == extended]
         asked = list(dict.fromkeys(slot for ask, slot in self._asked_by if ask.is_asked_by(message)))
         if asked:
             return [self._frame(slot) for slot in asked]
         self._obey(message)
         return []
-
-    def _is_of(self, slot: Slot, message: can.Message) -> bool:
-        """Whether a frame is one of this message."""
-        return self._places[slot].layout.is_extended_frame == message.is_extended_id
 
     def _frame(self, slot: Slot) -> can.Message:
         place, guard = self._places[slot], self._guards.get(slot[0])

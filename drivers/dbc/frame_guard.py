@@ -40,7 +40,8 @@ class FrameGuard:
         """The frame with its checksum."""
         if self.algorithm is None:
             return data
-        sum_ = self.algorithm(self._covered(data)).to_bytes(self.width, "big" if self.big else "little")
+        covered = data[: self.place] + data[self.place + self.width :] + self.data_id
+        sum_ = self.algorithm(covered).to_bytes(self.width, "big" if self.big else "little")
         return data[: self.place] + sum_ + data[self.place + self.width :]
 
     def accepts(self, data: bytes) -> bool:
@@ -53,10 +54,6 @@ class FrameGuard:
         new = count is not None and count != self._seen
         self._seen = count if count is not None else self._seen
         return new
-
-    def _covered(self, data: bytes) -> bytes:
-        """The bytes that the checksum is over."""
-        return data[: self.place] + data[self.place + self.width :] + self.data_id
 
 
 def guard_of(layout: Layout, protection: Protection, source: str, key: tuple[str | int, ...]) -> FrameGuard:

@@ -173,7 +173,8 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
         if not len(trend.t_s):
             raise RecordingError(f"{read[0].source}: {role} has no value that is known; name another column")
     t_s, values, told = joined(loop.trends["pv"], {r: s for r, s in loop.trends.items() if r != "pv"})
-    assumed = _told_once([*(a for one in read for a in (*one.assumed, *one.of_loop.get(loop.tag, ()))), *told])
+    said = [*(a for one in read for a in (*one.assumed, *one.of_loop.get(loop.tag, ()))), *told]
+    assumed = tuple(dict.fromkeys(said))
     source = read[0].source if len(read) == 1 else f"{read[0].source} and {len(read) - 1} more"
     others = {name: _other(name, values, source) for name in form.others}
     if form.sp is not None and "sp" not in values:
@@ -357,10 +358,6 @@ def _listed(names: Iterable[str]) -> str:
     found = [name or "(no tag)" for name in names]
     more = f" and {len(found) - TAGS_SHOWN} more" if len(found) > TAGS_SHOWN else ""
     return (", ".join(found[:TAGS_SHOWN]) or "nothing") + more
-
-
-def _told_once(assumed: Iterable[Assumption]) -> tuple[Assumption, ...]:
-    return tuple(dict.fromkeys(assumed))
 
 
 __all__ = ["SIGNALS", "LoopRecord", "read_loop_record"]

@@ -101,14 +101,10 @@ def joined(pv: OneSignal, others: dict[str, OneSignal]) -> tuple[FloatArray, dic
         if not trend.held and same.mean() >= SHARED:
             known &= same
             continue
-        known &= inside & (t_s <= _until(trend))
+        # stored by exception, a signal is known until its last row and as long again as it ever stood
+        longest = float(np.max(np.diff(trend.t_s))) if len(trend.t_s) > 1 else np.inf
+        known &= inside & (t_s <= float(trend.t_s[-1]) + longest)
         told.append(Assumption(f"{role} has rows of its own: held between them"))
     if known.all():
         return t_s, values, told
     return t_s[known], {role: v[known] for role, v in values.items()}, told
-
-
-def _until(trend: OneSignal) -> float:
-    """Until when a signal stored by exception is known: its last row and as long again as it ever stood."""
-    longest = float(np.max(np.diff(trend.t_s))) if len(trend.t_s) > 1 else np.inf
-    return float(trend.t_s[-1]) + longest

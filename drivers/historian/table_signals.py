@@ -131,13 +131,9 @@ def _signal_places(
                 _refuse_repeated(table, place)
     for wanted in places.values():
         wanted |= {name: table.names.index(name) for name in form.others if name in table.names}
-    return places or _beside(table, form) or _by_file_name(table, found, form)
-
-
-def _beside(table: RawTable, form: RecordForm) -> dict[str, dict[str, int]]:
-    """A table of further columns alone, as one of a file or a message: they belong to every loop."""
-    wanted = {name: table.names.index(name) for name in form.others if name in table.names}
-    return {"": wanted} if wanted else {}
+    # a table of further columns alone, as one of a file or a message: they belong to every loop
+    beside = {name: table.names.index(name) for name in form.others if name in table.names}
+    return places or ({"": beside} if beside else _by_file_name(table, found, form))
 
 
 def _plainest(table: RawTable, role: str, places: Sequence[int], form: RecordForm) -> Sequence[int]:
@@ -233,7 +229,7 @@ def _seconds(moments: npt.NDArray[Any]) -> FloatArray:
 def _counted(table: RawTable, place: int, decimal: str, form: RecordForm) -> Stamps:
     """Times as numbers, in the unit that the column's name or a row of units tells."""
     name, beside = table.names[place], table.time_units.get(place, "")
-    values, unit = numbers(table, place, decimal, form), _unit(name)
+    values, unit = numbers(table, place, decimal, form), TIME_UNIT.get(named(name).unit, "")
     if unit or form.time_unit or not beside:
         return from_numbers(values, name, unit, form)
     told = Assumption(f"time {quoted(name)} in {beside}, of the row of units", f'time_unit = "{beside}"')
@@ -256,11 +252,6 @@ def _written_out(fields: Sequence[str]) -> bool:
     """Whether stamps are dates and times, as text or in digits, and no count of seconds."""
     some = [field.replace(",", ".") for field in fields[:: max(1, len(fields) // 20)] if field]
     return all(DIGITS.fullmatch(field) for field in some) or not all(NUMBER.fullmatch(field) for field in some)
-
-
-def _unit(name: str) -> str:
-    """The unit of time that a column's name holds, or nothing."""
-    return TIME_UNIT.get(named(name).unit, "")
 
 
 def _by_content(table: RawTable) -> int | None:

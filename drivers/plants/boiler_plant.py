@@ -114,7 +114,8 @@ class BoilerPlant:
             arriving = self._leaving((start + self._passed) / 2 - settings.pipe_s)
             self._sensor = arriving + (self._sensor - arriving) * held
         if len(self._marks) > HISTORY_TRIM:
-            self._trim()
+            used = max(bisect_right(self._marks, self._passed - self.settings.pipe_s) - 2, 0)
+            del self._marks[:used], self._temps[:used]  # the water that has passed the sensor
         self._aux = 100.0 * flow + self._flow_noise()
         return self._sensor + self._noise()
 
@@ -127,11 +128,6 @@ class BoilerPlant:
             return self._temps[-1]
         w = (mark - self._marks[i - 1]) / (self._marks[i] - self._marks[i - 1])
         return (1.0 - w) * self._temps[i - 1] + w * self._temps[i]
-
-    def _trim(self) -> None:
-        """Forget the water that has passed the sensor."""
-        used = max(bisect_right(self._marks, self._passed - self.settings.pipe_s) - 2, 0)
-        del self._marks[:used], self._temps[:used]
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
         """Output in percent that holds pv: see plant.Plant."""

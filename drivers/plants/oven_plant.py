@@ -114,7 +114,8 @@ class OvenPlant:
             self._t_s += dt_s / n
             self._integrate(self._arriving() + load_w, dt_s / n)
         if len(self._times) > HISTORY_TRIM:
-            self._trim()
+            used = max(bisect_right(self._times, self._read_to_s) - 1, 0)
+            del self._times[:used], self._powers[:used], self._fired[:used]  # nothing reads them any more
         return self._sensor + self._noise()
 
     def _arriving(self) -> float:
@@ -144,11 +145,6 @@ class OvenPlant:
         a4, b4 = (power_w - settings.loss(t)) / settings.capacity(t), (t - s) / lag
         self._chamber = t0 + dt_s * (a1 + 2 * (a2 + a3) + a4) / 6
         self._sensor = s0 + dt_s * (b1 + 2 * (b2 + b3) + b4) / 6
-
-    def _trim(self) -> None:
-        """Drop the part of the buffer that nothing reads any more."""
-        used = max(bisect_right(self._times, self._read_to_s) - 1, 0)
-        del self._times[:used], self._powers[:used], self._fired[:used]
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
         """Output in percent that holds pv, by bisection of the rising power characteristic: see plant.Plant."""

@@ -73,7 +73,7 @@ def findings(folder: Path, *, adapters: bool = False) -> Iterator[MachineFinding
             yield MachineFinding(f"extra {extra}", Level.OK, ", ".join(needed))
     yield _checked(
         "virtual bus",
-        _virtual,
+        lambda: _there_and_back("virtual", "retuner-doctor", {}),
         'python-can is damaged; install it again: pip install --force-reinstall "python-can>=4.6"',
     )
     yield _multicast()
@@ -162,10 +162,6 @@ def _checked(name: str, check: Callable[[], str], remedy: str) -> MachineFinding
         return MachineFinding(name, Level.OK, check())
     except (OSError, ValueError, UserError, DeviceError) as error:
         return MachineFinding(name, Level.BROKEN, getattr(error, "strerror", None) or str(error), remedy)
-
-
-def _virtual() -> str:
-    return _there_and_back("virtual", "retuner-doctor", {})
 
 
 def _there_and_back(interface: str, channel: str, options: dict[str, object]) -> str:

@@ -114,7 +114,10 @@ class PidController(display_hook.Drawn, Closes):
         co_low, co_high = _range("co_range", co_range)
         if not (0.0 < dt_s < math.inf):
             raise ValueError(f"dt_s = {dt_s} must be a positive finite number of seconds")
-        table = gains if isinstance(gains, GainTable) else _one_region(name, _gains(gains), low, high)
+        if isinstance(gains, GainTable):
+            table = gains
+        else:
+            table = GainTable(name, Regions("pv", "pv", ("all",), low, (), high), (_gains(gains),))
         watched = settings or RetunerSettings(
             dt_s, high - low, _mode(mode), setpoint_weight=b, filter_s=tau_f_s, pv_range=(low, high)
         )
@@ -436,11 +439,6 @@ def _gains(gains: PidGains) -> PidGains:
     if not isinstance(gains, PidGains):
         raise TypeError(f"gains = {gains!r}: give PidGains(kp, ki, kd), ki and kd in seconds, or a GainTable")
     return gains
-
-
-def _one_region(name: str, gains: PidGains, low: float, high: float) -> GainTable:
-    """A table of one region with these gains over the whole range of pv."""
-    return GainTable(name, Regions("pv", "pv", ("all",), low, (), high), (gains,))
 
 
 def _mode(mode: Mode | str) -> Mode:

@@ -12,7 +12,6 @@ from retuner.errors import ConfigError
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
     from collections.abc import Iterator, Sequence
 
-    from retuner.config.loading import ConfigFlaw
     from retuner.config.model import Config
     from retuner.schedule.regions import Axis
 
@@ -34,7 +33,8 @@ def check(path: ConfigFile, as_json: Json = False) -> int:
     except UnusableError as unusable:
         if not as_json:
             raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None
-        _print_json({"ok": False, "file": str(path), "problems": [_problem(f) for f in unusable.findings]})
+        problems = [{"line": f.line, "key": f.key, "message": f.message} for f in unusable.findings]
+        _print_json({"ok": False, "file": str(path), "problems": problems})
         return UNUSABLE
     warned = [one for config in session.loops for one in foreseen(config)]
     wrong = any(one.wrong for one in warned)
@@ -110,10 +110,6 @@ def _axis_text(axis: "Axis") -> str:
     ]
     told = [part for part in parts if part]
     return told[0] + (f" ({', '.join(told[1:])})" if told[1:] else "")
-
-
-def _problem(finding: "ConfigFlaw") -> dict[str, object]:
-    return {"line": finding.line, "key": finding.key, "message": finding.message}
 
 
 def _print_json(value: object) -> None:

@@ -73,7 +73,11 @@ def _examined(
         if not sample_s:
             raise UserError(f"node {node} on {place}: no Identity; is it there, and its number right?")
         far = OnBus(
-            link, clock, node, sample_s / speed, _power_cycle(link.wait_until, clock.now_s) if restart else _nobody
+            link,
+            clock,
+            node,
+            sample_s / speed,
+            _power_cycle(link.wait_until, clock.now_s) if restart else lambda: False,
         )
         try:
             return examine(Conversation(far, node, key), chapters(trial_samples))
@@ -89,10 +93,6 @@ def _the_node(heard: list[int], place: str) -> int:
     if heard:
         raise UserError(f"{place}: nodes {', '.join(map(str, heard))} send samples; name one by --node")
     raise UserError(f"{place}: no device sends whole samples; is one there? Name it by --node if it sends none")
-
-
-def _nobody() -> bool:
-    return False
 
 
 def _power_cycle(wait_until: Callable[[float], None], now_s: Callable[[], float]) -> Callable[[], bool]:

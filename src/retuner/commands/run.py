@@ -175,7 +175,9 @@ def run(options: "RunOptions") -> int:
     config = all_on_bus(read, options.interface, options.channel)
     show_units_of(config)
     if options.pretune:
-        config = replace(config, loops=tuple(_pretuned(one) for one in config.loops))
+        own = [one.adaptation.model_copy(update={"pretune": True}) for one in config.loops]
+        loops = (one.model_copy(update={"adaptation": more}) for one, more in zip(config.loops, own, strict=True))
+        config = replace(config, loops=tuple(loops))
     # the mode for all loops, None for that of each; refuses to move co where nothing but watching is allowed
     if options.mode is not None and options.mode not in set(Mode):
         raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
@@ -204,11 +206,6 @@ def run(options: "RunOptions") -> int:
     except LedgerError:  # it could not be opened
         give_back(fresh)
         raise
-
-
-def _pretuned(config: Config) -> Config:
-    """A loop's configuration with a step of co at the beginning."""
-    return config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"pretune": True})})
 
 
 def _look_at_benches(path: Path, session: SessionConfig) -> None:

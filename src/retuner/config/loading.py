@@ -102,7 +102,8 @@ def _told(error: ErrorDetails, path: Path, document: Mapping[str, object]) -> It
     elif error["type"] == "missing":
         yield Problem(path, "is missing; add it" + _meaning(path, document))
     elif error["type"] == "extra_forbidden":
-        known = [name for model in _models(path[:-1], document) for name in _names(model)]
+        fields = [field for model in _models(path[:-1], document) for field in model.model_fields.items()]
+        known = [field.alias or name for name, field in fields]
         close = difflib.get_close_matches(str(path[-1]), known, n=1)
         hint = f"did you mean {close[0]}?" if close else "known here: " + ", ".join(known)
         yield Problem(path, (f"is not a known key; {hint}"))
@@ -132,10 +133,6 @@ def _meaning(path: Path, document: Mapping[str, object]) -> str:
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     unit = extra.get("unit")
     return f"{MEANING}{field.description}" + (f", in {unit})" if unit not in {None, "-", "1"} else ")")
-
-
-def _names(model: type[Section]) -> list[str]:
-    return [field.alias or name for name, field in model.model_fields.items()]
 
 
 def _read_as(name: str, field: FieldInfo) -> Sequence[object]:

@@ -249,9 +249,10 @@ class OnDemandExperiment:
         for line in lines:
             self._screen.say(line)
         if runner.phase is Phase.STRANDED:
+            before = runner.before.words if runner.before else "the initial state"
             sys.stderr.write(
                 f"{self._config.loop.name}: NOT RESTORED, the controller does not show its initial state; "
-                f"bring back by hand: {self._before_text()}\n"
+                f"bring back by hand: {before}\n"
             )
 
     def _forbidden(self) -> str:
@@ -294,7 +295,3 @@ class OnDemandExperiment:
             self._screen.say("written, read back and running; put them into the configuration to keep them")
         with unstoppable():
             outcome.leave()
-
-    def _before_text(self) -> str:
-        before = self._runner.before
-        return before.words if before else "the initial state"

@@ -66,7 +66,8 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
         connection = sqlite3.connect(
             f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None, timeout=BUSY_TIMEOUT_S
         )
-        connection.text_factory = _as_text
+        # bytes that are no UTF-8 stay visible to the hash check instead of stopping the reading
+        connection.text_factory = lambda raw: raw.decode("utf-8", errors="surrogateescape")
         connection.execute(f"PRAGMA synchronous = {FULL}")
         if _pragma(connection, "synchronous") != FULL:
             raise sqlite3.OperationalError("it does not take synchronous = FULL, without which a power cut loses rows")
@@ -93,11 +94,6 @@ def _pragma(connection: sqlite3.Connection, name: str) -> int:
     if row is None:
         raise sqlite3.DatabaseError("its head cannot be read")
     return row[0]
-
-
-def _as_text(raw: bytes) -> str:
-    """Text of a column; bytes that are no UTF-8 stay visible to the hash check instead of stopping the reading."""
-    return raw.decode("utf-8", errors="surrogateescape")
 
 
 def _create(connection: sqlite3.Connection) -> None:

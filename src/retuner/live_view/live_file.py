@@ -174,7 +174,8 @@ class LiveReader:
             if ring and not counts[ring]:
                 break
             table, first = self._numbered(ring, 0, counts[ring])
-            table = np.concatenate((table, _after(finer, table)))  # the newest have not come as far as this ring
+            newer = finer[finer[:, 0] > table[-1, 0]] if len(table) else finer
+            table = np.concatenate((table, newer))  # the newest have not come as far as this ring
             finer = table
             reaches = first == 0 or (len(table) and table[0, 0] <= from_s)
             within = int(np.count_nonzero((table[:, 0] >= from_s) & (table[:, 0] <= to_s)))
@@ -225,11 +226,6 @@ class LiveReader:
                 document: dict[str, Any] = json.loads(body)
                 return document
         return None
-
-
-def _after(finer: FloatArray, table: FloatArray) -> FloatArray:
-    """Samples of a finer ring that are newer than all of a coarser one."""
-    return finer[finer[:, 0] > table[-1, 0]] if len(table) else finer
 
 
 def thinned(table: FloatArray, most: int) -> FloatArray:

@@ -185,11 +185,8 @@ class PageAnswers:
         return StreamingResponse(self._hub.events(wanted, last), headers=headers)
 
     def _who(self, request: Request) -> object:
-        return {"acting": self._acting(request), "read_only": self._access.read_only}
-
-    def _acting(self, request: Request) -> bool:
-        """Whether a request comes with the cookie of a session that goes on."""
-        return self._access.may_act(request.cookies.get(self._cookie, ""))
+        acting = self._access.may_act(request.cookies.get(self._cookie, ""))  # of a session that goes on
+        return {"acting": acting, "read_only": self._access.read_only}
 
     async def _login(self, request: Request) -> Response:
         body = await _body(request)

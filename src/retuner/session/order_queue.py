@@ -104,17 +104,13 @@ def shown(rows: Iterable[Row], found: OrderState | None = None) -> OrderState:
             found.in_force[str(body["region"])] = gains_of(body["gains"])
             found.waiting.pop(str(body["region"]), None)
         elif row.kind == "judged" and body.get("trial") == TrialPhase.WAITING:
-            found.waiting[str(body["region"])] = _last_tried(found, str(body["region"]))
+            region = str(body["region"])  # and the hash of its newest change
+            found.waiting[region] = next((one for one in reversed(found.tried) if found.tried[one] == region), "")
         elif row.kind == "order":
             _order(found, body)
         elif row.kind == SCHEDULE:
             found.schedules[str(body["hash"])] = body
     return found
-
-
-def _last_tried(found: OrderState, region: str) -> str:
-    """Hash of the newest change of a region."""
-    return next((digest for digest in reversed(found.tried) if found.tried[digest] == region), "")
 
 
 def _order(found: OrderState, body: Mapping[str, Any]) -> None:
