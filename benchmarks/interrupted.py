@@ -32,9 +32,9 @@ from cases.case import FloatArray
 from cases.loop import FAR
 from cases.plant import FAMILIES, HeldPlant, log_uniform
 from cases.setting import Loop, draw_loop, scaled
-from online.harm import effects
 from online.judge import Judge, counted
 from online.loop import WRITTEN, LostLoop, WatchedLoop, Watching, one_region, settings
+from online.session import effects
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action

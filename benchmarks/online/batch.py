@@ -7,10 +7,8 @@ an eighth of the effective dead time apart, disturbances 60 effective dead times
 
 import math
 import zlib
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from cases.plant import HeldPlant
@@ -18,20 +16,25 @@ from cases.plant import HeldPlant
 from online.judge import Judge, Judgement, counted
 from online.loop import LostLoop, Supervisor, WatchedLoop, Watching, guard_settings, one_region, settings
 from online.rivals import Member, PatternAlone, batch, relay_then_ziegler_nichols, step_then_simc
+from online.session import (
+    LENGTH_THETA,
+    LOST,
+    NOISE,
+    PV_SPAN,
+    REST_SAMPLES,
+    SAMPLES_PER_THETA,
+    STARTS,
+    Row,
+    faults,
+    in_words,
+    noise_of,
+    told,
+)
 from retuner.adaptive.guard.step_size import Parameter, step_limit
 from retuner.adaptive.supervision.decision import Decision
 from retuner.schedule.gains import PidGains
 
-SAMPLES_PER_THETA = 8
 DISTURBANCES = 6
-STARTS = tuple((kc, tau_i) for kc in (4.0, 0.25, 2.0) for tau_i in (4.0, 0.25, 1.0))
-"""Factors on Kc and tau_I of the right settings at the start."""
-REST_SAMPLES = 60
-LENGTH_THETA = 60.0
-NOISE = 0.01
-PV_SPAN = 10.0
-
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,39 +139,17 @@ def disturbed(loop: WatchedLoop, judge: Judge, task: Task, story: list[str]) -> 
     load_size = judge.load_like_setpoint()
     sp = load = 0.0
     try:
-        loop.run(sp, load, _noise(rng, task.noise, REST_SAMPLES))
+        loop.run(sp, load, noise_of(rng, REST_SAMPLES, task.noise))
         for i in range(DISTURBANCES):
             sp, load = (1.0 - sp, load) if i % 2 == 0 else (sp, load_size - load)
             story.append(f"{i + 1}. {'setpoint' if i % 2 == 0 else 'load'} at {loop.t_s:.4g} s")
-            loop.run(sp, load, _noise(rng, task.noise, n))
+            loop.run(sp, load, noise_of(rng, n, task.noise))
             judged.append(judge.of(loop.table.gains_of(0)))
-            story.append(f"   now {_words(judged[-1])}")
+            story.append(f"   now {in_words(judged[-1])}")
     except LostLoop:
         story.append(f"   lost at {loop.t_s:.4g} s")
-        judged += [Judgement(float("inf"), float("inf"), in_spec=False)] * (DISTURBANCES - len(judged))
+        judged += [LOST] * (DISTURBANCES - len(judged))
     return judged
-
-
-def _noise(rng: np.random.Generator, size: float, n: int) -> list[float]:
-    return [float(x) for x in size * rng.standard_normal(n)]
-
-
-def told(d: Decision, judge: Judge) -> str:
-    """A decision in one line: what was recognised, cause, ruling, and what is true of the gains that follow."""
-    seen = "-"
-    if d.response:
-        damping = "" if d.response.damping is None else f" damping {d.response.damping:.2f}"
-        upset, peaks = "sp" if d.response.sp_changed else "load", len(d.response.peaks)
-        seen = f"{upset} {peaks} peaks{damping} {d.response.ending.name}"
-    model = f"{d.estimate.to_dict()['model']}" if d.estimate and d.estimate.identifiable else "no model"
-    after = f"-> {_words(judge.of(d.gains_after))}" if d.gains_after else ""
-    cause = str(d.diagnosis.cause) if d.diagnosis else "-"
-    ruling = d.proof.ruling.name if d.proof else "-"
-    return f"t {d.t_s:.4g}: {seen}; {cause}; {ruling}; {d.action} {after}; {model}; {d.reason}"
-
-
-def _words(found: Judgement) -> str:
-    return f"Ms {found.ms:.2f} J {found.j:.2f} {'in spec' if found.in_spec else 'OUT'}"
 
 
 def staying(row: Row, after: int) -> bool:
@@ -235,8 +216,7 @@ def table(rows: list[Row]) -> list[str]:
         lines += [
             f"{who}: after {n}, and staying  {counted(sum(all(x[n - 1 :]) for x in of), len(of))}" for n in (1, 3, 6)
         ]
-    at_end = Counter(_fault(row) for row in rows)
-    lines.append("at the end: " + ", ".join(f"{name} {number}" for name, number in at_end.most_common()))
+    lines.append(faults(rows))
     for key in ("family", "kc", "tau_i"):
         lines.append(f"{key:<8} runs  staying after 1 / 3 / 6")
         for value in sorted({row[key] for row in rows}):
@@ -246,12 +226,3 @@ def table(rows: list[Row]) -> list[str]:
                 + " / ".join(f"{sum(staying(r, n) for r in of) / len(of):4.0%}" for n in (1, 3, 6))
             )
     return lines
-
-
-def _fault(row: Row) -> str:
-    """What is wrong after the last disturbance."""
-    if row["spec"][-1]:
-        return "in spec"
-    if row["ms"][-1] == float("inf"):
-        return "unstable"
-    return "Ms too large" if row["ms"][-1] > row["ms_limit"] else "J too large"

@@ -18,25 +18,23 @@ limit, on the true process without valve and disturbance (judge.py).
 """
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from cases.case import FloatArray
 from cases.cycling import LONGEST_PERIOD, limit_cycle, sticking
 from cases.making import own_period_s, quantiser
-from cases.plant import FAMILIES, INTEGRATING, HeldPlant, log_uniform
+from cases.plant import FAMILIES, INTEGRATING, log_uniform
 from cases.setting import Loop, draw_loop, resampled, scaled
 from cases.signals import Valve, coloured, oscillation, random_walk
 
-from online.judge import Effect, Judge, at_most, effect
-from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
+from online.judge import Judge, at_most
 from online.runner import Task
+from online.session import Row, Session, effects
 from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.supervision.decision import Action
 from retuner.schedule.gains import PidGains
 
-Row = dict[str, Any]
 KINDS = ("quiet", "stiction", "external", "saturation")
 HOUR_S = 3600.0
 SAMPLE_TIMES_S = (1.0, 10.0)
@@ -64,57 +62,33 @@ class Scene:
 
 
 def run(task: Task) -> Row:
-    """One loop; keys effects (one a change), samples, records (responses decided on), lost."""
+    """One loop; keys of session.Session.row, and effects (one a change), samples, hours, causes, said."""
     rng = np.random.default_rng([task.seed, task.index, KINDS.index(task.kind), 28])
     scene = scene_of(task.kind, rng)
     loop = scene.loop
-    watching = Watching(one_region(scene.gains), settings(loop.dt_s, scene.pv_span))
     low, high = (loop.low, loop.high) if scene.bounded else (-1e15, 1e15)
-    watched = WatchedLoop(
-        HeldPlant(loop.process, loop.dt_s),
-        watching.retuner.table,
-        loop.dt_s,
-        watching,
-        co0=loop.co0,
-        low=low,
-        high=high,
-        valve=scene.valve,
-        sensor=quantiser(scene.quantum),
-        lost=1e4 * scene.pv_span,
-    )
-    lost = False
-    try:
-        for (first, sp), (end, _) in zip(scene.sps, [*scene.sps[1:], (len(scene.load), 0.0)], strict=True):
-            watched.run(sp, scene.load[first:end].tolist(), scene.out[first:end].tolist())
-    except LostLoop:
-        lost = True
     judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
-    return {
-        "part": "harm",
-        "kind": task.kind,
-        "seed": task.seed,
-        "index": task.index,
-        "family": loop.family,
-        "dt_s": loop.dt_s,
-        "samples": watched.i,
-        "records": len(watching.decisions),
-        "lost": lost,
-        "hours": watched.t_s / HOUR_S,
-        "first": asdict(judge.of(scene.gains)),
-        "ms_limit": judge.ms_limit,
-        "effects": [asdict(x) | {"worse": x.worse} for x in effects(judge, watching)],
-        "causes": dict(Counter(str(d.diagnosis.cause) if d.diagnosis else "none" for d in watching.decisions)),
-        "said": [d.reason for d in watching.writes],
-    }
+    session = Session(
+        task, judge, scene.gains, None, scene.pv_span, co0=loop.co0, low=low, high=high, valve=scene.valve,
+        sensor=quantiser(scene.quantum), lost=1e4 * scene.pv_span,
+    )  # fmt: skip
 
+    def upsets() -> Iterator[None]:
+        for (first, sp), (end, _) in zip(scene.sps, [*scene.sps[1:], (len(scene.load), 0.0)], strict=True):
+            session.loop.run(sp, scene.load[first:end].tolist(), scene.out[first:end].tolist())
+            yield None
 
-def effects(judge: Judge, watching: Watching) -> list[Effect]:
-    """The effect of every change that was written, in order."""
-    return [
-        effect(judge, d.t_s, d.gains_before, d.gains_after, restored=d.action != Action.WRITE)
-        for d in watching.writes
-        if d.gains_after is not None
-    ]
+    session.run(upsets())
+    return session.row(
+        "harm",
+        loop.family,
+        dt_s=loop.dt_s,
+        samples=session.loop.i,
+        hours=session.loop.t_s / HOUR_S,
+        effects=[asdict(x) | {"worse": x.worse} for x in effects(judge, session.watching)],
+        causes=dict(Counter(str(d.diagnosis.cause) if d.diagnosis else "none" for d in session.watching.decisions)),
+        said=[d.reason for d in session.watching.writes],
+    )
 
 
 def scene_of(kind: str, rng: np.random.Generator) -> Scene:
@@ -257,7 +231,7 @@ def line(row: Row) -> str:
         f"{x['after']['j']:.2f}{' WORSE' if x['worse'] else ''}{' (put back)' if x['restored'] else ''}: {said}"
         for x, said in zip(row["effects"], row["said"], strict=True)
     )
-    return f"{row['kind']} {row['index']} {row['family']}{' LOST' if row['lost'] else ''}: {told}"
+    return f"{row['kind']} {row['index']} {row['what']}{' LOST' if row['lost'] else ''}: {told}"
 
 
 def table(rows: list[Row]) -> list[str]:

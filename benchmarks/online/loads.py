@@ -18,32 +18,40 @@ many periods, what was changed for the worse, and what was made unstable.
 """
 
 import math
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 from cases.case import FloatArray
-from cases.plant import FAMILIES, HeldPlant, log_uniform
-from cases.setting import draw_loop, scaled
+from cases.plant import log_uniform
+from cases.setting import scaled
 from cases.signals import coloured, random_walk
 
-from online.batch import NOISE, PV_SPAN, SAMPLES_PER_THETA, STARTS, told
-from online.harm import effects
-from online.judge import Judge, Judgement, counted
-from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
+from online.judge import Judge
+from online.loop import WatchedLoop, Watching
 from online.runner import Task
+from online.session import (
+    LENGTH_THETA,
+    REST_SAMPLES,
+    SAMPLES_PER_THETA,
+    Row,
+    Session,
+    by_kind,
+    in_spec_after,
+    line,
+    loop_with_start,
+    noise_of,
+)
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 
-Row = dict[str, Any]
+__all__ = ["KINDS", "line", "load_of", "run", "table"]
 KINDS = ("steps", "pulses", "ramps", "walk", "sinusoid", "coloured", "quiet", "calm walk", "calm coloured")
 WANDERING = ("walk", "coloured", "sinusoid", "calm walk", "calm coloured")
 """Kinds that never rest."""
 CALM = 0.05
 """Size of a calm load over that of the same load otherwise."""
 PERIODS = 6
-LENGTH_THETA = 60.0
-REST_SAMPLES = 60
 
 
 def bumping(percent: float, watching: Watching, period_s: float) -> LoopBumps:
@@ -72,55 +80,23 @@ def period(watched: WatchedLoop, bumps: LoopBumps, watching: Watching, load: lis
 
 
 def run(task: Task) -> Row:
-    """One loop; keys spec, ms, j (a value a period), changes, worse, made_unstable, lost, where verbose the story."""
+    """One loop; keys of session.Session.row, and the bumps."""
     rng = np.random.default_rng([task.seed, task.index, KINDS.index(task.kind), 41])
-    loop = draw_loop(rng, str(rng.choice(FAMILIES)), (SAMPLES_PER_THETA, SAMPLES_PER_THETA + 1e-9))
-    judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
-    kc, tau_i = STARTS[int(rng.integers(len(STARTS)))]
-    while not loop.margins(scaled(loop.best, kc, tau_i)).stable:
-        kc, tau_i = STARTS[int(rng.integers(len(STARTS)))]
+    loop, judge, (kc, tau_i) = loop_with_start(rng)
     n = int(LENGTH_THETA * SAMPLES_PER_THETA * max(1.0, 1 / kc))
     load = load_of(task.kind, rng, n, loop.theta_s / loop.dt_s) * judge.load_like_setpoint()
-    story: list[str] = []
-    watching = Watching(
-        one_region(scaled(loop.best, kc, tau_i)),
-        settings(loop.dt_s, PV_SPAN, opened=task.opened),
-        lambda decision: story.append("   " + told(decision, judge)),
-    )
-    watched = WatchedLoop(HeldPlant(loop.process, loop.dt_s), watching.retuner.table, loop.dt_s, watching)
-    bumps = bumping(task.bumps, watching, n * loop.dt_s)
-    judged: list[Judgement] = []
-    lost = False
-    try:
-        watched.run(0.0, 0.0, _noise(rng, REST_SAMPLES))
+    session = Session(task, judge, scaled(loop.best, kc, tau_i))
+    bumps = bumping(task.bumps, session.watching, n * loop.dt_s)
+
+    def upsets() -> Iterator[Judge]:
+        session.loop.run(0.0, 0.0, noise_of(rng, REST_SAMPLES))
         for i in range(PERIODS):
-            period(watched, bumps, watching, load[i * n : (i + 1) * n].tolist(), _noise(rng, n))
-            judged.append(judge.of(watched.gains))
-            story.append(f"{i + 1}. Ms {judged[-1].ms:.2f} J {judged[-1].j:.2f} {judged[-1].in_spec}")
-    except LostLoop:
-        lost = True
-    judged += [Judgement(math.inf, math.inf, in_spec=False)] * (PERIODS - len(judged))
-    found = effects(judge, watching)
-    return {
-        "part": "loads",
-        "kind": task.kind,
-        "seed": task.seed,
-        "index": task.index,
-        "opened": task.opened,
-        "what": f"{loop.family} kc x{kc:g} tau_i x{tau_i:g}",
-        "spec": [x.in_spec for x in judged],
-        "ms": [judge.of(scaled(loop.best, kc, tau_i)).ms, *(x.ms for x in judged)],
-        "j": [judge.of(scaled(loop.best, kc, tau_i)).j, *(x.j for x in judged)],
-        "ms_limit": judge.ms_limit,
-        "bump_percent": task.bumps,
-        "bumps": len(bumps.planner.made),
-        "changes": len(found),
-        "worse": sum(x.worse and not x.restored for x in found),
-        "made_unstable": sum(math.isfinite(x.before.ms) and math.isinf(x.after.ms) for x in found),
-        "records": len(watching.decisions),
-        "lost": lost,
-        "story": story if task.verbose else [],
-    }
+            period(session.loop, bumps, session.watching, load[i * n : (i + 1) * n].tolist(), noise_of(rng, n))
+            yield judge
+
+    session.run(upsets(), PERIODS)
+    what = f"{loop.family} kc x{kc:g} tau_i x{tau_i:g}"
+    return session.row("loads", what, bump_percent=task.bumps, bumps=len(bumps.planner.made))
 
 
 def load_of(kind: str, rng: np.random.Generator, n: int, theta: float) -> FloatArray:
@@ -153,31 +129,10 @@ def load_of(kind: str, rng: np.random.Generator, n: int, theta: float) -> FloatA
     return load
 
 
-def _noise(rng: np.random.Generator, n: int) -> list[float]:
-    return [float(x) for x in NOISE * rng.standard_normal(n)]
-
-
-def line(row: Row) -> str:
-    """A loop for people."""
-    spec = "".join("+" if ok else "." for ok in row["spec"])
-    head = (
-        f"{row['kind']:<9}{row['index']:>4} {spec:<7} Ms {row['ms'][0]:5.2f} -> {row['ms'][-1]:5.2f} "
-        f"J {row['j'][0]:5.2f} -> {row['j'][-1]:5.2f} changes {row['changes']} worse {row['worse']} {row['what']}"
-    )
-    return "\n".join([head, *(f"    {text}" for text in row["story"])])
-
-
 def table(rows: list[Row]) -> list[str]:
     """Shares in spec after 1, 3 and 6 periods, a kind and all."""
-    lines = []
-    for kind in (*KINDS, "all"):
-        of = [row for row in rows if kind in {"all", row["kind"]}]
-        if not of:
-            continue
-        lines.append(
-            f"{kind}: {len(of)} loops, {sum(r['changes'] for r in of)} changes, worse {sum(r['worse'] for r in of)}, "
-            f"made unstable {sum(r['made_unstable'] for r in of)}, responses {sum(r['records'] for r in of)}, "
-            f"bumps {sum(r.get('bumps', 0) for r in of)}"
-        )
-        lines += [f"  in spec after {n}  {counted(sum(r['spec'][n - 1] for r in of), len(of))}" for n in (1, 3, 6)]
-    return lines
+    return [
+        text
+        for _, of, head in by_kind(rows, (*KINDS, "all"))
+        for text in (f"{head}, bumps {sum(row['bumps'] for row in of)}", *in_spec_after(of))
+    ]

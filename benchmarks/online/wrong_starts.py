@@ -8,27 +8,24 @@ load steps in turn, 60 dead times apart; a setpoint step is 1 to 5 times the ton
 valve makes under good gains. Judged on the true process without tone and valve, after each disturbance.
 """
 
-import math
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 from cases.cycling import LONGEST_PERIOD
 from cases.making import own_period_s
-from cases.plant import HeldPlant, log_uniform
+from cases.plant import log_uniform
 from cases.setting import scaled
 from cases.signals import oscillation
 
 from online import harm
-from online.batch import STARTS, told
-from online.judge import Judge, Judgement, counted
-from online.loop import LostLoop, WatchedLoop, Watching, one_region, settings
+from online.judge import Judge
 from online.runner import Task
+from online.session import LENGTH_THETA, STARTS, Row, Session, by_kind, in_spec_after, line
 from retuner.schedule.gains import PidGains
 
-Row = dict[str, Any]
+__all__ = ["KINDS", "line", "run", "table"]
 KINDS = ("tone", "valve")
-UPSETS, LENGTH_THETA, REST_SAMPLES = 6, 60.0, 200
+UPSETS, REST_SAMPLES = 6, 200
 SHAPES = ("triangle", "saw", "filtered-square", "pulses")
 
 
@@ -60,10 +57,10 @@ def toned(scene: harm.Scene, rng: np.random.Generator, n: int) -> tuple[list[flo
 
 
 def run(task: Task) -> Row:
-    """One loop; keys first, judged (after each disturbance), changes, worse, lost, what, story."""
+    """One loop; keys of session.Session.row."""
     rng = np.random.default_rng([task.seed, task.index, KINDS.index(task.kind), 63])
     scene, start, (kc, tau_i) = drawn(task.kind, rng)
-    loop, story = scene.loop, list[str]()
+    loop = scene.loop
     judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
     n = int(LENGTH_THETA * loop.theta_s / loop.dt_s * max(1.0, 1 / kc))
     whole = UPSETS * n + REST_SAMPLES
@@ -72,46 +69,29 @@ def run(task: Task) -> Row:
     else:
         size = scene.pv_span / harm.SPAN_OVER_SWING * float(rng.uniform(1.0, 4.0))
         load, out = [0.0] * whole, (float(np.std(scene.out)) * rng.standard_normal(whole)).tolist()
-    watching = Watching(one_region(start), settings(loop.dt_s, scene.pv_span), lambda d: story.append(told(d, judge)))
     low, high = (loop.low, loop.high) if task.kind == "valve" else (-1e15, 1e15)
-    watched = WatchedLoop(
-        HeldPlant(loop.process, loop.dt_s), watching.retuner.table, loop.dt_s, watching,
-        co0=loop.co0, low=low, high=high, valve=scene.valve, lost=1e4 * scene.pv_span,
+    session = Session(
+        task, judge, start, None, scene.pv_span, co0=loop.co0, low=low, high=high, valve=scene.valve,
+        lost=1e4 * scene.pv_span,
     )  # fmt: skip
-    judged, sp, upset, at, lost = list[Judgement](), 0.0, 0.0, REST_SAMPLES, False
     step = judge.load_like_setpoint() * size
-    try:
-        watched.run(sp, load[:at], out[:at])
+
+    def upsets() -> Iterator[Judge]:
+        sp, upset, at = 0.0, 0.0, REST_SAMPLES
+        session.loop.run(sp, load[:at], out[:at])
         for i in range(UPSETS):
             sp, upset = (size - sp, upset) if i % 2 == 0 else (sp, step - upset)
-            watched.run(sp, [more + upset for more in load[at : at + n]], out[at : at + n])
-            judged, at = [*judged, judge.of(watched.gains)], at + n
-    except LostLoop:
-        lost = True
-    judged += [Judgement(math.inf, math.inf, in_spec=False)] * (UPSETS - len(judged))
-    found = harm.effects(judge, watching)
-    return {
-        "part": "wrong", "kind": task.kind, "seed": task.seed, "index": task.index, "lost": lost,
-        "what": f"{loop.family} kc x{kc:g} tau_i x{tau_i:g}", "first": asdict(judge.of(start)),
-        "judged": [asdict(x) for x in judged], "changes": len(found),
-        "worse": sum(x.worse and not x.restored for x in found), "story": story if task.verbose else [],
-    }  # fmt: skip
+            session.loop.run(sp, [more + upset for more in load[at : at + n]], out[at : at + n])
+            at += n
+            yield judge
 
-
-def line(row: Row) -> str:
-    """A loop for people."""
-    first, last = (f"Ms {x['ms']:.2f} J {x['j']:.2f}" for x in (row["first"], row["judged"][-1]))
-    spec = "".join("+" if x["in_spec"] else "." for x in row["judged"])
-    head = f"{row['kind']:<6}{row['index']:>3} {spec} {first} -> {last} changes {row['changes']} worse {row['worse']}"
-    return "\n".join([f"{head}{' LOST' if row['lost'] else ''} {row['what']}", *(f"    {x}" for x in row["story"])])
+    session.run(upsets(), UPSETS)
+    return session.row("wrong", f"{loop.family} kc x{kc:g} tau_i x{tau_i:g}")
 
 
 def table(rows: list[Row]) -> list[str]:
     """In spec after the last disturbance, and harm, a kind."""
     lines = []
-    for kind in KINDS:
-        if of := [row for row in rows if row["kind"] == kind]:
-            spec = counted(sum(row["judged"][-1]["in_spec"] for row in of), len(of))
-            harmed = sum(row["worse"] > 0 for row in of)
-            lines.append(f"{kind}: in spec after {UPSETS}  {spec}; harmed {harmed}; lost {sum(r['lost'] for r in of)}")
+    for _, of, head in by_kind(rows, KINDS):
+        lines += [f"{head}, harmed {sum(row['worse'] > 0 for row in of)}", *in_spec_after(of, (UPSETS,))]
     return lines

@@ -362,7 +362,7 @@ def test_doubling_the_gain_takes_simc_out_of_spec_and_the_new_simc_is_in_it():
 @pytest.mark.uncounted
 def test_a_loop_that_changes_is_run_and_judged_as_what_it_has_become():
     row = changes.run(Task("gain", 3, 0))
-    assert len(row["spec"]) == changes.AFTER
+    assert len(row["spec"]) == changes.UPSETS
     assert row["records"] >= 3
     assert all(ms >= 1.0 for ms in row["ms"])
 
