@@ -1,6 +1,7 @@
 """A drawn record with everything that is true of it."""
 
 import math
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -111,8 +112,8 @@ def spread(work: Callable[[A], B], items: Iterable[A], jobs: int) -> Iterator[B]
     if jobs == 1:
         yield from map(work, items)
         return
-    with get_context("spawn").Pool(jobs) as pool:
-        yield from pool.imap(work, items, chunksize=2)
+    with get_context("spawn").Pool(jobs, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+        yield from pool.imap(work, items)
 
 
 def picture(record: Record, title: str, path: Path) -> None:

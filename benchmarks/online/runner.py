@@ -2,15 +2,15 @@
 
 import json
 import math
-import multiprocessing
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+
+from cases.case import spread
 
 Row = dict[str, Any]
 T = TypeVar("T")
@@ -44,24 +44,26 @@ class Task:
     section: int = 1000
 
 
-def results(work: Callable[[T], Row], tasks: Sequence[T], jobs: int) -> Iterator[Row]:
-    """The results in the order of the tasks."""
-    if jobs == 1:
-        yield from map(work, tasks)
-        return
-    with multiprocessing.get_context("spawn").Pool(jobs, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        yield from pool.imap(work, tasks)
-
-
 def collect(
-    work: Callable[[T], Row], tasks: Sequence[T], jobs: int, out: Path | None, shown: Callable[[Row], str] | None
+    work: Callable[[T], Row],
+    tasks: Sequence[T],
+    jobs: int,
+    out: Path | None,
+    shown: Callable[[Row], str] | None,
+    *,
+    more: bool = False,
 ) -> tuple[list[Row], bool]:
-    """All rows, and whether every task was done (not, after Ctrl-C). shown : what to print of a row at once."""
-    rows: list[Row] = []
-    begun = time.monotonic()
-    with out.open("w", encoding="utf-8") if out else nullcontext() as file:
+    """All rows, and whether every task was done (not, after Ctrl-C).
+
+    shown : what to print of a row at once. more : tasks are told by their key(); those whose rows the file holds are
+    not done again, and the others' rows are added to it.
+    """
+    rows: list[Row] = rows_of(out) if more and out and out.exists() else []
+    known, begun = {json.dumps(row["key"]) for row in rows}, time.monotonic()
+    left = [task for task in tasks if not more or json.dumps(task.key()) not in known]
+    with out.open("a" if more else "w", encoding="utf-8") if out else nullcontext() as file:
         try:
-            for row in results(work, tasks, jobs):
+            for done, row in enumerate(spread(work, left, jobs), 1):
                 rows.append(row)
                 if file:
                     file.write(json.dumps(finite(row)) + "\n")
@@ -69,7 +71,7 @@ def collect(
                 if shown and (text := shown(row)):
                     sys.stdout.write(text + "\n")
                     sys.stdout.flush()
-                _progress(len(rows), len(tasks), time.monotonic() - begun)
+                _progress(done, len(left), time.monotonic() - begun)
         except KeyboardInterrupt:
             sys.stderr.write(f"\nstopped after {len(rows)} of {len(tasks)}\n")
             return rows, False

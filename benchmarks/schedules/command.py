@@ -11,11 +11,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from cases.case import spread
-from online.runner import rows_of
+from online.runner import collect, rows_of
 
 from schedules.measure import MODES, PLACES, WALK, Row, measure, tasks
-from schedules.stream import stream
 from schedules.tables import line, table
 
 PARTS = ("drawn", "signal", "constant", "physics")
@@ -62,6 +60,6 @@ def main() -> int:
             rivals=not options.alone,
         )
         wanted = [task for task in some if options.only in task.subject][options.offset :: options.every]
-        rows, whole = stream(measure, wanted, spread, options.jobs, options.out, line if options.verbose else None)
+        rows, whole = collect(measure, wanted, options.jobs, options.out, line if options.verbose else None, more=True)
     sys.stdout.write("\n".join(table(rows) if rows else ["no runs"]) + "\n")
     return 0 if rows and whole else 1

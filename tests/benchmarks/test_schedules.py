@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from cases.plant import HeldPlant
+from online.runner import collect
 from schedules import measure, physics, records, rivals
 from schedules.lookups import Curve
 from schedules.ode import transfer
-from schedules.stream import stream
 from schedules.tables import table
 from schedules.truth import Truth, counts
 
@@ -89,7 +89,7 @@ def test_a_case_is_walked_counted_and_not_run_twice(tmp_path):
         return measure.measure(task)
 
     for _ in range(2):
-        rows, whole = stream(work, tasks, lambda f, items, _: map(f, items), 1, file, None)
+        rows, whole = collect(work, tasks, 1, file, None, more=True)
         assert whole
     assert len(ran) == 1
     assert rows[0]["who"]["perfect"]["iae"] == 1.0
