@@ -14,7 +14,19 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from online import batch, changes, derivative, harm, injected, loads, own_fault, real_loads, tours, wrong_starts
+from online import (
+    batch,
+    changes,
+    derivative,
+    harm,
+    injected,
+    interrupted,
+    loads,
+    own_fault,
+    real_loads,
+    tours,
+    wrong_starts,
+)  # fmt: skip
 from online.runner import PLACES, Task, collect, rows_of
 
 ALL = "all"
@@ -54,6 +66,7 @@ PARTS = {
     "changes": Part(changes, "processes that change, coloured noise, starts in motion", quiet=True),
     "harm": Part(harm, "do no harm: quiet hours, stiction, outside oscillations, saturation"),
     "injected": Part(injected, "deliberately bad changes on trial", ("wander",)),
+    "interrupted": Part(interrupted, "changes on trial that something interrupts", loops=8),
     "loads": Part(loads, "loads of every kind and no setpoint step, gains off", ("opened", "bumps"), 20),
     "own": Part(own_fault, "loops that swing by their own fault, Ms over 3", loops=20),
     "derivative": Part(derivative, "loops with derivative action, gains off", loops=16),

@@ -74,8 +74,9 @@ def effects(judge: Judge, watching: Watching) -> list[Effect]:
 
 
 class Session:
-    """One loop with retuner in charge, from rest. plant : of the judge's process where none is given. loop : as
-    WatchedLoop takes it. judged : after each upset. story : what was decided and what was true then, a line each.
+    """One loop with retuner in charge, from rest. plant : of the judge's process where none is given. watching : where
+    it is not retuner alone. loop : as WatchedLoop takes it. judged : after each upset. story : what was decided and
+    what was true then, a line each.
     """
 
     def __init__(
@@ -85,6 +86,7 @@ class Session:
         gains: PidGains,
         plant: Moved | None = None,
         pv_span: float = PV_SPAN,
+        watching: Watching | None = None,
         **loop: Any,
     ) -> None:
         self.task, self.judge, self.first = task, judge, judge.of(gains)
@@ -95,7 +97,7 @@ class Session:
                 self.story.append(f"   Ms {judge.of(decision.gains_before).ms:.2f} {told(decision, judge)}")
 
         wanted = settings(judge.dt_s, pv_span, opened=task.opened)
-        self.watching = Watching(one_region(gains), wanted, tell)
+        self.watching = watching or Watching(one_region(gains), wanted, tell)
         plant = plant or HeldPlant(judge.process, judge.dt_s)
         self.loop = WatchedLoop(plant, self.watching.retuner.table, judge.dt_s, self.watching, **loop)
 

@@ -14,37 +14,34 @@ frozen       the sensor stands still, 20 to 400 samples, while the controller go
 limit        a load beyond what the output can do, for 20 to 100 samples
 memory       the session dies and goes on from memory at drawn moments, a change under way or not
 
-Counted: loops in spec at the end (as benchmarks/online has it); writes that replaced a set by another cause than
+Counted: loops in spec at the end (as the batch has it); writes that replaced a set by another cause than
 evidence against it; of these, those that made the loop less robust (true Ms larger, and over 2.1), and those that took
-back a set in spec for one that is not; and changes for the worse whatever they rest on (as benchmarks/online/harm.py).
-
-Example: OMP_NUM_THREADS=1 python benchmarks/interrupted.py --seed 1 --loops 8
+back a set in spec for one that is not; and changes for the worse whatever they rest on (as harm.py has it).
 """
 
-import argparse
 import math
-import sys
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from cases.case import FloatArray
 from cases.loop import FAR
-from cases.plant import FAMILIES, HeldPlant, log_uniform
+from cases.plant import FAMILIES, log_uniform
 from cases.setting import Loop, draw_loop, scaled
-from online.judge import Judge, counted
-from online.loop import WRITTEN, LostLoop, WatchedLoop, Watching, one_region, settings
-from online.session import effects
 
+from online.judge import Judge, counted
+from online.loop import WRITTEN, Watching, one_region, settings
+from online.runner import Task
+from online.session import LENGTH_THETA, Row, Session, by_kind, effects, in_words, line, noise_of
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.schedule.gains import PidGains
 
+__all__ = ["KINDS", "line", "run", "table"]
 KINDS = ("rare", "slow", "manual", "gap", "end", "telemetry", "restart", "frozen", "limit", "memory")
 STEPS = 6
-LENGTH_THETA = 60.0
 DAY_S = 86400.0
 THETA_S = {"rare": 300.0, "slow": 3 * 3600.0}
 TOLD = {"end": TrialEvent.STOPPED, "telemetry": TrialEvent.LOST_TELEMETRY, "restart": TrialEvent.RESTARTED}
@@ -57,20 +54,6 @@ DIES_EVERY = 150
 ROOM, BEYOND = 5.0, 8.0
 """Room of the output about its resting point, over what holds the setpoint's step; and size of the load beyond it."""
 EVIDENCE = frozenset({"undo_worse", "undo_runaway"})
-
-
-@dataclass(slots=True)
-class Count:
-    """Counts of one kind."""
-
-    loops: int = 0
-    in_spec: int = 0
-    interrupted: int = 0
-    taken_back: int = 0
-    less_robust: int = 0
-    right_taken_back: int = 0
-    worse: int = 0
-    stories: list[str] = field(default_factory=list)
 
 
 class Interrupted(Watching):
@@ -164,74 +147,48 @@ def drawn(kind: str, rng: np.random.Generator, *, aggressive: bool) -> tuple[Loo
             return loop, gains, judge
 
 
-def run(kind: str, seed: int, index: int, count: Count) -> None:
-    """One loop."""
-    rng = np.random.default_rng([seed, index, KINDS.index(kind), 41])
-    loop, gains, judge = drawn(kind, rng, aggressive=index % 2 == 0)
-    watching = Interrupted(gains, loop.dt_s, kind, rng)
-    plant = HeldPlant(loop.process, loop.dt_s)
+def run(task: Task) -> Row:
+    """One loop; keys of session.Session.row, and interrupted (how often), taken_back, less_robust, right_taken_back."""
+    rng = np.random.default_rng([task.seed, task.index, KINDS.index(task.kind), 41])
+    loop, gains, judge = drawn(task.kind, rng, aggressive=task.index % 2 == 0)
+    watching = Interrupted(gains, loop.dt_s, task.kind, rng)
     room = ROOM * judge.load_like_setpoint()
-    low, high = (-room, room) if kind in {"frozen", "limit"} else (-FAR, FAR)
-    watched = WatchedLoop(
-        plant, watching.retuner.table, loop.dt_s, watching, low=low, high=high, sensor=watching.sensor
-    )
-    n = int((2 * DAY_S if kind == "rare" else LENGTH_THETA * loop.theta_s) / loop.dt_s)
-    try:
+    low, high = (-room, room) if task.kind in {"frozen", "limit"} else (-FAR, FAR)
+    session = Session(task, judge, gains, watching=watching, low=low, high=high, sensor=watching.sensor)
+    n = int((2 * DAY_S if task.kind == "rare" else LENGTH_THETA * loop.theta_s) / loop.dt_s)
+    piece = 1 if task.kind == "limit" else n  # between two the load may change
+
+    def upsets() -> Iterator[None]:
         for i in range(STEPS):
-            for noise in _pieces(0.01 * rng.standard_normal(n), 1 if kind == "limit" else n):
-                watched.run(float(1 - i % 2), watching.pushed(BEYOND * room / ROOM), noise)
-    except LostLoop:
-        count.stories.append(f"{kind} {index}: lost")
-    count.loops += 1
-    count.interrupted += watching.happened
-    count.in_spec += judge.of(watched.table.gains_of(0)).in_spec
+            noise = noise_of(rng, n)
+            for first in range(0, n, piece):
+                load = watching.pushed(BEYOND * room / ROOM)
+                session.loop.run(float(1 - i % 2), load, noise[first : first + piece])
+            yield None
+
+    session.run(upsets())
+    session.judged.append(judge.of(session.loop.table.gains_of(0)))
+    told, less, right = list[str](), 0, 0
     for one in effects(judge, watching):
         if one.worse and not one.restored:
-            count.worse += 1
-            count.stories.append(
-                f"{kind} {index}: WORSE at {one.t_s:.6g} s, Ms {one.before.ms:.2f} -> {one.after.ms:.2f}, "
-                f"J {one.before.j:.2f} -> {one.after.j:.2f}"
-            )
+            told.append(f"WORSE at {one.t_s:.6g} s, {in_words(one.before)} -> {in_words(one.after)}")
+    back = 0
     for (before, now), why in zip(pairwise(watching.ran), watching.why[1:], strict=True):
-        if not why.startswith("undo_") or why in EVIDENCE:
-            continue
-        was, then = judge.of(before), judge.of(now)
-        count.taken_back += 1
-        count.less_robust += then.ms > max(1.01 * was.ms, 2.1)
-        count.right_taken_back += was.in_spec and not then.in_spec
-        count.stories.append(f"{kind} {index}: {why}, Ms {was.ms:.2f} -> {then.ms:.2f}, J {was.j:.2f} -> {then.j:.2f}")
+        if why.startswith("undo_") and why not in EVIDENCE:
+            was, then = judge.of(before), judge.of(now)
+            back += 1
+            less += then.ms > max(1.01 * was.ms, 2.1)
+            right += was.in_spec and not then.in_spec
+            told.append(f"{why}, {in_words(was)} -> {in_words(then)}")
+    counts = {"interrupted": watching.happened, "taken_back": back, "less_robust": less, "right_taken_back": right}
+    return session.row("interrupted", loop.family, **counts, story=told if task.verbose else [])
 
 
-def _pieces(noise: FloatArray, length: int) -> list[list[float]]:
-    """The noise in pieces, between which the load may change."""
-    return [noise[i : i + length].tolist() for i in range(0, len(noise), length)]
-
-
-def main() -> int:
-    """Print a line a kind."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--loops", type=int, default=8, help="of each kind; every second one begins sluggish")
-    parser.add_argument("--kind", choices=("all", *KINDS), default="all")
-    parser.add_argument("--verbose", action="store_true", help="tell what was taken back")
-    options = parser.parse_args()
-    lines = [
-        f"interrupted trials, seed {options.seed}, {options.loops} loops a kind",
-        f"{'kind':<11}{'interrupted':>12}{'taken back':>12}{'less robust':>13}{'right ones':>12}{'worse':>7}"
-        "   in spec at the end",
-    ]
-    for kind in KINDS if options.kind == "all" else (options.kind,):
-        count = Count()
-        for index in range(options.loops):
-            run(kind, options.seed, index, count)
-        lines.append(
-            f"{kind:<11}{count.interrupted:>12}{count.taken_back:>12}{count.less_robust:>13}"
-            f"{count.right_taken_back:>12}{count.worse:>7}   {counted(count.in_spec, count.loops)}"
-        )
-        lines += count.stories if options.verbose else []
-    sys.stdout.write("\n".join(lines) + "\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def table(rows: list[Row]) -> list[str]:
+    """What was taken back, and what is in spec at the end, a kind."""
+    names = ("interrupted", "taken_back", "less_robust", "right_taken_back")
+    lines = []
+    for _, of, head in by_kind(rows, KINDS):
+        counts = ", ".join(f"{name.replace('_', ' ')} {sum(row[name] for row in of)}" for name in names)
+        lines += [f"{head}, {counts}", f"  in spec at the end  {counted(sum(r['spec'][-1] for r in of), len(of))}"]
+    return lines
