@@ -21,6 +21,8 @@ import time
 from pathlib import Path
 from statistics import median
 
+from many_loops import cpu_s
+
 from retuner.config.loading import load_config
 from retuner.ledger import Ledger
 from retuner.live_view.live_file import LiveWriter
@@ -28,12 +30,6 @@ from retuner.live_view.watching_session import head_of
 from retuner.session.outputs import live_file
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def cpu_s(pid: int) -> float:
-    """User and system time of a process so far, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def writers(folder: Path, loops: int) -> tuple[Ledger, list[LiveWriter]]:
