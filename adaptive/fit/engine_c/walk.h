@@ -13,6 +13,14 @@ static const double FADED = 1e-30;            /* what is left of a start is noth
 static const double DEPENDENT_SHARE = 1e-10;  /* less of a column than this is round-off: the others have it already */
 static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHARE = -30;
 
+#if defined(__GNUC__)
+typedef double Four __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
+enum { WIDTH = 4 };
+#else
+typedef double Four;
+enum { WIDTH = 1 };
+#endif
+
 /* A = (1 - root q)(1 - root q)..., C = 1 + bottom q + ...: loads are rows of degree, roots, bottom. The inputs, held from
  * sample to sample, go through a first lag (pole, rise) and each second one (seconds: poles, 0 for none). A pole over 1 runs
  * away: its inputs are laid free of it, as A makes them, for what grows leaves no digits to subtract. falls : poles
@@ -114,19 +122,24 @@ static void lay_reduced(const Walk *w, Lanes *lanes, const double *load) {
 
 /* 1/C on each lane. bottom : (MOST_DEGREE, LANES). out : where each lane goes, NULL for nowhere. */
 WIDE static void through_bottom(const double *restrict x, Py_ssize_t n, const double *restrict bottom, double **out) {
-    double one[LANES] = {0}, two[LANES] = {0}, three[LANES] = {0}, c1[LANES], c2[LANES], c3[LANES], kept[STRETCH * LANES];
-    for (int l = 0; l < LANES; l++)
-        c1[l] = bottom[l], c2[l] = bottom[LANES + l], c3[l] = bottom[2 * LANES + l];
+    double one[LANES] = {0}, two[LANES] = {0}, three[LANES] = {0}, kept[STRETCH * LANES];
     for (Py_ssize_t start = 0; start < n; start += STRETCH) {
         Py_ssize_t many = n - start < STRETCH ? n - start : STRETCH;
-        for (Py_ssize_t i = 0; i < many; i++)
-            for (int l = 0; l < LANES; l++) {
-                double now = x[(start + i) * LANES + l] + one[l];
-                one[l] = two[l] - c1[l] * now;
-                two[l] = three[l] - c2[l] * now;
-                three[l] = -c3[l] * now;
-                kept[i * LANES + l] = now;
+        for (int l = 0; l < LANES; l += 2 * WIDTH) { /* two that do not wait for each other */
+            const double *from = x + start * LANES + l, *low = bottom + l, *high = low + WIDTH;
+            Four u1 = *(Four *)(one + l), u2 = *(Four *)(two + l), u3 = *(Four *)(three + l), c1 = *(const Four *)low;
+            Four v1 = *(Four *)(one + l + WIDTH), v2 = *(Four *)(two + l + WIDTH), v3 = *(Four *)(three + l + WIDTH);
+            Four c2 = *(const Four *)(low + LANES), c3 = *(const Four *)(low + 2 * LANES), d1 = *(const Four *)high;
+            Four d2 = *(const Four *)(high + LANES), d3 = *(const Four *)(high + 2 * LANES);
+            for (Py_ssize_t i = 0; i < many; i++) {
+                Four u = *(const Four *)(from + i * LANES) + u1, v = *(const Four *)(from + i * LANES + WIDTH) + v1;
+                u1 = u2 - c1 * u, u2 = u3 - c2 * u, u3 = -c3 * u;
+                v1 = v2 - d1 * v, v2 = v3 - d2 * v, v3 = -d3 * v;
+                *(Four *)(kept + i * LANES + l) = u, *(Four *)(kept + i * LANES + l + WIDTH) = v;
             }
+            *(Four *)(one + l) = u1, *(Four *)(two + l) = u2, *(Four *)(three + l) = u3;
+            *(Four *)(one + l + WIDTH) = v1, *(Four *)(two + l + WIDTH) = v2, *(Four *)(three + l + WIDTH) = v3;
+        }
         for (int l = 0; l < LANES; l++) {
             if (fabs(one[l]) < SILENT && fabs(two[l]) < SILENT && fabs(three[l]) < SILENT)
                 one[l] = two[l] = three[l] = 0;
@@ -200,8 +213,6 @@ static double put_starts(const Walk *w, Lanes *lanes, double *y, const double *i
 /* Inner products of four columns with a row, each as `dot` makes it, bit for bit; the row is read once for all four. upto,
  * n : multiples of LANES; of the first column there are n numbers. */
 #if defined(__GNUC__)
-typedef double Four __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
-
 static inline double summed(Four low, Four high) {
     Four both = low + high;
     return (both[0] + both[1]) + (both[2] + both[3]);
