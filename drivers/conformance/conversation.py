@@ -158,13 +158,13 @@ class Conversation:
             self.known.sample += 1
         return frames
 
-    def ack(self, kind: wire.Kind, *frames: wire.Frame) -> wire.Ack | None:
-        """The first acknowledge of this kind that comes back."""
-        return first_ack(self.say(*frames), kind)
+    def ack(self, *frames: wire.Frame) -> wire.Ack | None:
+        """The first acknowledge of the last frame's kind that comes back."""
+        return first_ack(self.say(*frames), wire.Kind[type(frames[-1]).__name__.upper()])
 
-    def reason(self, kind: wire.Kind, *frames: wire.Frame) -> wire.Reason | None:
+    def reason(self, *frames: wire.Frame) -> wire.Reason | None:
         """What it says; None for nothing."""
-        found = self.ack(kind, *frames)
+        found = self.ack(*frames)
         return None if found is None else wire.Reason(found.reason)
 
     # what is asked
@@ -232,7 +232,7 @@ class Conversation:
         """Take the lease, whatever counters were used before; NoAnswerError when it is not given."""
         for _ in range(3):
             self.one(wire.Identity, wire.Page.IDENTITY)
-            if self.reason(wire.Kind.LEASE, self.lease()) is wire.Reason.OK:
+            if self.reason(self.lease()) is wire.Reason.OK:
                 return
             self.counter(100)
         raise NoAnswerError("the device does not grant the lease; is another host connected?")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from retuner.drivers.conformance.conversation import UNKNOWN, Conversation, NoAnswerError
 from retuner.drivers.protocol.checksum import to_wire
-from retuner.drivers.protocol.frames import Confirm, Kind, Reason
+from retuner.drivers.protocol.frames import Confirm, Frame, Reason
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
 
@@ -40,6 +40,10 @@ class Examination:
         self.findings.append(Finding(self.chapter, f"{said}: {shown(got)}, and not {shown(wanted)}"))
         return False
 
+    def answers(self, said: str, wanted: Reason, *frames: Frame) -> bool:
+        """Say these frames, and hold the answer to the last one against what it must be."""
+        return self.expect(said, self.talk.reason(*frames), wanted)
+
     def holds(self, said: str, truth: object) -> bool:
         """Something must be so; said tells what is wrong when it is not."""
         self.tried += 1
@@ -54,7 +58,7 @@ class Examination:
 
     def confirmed(self) -> None:
         """Confirm what runs, so that it does not give way."""
-        self.talk.reason(Kind.CONFIRM, Confirm(self.talk.known.seq, self.talk.owner))
+        self.talk.reason(Confirm(self.talk.known.seq, self.talk.owner))
 
 
 def shown(value: object) -> str:
@@ -108,6 +112,6 @@ def _put_back(found: Examination) -> None:
         found.expect("the set of the beginning, written back: what runs", talk.known.gains, found.first)
         found.chapter = "Frames"
         found.expect("wrong checksums and CRCs in the whole examination", list(dict.fromkeys(talk.spoilt)), [])
-        talk.ack(Kind.LEASE, talk.lease(samples=0))
+        talk.ack(talk.lease(samples=0))
     except NoAnswerError as error:
         found.findings.append(Finding(found.chapter, str(error)))

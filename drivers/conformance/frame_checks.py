@@ -149,17 +149,15 @@ def halves(frames_: list[wire.Frame]) -> list[wire.TelemetryPv | wire.TelemetryS
 def leases(found: Examination) -> None:
     """One host commands: who has no lease is told so, and a lease ends."""
     talk = found.talk
-    talk.ack(wire.Kind.LEASE, talk.lease(samples=0))
+    talk.ack(talk.lease(samples=0))
     seq = talk.fresh_seq()
     found.expect("STATUS without a lease: owner", talk.known.owner, 0)
     found.holds("HEARTBEAT says that the lease is taken when it is not", not talk.known.flags & wire.Flags.OWNED)
-    for name, kind, frame in _commands(found, seq, talk.owner):
-        found.expect(f"{name} without a lease", talk.reason(kind, frame), wire.Reason.NOT_OWNER)
-    found.expect("ABORT of a new number without a lease", talk.reason(wire.Kind.ABORT, wire.Abort(seq)), wire.Reason.OK)
-    found.expect(
-        "ABORT of an old number without a lease", talk.reason(wire.Kind.ABORT, wire.Abort(seq)), wire.Reason.STALE
-    )
-    answer = talk.ack(wire.Kind.LEASE, talk.lease())
+    for name, frame in _commands(found, seq, talk.owner):
+        found.answers(f"{name} without a lease", wire.Reason.NOT_OWNER, frame)
+    found.answers("ABORT of a new number without a lease", wire.Reason.OK, wire.Abort(seq))
+    found.answers("ABORT of an old number without a lease", wire.Reason.STALE, wire.Abort(seq))
+    answer = talk.ack(talk.lease())
     if not found.holds("LEASE is not answered", answer is not None) or answer is None:
         return
     found.expect("LEASE of a free device", wire.Reason(answer.reason), wire.Reason.OK)
@@ -169,23 +167,23 @@ def leases(found: Examination) -> None:
     talk.look()
     found.expect("STATUS: owner", talk.known.owner, talk.owner)
     found.holds("HEARTBEAT does not say that the lease is taken", talk.known.flags & wire.Flags.OWNED)
-    for name, kind, frame in _commands(found, seq, OTHER):
-        found.expect(f"{name} of another host", talk.reason(kind, frame), wire.Reason.NOT_OWNER)
-    refused = talk.ack(wire.Kind.LEASE, talk.lease(owner=OTHER))
+    for name, frame in _commands(found, seq, OTHER):
+        found.answers(f"{name} of another host", wire.Reason.NOT_OWNER, frame)
+    refused = talk.ack(talk.lease(owner=OTHER))
     got = None if refused is None else (wire.Reason(refused.reason), refused.latest)
     found.expect("LEASE of another host", got, (wire.Reason.NOT_OWNER, talk.owner))
     _stale_leases(found)
     _lease_ends(found)
 
 
-def _commands(found: Examination, seq: int, owner: int) -> list[tuple[str, wire.Kind, wire.Frame]]:
+def _commands(found: Examination, seq: int, owner: int) -> list[tuple[str, wire.Frame]]:
     talk, running = found.talk, found.talk.known.seq
     return [
-        ("STAGE", wire.Kind.STAGE, wire.Stage(0, owner % wire.OWNER_TAG, found.first.kp, seq)),
-        ("CONFIRM", wire.Kind.CONFIRM, wire.Confirm(running, owner)),
-        ("STORE", wire.Kind.STORE, wire.Store(running, owner % 256)),
-        ("SETPOINT", wire.Kind.SETPOINT, wire.Setpoint(talk.counter(), 0.0, owner)),
-        ("MODE", wire.Kind.MODE, wire.Mode(talk.counter(), LoopMode.AUTO, 0.0, owner)),
+        ("STAGE", wire.Stage(0, owner % wire.OWNER_TAG, found.first.kp, seq)),
+        ("CONFIRM", wire.Confirm(running, owner)),
+        ("STORE", wire.Store(running, owner % 256)),
+        ("SETPOINT", wire.Setpoint(talk.counter(), 0.0, owner)),
+        ("MODE", wire.Mode(talk.counter(), LoopMode.AUTO, 0.0, owner)),
     ]
 
 
@@ -195,15 +193,15 @@ def _stale_leases(found: Examination) -> None:
     talk.look()
     known = talk.known
     newest = talk.lease()
-    found.expect("LEASE again with a newer counter", talk.reason(wire.Kind.LEASE, newest), wire.Reason.OK)
+    found.answers("LEASE again with a newer counter", wire.Reason.OK, newest)
     old = wire.Lease(newest.owner, newest.stamp, newest.samples - 1, (newest.counter - 1) % 256)
-    found.expect("LEASE with an older counter", talk.reason(wire.Kind.LEASE, old), wire.Reason.STALE)
+    found.answers("LEASE with an older counter", wire.Reason.STALE, old)
     for name, stamp in (
         ("another epoch", lease_stamp((known.epoch + 1) % 65536, known.sample)),
         ("640 samples later", lease_stamp(known.epoch, known.sample + 640)),
     ):
         request = wire.Lease(talk.owner, stamp, 100, talk.counter())
-        found.expect(f"LEASE with the stamp of {name}", talk.reason(wire.Kind.LEASE, request), wire.Reason.STALE)
+        found.answers(f"LEASE with the stamp of {name}", wire.Reason.STALE, request)
 
 
 def stamps(found: Examination) -> None:
@@ -220,7 +218,7 @@ def stamps(found: Examination) -> None:
         stamp = lease_stamp(talk.known.epoch, talk.known.sample - back * STAMP_SAMPLES)
         request = wire.Lease(talk.owner, stamp, LEASE_SAMPLES, talk.counter())
         name = f"LEASE with the stamp of {back * STAMP_SAMPLES} samples before"
-        found.expect(name, talk.reason(wire.Kind.LEASE, request), wanted)
+        found.expect(name, talk.reason(request), wanted)
 
 
 def _lease_ends(found: Examination) -> None:
@@ -242,18 +240,13 @@ def commands(found: Examination) -> None:
     """Setpoint and mode: acted on once, told again, refused when older."""
     talk = found.talk
     sp, _ = talk.newest()
-    newer, older = talk.counter(), (talk.counter(0) - 3) % 256
-    first = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(newer, sp, talk.owner))
-    if first is not None and wire.Reason(first.reason) is wire.Reason.STALE:
-        newer = (first.latest + 1) % 256
-        older = (newer - 3) % 256
-        first = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(newer, sp, talk.owner))
+    setpoint(talk, sp)  # the counter is the newest from here on
+    newer = talk.counter()
+    older, first = (newer - 3) % 256, talk.ack(wire.Setpoint(newer, sp, talk.owner))
     got = None if first is None else (wire.Reason(first.reason), first.seq)
     found.expect("SETPOINT", got, (wire.Reason.OK, newer))
-    found.expect(
-        "SETPOINT again", talk.reason(wire.Kind.SETPOINT, wire.Setpoint(newer, sp, talk.owner)), wire.Reason.OK
-    )
-    stale = talk.ack(wire.Kind.SETPOINT, wire.Setpoint(older, sp, talk.owner))
+    found.answers("SETPOINT again", wire.Reason.OK, wire.Setpoint(newer, sp, talk.owner))
+    stale = talk.ack(wire.Setpoint(older, sp, talk.owner))
     got = None if stale is None else (wire.Reason(stale.reason), stale.latest)
     found.expect("SETPOINT with an older counter", got, (wire.Reason.STALE, newer))
     _modes(found)
@@ -261,21 +254,21 @@ def commands(found: Examination) -> None:
 
 def setpoint(talk: Conversation, sp: float) -> bool:
     """Set the target, whatever counters were used before; whether the device took it."""
-    return _took(talk, wire.Kind.SETPOINT, lambda: wire.Setpoint(talk.counter(), sp, talk.owner)) is wire.Reason.OK
+    return _took(talk, lambda: wire.Setpoint(talk.counter(), sp, talk.owner)) is wire.Reason.OK
 
 
 def manual(talk: Conversation) -> wire.Reason | None:
     """Hold co where it is, whatever counters were used before; what the device says."""
     _, co = talk.newest()
-    return _took(talk, wire.Kind.MODE, lambda: wire.Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
+    return _took(talk, lambda: wire.Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
 
 
-def _took(talk: Conversation, kind: wire.Kind, command: Callable[[], wire.Frame]) -> wire.Reason | None:
+def _took(talk: Conversation, command: Callable[[], wire.Frame]) -> wire.Reason | None:
     """The answer to a command, said again with the next counter where the first was an old one."""
-    answer = talk.ack(kind, command())
+    answer = talk.ack(command())
     if answer is not None and answer.reason == wire.Reason.STALE:
         talk.counter((answer.latest - talk.counter(0)) % 256)
-        answer = talk.ack(kind, command())
+        answer = talk.ack(command())
     return None if answer is None else wire.Reason(answer.reason)
 
 
@@ -287,6 +280,4 @@ def _modes(found: Examination) -> None:
     found.expect("mode in telemetry", {h.mode for h in told[-4:] if isinstance(h, wire.TelemetrySp)}, {LoopMode.MANUAL})
     held = max(abs(h.co - co) for h in told[-4:] if isinstance(h, wire.TelemetryPv))
     found.holds(f"co moved by {held:g} % in manual", held < 0.01)
-    found.expect(
-        "MODE auto", talk.reason(wire.Kind.MODE, wire.Mode(talk.counter(), 1, 0.0, talk.owner)), wire.Reason.OK
-    )
+    found.answers("MODE auto", wire.Reason.OK, wire.Mode(talk.counter(), 1, 0.0, talk.owner))

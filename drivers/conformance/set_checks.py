@@ -41,7 +41,7 @@ def staging(found: Examination) -> None:
     found.expect(
         "STAGE under a newer number begins a new page: its items", sorted(talk.page(wire.Page.STAGED).items), [0]
     )
-    found.expect("STAGE under an older number", talk.reason(wire.Kind.STAGE, frames[0]), wire.Reason.STALE)
+    found.answers("STAGE under an older number", wire.Reason.STALE, frames[0])
 
 
 def committing(found: Examination) -> None:
@@ -63,7 +63,7 @@ def committing(found: Examination) -> None:
         again = wire.Commit(seq, (seq - 1) % 65536, 1)
         found.holds(
             "a COMMIT with another crc under the running number is accepted",
-            talk.reason(wire.Kind.COMMIT, again) is not wire.Reason.OK,
+            talk.reason(again) is not wire.Reason.OK,
         )
     _bumpless(found)
 
@@ -92,7 +92,7 @@ def _bumpless(found: Examination) -> None:
     talk.samples()
     moved = abs(talk.newest()[1] - before)
     found.holds(f"co jumped by {moved:g} % when the gains were changed in manual", moved < 0.01)
-    found.expect("the same COMMIT again", talk.reason(wire.Kind.COMMIT, commit), wire.Reason.OK)
+    found.answers("the same COMMIT again", wire.Reason.OK, commit)
     talk.say(wire.Mode(talk.counter(), LoopMode.AUTO, 0.0, talk.owner))
     found.runs("after the repeated COMMIT", found.first)
     found.confirmed()
@@ -142,22 +142,16 @@ def refusing(found: Examination) -> None:
     talk, good = found.talk, found.other
     up = PidGains(good.kp * 1e4, good.ki * 1e4, good.kd * 1e4)
     far, mixed = (wire.Reason.RATIO, wire.Reason.OUTSIDE_BOX), (wire.Reason.OUTSIDE_BOX,)
-    seqs = talk.known.seq
-    _refusal(
-        found,
-        "a wrong base",
-        good,
-        lambda seq: talk.commit(seq, good, base=(seqs + 9) % 65536),
-        (wire.Reason.WRONG_BASE,),
-    )
-    for name, wrong in (
-        ("a CRC over another node", {"node": talk.node % 63 + 1}),
-        ("a CRC over another epoch", {"epoch": (talk.known.epoch + 1) % 65536}),
-        ("a CRC over another owner", {"owner": 77}),
+    crc = wire.Reason.WRONG_CRC
+    for name, reason, wrong in (
+        ("a wrong base", wire.Reason.WRONG_BASE, {"base": (talk.known.seq + 9) % 65536}),
+        ("a CRC over another node", crc, {"node": talk.node % 63 + 1}),
+        ("a CRC over another epoch", crc, {"epoch": (talk.known.epoch + 1) % 65536}),
+        ("a CRC over another owner", crc, {"owner": 77}),
     ):
-        _refusal(found, name, good, partial(talk.commit, gains=good, **wrong), (wire.Reason.WRONG_CRC,))
+        _refusal(found, name, good, partial(talk.commit, gains=good, **wrong), (reason,))
     other = replace(good, kp=good.kp * 1.001) if good.kp else replace(good, ki=good.ki * 1.001)
-    _refusal(found, "a CRC over other gains", good, lambda seq: talk.commit(seq, other), (wire.Reason.WRONG_CRC,))
+    _refusal(found, "a CRC over other gains", good, lambda seq: talk.commit(seq, other), (crc,))
     _refusal(found, "gains 10,000 times as large", up, lambda seq: talk.commit(seq, up), far)
     tiny = PidGains(good.kp / 1e4, good.ki / 1e4, good.kd / 1e4)
     _refusal(found, "gains 10,000 times as small", tiny, lambda seq: talk.commit(seq, tiny), (wire.Reason.RATIO,))
@@ -196,9 +190,9 @@ def _refusal(
     talk = found.talk
     seq = talk.fresh_seq()
     stage, sent = talk.stage(seq, gains), commit(seq)
-    answer = talk.reason(wire.Kind.COMMIT, *stage, *talk.codes(seq, gains), sent)
+    answer = talk.reason(*stage, *talk.codes(seq, gains), sent)
     _judge(found, name, stage[0], answer, reasons)
-    found.expect(f"COMMIT with {name} again", talk.reason(wire.Kind.COMMIT, sent), answer)
+    found.expect(f"COMMIT with {name} again", talk.reason(sent), answer)
 
 
 def _raw_refusal(found: Examination, name: str, values: tuple[float, ...], reasons: tuple[wire.Reason, ...]) -> None:
@@ -206,7 +200,7 @@ def _raw_refusal(found: Examination, name: str, values: tuple[float, ...], reaso
     talk = found.talk
     seq = talk.fresh_seq()
     stage = [wire.Stage(item, talk.owner % 64, values[item], seq) for item in wire.Item]
-    answer = talk.reason(wire.Kind.COMMIT, *stage, wire.Commit(seq, talk.known.seq, 0))
+    answer = talk.reason(*stage, wire.Commit(seq, talk.known.seq, 0))
     _judge(found, name, stage[0], answer, reasons)
 
 
@@ -218,9 +212,7 @@ def _judge(
     if answer not in reasons:
         found.expect(f"COMMIT with {name}", answer, reasons[0])
     before = talk.known.gains
-    found.expect(
-        f"STAGE under the number of a COMMIT with {name}", talk.reason(wire.Kind.STAGE, stage), wire.Reason.STALE
-    )
+    found.answers(f"STAGE under the number of a COMMIT with {name}", wire.Reason.STALE, stage)
     found.runs(f"after a COMMIT with {name}", before)
 
 
@@ -229,19 +221,17 @@ def _numbers(found: Examination) -> None:
     talk, good = found.talk, found.other
     seq = talk.fresh_seq()
     far = (seq + 5) % 65536
-    found.expect(
-        "COMMIT of what is not staged", talk.reason(wire.Kind.COMMIT, talk.commit(far, good)), wire.Reason.NOT_STAGED
-    )
-    staged = talk.reason(wire.Kind.COMMIT, *talk.stage(seq, good), *talk.codes(far, good), talk.commit(far, good))
+    found.answers("COMMIT of what is not staged", wire.Reason.NOT_STAGED, talk.commit(far, good))
+    staged = talk.reason(*talk.stage(seq, good), *talk.codes(far, good), talk.commit(far, good))
     found.expect("COMMIT under another number than that of the stage", staged, wire.Reason.NOT_STAGED)
     talk.samples(1)
     found.runs("after it", talk.known.gains)
     seq = (seq + 1) % 65536
-    missing = talk.ack(wire.Kind.COMMIT, *talk.stage(seq, good)[::2], talk.commit(seq, good))
+    missing = talk.ack(*talk.stage(seq, good)[::2], talk.commit(seq, good))
     got = None if missing is None else (wire.Reason(missing.reason), missing.item)
     found.expect("COMMIT of a page without ki", got, (wire.Reason.INCOMPLETE, int(wire.Item.KI)))
     old = talk.commit((talk.known.seq - 1) % 65536, good)
-    found.expect("COMMIT of an old number", talk.reason(wire.Kind.COMMIT, old), wire.Reason.STALE)
+    found.answers("COMMIT of an old number", wire.Reason.STALE, old)
 
 
 def fencing(found: Examination) -> None:
@@ -249,9 +239,7 @@ def fencing(found: Examination) -> None:
     talk, good = found.talk, found.other
     before = talk.known.gains
     running = talk.known.seq
-    found.expect(
-        "ABORT of the running number", talk.reason(wire.Kind.ABORT, wire.Abort(running)), wire.Reason.ALREADY_RUNNING
-    )
+    found.answers("ABORT of the running number", wire.Reason.ALREADY_RUNNING, wire.Abort(running))
     seq = talk.fresh_seq()
     commit = talk.commit(seq, good)
     codes = talk.codes(seq, good)
@@ -265,14 +253,12 @@ def fencing(found: Examination) -> None:
     found.expect("ABORT of a commit that waits", None if answer is None else wire.Reason(answer.reason), wire.Reason.OK)
     talk.samples(1)
     found.runs("after the ABORT of a commit that waited", before)
-    found.expect("the fenced COMMIT, late", talk.reason(wire.Kind.COMMIT, *codes, commit), wire.Reason.STALE)
-    found.expect(
-        "STAGE under a fenced number", talk.reason(wire.Kind.STAGE, talk.stage(seq, good)[0]), wire.Reason.STALE
-    )
-    found.expect("ABORT of an old number", talk.reason(wire.Kind.ABORT, wire.Abort(seq)), wire.Reason.STALE)
+    found.answers("the fenced COMMIT, late", wire.Reason.STALE, *codes, commit)
+    found.answers("STAGE under a fenced number", wire.Reason.STALE, talk.stage(seq, good)[0])
+    found.answers("ABORT of an old number", wire.Reason.STALE, wire.Abort(seq))
     ahead = (seq + 7) % 65536
-    found.expect("ABORT of a number to come", talk.reason(wire.Kind.ABORT, wire.Abort(ahead)), wire.Reason.OK)
-    found.expect("STAGE under it", talk.reason(wire.Kind.STAGE, talk.stage(ahead, good)[0]), wire.Reason.STALE)
+    found.answers("ABORT of a number to come", wire.Reason.OK, wire.Abort(ahead))
+    found.answers("STAGE under it", wire.Reason.STALE, talk.stage(ahead, good)[0])
     talk.look()
     found.expect("newest number seen", talk.known.latest, ahead)
 
@@ -309,13 +295,11 @@ def trial(found: Examination) -> None:
     seq, _ = talk.write(gains)
     found.holds("HEARTBEAT does not say that the new set is on trial", talk.known.flags & wire.Flags.TRIAL)
     tag = talk.owner % 256
-    found.expect("STORE on trial", talk.reason(wire.Kind.STORE, wire.Store(seq, tag)), wire.Reason.NOT_CONFIRMED)
+    found.answers("STORE on trial", wire.Reason.NOT_CONFIRMED, wire.Store(seq, tag))
     old = (seq - 1) % 65536
-    found.expect(
-        "CONFIRM of another number", talk.reason(wire.Kind.CONFIRM, wire.Confirm(old, talk.owner)), wire.Reason.STALE
-    )
-    found.expect("CONFIRM", talk.reason(wire.Kind.CONFIRM, wire.Confirm(seq, talk.owner)), wire.Reason.OK)
-    found.expect("CONFIRM again", talk.reason(wire.Kind.CONFIRM, wire.Confirm(seq, talk.owner)), wire.Reason.OK)
+    found.answers("CONFIRM of another number", wire.Reason.STALE, wire.Confirm(old, talk.owner))
+    found.answers("CONFIRM", wire.Reason.OK, wire.Confirm(seq, talk.owner))
+    found.answers("CONFIRM again", wire.Reason.OK, wire.Confirm(seq, talk.owner))
     talk.look()
     found.holds("HEARTBEAT says that a confirmed set is on trial", not talk.known.flags & wire.Flags.TRIAL)
 
@@ -326,10 +310,10 @@ def storing(found: Examination) -> None:
     found.confirmed()
     talk.look()
     seq, tag = talk.known.seq, talk.owner % 256
-    found.expect("STORE with a wrong key", talk.reason(wire.Kind.STORE, wire.Store(seq, tag, 5)), wire.Reason.WRONG_KEY)
+    found.answers("STORE with a wrong key", wire.Reason.WRONG_KEY, wire.Store(seq, tag, 5))
     old = (seq - 1) % 65536
-    found.expect("STORE of another number", talk.reason(wire.Kind.STORE, wire.Store(old, tag)), wire.Reason.STALE)
-    found.expect("STORE", talk.reason(wire.Kind.STORE, wire.Store(seq, tag)), wire.Reason.OK)
+    found.answers("STORE of another number", wire.Reason.STALE, wire.Store(old, tag))
+    found.answers("STORE", wire.Reason.OK, wire.Store(seq, tag))
     talk.look()
     found.holds("HEARTBEAT does not say that the active gains is stored", talk.known.flags & wire.Flags.STORED)
     gains, stored = talk.known.gains, talk.page(wire.Page.STORED)
@@ -345,7 +329,7 @@ def codes(found: Examination) -> None:
         return
     found.expect("CHALLENGE asked again", talk.one(wire.Challenge, wire.Page.CHALLENGE).nonce, challenge.nonce)
     seq = talk.fresh_seq()
-    without = talk.reason(wire.Kind.COMMIT, *talk.stage(seq, good), talk.commit(seq, good))
+    without = talk.reason(*talk.stage(seq, good), talk.commit(seq, good))
     found.expect("COMMIT without a code", without, wire.Reason.NO_CODE)
     _wrong_codes(found)
     seq = talk.fresh_seq()
@@ -372,7 +356,7 @@ def _wrong_codes(found: Examination) -> None:
             if isinstance(frame, wire.Auth)
         ]
         sent = [frame if part in {None, frame.part} else replace(frame, mac=frame.mac ^ 1) for frame in right]
-        got = talk.reason(wire.Kind.COMMIT, *talk.stage(seq, good), *sent, talk.commit(seq, good))
+        got = talk.reason(*talk.stage(seq, good), *sent, talk.commit(seq, good))
         name = "the code of another key" if part is None else f"only half {part} of its code right"
         found.expect(f"COMMIT with {name}", got, wire.Reason.WRONG_CODE)
 
@@ -396,9 +380,9 @@ def restarting(found: Examination) -> None:
         "what runs after a restart", (talk.known.seq, talk.known.gains), (stored.end.seq, PidGains(*stored.values))
     )
     found.expect("complete in the staged page after a restart", talk.page(wire.Page.STAGED).end.complete, 0)
-    found.expect("LEASE of before the restart", talk.reason(wire.Kind.LEASE, request), wire.Reason.STALE)
+    found.answers("LEASE of before the restart", wire.Reason.STALE, request)
     talk.own()
-    late = talk.reason(wire.Kind.COMMIT, *talk.stage(seq, good), commit)
+    late = talk.reason(*talk.stage(seq, good), commit)
     found.holds("a COMMIT of before the restart is accepted", late is not wire.Reason.OK and late is not None)
     talk.samples(1)
     found.runs("after it", PidGains(*stored.values))
