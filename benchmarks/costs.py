@@ -3,10 +3,11 @@
     python benchmarks/costs.py [--rounds 3] [--only NAME ...] [--note "why"]
 
 CPU time of this process or of the command's; the shortest of interleaved rounds. Records and commands are counted in
-`python -c "import numpy"` of the same round, parts of the engine in the same part computed by numpy. Records are drawn
-from a seed of its own (benchmarks/cases), 1,000 samples or so each. Prints each ratio beside the last one in
-costs.toml and exits 1 where one is worse by more than a tenth; --note appends this run there with its reason. On a
-machine that does something else as well, ratios differ by a fifth from run to run: more rounds help.
+`python -c "import numpy"` of the same round, parts of the engine in the same part computed by numpy, an examination in
+samples of the device. Records are drawn from a seed of its own (benchmarks/cases), 1,000 samples or so each. Prints
+each ratio beside the last one in costs.toml and exits 1 where one is worse by more than a tenth; --note appends this
+run there with its reason. On a machine that does something else as well, ratios differ by a fifth from run to run: more
+rounds help.
 """
 
 import argparse
@@ -23,6 +24,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from bus_simulation.device_end import LagPlant
+from bus_simulation.in_thread import InThread
 from cases import diagnosis
 from startup import cpu_s, write_record
 
@@ -33,6 +36,11 @@ from retuner.adaptive.fit import engine
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import as_steps
 from retuner.diagnosing import diagnose
+from retuner.drivers.conformance.chapters import chapters
+from retuner.drivers.conformance.conversation import Conversation
+from retuner.drivers.conformance.examination import examine
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.protocol.frames import GainBox
 
 HISTORY = Path(__file__).with_suffix(".toml")
 WORSE = 1.1
@@ -41,6 +49,8 @@ HELP = ("", "run", "report", "approve", "replay", "experiment", "identify", "dia
 COMMAND = "import sys; from retuner.cli import main; sys.exit(main({}))"
 DECIDING_S = 0.005
 """A step of PidController that takes longer decided something."""
+SETTLED_SAMPLES = 136
+"""After so many no stamp of the lease is waited for."""
 
 
 def spent(work: Callable[[], object]) -> float:
@@ -135,9 +145,20 @@ def of_plant(_: float) -> Iterator[tuple[str, float]]:
     yield "a month of Parquet, read and screened", spent_on["read"] + spent_on["screen"]
 
 
+def of_examination(_: float) -> Iterator[tuple[str, float]]:
+    """Controller samples that `retuner conformance` takes of a device that has run for a while; its time is theirs."""
+    box = GainBox(kp_max=100.0, ki_max=10.0, kd_max=50.0, ratio_max=10.0)
+    device = VirtualDevice(VirtualDeviceSettings(PidGains(1.0, 0.0625, 0.25), box=box, trial_samples=0), LagPlant())
+    for _sample in range(SETTLED_SAMPLES):
+        device.step()
+    before = device.sample
+    examine(Conversation(InThread(device), 1), chapters()[:-1])  # without the restart
+    yield "an examination, samples", device.sample - before
+
+
 GROUPS = {
     "records": on_records, "engine": of_engine, "commands": of_commands, "online": on_line, "demo": of_demo,
-    "plant": of_plant,
+    "plant": of_plant, "examination": of_examination,
 }  # fmt: skip
 
 
