@@ -199,7 +199,8 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
     if screen.at_limits > 0 and screen.one_sided < TWO_SIDED:
         faults -= {Cause.SATURATION}
     if condition is not None and not faults:
-        return _of_condition(screen, condition, len(stretches))
+        reason, n, worth = SENTENCES[screen.condition], len(stretches), 0.9 * 0.5 / EFFORT[condition]
+        return LoopVerdict(Cause.UNKNOWN, 0.9, condition, reason, 0.0, n, n, 1.0, worth)
     best = max(faults, key=lambda c: joined_confidence(c, stretches), default=None)
     bound = limit_confidence(screen)
     if bound >= max(CONVINCED, joined_confidence(best, stretches) if best is not None else 0.0):
@@ -275,11 +276,6 @@ def limit_confidence(screen: LoopScreen) -> float:
         return 0.0
     odds = screen.one_sided * loss * (1 - w) / max((1 - loss) * w, 1e-6)
     return min(odds / (1 + odds), MOST_SURE)
-
-
-def _of_condition(screen: LoopScreen, action: AuditAction, looked_at: int) -> LoopVerdict:
-    reason = SENTENCES[screen.condition]
-    return LoopVerdict(Cause.UNKNOWN, 0.9, action, reason, 0.0, looked_at, looked_at, 1.0, 0.9 * 0.5 / EFFORT[action])
 
 
 def _of_screen(screen: LoopScreen) -> str:

@@ -42,7 +42,6 @@ from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset
 from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.schedule.gains import PidGains
@@ -141,8 +140,16 @@ def outlooks(
     found = sorted(allowed, key=lambda model: model.excess)[:MOST_MODELS]  # stable: the best one stays first
     sampled = [plausible.model.seen_by_controller(loop.sample_time_s) for plausible in found]
     weights = [math.exp(-plausible.excess / (2 * settings.temper)) for plausible in found]
-    processes, rules = [model.linear() for model in sampled], [_of_rule(model, settings) for model in sampled]
-    rows = _j_of_all(processes, rules, sets, loop)
+    processes, n = [model.linear() for model in sampled], len(sampled)
+    # J, by set and process, is over the rule's settings that keep the limit of Ms (SIMC's own, with a second lag, up to
+    # 1.98)
+    robust = RobustSettings(ms_nominal=settings.ms_limit, ms_worst=math.inf, ms_third=math.inf)
+    rules = [(model.linear(), robust_simc_on(model, (), 0.0, robust).tuning.gains) for model in sampled]
+    pairs = [(process, choosable.gains) for choosable in sets for process in processes]
+    loops = [ClosedLoop(process, gains, loop.b, loop.tau_f_s) for process, gains in (*pairs, *rules)]
+    iae = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)]
+    of_rule = iae[-n:]
+    rows = [[_j(iae[i * n + k], of_rule[k]) for k in range(n)] for i in range(len(sets))]
     peaks = [[sensitivity_peak(process, one.gains, loop.tau_f_s) for process in processes] for one in sets]
     table = _costs(rows, peaks, settings)
     made: list[Outlook] = []
@@ -180,23 +187,6 @@ def without_privilege(found: Sequence[Outlook], settings: ChoiceSettings) -> lis
     """The outlooks; a set that is unstable on the likeliest model costs no less than every stable one there."""
     stable = [one.cost + settings.out for one in found if one.stable]
     return [one if one.stable else replace(one, cost=max([one.cost, *stable])) for one in found]
-
-
-def _of_rule(model: ProcessModel, settings: ChoiceSettings) -> PidGains:
-    """Settings that J is over: the rule's, which keep the limit of Ms (SIMC's own, with a second lag, up to 1.98)."""
-    robust = RobustSettings(ms_nominal=settings.ms_limit, ms_worst=math.inf, ms_third=math.inf)
-    return robust_simc_on(model, (), 0.0, robust).tuning.gains
-
-
-def _j_of_all(
-    processes: Sequence[LinearProcess], rules: Sequence[PidGains], sets: Sequence[Choosable], loop: LoopSettings
-) -> list[list[float]]:
-    """J by set and process."""
-    pairs = [(process, choosable.gains) for choosable in sets for process in processes]
-    loops = [ClosedLoop(p, gains, loop.b, loop.tau_f_s) for p, gains in (*pairs, *zip(processes, rules, strict=True))]
-    iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(processes)
-    of_rule = iae[-n:]
-    return [[_j(iae[i * n + k], of_rule[k]) for k in range(n)] for i in range(len(sets))]
 
 
 def _j(now: Sequence[float], rule: Sequence[float]) -> float:

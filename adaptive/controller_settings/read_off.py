@@ -369,7 +369,8 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
         for part in (place < middle, place >= middle)
     )
     for name in ("kp", "ki"):
-        if _differ(name, first, second, settings):
+        spread = math.hypot(*(f.std.get(name, 0.0) for f in (first, second)))
+        if _apart([f.values.get(name, 0.0) for f in (first, second)], spread, settings.disagreement):
             a, b = first.values[name], second.values[name]
             return (
                 f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second; "
@@ -388,12 +389,6 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
             "this controller's derivative, or the controller used another pv"
         )
     return ""
-
-
-def _differ(name: str, a: Regression, b: Regression, settings: LawSettings) -> bool:
-    """Whether two fits disagree about a gain."""
-    spread = math.hypot(*(f.std.get(name, 0.0) for f in (a, b)))
-    return _apart([f.values.get(name, 0.0) for f in (a, b)], spread, settings.disagreement)
 
 
 def _apart(values: list[float], std: float, ratio: float) -> bool:

@@ -503,14 +503,10 @@ def next_experiment(curves: Curves, places: Sequence[Place], co: Range = (None, 
     lag = model.tau1_s or hold
     reached = model.k * min(1.0, (hold - model.theta_s) / lag)
     wanted = answer / abs(reached)
-    step = _within(wanted, float(curves.rest.co(np.array([least.x]))[0]), co, inwards=_inwards(least, places, reached))
+    # the sign of a step of co that moves pv away from the nearer end of the range
+    inwards = math.copysign(1.0, reached) * (1.0 if least.x <= (places[0].x + places[-1].x) / 2 else -1.0)
+    step = _within(wanted, float(curves.rest.co(np.array([least.x]))[0]), co, inwards)
     return NextExperiment(least.x, step, step * reached, hold, least.gain_std, abs(step) < 0.999 * wanted, least.x2)
-
-
-def _inwards(least: Place, places: Sequence[Place], gain: float) -> float:
-    """Sign of the step of co that moves pv away from the nearer end of the range."""
-    middle = (places[0].x + places[-1].x) / 2
-    return math.copysign(1.0, gain) * (1.0 if least.x <= middle else -1.0)
 
 
 def _within(wanted: float, rest: float, co: Range, inwards: float) -> float:

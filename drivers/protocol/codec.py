@@ -90,7 +90,9 @@ class BitLayout:
     def __init__(self, layout: Layout, order: Sequence[str]) -> None:
         signals = [layout.get_signal_by_name(name) for name in order]
         self.ranges = tuple(_range(layout.name, signal) for signal in signals)
-        self._bounds = tuple((i, *self.ranges[i]) for i, signal in enumerate(signals) if not _is_full(signal))
+        # where every number that the bits can say is in range, reading needs no check
+        checked = [i for i, s in enumerate(signals) if s.is_float or (s.minimum, s.maximum) != _reach(s)]
+        self._bounds = tuple((i, *self.ranges[i]) for i in checked)
         place = {name: i for i, name in enumerate(order)}
         # the frame's bytes in their order: signals that a struct holds, and groups of others that share bytes
         pieces: list[_Piece] = []
@@ -191,11 +193,6 @@ def _reach(signal: Signal) -> tuple[float, float]:
     sign = 1 << signal.length - 1 if signal.is_signed else 0
     ends = [raw * signal.scale + signal.offset for raw in (-sign, (1 << signal.length) - 1 - sign)]
     return min(ends), max(ends)
-
-
-def _is_full(signal: Signal) -> bool:
-    """Whether every number that the bits can say is in range, so that reading needs no check."""
-    return not signal.is_float and (signal.minimum, signal.maximum) == _reach(signal)
 
 
 def _is_plain(signal: Signal) -> bool:

@@ -349,12 +349,7 @@ class GainBox:
         if not any(gains) or min(gains) < 0 < max(gains):
             return Reason.OUTSIDE_BOX, Item.KP
         for item in Item:
-            if self._too_far(old[item], gains[item]):
+            was, now = old[item], gains[item]  # switching a gain on or off is held by the box alone
+            if was and now and not 1 / self.ratio_max <= now / was <= self.ratio_max:
                 return Reason.RATIO, item
         return Reason.OK, Item.KP
-
-    def _too_far(self, old: float, new: float) -> bool:
-        """Whether the factor between two gains is too large; switching a gain on or off is held by the box alone."""
-        if not (old and new):
-            return False
-        return not 1 / self.ratio_max <= new / old <= self.ratio_max

@@ -155,7 +155,10 @@ class Watching(OnScreen):
     def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
         """See Observer."""
         if (found := self._publishers.get(loop.name)) is None:
-            found = self._publishers[loop.name] = self._publisher(loop)
+            place = self._place(loop)
+            head = head_of(self._config.loops[place], loop.table, several=self._config.several)
+            found = Publisher(self._folder, head, self.observer(loop), self._screen.say, place + 1)
+            self._publishers[loop.name] = found
         found.sample(sample)
         super().sampled(loop, sample)
 
@@ -185,8 +188,3 @@ class Watching(OnScreen):
         """The session is over."""
         for publisher in self._publishers.values():
             publisher.close()
-
-    def _publisher(self, loop: LoopSession) -> Publisher:
-        place = self._place(loop)
-        head = head_of(self._config.loops[place], loop.table, several=self._config.several)
-        return Publisher(self._folder, head, self.observer(loop), self._screen.say, place + 1)

@@ -172,14 +172,12 @@ class Replay:
     def _observe(self, sample: LoopSample) -> Decision | None:
         """Take a sample as the session did: a question was answered at once, unless a row here says that it was not."""
         step = self._retuner.step(sample)
-        waits = any(row.kind == "question" for row in self._rows_of(self._result.samples))
+        samples, coming = self._result.samples, islice(self._rows, self._next, None)  # rows not taken yet
+        here = takewhile(lambda row: row.body.get("samples") == samples, coming)
+        waits = any(row.kind == "question" for row in here)
         if step.question is None or waits:
             return step.decision
         return self._retuner.enter(step.question, decide(step.question), self._retuner.sample_number)
-
-    def _rows_of(self, samples: int) -> Iterator[Row]:
-        """Rows of a place that have not been taken yet."""
-        return takewhile(lambda row: row.body.get("samples") == samples, islice(self._rows, self._next, None))
 
     def _decided(self, decision: Decision | None) -> None:
         if decision is not None:

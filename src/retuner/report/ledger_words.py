@@ -113,7 +113,12 @@ class Teller:
             "pv_unit": self._units.get(words(body, "loop") or next(iter(self._units), ""), "pv"),
         }
         plain = WORDS.get(kind, _event if kind in EVENTS else _other)({**body, **about, "kind": kind})
-        texts = [_in_unit(text, words(about, "pv_unit")) for text in plain]
+        # the judge knows no units: with that of pv
+        unit = words(about, "pv_unit")
+        texts = [
+            text.replace(" pv s per unit", f" {unit} s per unit").replace(" in units of pv", f" {unit}")
+            for text in plain
+        ]
         # take note of the proposal that waits in a region, until other gains are active there
         if kind == "decision" and words(body, "action") == "advise":
             self._open[where] = f"decision {int(number(body, 'number') or 0)}"
@@ -254,11 +259,6 @@ def _outcome(body: Document) -> str:
 
 PASSING = {finding.name.lower() for finding in (TrialFinding.BETTER, TrialFinding.AS_PROMISED)}
 """Findings that speak for a change."""
-
-
-def _in_unit(text: str, unit: str) -> str:
-    """A sentence of the judge, who knows no units, with the unit of pv."""
-    return text.replace(" pv s per unit", f" {unit} s per unit").replace(" in units of pv", f" {unit}")
 
 
 def _session(body: Document) -> Words:

@@ -251,12 +251,9 @@ class OrderBox:
             found = OrderFile(name, None, str(error))
         except OSError as error:
             found = OrderFile(name, None, f"cannot be read: {error.strerror}")
-        self._put_away(name, TAKEN if found.order else REFUSED)
-        return found
-
-    def _put_away(self, name: str, where: str) -> None:
-        """Move a file out of the way."""
+        where = TAKEN if found.order else REFUSED
         with contextlib.suppress(OSError):
             (self._folder / where).mkdir(exist_ok=True)
             (self._folder / name).rename(self._folder / where / name)
             self._done.discard(name)
+        return found
