@@ -29,11 +29,12 @@ from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
+from retuner.adaptive.explanations.likely_processes import quantile
 from retuner.adaptive.explanations.periodic_load import log_odds_of_repeating
 from retuner.adaptive.explanations.process_grid import gain_unit, shapes
 from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
-from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, quantile, worthwhile
+from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, worthwhile
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve

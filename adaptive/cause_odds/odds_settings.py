@@ -1,6 +1,6 @@
 """Settings of the odds."""
 
-from retuner.adaptive.explanations.settings_by_odds import WorthSettings
+from retuner.adaptive.explanations.likely_processes import WorthSettings
 from retuner.adaptive.explanations.tuning_odds import TuningLimits
 from retuner.schedule.late_dataclass import dataclass, field
 

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.explanations.likely_processes import LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     EVERY_LAG,
@@ -38,7 +39,6 @@ from retuner.adaptive.explanations.process_grid import (
     robustness,
     shapes,
 )
-from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses
 from retuner.adaptive.explanations.tone import likeliest_tone
 from retuner.adaptive.explanations.wandering_load import ORDERS, TEMPER, Prepared, log_likelihoods
 from retuner.adaptive.signals.sample import FloatArray, Window

@@ -17,9 +17,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from retuner.adaptive.explanations.likely_processes import quantile
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
-from retuner.adaptive.explanations.settings_by_odds import likely_processes, quantile
+from retuner.adaptive.explanations.settings_by_odds import likely_processes
 from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, class_of
 from retuner.adaptive.explanations.wandering_load import (
     T_SETPOINT,

@@ -1,6 +1,6 @@
 """Settings worth having over the processes of a book, and what a set of gains does there.
 
-    worth(set) = E[cost(in force)] - E[cost(set)],     cost as in settings_by_odds.py
+    worth(set) = E[cost(in force)] - E[cost(set)],     cost as in likely_processes.py
 
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
 expectation is over processes drawn from the book, each as likely as the others. On line a change costs more than words:
@@ -23,8 +23,7 @@ import numpy as np
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.explanations.book import Book
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, shapes
-from retuner.adaptive.explanations.settings_by_odds import (
+from retuner.adaptive.explanations.likely_processes import (
     LikelyProcesses,
     WorthSettings,
     costs,
@@ -32,6 +31,7 @@ from retuner.adaptive.explanations.settings_by_odds import (
     process_model,
     quantile,
 )
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, shapes
 from retuner.adaptive.explanations.wandering_load import ORDERS
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel

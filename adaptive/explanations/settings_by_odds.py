@@ -1,9 +1,8 @@
 """Settings by what they are worth over all processes that the records allow.
 
-    worth(set) = E[cost(active)] - E[cost(set)],     cost = ln(1/ki) + RISK ln(Ms / ms_calm)+       (unstable: UNSTABLE)
+    worth(set) = E[cost(active)] - E[cost(set)],     cost as in likely_processes.py
 
-1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3); the
-second term is what too little robustness costs. The expectation is over the processes of the grid with their odds, so a
+The expectation is over the processes of the grid with their odds, so a
 set is given where it is worth having on the whole, and only where next to no likely process makes a bad loop of it.
 
 Candidates are SIMC's settings (Skogestad 2003) at several tau_c, and the set in force with less or more of all its
@@ -19,53 +18,22 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
-from retuner.adaptive.declared_setting import require_in_range, setting
-from retuner.adaptive.explanations.process_grid import (
-    DEAD_TIMES,
-    GAINS,
-    HALF_TURN,
-    ComplexArray,
-    ProcessShape,
-    control_law,
-    gain_unit,
-    loop_phases,
-    responses_of,
-    shapes,
+from retuner.adaptive.explanations.likely_processes import (
+    LikelyProcesses,
+    WorthSettings,
+    expected_cost,
+    process_model,
+    quantile,
 )
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, responses_of, shapes
 from retuner.adaptive.explanations.tuning_odds import TuningOdds
-from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import TAU_I_FACTOR, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
-
-BoolArray = npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class WorthSettings:
-    """When settings are given. Costs are logarithms of the integrated error. SIMC's own Ms is 1.59 to 1.70."""
-
-    worth: float = setting(0.25, "How much cheaper settings must be expected to be", 0.1, 0.7)
-    ms_bad: float = setting(1.8, "Ms that no more than bad_share of the odds may have", 1.1, 3.5)
-    bad_share: float = setting(0.1, "Share of the odds that may come out badly", 0.02, 0.2)
-    unstable_share: float = setting(0.01, "Share of the odds that may be unstable", 0.0, 0.05)
-    ms_calm: float = setting(1.6, "Ms up to which robustness costs nothing", 1.1, 3.5)
-    risk: float = setting(5.0, "Cost of Ms over it, per logarithm", 2.0, 10.0)
-    unstable: float = setting(8.0, "Cost of an unstable loop", 2.0, 20.0)
-    most_at_once: float = setting(
-        3.0, "Factor on gain and integral action that a record carries", 1.5, 4.0, source="first_step.py"
-    )
-    least_at_once: float = setting(0.25, "The same on the gain towards less", 0.1, 0.5)
-    processes: int = setting(250, "Likeliest processes that sets are weighed on", 50, 1000)
-    rules: int = setting(8, "Likeliest processes whose settings are tried", 1, 50)
-
-    def __post_init__(self) -> None:
-        require_in_range(self, "settings by odds")
-
 
 MIDDLE = 0.5  # the quantile of the odds
 TAU_CS = (1.0, 1.5, 2.5, 4.0)  # tau_c of the candidates, in effective dead times
@@ -96,42 +64,6 @@ class Worthwhile:
     likely: float
 
 
-@dataclass(frozen=True, slots=True)
-class LikelyProcesses:
-    """The likeliest processes of the grid.
-
-    index : of shape, dead time and gain. weights : sum 1. responses : G(jw), shape (processes, frequencies).
-    """
-
-    index: tuple[tuple[int, int, int], ...]
-    weights: FloatArray
-    responses: ComplexArray
-    sample_time_s: float
-
-    def peaks(self, gains: PidGains) -> FloatArray:
-        """Ms on each process, infinite where the loop is unstable; shape (processes,)."""
-        ms = 1.0 / np.min(np.abs(1.0 + self.responses * control_law(gains, self.sample_time_s)), axis=1)
-        return np.where(self.stable(gains), ms, np.inf)
-
-    def stable(self, gains: PidGains) -> BoolArray:
-        """Which of the loops are stable, shape (processes,)."""
-        law, away, (rows, dead, _) = control_law(gains, self.sample_time_s), self.runs_away, np.array(self.index).T
-        size, over = np.abs(self.responses) * np.abs(law), loop_phases(rows, dead, law) > HALF_TURN
-        falls, rises = over[:, :-1] & ~over[:, 1:], ~over[:, :-1] & over[:, 1:]
-        large = size[:, :-1] * size[:, 1:] >= 1.0
-        stable = ~(falls & large).any(axis=1) & over[:, 0]
-        if away.any():  # one turn round -1 holds one pole (Nyquist's criterion); a rise may lie below the frequencies
-            turns = (rises & large).sum(axis=1) - (falls & large).sum(axis=1)
-            turns += over[:, 0] & (size[:, 0] >= 1.0)
-            stable = np.where(away, turns == 1, stable)
-        return np.asarray(stable, dtype=np.bool_)
-
-    @property
-    def runs_away(self) -> BoolArray:
-        """Which of the processes run away by themselves, shape (processes,)."""
-        return np.array([i >= len(shapes()) for i, _, _ in self.index])
-
-
 def likely_processes(odds: TuningOdds, most: int) -> LikelyProcesses:
     """No more than so many processes that stand for all, the likeliest first.
 
@@ -154,17 +86,6 @@ def likely_processes(odds: TuningOdds, most: int) -> LikelyProcesses:
 
 
 NEXT_TO_NONE = 1e-9  # share of the likeliest process's odds below which a process never counts
-
-
-def process_model(shape: ProcessShape, dead: float, gain: float, direction: int, sample_time_s: float) -> ProcessModel:
-    """A process of the grid as a model that a rule takes. dead : in samples. gain : per sample where it integrates."""
-    dt = sample_time_s
-    theta, second = max(dead, 0.5) * dt, shape.second * dt
-    if shape.integrates:
-        kind = ProcessType.INTEGRATING_LAG if second else ProcessType.INTEGRATING
-        return ProcessModel(kind, direction * gain / dt, 0.0, second, theta)
-    kind = ProcessType.SOPDT if second else ProcessType.FOPDT
-    return ProcessModel(kind, direction * gain, shape.lag * dt, second, theta)
 
 
 def models(odds: TuningOdds, likely: LikelyProcesses) -> list[ProcessModel]:
@@ -237,32 +158,6 @@ def _room(odds: TuningOdds, likely: LikelyProcesses, settings: WorthSettings) ->
         for i, share in enumerate((settings.unstable_share, 0.5)):
             found[i] = scale if bad <= share else found[i]
     return found[0], found[1]
-
-
-def quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
-    """The value that so much of the weight does not exceed."""
-    order = np.argsort(values)
-    at = int(np.searchsorted(np.cumsum(weights[order]), share))
-    return float(values[order[min(at, len(values) - 1)]])
-
-
-def costs(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[FloatArray, FloatArray]:
-    """Cost of a set, and its Ms, on each process."""
-    peaks = likely.peaks(gains)
-    return cost_at(peaks, gains, settings), peaks
-
-
-def cost_at(peaks: FloatArray, gains: PidGains, settings: WorthSettings) -> FloatArray:
-    """Cost of a set (head of this file) where Ms is this."""
-    over = np.log(np.maximum(np.where(np.isinf(peaks), 1.0, peaks) / settings.ms_calm, 1.0))
-    risk = np.where(np.isinf(peaks), settings.unstable, np.minimum(settings.risk * over, settings.unstable))
-    return np.asarray(risk - (math.log(abs(gains.ki)) if gains.ki else -settings.unstable))
-
-
-def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[float, FloatArray]:
-    """Expected cost of a set, and its Ms on each process."""
-    each, peaks = costs(likely, gains, settings)
-    return float(likely.weights @ each), peaks
 
 
 def _candidates(

@@ -24,8 +24,8 @@ from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, move, update
+from retuner.adaptive.explanations.likely_processes import cost_at
 from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, lets_go, shares
-from retuner.adaptive.explanations.settings_by_odds import cost_at
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence

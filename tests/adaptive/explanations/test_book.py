@@ -18,9 +18,9 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations import settings_by_book
 from retuner.adaptive.explanations.book import ODD, PLANES, RUNAWAYS, WEIGHED, Book, doubted, move, update
+from retuner.adaptive.explanations.likely_processes import WorthSettings
 from retuner.adaptive.explanations.process_grid import shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, lets_go
-from retuner.adaptive.explanations.settings_by_odds import WorthSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel

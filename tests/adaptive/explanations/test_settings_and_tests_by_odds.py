@@ -7,10 +7,11 @@ import pytest
 from drawn_loop import PRIOR, loop_record
 
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
+from retuner.adaptive.explanations.likely_processes import WorthSettings
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes, units
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
-from retuner.adaptive.explanations.settings_by_odds import WorthSettings, halved, likely_processes, worthwhile
+from retuner.adaptive.explanations.settings_by_odds import halved, likely_processes, worthwhile
 from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood

@@ -7,6 +7,7 @@ import pytest
 from drawn_loop import PRIOR, loop_record
 from scipy.optimize import brentq
 
+from retuner.adaptive.explanations.likely_processes import LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     EVERY_LAG,
@@ -16,7 +17,6 @@ from retuner.adaptive.explanations.process_grid import (
     robustness,
     shapes,
 )
-from retuner.adaptive.explanations.settings_by_odds import LikelyProcesses
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, class_of, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (
