@@ -501,8 +501,9 @@ def _settings(
         found = halved(odds, settings.worth)
     if found is None:
         return None
-    if _calmer(found, odds):
-        return found if less >= settings.less_odds else None
+    if _calmer(found, odds):  # more gain under less integral action answers a sluggish loop as well
+        asked = less + more * (abs(found.tuning.gains.kp) > abs(odds.gains.kp))
+        return found if asked >= settings.less_odds else None
     bends = causes.get(Cause.NONLINEAR, 0.0) > settings.nonlinear  # then more is too much elsewhere
     unseen = bends or causes.get(Cause.STICTION, 0.0) > settings.most_valve  # behind a valve no process is seen
     return found if more >= settings.more_odds and not unseen else None

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes
-from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, TuningOdds, class_of
+from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, TuningOdds, class_of, shares_of
 from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -61,9 +61,8 @@ def with_overshoot(odds: TuningOdds, seen: Sequence[RecordOvershoot], limits: Tu
     if not total > 0.0:
         return odds
     weights /= total
-    return replace(
-        odds, weights=weights, classes={n: float(weights[classes == i].sum()) for i, n in enumerate(CLASSES)}
-    )
+    found = replace(odds, weights=weights)
+    return replace(found, classes=shares_of(found, classes, limits))
 
 
 def _overshoots(odds: TuningOdds, chosen: npt.NDArray[np.intp]) -> FloatArray:

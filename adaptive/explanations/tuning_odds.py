@@ -13,10 +13,18 @@ from functools import cache
 
 import numpy as np
 
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LoopRobustness, robustness, shapes, units
+from retuner.adaptive.explanations.process_grid import (
+    DEAD_TIMES,
+    GAINS,
+    LoopRobustness,
+    robustness,
+    shapes,
+    swings_at,
+    units,
+)
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.late_dataclass import dataclass, replace
 
 CLASSES = ("ok", "aggressive", "slow_integrating", "sluggish")
 
@@ -32,6 +40,8 @@ class TuningLimits:
         time swings the more the less gain it has.
     room : how many times as much gain a loop must bear to be sluggish; 1.5 to 5, default 2.5.
     slack : how many times as much integral action than it has SIMC gives one that is; 2 to 10, default 5.
+    reset : a loop that swings at a frequency of less than this over its integral time has too much integral action,
+        whatever cures it; 0.2 to 1, default 0.5 (the controller then is an integrator to within 27 degrees).
     beyond : loop gains more than so many times beyond the stability limit are left out: no record of a working loop
         comes from there; 1 to 3, default 1.25.
     """
@@ -42,6 +52,7 @@ class TuningLimits:
     less: float = 5.0
     room: float = 2.5
     slack: float = 5.0
+    reset: float = 0.5
     beyond: float = 1.25
 
 
@@ -104,8 +115,27 @@ def tuning_odds(
             among = usual_ones[of_class]
             weights[of_class] = likelihood[of_class] * (prior[name] / float(among.sum())) * among
     weights /= float(weights.sum())
+    found = TuningOdds(weights, {}, known, gains, sample_time_s)
+    return replace(found, classes=shares_of(found, classes, limits))
+
+
+def shares_of(odds: TuningOdds, classes: FloatArray, limits: TuningLimits) -> dict[str, float]:
+    """Probability by class. classes : of class_of; a tight loop that swings slowly has too much integral action."""
+    gains, sample_time_s, weights = odds.gains, odds.sample_time_s, odds.weights
     shares = {name: float(weights[classes == i].sum()) for i, name in enumerate(CLASSES)}
-    return TuningOdds(weights, shares, known, gains, sample_time_s)
+    if gains.kp and gains.ki:
+        tight = np.where(classes == CLASSES.index("aggressive"), weights, 0.0)
+        at = np.nonzero(tight > LEAST_ODDS * float(tight.max()))
+        swing = swings_at(odds.robustness, gains, sample_time_s, at)
+        moved = float(tight[at] @ (swing * abs(gains.kp / gains.ki) < limits.reset * sample_time_s))
+        shares["aggressive"], shares["slow_integrating"] = (
+            shares["aggressive"] - moved,
+            shares["slow_integrating"] + moved,
+        )
+    return shares
+
+
+LEAST_ODDS = 1e-3  # share of the likeliest process's odds below which nobody asks how a loop would swing
 
 
 def _usual(

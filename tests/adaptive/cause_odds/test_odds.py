@@ -279,3 +279,14 @@ def test_a_record_in_which_no_slip_is_seen_speaks_a_little_against_those_of_anot
     monkeypatch.setattr(odds, "log_odds_of_slips", lambda *_: next(slips))
     walk = odds._walk([loop(seed=1, n=200), loop(seed=2, n=200)], PidGains(1.0, 0.05), 1, OddsSettings())
     assert walk.valve == pytest.approx(6.0 + odds.UNSEEN)
+
+
+@pytest.mark.parametrize(("kp", "given"), [(2.0, True), (0.9, False)])
+def test_more_gain_under_less_integral_action_answers_a_slow_swing_and_a_sluggish_loop(
+    monkeypatch: pytest.MonkeyPatch, kp: float, given: bool
+) -> None:
+    found = SimpleNamespace(tuning=SimpleNamespace(gains=PidGains(kp, 0.05)))
+    monkeypatch.setattr(odds, "worthwhile", lambda *_: found)
+    causes = {Cause.SLOW_INTEGRATING: 0.75, Cause.SLUGGISH: 0.12, Cause.STICTION: 0.08, Cause.OK: 0.05}
+    known = cast("Any", SimpleNamespace(gains=PidGains(1.0, 0.1)))
+    assert (odds._settings(causes, known, 0.2, OddsSettings()) is found) == given

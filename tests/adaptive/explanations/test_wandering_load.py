@@ -186,6 +186,17 @@ def test_every_process_has_one_class_and_an_unstable_one_is_too_tight() -> None:
     assert set(np.unique(classes[np.isinf(known.ms)])) <= tight
 
 
+@pytest.mark.parametrize(("tau_i", "cause"), [(2.0, "slow_integrating"), (50.0, "aggressive")])
+def test_a_swing_far_slower_than_the_integral_time_is_too_much_integral_action(tau_i: float, cause: str) -> None:
+    gains = PidGains(1.0, 1.0 / tau_i)
+    known = robustness(gains, 1.0)
+    tight = (class_of(known, gains, 1.0, TuningLimits()) == CLASSES.index("aggressive")) & (known.gain_margin > 1.1)
+    one = next(i for i in np.argwhere(tight).tolist() if shapes()[i[0]].lag > 10 and DEAD_TIMES[i[1]] > 3)
+    likelihood = np.full(known.ms.shape, -1e3)
+    likelihood[tuple(one)] = 0.0
+    assert tuning_odds(likelihood, gains, 1.0, PRIOR, TuningLimits()).classes[cause] > 0.99
+
+
 def test_a_load_without_noise_is_differenced_only() -> None:
     assert load_model(math.inf, math.inf, 1) == LoadModel((1.0, 1.0), (1.0, 0.0, 0.0))
 
