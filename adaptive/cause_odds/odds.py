@@ -203,7 +203,7 @@ def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
 
 def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings) -> Walk | None:
     """All records and windows under a load that wanders, on one clock; None where nothing moves."""
-    dt = max(_interval_s(w, settings) for w in windows)
+    dt = max(interval_s(w, settings) for w in windows)
     parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
     both = [(Prepared.at(part, dt), Prepared.at(replace(part, pv=part.sp), dt).pv) for part in parts]
     both = [(r, sp) for r, sp in both if len(r.pv) >= FEWEST_RECORD_SAMPLES and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
@@ -262,7 +262,7 @@ def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> tu
     return setpoint_share(record, setpoint, shapes()[row].lag)
 
 
-def _interval_s(window: Window, settings: OddsSettings) -> float:
+def interval_s(window: Window, settings: OddsSettings) -> float:
     """The interval at which a record is compared: a few windows hold it, and pv shows a change in most of its rows."""
     fits = -(-len(window.t_s) // (settings.most_windows * MOST_SAMPLES))
     moves = float(np.mean(np.diff(window.pv) != 0.0))

@@ -102,7 +102,7 @@ def _tightest(
     """Settings with the smallest tau_c that is robust, or with the largest; and whether they are robust."""
     theta = (model.of_second_order() if kind is PID else without_second_lag(model)).theta_s
     third = third_lag(model, settings.hidden_share)
-    calmer = 1.0 / model.zeta if swings(model) else 1.0  # the less damped, the larger tau_c may become
+    calmer = 1.0 / model.zeta if model.zeta < SWINGS else 1.0  # the less damped, the larger tau_c may become
 
     def at(ratio: float) -> RobustTuning:
         given = by_integral(model, ratio) if asks_for_integral(model) else simc(model, ratio * theta, kind)

@@ -94,7 +94,7 @@ class RecordDiagnosis(display_hook.Shown):
 
     def to_dict(self) -> dict[str, object]:
         """Keys cause, confidence, retune, evidence, reason, gains, form, margins, aim, rival."""
-        found = self.settings.to_dict() if self.settings else None
+        found = self.settings.to_dict() if self.settings and self.diagnosis.retune else None
         rival = self.estimate.rival if self.estimate is not None else None
         return {
             **self.diagnosis.to_dict(),

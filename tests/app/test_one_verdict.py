@@ -102,7 +102,7 @@ def test_diagnose_identify_schedule_audit_and_the_retuner_say_one_cause_of_a_rec
 
     assert online(window_of(path), known) == told.cause
     assert row["cause"] == told.cause
-    if identified["identifiable"] and told.cause not in {Cause.OK, *TUNING_CAUSES}:
+    if not identified["identifiable"] or told.cause not in {Cause.OK, *TUNING_CAUSES}:
         assert identified["diagnosis"]["cause"] == told.cause
     else:
         assert identified["diagnosis"] is None

@@ -143,7 +143,6 @@ def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> Aimed:
 def document(found: DiagnosedRecord) -> dict[str, object]:
     """Keys cause, confidence, retune, evidence, gains, form, margins, aim, rival, reason, gains_in_force, model, ..."""
     result = found.result
-    settings = result.settings.to_dict() if result.settings is not None and result.diagnosis.retune else {}
     estimate = result.estimate.to_dict() if result.estimate is not None else {}
     told = result.to_dict()
     # The evidence of a diagnosis as plain JSON values
@@ -152,9 +151,6 @@ def document(found: DiagnosedRecord) -> dict[str, object]:
     return {
         **told,
         "evidence": {**found.seen.evidence, **value},
-        "gains": settings.get("gains"),
-        "form": settings.get("form"),
-        "margins": settings.get("margins"),
         "gains_in_force": _in_force(found),
         "identifiable": estimate.get("identifiable", False),
         "model": estimate.get("model"),

@@ -5,7 +5,7 @@ from pathlib import Path
 from retuner.adaptive.indexes.days import days_of
 from retuner.api import NO_STRETCH, Identification, RegionIdentification, identify_by_region, identify_record
 from retuner.commands.options import RecordOptions, tell
-from retuner.commands.recorded.other_cause import contradiction, other_cause
+from retuner.commands.recorded.other_cause import contradiction, diagnosed, other_cause, weighed
 from retuner.commands.recorded.record_options import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import controller, read_loop, require_fitting, require_length
 from retuner.commands.signatures import IdentifyOptions
@@ -53,14 +53,19 @@ def identify(options: IdentifyOptions) -> int:
         found = identify_record(
             recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max
         )
-        asked = found.settings is not None and not options.open_loop
-        other = other_cause([recording.window()], gains, options.co_min, options.co_max) if asked else None
+        result = other = None
+        if not options.open_loop:
+            result = diagnosed([recording.window()], gains, options.co_min, options.co_max)
+            other = other_cause(result.diagnosis) if found.settings is not None else None
     if options.plot is not None:
         write_whole(options.plot, _picture(recording, found, options))
     assumed = read.assumed + (() if options.open_loop else days_told(len(days_of(recording.window())), 1))
     tell_assumed(assumed, options)
-    said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
-    tell(found.to_dict() | said, [*described(found), *contradiction(other)], as_json=options.as_json)
+    unknown = result if result is not None and not found.estimate.identifiable else None
+    told = unknown if unknown is not None else other
+    said = {"diagnosis": None if told is None else told.to_dict(), "assumed": [a.what for a in assumed]}
+    lines = [*described(found), *contradiction(other), *([] if unknown is None else weighed(unknown))]
+    tell(found.to_dict() | said, lines, as_json=options.as_json)
     return 0 if found.estimate.identifiable else 1
 
 
@@ -86,11 +91,13 @@ def described(found: Identification) -> list[str]:
     # the model with its standard deviations
     model, std = found.estimate.log.model(), found.estimate.log.std()
     units = {"k": "", "tau1": " s", "tau2": " s", "tau3": " s", "theta": " s"}
+    damped = [f"  {'zeta':<6} {model.zeta:10.4g}"] if model.zeta < 1 else []
     values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "tau3": model.tau3_s, "theta": model.theta_s}
     lines = [
         "identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason,
         *[f"  {'type':<6} {model.type:>10}"]
         + [f"  {name:<6} {values[name]:10.4g} +- {std[name]:.2g}{unit}" for name, unit in units.items() if name in std],
+        *damped,
     ]
     if estimate.identifiable:
         lines.append(f"  {estimate.reason}; residual {estimate.residual_std:.3g}, noise {estimate.noise_std:.3g}")

@@ -1,21 +1,40 @@
-"""What identify and schedule ask diagnose: is something else than the tuning behind the records?"""
+"""What identify and schedule ask diagnose: is something else than the tuning behind the records, and if no process is
+known from them, do settings follow from the odds of all?
+"""
 
 from collections.abc import Sequence
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.signals.sample import Window
-from retuner.diagnosing import diagnose_windows
+from retuner.decision_page.decision_words import settings_text
+from retuner.diagnosing import RecordDiagnosis, diagnose_windows
 from retuner.schedule.gains import PidGains
 
 
-def other_cause(
+def diagnosed(
     windows: Sequence[Window], gains: PidGains | None, co_min: float | None, co_max: float | None
-) -> Diagnosis | None:
-    """What diagnose says of the same records, where it does not call it a matter of tuning."""
+) -> RecordDiagnosis:
+    """What diagnose says of the same records."""
     days = [day for window in windows for day in days_of(window)]
-    told = diagnose_windows(days, gains=gains, co_min=co_min, co_max=co_max).diagnosis
+    return diagnose_windows(days, gains=gains, co_min=co_min, co_max=co_max)
+
+
+def other_cause(told: Diagnosis) -> Diagnosis | None:
+    """The diagnosis, where it does not call it a matter of tuning."""
     return None if told.cause in {Cause.OK, *TUNING_CAUSES} else told
+
+
+def weighed(found: RecordDiagnosis) -> list[str]:
+    """What diagnose says of a record that identifies no process; empty where it cannot name a cause either."""
+    told = found.diagnosis
+    if told.cause is Cause.UNKNOWN:
+        return []
+    name = str(told.cause).replace("_", " ").upper()
+    lines = [f"retuner diagnose, which weighs all processes and loads: {name} ({told.confidence:.0%}): {told.reason}"]
+    if found.recommended is not None:
+        lines.append(f"  recommended  {settings_text(found.recommended)}")
+    return lines
 
 
 def contradiction(other: Diagnosis | None) -> list[str]:

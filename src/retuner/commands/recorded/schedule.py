@@ -9,7 +9,7 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.sample import Window
 from retuner.commands.options import controller_units, tell
-from retuner.commands.recorded.other_cause import contradiction, other_cause
+from retuner.commands.recorded.other_cause import contradiction, diagnosed, other_cause
 from retuner.commands.recorded.record_options import read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length
 from retuner.commands.signatures import ScheduleOptions
@@ -155,7 +155,7 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
 
 def _other(windows: list[Window], options: ScheduleOptions) -> Diagnosis | None:
     """What diagnose says of the records, where no gains cure it: a gain along pv is what a schedule is for."""
-    told = other_cause(windows, None, options.co_min, options.co_max)
+    told = other_cause(diagnosed(windows, None, options.co_min, options.co_max).diagnosis)
     return None if told is None or told.cause in {Cause.NONLINEAR, Cause.UNKNOWN} else told
 
 
