@@ -329,8 +329,8 @@ def _other_processes(window: Window, settings: PidGains) -> str:
     if share <= MOST_BAD:
         return ""
     return (
-        f"under a load that wanders other processes explain the record, and on {share:.0%} of the odds the settings "
-        f"of this model have Ms over {MS_BAD}; make a setpoint step"
+        "under a load that wanders other processes explain the record; these settings have Ms over "
+        f"{MS_BAD} on {share:.0%} of them. Make a setpoint step."
     )
 
 
