@@ -110,8 +110,8 @@ class Book:
 
     @property
     def tone(self) -> float:
-        """Probability of a tone from outside."""
-        return float(_weights(self.levels)[1].sum())
+        """Probability of a tone from outside; a window that still grows ends none."""
+        return max(float(_weights(known)[1].sum()) for known in (self.levels, self.whole))
 
     def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:
         """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).

@@ -133,3 +133,12 @@ def test_what_diagnoses_of_responses_find_counts_in_the_book() -> None:
         said = heard(said, 0.76, tone=False)
     assert said.tone == pytest.approx(begun.tone, abs=0.03)
     assert said.weights() == pytest.approx(begun.weights(), abs=1e-6)
+
+
+def test_a_window_that_still_grows_ends_no_tone() -> None:
+    """A good loop under a tone whose period varies had been cut, J 1.0 to 4.2: half a window preferred none."""
+    begun = Book.begun(GOOD, 1.0, 0.0)
+    toned = update(begun, recorded(GOOD, cycle(60.0, 0.0)))
+    assert toned.tone > 0.9 > begun.tone
+    assert replace(toned, levels=begun.levels).tone == toned.tone
+    assert replace(toned, whole=begun.whole).tone == toned.tone
