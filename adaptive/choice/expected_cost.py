@@ -141,8 +141,7 @@ def outlooks(
     sampled = [plausible.model.seen_by_controller(loop.sample_time_s) for plausible in found]
     weights = [math.exp(-plausible.excess / (2 * settings.temper)) for plausible in found]
     processes, n = [model.linear() for model in sampled], len(sampled)
-    # J, by set and process, is over the rule's settings that keep the limit of Ms (SIMC's own, with a second lag, up to
-    # 1.98)
+    # J by set and process, over that of the rule within the limit of Ms
     robust = RobustSettings(ms_nominal=settings.ms_limit, ms_worst=math.inf, ms_third=math.inf)
     rules = [(model.linear(), robust_simc_on(model, (), 0.0, robust).tuning.gains) for model in sampled]
     pairs = [(process, choosable.gains) for choosable in sets for process in processes]

@@ -379,10 +379,9 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
     slow = _slow(found, window)
     if slow is None:
         return ""
+    # kp of a controller that integrates the mean of two samples
     both = ((found, window.sample_time_s), (slow, SLOW * window.sample_time_s))
-    pair = [
-        f.values["kp"] - f.values.get("ki", 0.0) * dt / 2 for f, dt in both
-    ]  # of a law that integrates means of two
+    pair = [f.values["kp"] - f.values.get("ki", 0.0) * dt / 2 for f, dt in both]
     if _apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings.slow_disagreement):
         return (
             f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones; the record is too coarse for "

@@ -2,8 +2,8 @@
 
     worth(set) = E[cost(active)] - E[cost(set)],     cost as in likely_processes.py
 
-The expectation is over the processes of the grid with their odds, so a
-set is given where it is worth having on the whole, and only where next to no likely process makes a bad loop of it.
+The expectation is over the processes of the grid with their odds, so a set is given where it is worth having on the
+whole, and only where next to no likely process makes a bad loop of it.
 
 Candidates are SIMC's settings (Skogestad 2003) at several tau_c, and the set in force with less or more of all its
 actions, which keeps a derivative. SIMC's gain is that of one of the likeliest processes. The integral time at that

@@ -106,7 +106,7 @@ class VirtualCanOpenNode:
         for states in (*mapping.stops, *([mapping.mode] if mapping.mode else [])):
             variable, _ = self._variable(states.at)
             at = variable.index, variable.subindex
-            told[at] = told.get(at, 0) | states.expected[0]  # as it should be
+            told[at] = told.get(at, 0) | states.expected[0]  # a value that is as it should be
         for (index, sub), value in told.items():
             told_by = self._file.dictionary.get_variable(index, sub)
             assert told_by is not None

@@ -292,10 +292,7 @@ def design_schedule(
         raise ValueError(f"low = {low:g} must be below high = {high:g}")
     rows = [at_gaps(window) for window in whole]
     windows = tuple(window.part(part) for window, parts in zip(whole, rows, strict=True) for part in parts)
-    candidates = []
-    for one in (_candidate(name, whole, values) for name in _names(by, values)):
-        pieces = (array[part] for array, parts in zip(one.values, rows, strict=True) for part in parts)
-        candidates.append(replace(one, values=tuple(pieces)))
+    candidates = [_between_gaps(_candidate(one, whole, values), rows) for one in _names(by, values)]
     limits = DesignLimits(ms_limit, j_limit)
     found = design(windows, candidates, limits, lookup, (low, high), progress)
     before = gains if gains is not None else _read_off(windows, co_min, co_max)
@@ -347,6 +344,12 @@ def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequen
         if array.shape != window.t_s.shape or not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: give a finite value at each of the record's {len(window.t_s)} samples")
     return SchedulingVariable(name, tuple(arrays), follows=name not in OWN and follows_loop(windows, arrays))
+
+
+def _between_gaps(one: SchedulingVariable, rows: Sequence[Sequence[slice]]) -> SchedulingVariable:
+    """A variable at the samples of every part of the records."""
+    values = tuple(array[part] for array, parts in zip(one.values, rows, strict=True) for part in parts)
+    return replace(one, values=values)
 
 
 def table_of(found: Design, name: str, unit: str) -> GainTable | None:
