@@ -18,8 +18,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from retuner.adaptive.cause_odds.compared_records import FEWEST_RECORD_SAMPLES, compared
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
-from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
 from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
 from retuner.adaptive.cause_odds.valve_evidence import said_for_valve, shapes_of, unlike
 from retuner.adaptive.controller_settings.summed_law import rough_law
@@ -31,7 +31,6 @@ from retuner.adaptive.explanations.deciding_test import deciding_test, valve_tes
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
 from retuner.adaptive.explanations.likely_processes import quantile
 from retuner.adaptive.explanations.periodic_load import log_odds_of_repeating
-from retuner.adaptive.explanations.process_grid import gain_unit, shapes
 from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, worthwhile
@@ -39,12 +38,9 @@ from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (
-    MOST_SAMPLES,
     TEMPER,
     Prepared,
     lead_of_steps,
-    setpoint_share,
-    temper,
 )
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
@@ -54,8 +50,6 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-FEWEST_RECORD_SAMPLES = 60
-"""Samples of a record that a load that wanders is looked for in."""
 FINAL = 0.9
 """Confidence from which an unknown without any fit needs none."""
 
@@ -189,53 +183,31 @@ def _alone(found: RecordVerdict, settings: OddsSettings) -> RecordVerdict:
     return replace(found, diagnosis=replace(told, confidence=min(told.confidence, p), causes=shares))
 
 
-def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
-    """A record in windows of MOST_SAMPLES intervals of dt_s each or fewer, at most so many, spread over it.
-
-    None overlaps where they hold the whole record: what two of them held would count twice.
-    """
-    longest = MOST_SAMPLES * max(round(dt_s / window.sample_time_s), 1)
-    count = max(min(-(-len(window.t_s) // longest), most), 1)
-    length = min(longest, len(window.t_s) // count)
-    firsts = np.linspace(0, max(len(window.t_s) - length, 0), count).round().astype(int)
-    return [window.part(slice(int(first), int(first) + length)) for first in firsts]
-
-
 def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings) -> Walk | None:
     """All records and windows under a load that wanders, on one clock; None where nothing moves."""
-    dt = max(interval_s(w, settings) for w in windows)
-    parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
-    both = [(Prepared.at(part, dt), Prepared.at(replace(part, pv=part.sp), dt).pv) for part in parts]
-    both = [(r, sp) for r, sp in both if len(r.pv) >= FEWEST_RECORD_SAMPLES and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
-    if not both:
+    found = compared(windows, gains, direction, settings)
+    if found is None:
         return None
-    unit = gain_unit(gains, dt) if gains is not None else None
-    found = [with_smoothing(record, direction, unit, settings.smooths) for record, _ in both]
-    records, each = [record for record, _ in found], [likelihood for _, likelihood in found]
-    both = [(record, sp) for record, (_, sp) in zip(records, both, strict=True)]
+    records, each, shares, powers = found.records, found.each, found.shares, found.powers
     valve = sum(log_odds_of_valve(r, direction) for r in records)
     slips = [log_odds_of_slips(Prepared.at(w, w.sample_time_s), direction) for w in windows if valve < SEEN]
     if max(slips, default=0.0) > 0.0:
         valve = max(valve, sum(max(one, UNSEEN) for one in slips))
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
-    of_longest = each[longest]
-    shares, powers, swings, period_s = [0.0], [1.0] * len(records), np.zeros(()), math.nan
-    if unit is not None:
-        moved = [_share(*one, likelihood) for one, likelihood in zip(both, each, strict=True)]
-        shares, powers = [share for share, _ in moved], [TEMPER / temper(share) for _, share in moved]
-    weighed = [power * alone for power, alone in zip(powers, each, strict=True)]
+    weighed, swings, period_s = found.weighed, np.zeros(()), math.nan
     total = np.sum(weighed, axis=0)
-    if unit is not None and max(shares) >= settings.swings_moved:
-        at = {i: w for i, one in enumerate(each) if (w := swing_frequency(*both[i], one)) is not None}
+    if found.unit is not None and max(shares) >= settings.swings_moved:
+        both = zip(records, found.setpoints, each, strict=True)
+        at = {i: w for i, one in enumerate(both) if (w := swing_frequency(*one)) is not None}
         if max((shares[i] for i in at), default=0.0) >= settings.swings_moved:
             swinging = total + math.log(settings.swings)
             for i, w in at.items():
-                swinging += powers[i] * likelihood_swinging(records[i], direction, unit, w) - weighed[i]
-                period_s = 2.0 * math.pi / w * dt
+                swinging += powers[i] * likelihood_swinging(records[i], direction, found.unit, w) - weighed[i]
+                period_s = 2.0 * math.pi / w * found.dt_s
             total = np.logaddexp(total + math.log(1.0 - settings.swings), swinging)
             swings = np.exp(swinging - total)
     along = gain_along_pv(records, direction, powers)
-    return Walk(total, valve, along, records[longest], of_longest, max(shares), swings, period_s)
+    return Walk(total, valve, along, records[longest], each[longest], max(shares), swings, period_s)
 
 
 def _repeating(walk: Walk, windows: Sequence[Window], direction: int) -> Walk:
@@ -252,22 +224,6 @@ def _repeating(walk: Walk, windows: Sequence[Window], direction: int) -> Walk:
 UNSEEN, SEEN = -1.0, 4.0
 """Evidence of a record in which no valve with slips of its own is likelier: of one and the same, others may show it.
 And of a valve of one band, from which none is looked for."""
-
-
-def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> tuple[float, float]:
-    """setpoint_share. setpoint : from its first value; pv's own where co goes by hand, and then moves all."""
-    if np.array_equal(setpoint, record.pv):
-        return 1.0, 1.0
-    row = int(np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)[0])
-    return setpoint_share(record, setpoint, shapes()[row].lag)
-
-
-def interval_s(window: Window, settings: OddsSettings) -> float:
-    """The interval at which a record is compared: a few windows hold it, and pv shows a change in most of its rows."""
-    fits = -(-len(window.t_s) // (settings.most_windows * MOST_SAMPLES))
-    moves = float(np.mean(np.diff(window.pv) != 0.0))
-    shown = min(round(1.0 / max(moves, 1e-9)), settings.most_held)
-    return window.sample_time_s * max(fits, min(shown, max(len(window.t_s) // FEWEST_RECORD_SAMPLES, 1)))
 
 
 def _overshoot(window: Window, found: RecordVerdict) -> RecordOvershoot | None:

@@ -11,16 +11,29 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.cause_odds.odds import interval_s, windows_of
+from retuner.adaptive.cause_odds.compared_records import compared
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
-from retuner.adaptive.explanations.process_grid import gain_unit
 from retuner.adaptive.explanations.tuning_odds import tuning_odds
-from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
 
-def share_over(window: Window, gains: PidGains, ms: float) -> float:
+def doubt_of_settings(window: Window, gains: PidGains, settings: OddsSettings | None = None) -> str:
+    """Why settings that follow from one model do not hold under every load, in a sentence; empty where they do.
+
+    window, gains : see share_over.
+    """
+    settings = settings or OddsSettings()
+    share = share_over(window, gains, settings.identified_ms, settings)
+    if share <= settings.identified_most:
+        return ""
+    return (
+        "under a load that wanders other processes explain the record; these settings have Ms over "
+        f"{settings.identified_ms:g} on {share:.0%} of them. Make a setpoint step."
+    )
+
+
+def share_over(window: Window, gains: PidGains, ms: float, settings: OddsSettings) -> float:
     """Share of the odds on which the gains have an Ms over this, 0 to 1; 0 where the record moves in nothing.
 
     Parameters
@@ -35,13 +48,8 @@ def share_over(window: Window, gains: PidGains, ms: float) -> float:
     """
     if not 1.0 < ms < math.inf:
         raise ValueError(f"ms = {ms} must be finite and over 1, where every loop begins")
-    settings = OddsSettings()
-    dt = interval_s(window, settings)
-    records = [Prepared.at(part, dt) for part in windows_of(window, dt, settings.most_windows)]
-    moving = [record for record in records if np.ptp(record.pv) > 0 and np.ptp(record.co) > 0]
-    if not moving:
+    found = compared([window], gains, gains.direction, settings)
+    if found is None:
         return 0.0
-    unit = gain_unit(gains, dt)
-    total = np.sum([log_likelihood(record, gains.direction, unit) for record in moving], axis=0)
-    odds = tuning_odds(total, gains, dt, settings.prior, settings.limits)
+    odds = tuning_odds(np.sum(found.weighed, axis=0), gains, found.dt_s, settings.prior, settings.limits)
     return float(odds.weights[odds.robustness.ms > ms].sum())

@@ -236,12 +236,10 @@ def identify_record(
 ) -> Identification:
     """The process behind a record that is a Window already; see identify."""
     window = within(window, co_min, co_max)
-    sign = gains.direction if gains else None
     if open_loop:
-        return _followed(window, identify_manual(window, sign), gains, open_loop)
+        return _followed(window, identify_manual(window, gains.direction if gains else None), gains, open_loop)
     days = days_of(window)
-    if sign is None:  # a loop that works has the controller's sign
-        sign = settings_in_force(max(days, key=_length), co_min, co_max).direction
+    sign = _sign_of(max(days, key=_length), gains, co_min, co_max)
     if len(days) > 1:
         record = RegionRecord(-math.inf, math.inf, tuple(days))
         if (told := identify_region(record, sign, FitSettings())) is not None:
@@ -291,13 +289,18 @@ def identify_by_region(
 
     Raises ValueError: the borders are none, or see identify.
     """
-    window = within(window, co_min, co_max)
-    sign, found = gains.direction if gains else None, []
+    window, found = within(window, co_min, co_max), []
+    sign = None if open_loop and gains is None else _sign_of(window, gains, co_min, co_max)
     for region in by_region(window, np.asarray(by, dtype=np.float64), bounds):
         estimate = identify_region(region, sign, FROM_MOTION if open_loop else FitSettings())
         told = None if estimate is None else _followed(max(region.stretches, key=_length), estimate, gains, open_loop)
         found.append(RegionIdentification(region.low, region.high, sum(map(_length, region.stretches)), told))
     return tuple(found)
+
+
+def _sign_of(window: Window, gains: PidGains | None, co_min: float | None, co_max: float | None) -> int | None:
+    """Sign of the process gain: of a loop that works that of its controller, given or read off; None for not known."""
+    return gains.direction if gains else settings_in_force(window, co_min, co_max).direction
 
 
 def _length(window: Window) -> int:
@@ -314,29 +317,14 @@ def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, o
         return Identification(estimate, None, None)
     found = robust_simc(estimate, window.sample_time_s, RobustSettings(), gains)
     settings = TuneResult.on(found.tuning, estimate.log.model())
-    if estimate.coloured and not open_loop and (doubt := _other_processes(window, settings.gains)):
-        return Identification(replace(estimate, identifiable=False, reason=doubt), None, None)
+    if estimate.coloured and not open_loop:
+        from retuner.adaptive.cause_odds.other_processes import doubt_of_settings  # noqa: PLC0415  few records ask
+
+        if doubt := doubt_of_settings(window, settings.gains):
+            return Identification(replace(estimate, identifiable=False, reason=doubt), None, None)
     if gains is None:
         return Identification(estimate, settings, None)
     return _no_farther(Identification(estimate, settings, margins(estimate.log.model().linear(), gains)), window, gains)
-
-
-def _other_processes(window: Window, settings: PidGains) -> str:
-    """Why settings that rest on a model with a drift do not hold under every load; empty where they do."""
-    from retuner.adaptive.cause_odds.other_processes import share_over  # noqa: PLC0415  few ask
-
-    share = share_over(window, settings, MS_BAD)
-    if share <= MOST_BAD:
-        return ""
-    return (
-        "under a load that wanders other processes explain the record; these settings have Ms over "
-        f"{MS_BAD} on {share:.0%} of them. Make a setpoint step."
-    )
-
-
-MS_BAD, MOST_BAD = 2.5, 0.3
-"""Ms that settings may not have on more than this share of the odds. Of 504 drawn loops, sets of models with a drift
-that held had it on 26 % at the most, those that did not on 37 % and more."""
 
 
 def _unless_pv_stands(window: Window, gains: PidGains | None, estimate: ModelEstimate) -> ModelEstimate:

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.other_processes import share_over
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
-from retuner.api import Identification, identify_record
+from retuner.api import Identification, identify_by_region, identify_record
 from retuner.cli import main
 from retuner.schedule.gains import PidGains
 
@@ -56,6 +57,12 @@ def test_the_process_has_the_sign_of_the_controller_that_the_record_shows() -> N
     assert true_ms(settings_of(found), 0.455, 32.42, 4, 3.24) < 1.8
 
 
+def test_the_process_of_each_region_has_that_sign_too() -> None:
+    window = record("four_lags_negative_fit")
+    found = [region.found for region in identify_by_region(window, window.pv, [float(np.median(window.pv))])]
+    assert [one is not None and one.estimate.log.model().k > 0.0 for one in found] == [True, True]  # -0.26 above
+
+
 def test_a_model_with_a_drift_is_held_against_all_processes_under_a_load_that_wanders() -> None:
     found = identify_record(record("inverse_three_thousand_rows"))
     assert not found.identifiable
@@ -65,7 +72,7 @@ def test_a_model_with_a_drift_is_held_against_all_processes_under_a_load_that_wa
 
 def test_the_share_of_the_odds_is_large_for_too_much_gain_and_small_for_little() -> None:
     window = record("inverse_three_thousand_rows")
-    share = {kc: share_over(window, PidGains(kc, kc / 88.4), 2.5) for kc in (0.5, 6.0)}
+    share = {kc: share_over(window, PidGains(kc, kc / 88.4), 2.5, OddsSettings()) for kc in (0.5, 6.0)}
     assert share[0.5] < 0.05
     assert share[6.0] > 0.95
 
@@ -73,13 +80,13 @@ def test_the_share_of_the_odds_is_large_for_too_much_gain_and_small_for_little()
 @pytest.mark.parametrize("ms", [1.0, 0.0, float("nan"), float("inf")])
 def test_a_limit_that_is_none_is_refused(ms: float) -> None:
     with pytest.raises(ValueError, match="ms ="):
-        share_over(record("four_lags_one_step"), PidGains(1.0, 0.1), ms)
+        share_over(record("four_lags_one_step"), PidGains(1.0, 0.1), ms, OddsSettings())
 
 
 def test_a_still_record_says_nothing_against_settings() -> None:
     t_s = np.arange(200.0)
     still = Window(t_s, np.full(200, 5.0), np.full(200, 5.0), np.full(200, 1.0))
-    assert share_over(still, PidGains(1.0, 0.1), 2.0) == 0.0
+    assert share_over(still, PidGains(1.0, 0.1), 2.0, OddsSettings()) == 0.0
 
 
 def test_where_no_process_is_identified_the_command_tells_what_diagnose_says(

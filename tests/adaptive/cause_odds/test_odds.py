@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.cause_odds import odds
-from retuner.adaptive.cause_odds.odds import _mixed, diagnose_records, windows_of
+from retuner.adaptive.cause_odds.compared_records import windows_of
+from retuner.adaptive.cause_odds.odds import _mixed, diagnose_records
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis

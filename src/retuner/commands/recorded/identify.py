@@ -53,19 +53,20 @@ def identify(options: IdentifyOptions) -> int:
         found = identify_record(
             recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max
         )
-        result = other = None
+        said, told = None, []  # nothing is diagnosed in manual
         if not options.open_loop:
             result = diagnosed([recording.window()], gains, options.co_min, options.co_max)
-            other = other_cause(result.diagnosis) if found.settings is not None else None
+            other = other_cause(result.diagnosis)
+            if not found.estimate.identifiable:
+                said, told = result.to_dict(), weighed(result)
+            elif other is not None:
+                said, told = other.to_dict(), contradiction(other)
     if options.plot is not None:
         write_whole(options.plot, _picture(recording, found, options))
     assumed = read.assumed + (() if options.open_loop else days_told(len(days_of(recording.window())), 1))
     tell_assumed(assumed, options)
-    unknown = result if result is not None and not found.estimate.identifiable else None
-    told = unknown if unknown is not None else other
-    said = {"diagnosis": None if told is None else told.to_dict(), "assumed": [a.what for a in assumed]}
-    lines = [*described(found), *contradiction(other), *([] if unknown is None else weighed(unknown))]
-    tell(found.to_dict() | said, lines, as_json=options.as_json)
+    more = {"diagnosis": said, "assumed": [a.what for a in assumed]}
+    tell(found.to_dict() | more, [*described(found), *told], as_json=options.as_json)
     return 0 if found.estimate.identifiable else 1
 
 

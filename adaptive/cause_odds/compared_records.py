@@ -1,0 +1,92 @@
+"""What each record of a loop says of every process under a load that wanders, on one clock.
+
+A long record is compared in windows of one length, averages over a few rows where pv stands still for as long. Each
+counts with a power (wandering_load.py): a setpoint that moves says more than loads do.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from retuner.adaptive.cause_odds.odds_settings import OddsSettings
+from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
+from retuner.adaptive.explanations.process_grid import gain_unit, shapes
+from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES, TEMPER, Prepared, setpoint_share, temper
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass, replace
+
+FEWEST_RECORD_SAMPLES = 60
+"""Samples of a record that a load that wanders is looked for in."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedRecords:
+    """Windows of records, one by one.
+
+    dt_s : the clock of all. unit : of loop gains (process_grid.gain_unit), None without gains. records, setpoints : as
+    they were compared. each : log-likelihood of every process. shares : of the setpoint, or of the hand, in what moves
+    a record. powers : of its likelihood.
+    """
+
+    dt_s: float
+    unit: float | None
+    records: tuple[Prepared, ...]
+    setpoints: tuple[FloatArray, ...]
+    each: tuple[FloatArray, ...]
+    shares: tuple[float, ...]
+    powers: tuple[float, ...]
+
+    @property
+    def weighed(self) -> list[FloatArray]:
+        """The log-likelihood of each record, to its power."""
+        return [power * alone for power, alone in zip(self.powers, self.each, strict=True)]
+
+
+def compared(
+    windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings
+) -> ComparedRecords | None:
+    """All records and windows under a load that wanders; None where nothing moves. direction : of the process."""
+    dt = max(_interval_s(w, settings) for w in windows)
+    parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
+    both = [(Prepared.at(part, dt), Prepared.at(replace(part, pv=part.sp), dt).pv) for part in parts]
+    both = [(r, sp) for r, sp in both if len(r.pv) >= FEWEST_RECORD_SAMPLES and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
+    if not both:
+        return None
+    unit = gain_unit(gains, dt) if gains is not None else None
+    records, each = zip(*(with_smoothing(record, direction, unit, settings.smooths) for record, _ in both), strict=True)
+    setpoints = tuple(sp for _, sp in both)
+    moved = [(0.0, 1.0)] * len(records)  # without gains: no share is asked
+    powers = [1.0] * len(records)
+    if unit is not None:
+        moved = [_share(*one) for one in zip(records, setpoints, each, strict=True)]
+        powers = [TEMPER / temper(share) for _, share in moved]
+    return ComparedRecords(dt, unit, records, setpoints, each, tuple(share for share, _ in moved), tuple(powers))
+
+
+def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
+    """A record in windows of MOST_SAMPLES intervals of dt_s each or fewer, at most so many, spread over it.
+
+    None overlaps where they hold the whole record: what two of them held would count twice.
+    """
+    longest = MOST_SAMPLES * max(round(dt_s / window.sample_time_s), 1)
+    count = max(min(-(-len(window.t_s) // longest), most), 1)
+    length = min(longest, len(window.t_s) // count)
+    firsts = np.linspace(0, max(len(window.t_s) - length, 0), count).round().astype(int)
+    return [window.part(slice(int(first), int(first) + length)) for first in firsts]
+
+
+def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> tuple[float, float]:
+    """setpoint_share. setpoint : from its first value; pv's own where co goes by hand, and then moves all."""
+    if np.array_equal(setpoint, record.pv):
+        return 1.0, 1.0
+    row = int(np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)[0])
+    return setpoint_share(record, setpoint, shapes()[row].lag)
+
+
+def _interval_s(window: Window, settings: OddsSettings) -> float:
+    """The interval at which a record is compared: a few windows hold it, and pv shows a change in most of its rows."""
+    fits = -(-len(window.t_s) // (settings.most_windows * MOST_SAMPLES))
+    moves = float(np.mean(np.diff(window.pv) != 0.0))
+    shown = min(round(1.0 / max(moves, 1e-9)), settings.most_held)
+    return window.sample_time_s * max(fits, min(shown, max(len(window.t_s) // FEWEST_RECORD_SAMPLES, 1)))
