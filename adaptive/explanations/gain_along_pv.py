@@ -25,7 +25,7 @@ from retuner.adaptive.signals.sample import FloatArray, quantile
 from retuner.schedule.late_dataclass import dataclass, replace
 
 RATIOS = (0.2, 0.4, 2.5, 5.0)  # gain at the top of pv's range over that at the bottom, where it changes evenly
-STEP_RATIOS = (0.3, 3.0)  # ratios where the gain changes in the middle of the range
+STEP_RATIOS = (1.0 / 3.0, 3.0)  # ratios where the gain changes in the middle of the range
 TAILS = 0.01  # share of the samples at either end that the range of pv leaves out
 
 
