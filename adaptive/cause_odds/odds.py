@@ -36,12 +36,8 @@ from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, wi
 from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, worthwhile
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
-from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
-from retuner.adaptive.explanations.wandering_load import (
-    TEMPER,
-    Prepared,
-    lead_of_steps,
-)
+from retuner.adaptive.explanations.valve_odds import log_mean, log_odds_of_valve
+from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition, record_condition
@@ -62,8 +58,9 @@ class Walk:
     or of slips at times of their own. along : what they say for a gain that changes along pv.
     record : the longest window as it was compared. of_record : the log-likelihood of that one, tempered as it comes.
     moved : largest share of setpoint or hand in what moves a record (wandering_load.py).
-    swings : probability that a load swings, by process of the grid. repeats : ln Bayes factor of a load that repeats,
-    tempered; where a valve is in question. period_s : of that swing or load (in the last record), nan for none.
+    swings : probability that a load swings, by process of the grid. period_s : of that swing, or of the load that
+    repeats (in the last record), nan for none. swung : ln of how many times likelier the records are where a load may
+    swing. repeats : ln Bayes factor of a load that repeats, tempered; where a valve is in question.
     """
 
     log_likelihood: FloatArray
@@ -74,6 +71,7 @@ class Walk:
     moved: float
     swings: FloatArray
     period_s: float
+    swung: float = 0.0
     repeats: float = -math.inf
 
 
@@ -194,20 +192,22 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     if max(slips, default=0.0) > 0.0:
         valve = max(valve, sum(max(one, UNSEEN) for one in slips))
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
-    weighed, swings, period_s = found.weighed, np.zeros(()), math.nan
+    weighed, swings, swung, period_s = found.weighed, np.zeros(()), 0.0, math.nan
     total = np.sum(weighed, axis=0)
-    if found.unit is not None and max(shares) >= settings.swings_moved:
+    if found.unit is not None and max(shares) > 0.0:
         both = zip(records, found.setpoints, each, strict=True)
         at = {i: w for i, one in enumerate(both) if (w := swing_frequency(*one)) is not None}
-        if max((shares[i] for i in at), default=0.0) >= settings.swings_moved:
-            swinging = total + math.log(settings.swings)
+        # loads alone say nothing of it: the less the setpoint moves, the less a swing is asked for
+        prior = settings.swings * min(max((shares[i] for i in at), default=0.0) / settings.swings_moved, 1.0)
+        if prior > 0.0:
+            swinging = total + math.log(prior)
             for i, w in at.items():
                 swinging += powers[i] * likelihood_swinging(records[i], direction, found.unit, w) - weighed[i]
                 period_s = 2.0 * math.pi / w * found.dt_s
-            total = np.logaddexp(total + math.log(1.0 - settings.swings), swinging)
-            swings = np.exp(swinging - total)
+            alone, total = total, np.logaddexp(total + math.log(1.0 - prior), swinging)
+            swings, swung = np.exp(swinging - total), log_mean(total) - log_mean(alone)
     along = gain_along_pv(records, direction, powers)
-    return Walk(total, valve, along, records[longest], each[longest], max(shares), swings, period_s)
+    return Walk(total, valve, along, records[longest], each[longest], max(shares), swings, period_s, swung)
 
 
 def _repeating(walk: Walk, windows: Sequence[Window], direction: int) -> Walk:
@@ -254,7 +254,8 @@ def _under_walk(
         Cause.OK: math.log(linear),
     }
     whole = float(np.logaddexp.reduce(list(said.values())))
-    beside_steps = float(np.logaddexp.reduce([one for cause, one in said.items() if cause != Cause.NONLINEAR]))
+    straight = said | {Cause.NONLINEAR: -math.inf, Cause.OK: said[Cause.OK] + walk.swung}
+    beside_steps = float(np.logaddexp.reduce(list(straight.values())))
     p = {cause: math.exp(one - whole) for cause, one in said.items()}
     alone, repeats = p.pop(Cause.OK), p[Cause.EXTERNAL]
     if odds is None:

@@ -2,7 +2,7 @@
 
 from retuner.adaptive.explanations.likely_processes import WorthSettings
 from retuner.adaptive.explanations.tuning_odds import TuningLimits
-from retuner.schedule.late_dataclass import dataclass, field
+from retuner.schedule.late_dataclass import dataclass, field, fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +39,9 @@ class OddsSettings:
     tone_from, tone_to : share of pv's variance in one lasting tone from which, and up to which, a record without a
         setpoint step is taken for that tone; 0.2 to 1, default 0.4 and 0.6 (loops near instability under real loads
         0 to 0.38 in 28 of 29, tones and narrow bands 0.41 to 1).
-    swings : prior that a load swings, where a record does and the setpoint moves it by this share or more
-        (swings_moved; loads alone say nothing of it); 0.02 to 0.2, default 0.05, and 0.1 to 0.8, default 0.3.
+    swings : prior that a load swings, where a record does and the setpoint moves it by this share (swings_moved) or
+        more; with less it is less in proportion, for loads alone say nothing of it; 0.02 to 0.2, default 0.05, and 0.1
+        to 0.8, default 0.3.
     smooths : prior that a recorder has smoothed pv and co by averages or lines; 0.02 to 0.3, default 0.1.
     most : no probability is told larger; 0.9 to 0.99, default 0.97: more was never counted.
     more_odds : odds of a cause that asks for more gain from which settings are given; 0.5 to 0.9, default 0.6.
@@ -98,22 +99,10 @@ class OddsSettings:
     def __post_init__(self) -> None:
         if abs(sum(self.prior.values()) - 1.0) > 1e-9 or min(self.prior.values()) <= 0:
             raise ValueError(f"the priors of ok, aggressive, slow_integrating and sluggish {self.prior} must sum to 1")
-        for name in (
-            "stiction",
-            "nonlinear",
-            "repeats",
-            "noise_left",
-            "most",
-            "more_odds",
-            "less_odds",
-            "identified_ms",
-            "identified_most",
-            "undecided",
-            "valve_weight",
-            "shapes_say",
-        ):
-            if not 0 < getattr(self, name) < 100:
-                raise ValueError(f"{name} = {getattr(self, name)} is not a number above 0")
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if isinstance(value, float) and not 0 < value < 100:
+                raise ValueError(f"{one.name} = {value} is not a number above 0")
 
     @property
     def prior(self) -> dict[str, float]:

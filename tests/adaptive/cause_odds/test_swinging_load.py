@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retuner.adaptive.cause_odds import odds
 from retuner.adaptive.cause_odds.odds import diagnose_records
+from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
@@ -51,6 +53,18 @@ def test_a_load_that_does_not_swing_is_not_taken_for_one() -> None:
     walk = np.cumsum(np.random.default_rng(3).standard_normal(N)) * 0.5
     record = Prepared.at(replace(window, pv=window.pv + walk), 1.0)
     assert swing_frequency(record, SETPOINT, log_likelihood(record, 1, GAINS.kp)) is None
+
+
+def test_a_swing_counts_against_load_steps_and_the_less_the_less_the_setpoint_moves() -> None:
+    """Under a tone that setpoint steps moved by 26 % gains were cut by 85 %: from 30 % on a swing was asked for."""
+    asked, less = (odds._walk([swung()], GAINS, 1, OddsSettings(swings_moved=share)) for share in (1e-3, 0.999))
+    assert asked is not None
+    assert less is not None
+    assert 0.2 < asked.moved < 0.999
+    assert asked.swung > less.swung > 1.0
+    assert asked.swung - less.swung < -math.log(asked.moved) + 0.1
+    alone = odds._under_walk(replace(asked, swung=0.0), None, 0.0, 0.0, OddsSettings())[1]
+    assert odds._under_walk(asked, None, 0.0, 0.0, OddsSettings())[1] > alone + 1.0
 
 
 @pytest.mark.slow
