@@ -18,8 +18,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from retuner.adaptive.cause_odds.compared_records import FEWEST_RECORD_SAMPLES, compared
+from retuner.adaptive.cause_odds.compared_records import FEWEST_RECORD_SAMPLES, compared, windows_of
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
+from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
 from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
 from retuner.adaptive.cause_odds.valve_evidence import said_for_valve, shapes_of, unlike
 from retuner.adaptive.controller_settings.summed_law import rough_law
@@ -187,7 +188,12 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     if found is None:
         return None
     records, each, shares, powers = found.records, found.each, found.shares, found.powers
-    valve = sum(log_odds_of_valve(r, direction) for r in records)
+    seen = records
+    if len(records) > len(windows):  # fewer and longer ones, of rows twice as far apart: a valve's cycles are slow
+        longer = (part for w in windows for part in windows_of(w, 2.0 * found.dt_s, settings.most_windows // 2))
+        coarser = (Prepared.at(part, 2.0 * found.dt_s) for part in longer)
+        seen = tuple(with_smoothing(one, direction, None, settings.smooths)[0] for one in coarser)
+    valve = sum(log_odds_of_valve(r, direction) for r in seen)
     slips = [log_odds_of_slips(Prepared.at(w, w.sample_time_s), direction) for w in windows if valve < SEEN]
     if max(slips, default=0.0) > 0.0:
         valve = max(valve, sum(max(one, UNSEEN) for one in slips))

@@ -291,3 +291,20 @@ def test_more_gain_under_less_integral_action_answers_a_slow_swing_and_a_sluggis
     causes = {Cause.SLOW_INTEGRATING: 0.75, Cause.SLUGGISH: 0.12, Cause.STICTION: 0.08, Cause.OK: 0.05}
     known = cast("Any", SimpleNamespace(gains=PidGains(1.0, 0.1)))
     assert (odds._settings(causes, known, 0.2, OddsSettings()) is found) == given
+
+
+def test_a_slow_cycle_of_a_valve_is_seen_in_rows_closer_than_it_needs() -> None:
+    """Of every second row it was a valve by 97 %; of all, in two windows with half of its cycles each, by 13 %."""
+    n, late, gains, rng = 1600, 40, PidGains(0.4, 0.4 / 60.0), np.random.default_rng(1)
+    sp, walk = 2.0 * (np.arange(n) > 100), np.cumsum(0.05 * rng.standard_normal(n))
+    pole, total, y, stands = math.exp(-1 / 60.0), 0.0, 0.0, 0.0
+    pv, co, at = np.zeros(n), np.zeros(n), np.zeros(n)
+    for i in range(n):
+        y = pole * y + (1 - pole) * ((at[i - late] if i >= late else 0.0) + walk[i])
+        pv[i] = y + 0.1 * rng.standard_normal()
+        total += gains.ki * (sp[i] - pv[i])
+        co[i] = gains.kp * (sp[i] - pv[i]) + total
+        stands = at[i] = co[i] if abs(co[i] - stands) > 4.0 else stands
+    found = odds._walk([Window(np.arange(float(n)), sp, pv, co)], gains, 1, OddsSettings())
+    assert found is not None
+    assert found.valve > 2.0
