@@ -110,8 +110,9 @@ class Book:
 
     @property
     def tone(self) -> float:
-        """Probability of a tone from outside; a window that still grows ends none."""
-        return max(float(_weights(known)[1].sum()) for known in (self.levels, self.whole))
+        """Probability of a tone from outside; a window that still grows ends none that was found before it."""
+        now, before = (float(_weights(known)[1].sum()) for known in (self.levels, self.whole))
+        return max(now, before) if before > TONE else now
 
     def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:
         """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).

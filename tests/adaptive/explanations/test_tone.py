@@ -142,3 +142,10 @@ def test_a_window_that_still_grows_ends_no_tone() -> None:
     assert toned.tone > 0.9 > begun.tone
     assert replace(toned, levels=begun.levels).tone == toned.tone
     assert replace(toned, whole=begun.whole).tone == toned.tone
+
+
+def test_nor_does_what_was_thought_before_any_record_outlast_its_first_samples() -> None:
+    """A loop with room had waited for a whole window before it got more action, though nothing had found a tone."""
+    begun = Book.begun(GOOD, 1.0, 0.0)
+    seen = update(begun, recorded(GOOD, np.cumsum(np.random.default_rng(9).normal(size=N)) * 0.2), grows=True)
+    assert begun.tone > SETTINGS.tone > seen.tone
