@@ -232,6 +232,8 @@ def _told(
 ) -> Regression:
     """Values with the share explained, and with their standard deviations where these are wanted."""
     x, y = equation
+    if not len(y):  # no move is left that the law made: one that says nothing
+        x, y = np.zeros((1, len(names))), np.zeros(1)
     r = y - x @ values
     std = _stds(x, r) if sure else np.full(len(names), np.inf)
     power = float(np.mean(y * y))

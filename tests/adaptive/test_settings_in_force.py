@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
+from retuner.adaptive.controller_settings.regression import Structure, by_levels
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
 from retuner.adaptive.signals.sample import Window
 from retuner.drivers.recorded.recording import read_recording
@@ -230,6 +231,13 @@ def test_the_direction_is_told_where_the_size_is_not(sign):
     assert found.gains is None
     assert found.direction == sign
     assert settings_in_force(window).direction == sign
+
+
+def test_a_record_in_which_the_law_made_no_move_says_nothing() -> None:
+    t = np.arange(50.0)
+    found = by_levels(Window(t, 0 * t, np.sin(t), np.cos(t)), Structure(), np.zeros(49, dtype=bool))
+    assert found.explained == 0.0
+    assert all(math.isinf(std) for std in found.std.values())
 
 
 def test_noise_for_co_is_refused():
