@@ -18,10 +18,10 @@ retuner tune --type fopdt --k 2 --tau1 10 --theta 2 --all --plot all.png
 
 Process types: `fopdt` k e^(-theta s)/(tau1 s + 1), `sopdt` with a second lag tau2, `integrating` k' e^(-theta s)/s,
 `integrating-lag`, `double-integrating` k'' e^(-theta s)/s^2, `delay` k e^(-theta s). `sopdt-inverse` has a numerator
-1 - b s, so pv answers the wrong way first; most rules count b as dead time. `topdt` has a third lag tau3, which most
-rules take by the half rule. Times are in seconds. A reverse-acting
-process has a negative k and gets a negative Kc. In the formulas K = k, L = theta, tau = T = tau1, and k' = k/tau1 for
-`fopdt`.
+1 - b s, so pv answers the wrong way first; most rules count b as dead time. `sopdt-lead` has a b below 0: pv
+jumps, then creeps. `topdt` has a third lag tau3, which most rules take by the half rule. Times are in seconds. A
+reverse-acting process has a negative k and gets a negative Kc. In the formulas K = k, L = theta, tau = T = tau1, and
+k' = k/tau1 for `fopdt`.
 
 Each rule gives its settings in the form of its source; `--form series|ideal|parallel` converts them. Series:
 Kc (1 + 1/(tau_I s))(tau_D s + 1). Ideal: Kc (1 + 1/(Ti s) + Td s). Series to ideal: f = 1 + tau_D/tau_I, Kc f, tau_I

@@ -107,9 +107,10 @@ class DiagnosisSettings:
     in_auto: bool = False
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(
-            StructureSettings(most_loads=6, most_order=WHITE, inverse=False), most_samples=2000
+            StructureSettings(most_loads=6, most_order=WHITE, further=()), most_samples=2000
         )
     )
+    identified: FitSettings = field(default_factory=FitSettings)
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=2.4, weak=10.0))
     robust: RobustSettings = field(default_factory=RobustSettings)
     standing: StandStillSettings = field(default_factory=StandStillSettings)

@@ -28,7 +28,7 @@ from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
 from retuner.adaptive.identification.first_step import MOST_AT_ONCE, first_step
-from retuner.adaptive.identification.identify import FEWEST_SAMPLES_IN_THETA, TWO_WAYS, Fits, FitSettings, estimate_of
+from retuner.adaptive.identification.identify import FEWEST_SAMPLES_IN_THETA, TWO_WAYS, Fits, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
 from retuner.adaptive.indexes.condition import one_sided
 from retuner.adaptive.indexes.harmonics import pure_tone_s
@@ -99,7 +99,7 @@ def linear_verdict(
         reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
         return RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
     loop = JudgedLoop(
-        window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings, fits.get("external")
+        window, gains, found, Fits(window, (gains.direction,), settings.identified), settings, fits.get("external")
     )
     reason = estimate.reason + _not_brought_back(window)
     told = _by_margins(loop, RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate), oscillates)
@@ -143,7 +143,7 @@ def _in_order(loop: JudgedLoop, found: RecordVerdict) -> RecordVerdict:
     verdict, settings = found.diagnosis, loop.settings
     if not setpoint_changes(loop.window) or verdict.evidence.get("overshoot", math.inf) > settings.most_overshoot:
         return found
-    estimate = estimate_of(loop.fits.barred, float(loop.window.t_s[0]), {}, FitSettings())
+    estimate = estimate_of(loop.fits.barred, float(loop.window.t_s[0]), {}, loop.settings.identified)
     few = len(estimate.load_times_s) < settings.many_loads_beside
     if estimate.explained < settings.in_order_explained or not few:
         return found
@@ -222,7 +222,7 @@ def _with_settings(loop: JudgedLoop, found: RecordVerdict, asked: bool) -> Recor
     assert estimate is not None
     other = loop.fits.estimate()
     if setpoint_changes(loop.window):
-        other = bounded(loop.window, other, FitSettings())
+        other = bounded(loop.window, other, loop.settings.identified)
     between = apart(estimate.log.model(), other.log.model(), loop.window.sample_time_s)
     unsure = next((e.reason for e in (estimate, other) if not e.identifiable), "")
     if hidden_sigma(loop.window.pv):
@@ -317,7 +317,7 @@ def second_opinion(loop: JudgedLoop, verdict: Diagnosis) -> bool:
     seen by it in another light.
     """
     settings = loop.settings
-    estimate = estimate_of(loop.fits.barred, float(loop.window.t_s[0]), {}, FitSettings())
+    estimate = estimate_of(loop.fits.barred, float(loop.window.t_s[0]), {}, loop.settings.identified)
     if len(estimate.load_times_s) > settings.second_loads:
         return False
     tuning = robust_simc(estimate, loop.window.sample_time_s, settings.robust, loop.gains)

@@ -24,7 +24,7 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 
 TYPES = (
     ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG,
-    ProcessType.SOPDT_INVERSE, ProcessType.TOPDT,
+    ProcessType.SOPDT_INVERSE, ProcessType.TOPDT, ProcessType.SOPDT_LEAD,
 )  # fmt: skip
 """Structures in the order of their numbers."""
 NOTHING = np.zeros(0)

@@ -7,7 +7,7 @@ steps are added one by one where they take away most of the misfit. The best nod
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import chain
+from itertools import chain, product
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import LONGEST_LAG, Record, near
 from retuner.adaptive.fit.refine import LEAST_TIME, Fit, bounds, refine
-from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD, dynamics_at
+from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD, dynamics_at, leads
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -199,6 +199,8 @@ def _node(
 
 
 SHARES = (0.3, 0.6, 0.95)  # shares of the dead time that become the second lag
+SLOW_LAGS, LEADS = (4.0, 15.0), (0.3, 0.6, 1.5)  # a slow lag over the one found, and a lead over the slow lag
+ZERO_STARTS = 2  # starts of a zero that are refined
 INVERSE_SHARES = (0.3, 0.7)  # shares of the dead time that become an inverse response
 THIRD_SHARES = (0.5, 0.9)  # shares of the dead time that become a third lag
 SWINGING_THIRD = 0.5  # c2 over T of a pair of poles (zeta 0.7) that takes the place of a dead time beside a long lag
@@ -223,28 +225,30 @@ def with_second_lag(smaller: Fit, type_: ProcessType, others: list[Fit], count: 
     return found
 
 
-def with_inverse(smaller: Fit, type_: ProcessType, count: int = 2) -> Fit:
-    """The structure with an inverse response, refined from shares of the dead time that become one.
+def with_one_more(smaller: Fit, type_: ProcessType) -> Fit:
+    """A structure of five numbers, a zero or a third lag in it, refined from what stands for these in a smaller one.
 
-    smaller : optimum of the structure without it. count : refinements.
+    smaller : optimum of the structure without it, with at least one lag; of second order but for a lead.
     """
     misfit = replace(smaller.misfit, type=type_)
-    points = _out_of_dead_time(smaller, INVERSE_SHARES, INVERSE[type_])
-    order = np.argsort(misfit.costs(points), kind="stable")[:count]
+    if type_ in THIRD:  # also a pair of poles that swings in the place of dead time and second lag, behind the long one
+        points = [*_out_of_dead_time(smaller, THIRD_SHARES, THIRD[type_]), behind_a_lag(smaller, misfit)]
+        return _sorted(refine(misfit, points[int(np.argmin(misfit.costs(points)))]))
+    points = _leading(smaller) if leads(type_) else _out_of_dead_time(smaller, INVERSE_SHARES, INVERSE[type_])
+    order = np.argsort(misfit.costs(points), kind="stable")[:ZERO_STARTS]
     return min((refine(misfit, points[i]) for i in order), key=lambda f: f.deviance)
 
 
-def with_third(smaller: Fit, type_: ProcessType, count: int = 1) -> Fit:
-    """The structure with a third lag, refined from shares of the dead time that become one.
-
-    Also from a pair of poles that swings, in the place of dead time and second lag, behind the long one.
-
-    smaller : optimum of the structure without it. count : refinements.
-    """
-    misfit = replace(smaller.misfit, type=type_)
-    points = [*_out_of_dead_time(smaller, THIRD_SHARES, THIRD[type_]), behind_a_lag(smaller, misfit)]
-    order = np.argsort(misfit.costs(points), kind="stable")[:count]
-    return min((_sorted(refine(misfit, points[i])) for i in order), key=lambda f: f.deviance)
+def _leading(smaller: Fit) -> list[FloatArray]:
+    """Starts p of a lead: a slow lag and its lead beside the lag that was found, or a fast one in the dead time."""
+    type_, (slope, theta) = smaller.misfit.type, np.exp(smaller.x[:2])
+    lag, points = math.exp(smaller.x[LAG[type_]]), []
+    times = [(lag, slow * lag, lead * slow * lag, theta) for slow, lead in product(SLOW_LAGS, LEADS)]
+    for fast, slow, lead, dead in [*times, *((theta / 2, lag, lead * lag, theta / 2) for lead in LEADS[:2])]:
+        total, same = fast + slow, slow / lead if fast == lag else 1.0  # slope as before at first, or gain
+        x = np.log([slope * lag * same / total, dead, total, fast * slow / total, lead])
+        points.append(np.concatenate([x, smaller.p[SIZE[type_] :]]))
+    return points
 
 
 def _out_of_dead_time(smaller: Fit, shares: Sequence[float], place: int) -> list[FloatArray]:

@@ -1,7 +1,7 @@
-"""The six structures that a fit chooses between, as points of one family (dynamics.py).
+"""The seven structures that a fit chooses between, as points of one family (dynamics.py).
 
-    x = (ln k', ln theta [, ln T] [, ln c2] [, ln b or ln d]),   T = tau1 + tau2, c2 = tau1 tau2 / T, in seconds
-    b > 0 the time constant of a zero in the right half-plane, 1 - b s: pv answers the wrong way first
+    x = (ln k', ln theta [, ln T] [, ln c2] [, ln |b| or ln d]),   T = tau1 + tau2, c2 = tau1 tau2 / T, in seconds
+    b the time constant of a zero, 1 - b s: above 0 pv answers the wrong way first, below 0 it leads: jumps, then creeps
     d > 0 a third lag, 1/(1 + d s): what lacks one is explained by load steps that never were
 
 Logarithms, because time constants and gains are known to a factor, and because a scale of time or of units then only
@@ -14,15 +14,15 @@ import math
 import numpy as np
 
 from retuner.adaptive.fit.dynamics import Dynamics
-from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.process.model import ZERO_SIDE, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
 SLOPE, THETA = 0, 1  # places of ln k' and ln theta in x
-LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2, ProcessType.SOPDT_INVERSE: 2, ProcessType.TOPDT: 2}
+INVERSE = {ProcessType.SOPDT_INVERSE: 4, ProcessType.SOPDT_LEAD: 4}  # place of ln |b|, where the structure has it
+LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2, ProcessType.TOPDT: 2, **dict.fromkeys(INVERSE, 2)}
 """Place of ln T, where the structure has it."""
-SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2, ProcessType.SOPDT_INVERSE: 3, ProcessType.TOPDT: 3}
+SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2, ProcessType.TOPDT: 3, **dict.fromkeys(INVERSE, 3)}
 """Place of ln c2, where the structure has it."""
-INVERSE = {ProcessType.SOPDT_INVERSE: 4}  # place of ln b, where the structure has it
 THIRD = {ProcessType.TOPDT: 4}  # place of ln d, where the structure has it
 SIZE = {
     ProcessType.FOPDT: 3,
@@ -30,6 +30,7 @@ SIZE = {
     ProcessType.INTEGRATING: 2,
     ProcessType.INTEGRATING_LAG: 3,
     ProcessType.SOPDT_INVERSE: 5,
+    ProcessType.SOPDT_LEAD: 5,
     ProcessType.TOPDT: 5,
 }
 """Number of parameters."""
@@ -38,12 +39,21 @@ LEAST_ZETA = 0.15
 and one at 0.2 looked alike, and neither got the settings that it could have."""
 
 
+def leads(type_: ProcessType) -> bool:
+    """Whether a structure has a lead. What leads does so by two ways of first order, so its poles are real."""
+    return ZERO_SIDE.get(type_, 0) < 0
+
+
 def dynamics_at(type_: ProcessType, x: FloatArray) -> Dynamics:
     """The delay-free dynamics at the parameters x, shape (SIZE,) or longer, before a third lag."""
     c2 = math.exp(x[SECOND[type_]]) if type_ in SECOND else 0.0
     c0 = math.exp(-x[LAG[type_]]) if type_ in LAG else 0.0
-    b = math.exp(x[INVERSE[type_]]) if type_ in INVERSE else 0.0
-    return Dynamics(c2, c0, inverse_s=b)
+    return Dynamics(c2, c0, inverse_s=inverse_s(type_, x))
+
+
+def inverse_s(type_: ProcessType, x: FloatArray) -> float:
+    """b of a zero 1 - b s, s; 0 where the structure has none."""
+    return ZERO_SIDE[type_] * math.exp(x[INVERSE[type_]]) if type_ in INVERSE else 0.0
 
 
 def model_at(type_: ProcessType, x: FloatArray, sign: int) -> ProcessModel:
@@ -58,7 +68,7 @@ def model_at(type_: ProcessType, x: FloatArray, sign: int) -> ProcessModel:
         return ProcessModel(type_, slope * total, total, 0.0, theta)
     c2 = math.exp(x[SECOND[type_]])
     d = 1 - 4 * c2 / total
-    inverse = math.exp(x[INVERSE[type_]]) if type_ in INVERSE else 0.0
+    inverse = inverse_s(type_, x)
     third = math.exp(x[THIRD[type_]]) if type_ in THIRD else 0.0
     if d < 0:
         tau = math.sqrt(c2 * total)
@@ -69,7 +79,7 @@ def model_at(type_: ProcessType, x: FloatArray, sign: int) -> ProcessModel:
 
 
 def parameters_of(model: ProcessModel) -> FloatArray:
-    """x of a model of one of the six structures; the inverse of model_at.
+    """x of a model of one of the structures; the inverse of model_at.
 
     Raises ValueError: the model has another structure, no dead time, or a second lag of zero where its structure has
     one.
@@ -84,6 +94,7 @@ def parameters_of(model: ProcessModel) -> FloatArray:
         ProcessType.FOPDT: (model.tau1_s,),
         ProcessType.SOPDT: (total, pair / total if total else 0.0),
         ProcessType.SOPDT_INVERSE: (total, pair / total if total else 0.0, model.inverse_s),
+        ProcessType.SOPDT_LEAD: (total, pair / total if total else 0.0, -model.inverse_s),
         ProcessType.TOPDT: (total, pair / total if total else 0.0, model.tau3_s),
         ProcessType.INTEGRATING: (),
         ProcessType.INTEGRATING_LAG: (model.tau2_s,),
@@ -98,5 +109,5 @@ def swing_excess(type_: ProcessType, x: FloatArray) -> float:
     """How far ln(c2 / T) lies beyond the least damping; zero within it."""
     if not (type_ in LAG and type_ in SECOND):
         return 0.0
-    most = -math.log(4 * LEAST_ZETA**2)
+    most = -math.log(4 * (1.0 if leads(type_) else LEAST_ZETA) ** 2)
     return max(0.0, float(x[SECOND[type_]] - x[LAG[type_]]) - most)

@@ -10,6 +10,7 @@ from retuner.adaptive.fit.record import are_coincident
 from retuner.adaptive.fit.refine import EXACT, Fit, Prior, refine
 from retuner.adaptive.fit.search import load_times
 from retuner.adaptive.fit.structure import SIZE
+from retuner.adaptive.identification.usual_dead_time import RARE
 from retuner.adaptive.process.model import ProcessType
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -45,7 +46,8 @@ def judged(fit: Fit, prior: Prior | None = None) -> Candidate:
     known = 0.0 if prior is None else float(np.sum(prior.residuals(fit.x) ** 2))
     price = BARRED * loads_at(fit, record.barred_s) if record.barred_s else 0.0
     weighed = criterion(left, len(record.pv), fit.misfit.unknowns, MODEL_ERROR * record.pv_range)
-    return Candidate(fit, left, weighed + known + price + _at_rest(fit))
+    rare = RARE.get(fit.misfit.type, 0.0)
+    return Candidate(fit, left, weighed + known + price + rare + _at_rest(fit))
 
 
 def _at_rest(fit: Fit) -> float:

@@ -35,7 +35,7 @@ def proper_covariance(p: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class LogModel:
-    """A process of one of six structures in logarithms: see fit/structure.py for the order of x.
+    """A process of one of the structures of a fit in logarithms: see fit/structure.py for the order of x.
 
     x : mean, shape (d,): ln |k'|, ln theta, then ln T, ln c2 and more where the structure has them.
     p : covariance, shape (d, d).
@@ -121,14 +121,7 @@ def late(model: ProcessModel, bound_s: float) -> ProcessModel:
 
 
 def _numbers(model: ProcessModel) -> dict[str, float]:
-    found = {"k": model.k, "theta": model.theta_s}
-    if model.tau1_s:
-        found["tau1"] = model.tau1_s
-    if model.tau2_s:
-        found["tau2"] = model.tau2_s
-    if model.tau3_s:
-        found["tau3"] = model.tau3_s
-    return found
+    return {"k": model.k, "theta": model.theta_s, **model.times_s}
 
 
 def log_controller(model: ProcessModel, sample_time_s: float, at_s: float) -> float:

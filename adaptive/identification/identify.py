@@ -449,6 +449,7 @@ NAMES = {
     ProcessType.INTEGRATING: "integrating + dead time",
     ProcessType.INTEGRATING_LAG: "integrating with lag + dead time",
     ProcessType.SOPDT_INVERSE: "second order with inverse response + dead time",
+    ProcessType.SOPDT_LEAD: "second order with a lead + dead time",
     ProcessType.TOPDT: "third order + dead time",
 }
 """The structures in words."""

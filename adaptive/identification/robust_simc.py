@@ -146,7 +146,7 @@ def swings(model: ProcessModel) -> bool:
 def asks_for_integral(model: ProcessModel) -> bool:
     """Whether a process that comes to rest has no lag that a PI controller should go by (head of this file)."""
     plain = without_second_lag(model)
-    return swings(model) or 0.0 < plain.tau1_s < plain.theta_s
+    return model.inverse_s < 0 or swings(model) or 0.0 < plain.tau1_s < plain.theta_s
 
 
 def by_integral(model: ProcessModel, ratio: float = 1.0) -> Tuning:
@@ -164,7 +164,7 @@ def third_lag(model: ProcessModel, share: float) -> ProcessModel | None:
     if not model.tau2_s:
         return None
     hidden = share * (model.tau2_s / (2 * model.zeta) if model.zeta < 1 else model.tau2_s)
-    dead = model.theta_s + model.inverse_s + model.tau3_s
+    dead = model.theta_s + max(model.inverse_s, 0.0) + model.tau3_s
     return replace(model, theta_s=model.theta_s + hidden - dead) if dead < hidden else None
 
 

@@ -25,9 +25,8 @@ from retuner.adaptive.fit.search import (
     load_times,
     long_lag,
     starts,
-    with_inverse,
+    with_one_more,
     with_second_lag,
-    with_third,
 )
 from retuner.adaptive.fit.structure import LAG, SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import Candidate, CandidateList, judged
@@ -37,9 +36,9 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, replace
 
-FIRST, SECOND, INTEGRATING, INTEGRATING_LAG, INVERSE, THIRD = (
+FIRST, SECOND, INTEGRATING, INTEGRATING_LAG, INVERSE, THIRD, LEAD = (
     ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG,
-    ProcessType.SOPDT_INVERSE, ProcessType.TOPDT,
+    ProcessType.SOPDT_INVERSE, ProcessType.TOPDT, ProcessType.SOPDT_LEAD,
 )  # fmt: skip
 ROUGH = 12  # evaluations of a refinement that only ranks the starts
 RELATIVE_MOVES = 2  # moves with which the other structures may still improve in the winner's clothes
@@ -61,9 +60,10 @@ class StructureSettings:
     starts : starts refined per structure and number of loads; 1 to 8, default 3 (nested local optima).
     most_order : highest order of a whitening filter for what is left; 0 to 8, default 4.
     start_spread : see Misfit; default 0.3, 0 for an experiment that is known to begin at rest.
-    inverse : whether an inverse response and a third lag are among the structures; default true. Where causes are
-        compared they are not: a zero that has not come back yet explains a process of the other sign, and a valve that
-        slips late. Nor are the processes of a record's parts: a part of a tone from outside is a process that swings.
+    further : structures of five numbers that are among those tried; default an inverse response, a third lag and a
+        lead; on line no lead. Where causes are compared there are none: a zero that has not come back yet explains a
+        process of the other sign, and a valve that slips late. Nor are the processes of a record's parts: a part of a
+        tone from outside is a process that swings.
     """
 
     seeded_loads: int = 2
@@ -72,7 +72,11 @@ class StructureSettings:
     starts: int = 3
     most_order: int = MOST_ORDER
     start_spread: float = 0.3
-    inverse: bool = True
+    further: tuple[ProcessType, ...] = (INVERSE, THIRD, LEAD)
+
+
+ON_LINE = StructureSettings(further=(INVERSE, THIRD))
+"""Settings of the choice on line, where no loop with a lead was tried."""
 
 
 def too_few(window: Window) -> str:
@@ -115,14 +119,14 @@ def candidates(
         for found in _loads_first(rivals, settings.most_loads):
             seen.add(improved(found, settings.most_loads, seen, RELATIVE_MOVES))
         winner = seen.best()
-    if settings.inverse and settings.most_loads and _far(winner):
+    if settings.further and settings.most_loads and _far(winner):
         _from_parts(window, record, signs, settings, seen)
         winner = seen.best()
     if asked_for(winner) and not np.any(np.diff(window.sp)):
         few = [c for c in rivals if c.fit.misfit.loads < 2]  # two steps that stand for a ramp bend the process most
         with_corners([winner, *few], settings.most_loads, seen)
         winner = seen.best()
-    for relative in _relatives(winner, seen, inverse=settings.inverse):
+    for relative in _relatives(winner, seen, settings.further):
         seen.add(improved(relative, settings.most_loads, seen, RELATIVE_MOVES))
     whole = replace(Record.of(window, most_samples), barred_s=barred_s)
     return CandidateList([_on(whole, c) for c in seen.ranked(CLOSE)]).ranked(CLOSE)
@@ -259,13 +263,13 @@ def _best(misfit: Misfit, points: list[FloatArray]) -> Fit:
     return refine(misfit, best.p)
 
 
-def _relatives(winner: Candidate, seen: CandidateList, *, inverse: bool) -> list[Candidate]:
+def _relatives(winner: Candidate, seen: CandidateList, further: Sequence[ProcessType]) -> list[Candidate]:
     """The other structures of the winner's sign, each with the winner's loads, drift and whitening filter."""
     fit = winner.fit
     found = []
     tail = fit.p[SIZE[fit.misfit.type] :]
     for type_ in SIZE:
-        if type_ in {fit.misfit.type, INVERSE, THIRD}:
+        if type_ in {fit.misfit.type, INVERSE, THIRD, LEAD}:
             continue
         own = seen.best(type_, fit.misfit.sign)
         best = refine(replace(fit.misfit, type=type_), np.concatenate([own.fit.x, tail]))
@@ -275,23 +279,22 @@ def _relatives(winner: Candidate, seen: CandidateList, *, inverse: bool) -> list
             best = min(best, with_second_lag(fit, type_, []), key=lambda f: f.deviance)
         found.append(judged(best))
         seen.add(found[-1])
-    return [*found, *_larger(winner, seen)] if inverse else found
+    return [*found, *_larger(winner, seen, further)] if further else found
 
 
-def _larger(winner: Candidate, seen: CandidateList) -> list[Candidate]:
-    """An inverse response and a third lag, with as many load steps as the winner or fewer: these can pass for one.
+def _larger(winner: Candidate, seen: CandidateList, further: Sequence[ProcessType]) -> list[Candidate]:
+    """A zero of either side and a third lag, with as many load steps as the winner or fewer: these can pass for one.
 
     So can a load's own lag and a drift: behind a first order, the third lag is looked for without them.
     """
     misfit = winner.fit.misfit
     seconds = seen.by_loads(SECOND, misfit.sign, misfit.loads)
     firsts = seen.by_loads(FIRST, misfit.sign, misfit.loads, plain=True)
-    zeros = [judged(with_inverse(c.fit, INVERSE)) for c in seconds]
-    thirds = [judged(with_third(c.fit, THIRD)) for c in seconds]
-    for c in firsts:
+    tried = {type_: [with_one_more(c.fit, type_) for c in seconds] for type_ in further}
+    for c in firsts if THIRD in further else ():
         larger = replace(c.fit.misfit, type=THIRD)
-        thirds.append(judged(refine(larger, behind_a_lag(c.fit, larger))))
-    return [min(tried, key=lambda c: c.criterion) for tried in (zeros, thirds)]
+        tried[THIRD].append(refine(larger, behind_a_lag(c.fit, larger)))
+    return [min(map(judged, tried[type_]), key=lambda c: c.criterion) for type_ in further]
 
 
 # Loads that move along ramps: found corner by corner, where steps are a poor cover for them.

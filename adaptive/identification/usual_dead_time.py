@@ -20,6 +20,7 @@ from retuner.adaptive.signals.sample import FloatArray
 
 LEAST_SHARE = 0.5  # share of c2 from which a dead time is nothing unusual (lags in series, fitted by two: 0.4 to 2)
 MOST_TIMES = 2.0  # times c2 up to which an inverse response is nothing unusual
+RARE = {ProcessType.SOPDT_LEAD: 2 * math.log(20)}  # -2 ln of how often a structure comes: one process in twenty leads
 SPREAD = 1.2  # standard deviation of ln theta below it
 
 
@@ -30,7 +31,7 @@ def unusual(type_: ProcessType, x: FloatArray) -> float:
     """
     if type_ not in SECOND:
         return 0.0
-    if type_ in INVERSE:  # which is as good as a dead time
+    if type_ == ProcessType.SOPDT_INVERSE:  # which is as good as a dead time
         return max(float(x[INVERSE[type_]] - x[SECOND[type_]]) - math.log(MOST_TIMES), 0.0) / SPREAD
     return max(math.log(LEAST_SHARE) + float(x[SECOND[type_]] - x[_dead(type_, x)]), 0.0) / SPREAD
 
@@ -45,6 +46,8 @@ def usual(type_: ProcessType, x: FloatArray) -> Prior | None:
     if unusual(type_, x) <= 0:
         return None
     row = np.zeros((1, SIZE[type_]))
-    place, ratio = (INVERSE[type_], MOST_TIMES) if type_ in INVERSE else (_dead(type_, x), LEAST_SHARE)
+    place, ratio = (
+        (INVERSE[type_], MOST_TIMES) if type_ == ProcessType.SOPDT_INVERSE else (_dead(type_, x), LEAST_SHARE)
+    )
     row[0, place], row[0, SECOND[type_]] = 1 / SPREAD, -1 / SPREAD
     return Prior(row, np.array([math.log(ratio) / SPREAD]))

@@ -18,11 +18,12 @@ ComplexArray = npt.NDArray[np.complex128]
 
 
 class ProcessType(StrEnum):
-    """The six structures of Skogestad (2003), under the names that the command line uses, and two that only fits have.
+    """The six structures of Skogestad (2003), under the names of the command line, and three that only fits have.
 
     Attributes
     ----------
     SOPDT_INVERSE : second order behind a zero in the right half-plane, 1 - b s: pv answers the wrong way first.
+    SOPDT_LEAD : second order and a lead, a zero in the left half-plane: pv jumps, or overshoots, then creeps.
     TOPDT : second order and a third lag. Rules take it as the second order that the half rule makes of it.
     """
 
@@ -33,6 +34,7 @@ class ProcessType(StrEnum):
     DOUBLE_INTEGRATING = "double-integrating"
     DELAY = "delay"
     SOPDT_INVERSE = "sopdt-inverse"
+    SOPDT_LEAD = "sopdt-lead"
     TOPDT = "topdt"
 
 
@@ -115,6 +117,12 @@ class LinearProcess:
         return np.asarray(g, dtype=np.complex128)
 
 
+ZERO_SIDE = {ProcessType.SOPDT_INVERSE: 1, ProcessType.SOPDT_LEAD: -1}  # sign of b in the zero 1 - b s
+CROSSOVER = 0.5 + math.pi / 2
+BISECTIONS = 40
+NO_TIME = 1e-9  # share of the lag below which a dead time is none
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessModel:
     """A model that a tuning rule takes: one of the structures.
@@ -127,7 +135,7 @@ class ProcessModel:
     theta_s : (effective) dead time.
     zeta : damping of a second-order process that swings, 0 < zeta <= 1: its denominator is
         1 + 2 zeta tau s + tau^2 s^2 with tau = tau1_s = tau2_s. 1 for two real lags and for all other structures.
-    inverse_s : b of a zero 1 - b s, above 0 for sopdt-inverse and 0 for all others.
+    inverse_s : b of a zero 1 - b s, above 0 for sopdt-inverse, below 0 for sopdt-lead and 0 for all others.
     tau3_s : the third lag, of any length, above 0 for topdt and 0 for all others.
 
     Raises
@@ -150,7 +158,7 @@ class ProcessModel:
             object.__setattr__(self, "type", _type_named(self.type))
         _plain(self, "k", "tau1_s", "tau2_s", "theta_s", "zeta", "inverse_s", "tau3_s")
         LinearProcess(self.k, (self.tau1_s, self.tau2_s), (), self.theta_s)
-        second = self.type in {ProcessType.SOPDT, ProcessType.SOPDT_INVERSE, ProcessType.TOPDT}
+        second = self.type in {ProcessType.SOPDT, ProcessType.TOPDT, *ZERO_SIDE}
         has_tau1 = second or self.type == ProcessType.FOPDT
         has_tau2 = second or self.type == ProcessType.INTEGRATING_LAG
         if has_tau1 != (self.tau1_s > 0):
@@ -165,8 +173,9 @@ class ProcessModel:
             raise ValueError(f"zeta = {self.zeta}: only type sopdt with tau1 = tau2 can swing")
         if not (0 <= self.tau3_s < math.inf) or (self.tau3_s > 0) != (self.type == ProcessType.TOPDT):
             raise ValueError(f"tau3_s = {self.tau3_s}: type topdt needs one above 0, no other has one")
-        if not (0 <= self.inverse_s < math.inf) or (self.inverse_s > 0) != (self.type == ProcessType.SOPDT_INVERSE):
-            raise ValueError(f"inverse_s = {self.inverse_s}: type sopdt-inverse needs one above 0, no other has one")
+        if not math.isfinite(self.inverse_s) or np.sign(self.inverse_s) != ZERO_SIDE.get(self.type, 0):
+            needed = "sopdt-inverse needs one above 0, sopdt-lead one below"
+            raise ValueError(f"inverse_s = {self.inverse_s}: type {needed}, no other has one")
 
     @property
     def slope(self) -> float:
@@ -189,9 +198,27 @@ class ProcessModel:
 
     def without_inverse(self) -> "ProcessModel":
         """An inverse response taken as so much dead time (Skogestad 2003, section 2); other structures as they are."""
+        if self.inverse_s < 0:
+            return self._without_lead()
         if not self.inverse_s:
             return self
         return replace(self, type=ProcessType.SOPDT, theta_s=self.theta_s + self.inverse_s, inverse_s=0.0)
+
+    def _without_lead(self) -> "ProcessModel":
+        """The first order with the same gain at rest that an integral loop cannot tell from it where it lives.
+
+        w : the last frequency at which G lags by CROSSOVER, as k' e^(-theta s)/s does at w theta = 1/2, SIMC's own.
+        """
+        times = (self.inverse_s, *self.lags_s())
+        low, high = 0.0, math.pi / max(self.theta_s, NO_TIME * self.tau1_s)
+        for _ in range(BISECTIONS):
+            w = (low + high) / 2
+            lag = w * self.theta_s + sum(math.atan(w * time) for time in times)
+            low, high = (w, high) if lag < CROSSOVER else (low, w)
+        slope = high * abs(self.linear().response(np.array([high]))[0])
+        return ProcessModel(
+            ProcessType.FOPDT, self.k, abs(self.k) / slope, 0.0, max((CROSSOVER - math.pi / 2) / high, self.theta_s)
+        )
 
     def of_second_order(self) -> "ProcessModel":
         """An inverse response taken as so much dead time, a third lag by the half rule (Skogestad 2003, section 2)."""
@@ -201,6 +228,13 @@ class ProcessModel:
         tau2 = min(middle + short / 2, long)
         return ProcessModel(ProcessType.SOPDT, self.k, long, tau2, self.theta_s + short / 2)
 
+    @property
+    def times_s(self) -> dict[str, float]:
+        """The time constants that the process has but for its dead time, as people name them; all above 0."""
+        zero = "lead" if self.inverse_s < 0 else "inverse"
+        lags = {"tau1": self.tau1_s, "tau2": self.tau2_s, "tau3": self.tau3_s, zero: abs(self.inverse_s)}
+        return {name: time for name, time in lags.items() if time}
+
     def lags_s(self) -> tuple[float, ...]:
         """The lags, the longest first; of a pair of complex poles two of half their sum (reduction.py)."""
         pair = (self.zeta * self.tau1_s, self.zeta * self.tau2_s)
@@ -208,7 +242,7 @@ class ProcessModel:
 
     def to_dict(self) -> dict[str, float | str]:
         """Keys as in every JSON output: type, k, tau1, tau2, theta (seconds); zeta where the process swings,
-        inverse where it answers the wrong way first, tau3 where it has a third lag.
+        inverse where it answers the wrong way first (above 0) or leads (below), tau3 where it has a third lag.
         """
         swings = {"zeta": self.zeta} if self.zeta < 1 else {}
         swings |= {"inverse": self.inverse_s} if self.inverse_s else {}

@@ -100,7 +100,7 @@ def fitted_to(rule: Rule, model: ProcessModel) -> tuple[ProcessModel, tuple[str,
     """The model as the rule takes it: its second lag taken up by the half rule where the rule has no place for it."""
     if model.type in rule.types:
         return model, ()
-    if model.inverse_s and ProcessType.SOPDT in rule.types:
+    if model.inverse_s > 0 and ProcessType.SOPDT in rule.types:
         return model.without_inverse(), (f"the inverse response of {model.inverse_s:g} s counts as dead time",)
     if model.tau3_s and ProcessType.SOPDT in rule.types:
         return model.of_second_order(), (f"of the third lag of {model.lags_s()[-1]:g} s half counts as dead time",)
@@ -108,8 +108,9 @@ def fitted_to(rule: Rule, model: ProcessModel) -> tuple[ProcessModel, tuple[str,
     if reduced.type not in rule.types:
         wanted = ", ".join(rule.types)
         raise ValueError(f"rule {rule.name} has no settings for type {model.type}; it takes {wanted}")
+    word = "same gain and phase" if model.inverse_s < 0 else "half rule"
     numbers = " ".join(f"{k} = {v:g}" for k, v in reduced.to_dict().items() if isinstance(v, float) and v)
-    return reduced, (f"made from the first order model of the half rule: {numbers}",)
+    return reduced, (f"made from the first order model of the {word}: {numbers}",)
 
 
 # ---- How a rule came to its settings: its formulas, the numbers put in, and where they come from

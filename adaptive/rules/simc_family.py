@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from retuner.adaptive.loop.margins import gain_margin, sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.process.model import ZERO_SIDE, LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import ControllerKind, Rule, Tuning, Wishes, tuning
 from retuner.adaptive.rules.simc import (
     TAU_I_FACTOR,
@@ -214,7 +214,7 @@ def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning
     return _with_notes(replace(found, rule="simc-smooth"), model, kind)
 
 
-EVERY = tuple(t for t in ProcessType if t not in {ProcessType.SOPDT_INVERSE, ProcessType.TOPDT})
+EVERY = tuple(t for t in ProcessType if t not in {*ZERO_SIDE, ProcessType.TOPDT})
 """An inverse response comes as so much dead time, a third lag by the half rule (registry.py)."""
 GAIN = "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))"
 

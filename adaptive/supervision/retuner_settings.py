@@ -9,6 +9,7 @@ from retuner.adaptive.explanations.settings_by_book import BookSettings
 from retuner.adaptive.guard import NO_LOCKS, GuardSettings, Locks
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
+from retuner.adaptive.identification.structure_choice import ON_LINE
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.signals.growth import GrowthSettings
@@ -79,7 +80,7 @@ class RetunerSettings:
     gap_samples: int = 8
     setpoint_weight: float = 1.0
     filter_s: float = 0.0
-    fit: FitSettings = field(default_factory=lambda: FitSettings(gain_std_limit=0.3))
+    fit: FitSettings = field(default_factory=lambda: FitSettings(ON_LINE, gain_std_limit=0.3))
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
     borrowing: BorrowingSettings = field(default_factory=BorrowingSettings)
     without_model: WithoutModelSettings = field(default_factory=WithoutModelSettings)
@@ -87,7 +88,9 @@ class RetunerSettings:
     swing: SwingSettings = field(default_factory=SwingSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
     limit_swing: LimitSwingSettings = field(default_factory=LimitSwingSettings)
-    diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings(), in_auto=True))
+    diagnosis: DiagnosisSettings = field(
+        default_factory=lambda: DiagnosisSettings(cause=CauseSettings(), in_auto=True, identified=FitSettings(ON_LINE))
+    )
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.15))
     robust: RobustSettings = field(
         default_factory=lambda: RobustSettings(ms_worst=1.95, ms_third=1.85, hidden_share=0.1)

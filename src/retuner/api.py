@@ -72,8 +72,7 @@ class Identification(display_hook.Shown):
         if not self.estimate.identifiable:
             return f"Identification(not identifiable: {self.estimate.reason})"
         m = self.estimate.log.model()
-        times = (("tau1", m.tau1_s), ("tau2", m.tau2_s), ("tau3", m.tau3_s))
-        lags = "".join(f" {name} {lag:.4g} s" for name, lag in times if lag)
+        lags = "".join(f" {name} {time:.4g} s" for name, time in m.times_s.items())
         return f"Identification({m.type}: k {m.k:.4g}{lags} theta {m.theta_s:.4g} s; settings {self.settings!r})"
 
     @property

@@ -1,4 +1,4 @@
-"""An inverse response is found as what it is, a zero in the right half-plane, and not as loads or a dead time."""
+"""An inverse response and a lead are found as what they are, a zero of either side, and not as loads or a dead time."""
 
 import math
 
@@ -9,9 +9,14 @@ from scipy.signal import cont2discrete
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import refine
-from retuner.adaptive.fit.search import with_inverse
+from retuner.adaptive.fit.search import with_one_more
 from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.identification.identify import identify_window
+from retuner.adaptive.identification import candidate
+from retuner.adaptive.identification.candidate import judged
+from retuner.adaptive.identification.identify import FitSettings, identify_window
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc
+from retuner.adaptive.identification.structure_choice import ON_LINE
+from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 
@@ -20,11 +25,14 @@ K, LAGS, B, DELAY = 1.0, (12.0, 5.0), 5.0, 3
 """Gain, lags and zero in seconds, dead time in samples of a second."""
 
 
-def record(seed: int, *, sp: float = 0.0, load: float = 0.0, kc: float = 0.5, n: int = 400) -> Window:
+def record(
+    seed: int, *, sp: float = 0.0, load: float = 0.0, kc: float = 0.5, n: int = 400, zero: float = B,
+    lags: tuple[float, float] = LAGS,
+) -> Window:  # fmt: skip
     """PI on the process: a setpoint step and a load step after 40 s, 1 % noise."""
     rng = np.random.default_rng(seed)
     a, b, c, _, _ = cont2discrete(
-        (np.array([[-1 / LAGS[0], 0], [0, -1 / LAGS[1]]]), np.ones((2, 1)), _parts(), np.zeros((1, 1))), 1.0
+        (np.array([[-1 / lags[0], 0], [0, -1 / lags[1]]]), np.ones((2, 1)), _parts(lags, zero), np.zeros((1, 1))), 1.0
     )
     x, integral = np.zeros(2), 0.0
     pv, co, wanted = np.zeros(n), np.zeros(n), np.where(np.arange(n) >= 40, sp, 0.0)
@@ -37,10 +45,10 @@ def record(seed: int, *, sp: float = 0.0, load: float = 0.0, kc: float = 0.5, n:
     return Window(np.arange(float(n)), wanted, pv, co)
 
 
-def _parts() -> np.ndarray:
+def _parts(lags: tuple[float, float], zero: float) -> np.ndarray:
     """K (1 - B s) / ((1 + T1 s)(1 + T2 s)) in partial fractions."""
-    one, two = LAGS
-    return np.array([[K * (1 + B / one) / (one - two), -K * (1 + B / two) / (one - two)]])
+    one, two = lags
+    return np.array([[K * (1 + zero / one) / (one - two), -K * (1 + zero / two) / (one - two)]])
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -66,6 +74,46 @@ def test_the_bigger_structure_is_never_the_worse_one() -> None:
     plain = ProcessModel(ProcessType.SOPDT, K, *LAGS, DELAY + B)
     smaller = Misfit(of, plain.type, 1, 0, of.noise_std, 0.3)
     fit = refine(smaller, parameters_of(plain))
-    bigger = with_inverse(fit, INVERSE)
+    bigger = with_one_more(fit, INVERSE)
     assert bigger.deviance < fit.deviance - 30
     assert math.exp(bigger.x[-1]) == pytest.approx(B, rel=0.4)
+
+
+LEAD, LONG = -16.0, (40.0, 6.0)
+"""A lead: pv makes a jump of its own through a fast lag, and creeps on through a long one."""
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_lead_is_found_and_its_settings_hold(seed: int) -> None:
+    found = identify_window(record(seed, sp=1.0, n=600, zero=LEAD, lags=LONG), sign=1)
+    model = found.log.model()
+    assert found.identifiable
+    assert found.log.type == ProcessType.SOPDT_LEAD
+    assert found.load_times_s == ()
+    assert model.inverse_s == pytest.approx(LEAD, rel=0.3)
+    assert model.k == pytest.approx(K, rel=0.05)
+    truth = ProcessModel(ProcessType.SOPDT_LEAD, K, *LONG, DELAY + 0.5, inverse_s=LEAD)
+    gains = robust_simc(found, 1.0, RobustSettings()).tuning.gains
+    assert 1.4 < sensitivity_peak(truth.linear(), gains) < 1.8
+
+
+def test_on_line_no_lead_is_looked_for() -> None:
+    window = record(1, sp=1.0, n=600, zero=LEAD, lags=LONG)
+    found = identify_window(window, sign=1, settings=FitSettings(ON_LINE))
+    assert ProcessType.SOPDT_LEAD not in {one.log.type for one in found.alternatives}
+
+
+def test_a_lead_pays_for_being_rare(monkeypatch: pytest.MonkeyPatch) -> None:
+    of = Record.of(record(5, sp=1.0, zero=LEAD, lags=LONG))
+    x = parameters_of(ProcessModel(ProcessType.SOPDT_LEAD, K, *LONG, DELAY, inverse_s=LEAD))
+    fit = refine(Misfit(of, ProcessType.SOPDT_LEAD, 1, 0, of.noise_std, 0.3), x)
+    paid = judged(fit).criterion
+    monkeypatch.setattr(candidate, "RARE", {})
+    assert paid - judged(fit).criterion == pytest.approx(2 * math.log(20))
+
+
+def test_what_leads_has_real_poles() -> None:
+    of = Record.of(record(5, sp=1.0, zero=LEAD, lags=LONG))
+    rings = parameters_of(ProcessModel(ProcessType.SOPDT_LEAD, K, 10.0, 10.0, DELAY, 0.3, LEAD))
+    fit = refine(Misfit(of, ProcessType.SOPDT_LEAD, 1, 0, of.noise_std, 0.3), rings)
+    assert fit.x[3] < fit.x[2] - math.log(4) + 0.1

@@ -12,7 +12,7 @@ from retuner.adaptive.fit.dynamics import SamplingInstants, through_lag
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import refine
-from retuner.adaptive.fit.search import with_third
+from retuner.adaptive.fit.search import with_one_more
 from retuner.adaptive.fit.structure import LAG, SECOND, THIRD, parameters_of
 from retuner.adaptive.identification.identify import identify_window
 from retuner.adaptive.identification.robust_simc import swings
@@ -281,7 +281,7 @@ def test_the_bigger_structure_is_never_the_worse_one_and_its_shortest_lag_is_the
     of = Record.of(record(3, np.poly([-1.0, -1.0, -1 / 0.6])))
     plain = ProcessModel(ProcessType.SOPDT, 1.0, 1.2, 0.9, 0.4)
     fit = refine(Misfit(of, plain.type, 1, 0, of.noise_std, 0.3), parameters_of(plain))
-    bigger = with_third(fit, TOPDT)
+    bigger = with_one_more(fit, TOPDT)
     total, c2, third = (math.exp(bigger.x[place[TOPDT]]) for place in (LAG, SECOND, THIRD))
     assert bigger.deviance < fit.deviance
     assert c2 > total / 4 or third <= total * (1 - math.sqrt(1 - 4 * c2 / total)) / 2 + 1e-9

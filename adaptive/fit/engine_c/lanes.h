@@ -6,9 +6,9 @@
 #include "modes.h"
 
 enum { MOST_P = 40, MOST_COLUMNS = 96, MOST_STARTS = 8, MOST_LOADS = 24, MOST_AR = 16, MOST_HARMONICS = 12 };
-enum { FOPDT, SOPDT, INTEGRATING, INTEGRATING_LAG, SOPDT_INVERSE, TOPDT, TYPES };
-static const int SIZE[] = {3, 4, 2, 3, 5, 5}, LAG[] = {2, 2, -1, -1, 2, 2}, SECOND[] = {-1, 3, -1, 2, 3, 3};
-static const int INVERSE[] = {-1, -1, -1, -1, 4, -1}, THIRD[] = {-1, -1, -1, -1, -1, 4};
+enum { FOPDT, SOPDT, INTEGRATING, INTEGRATING_LAG, SOPDT_INVERSE, TOPDT, SOPDT_LEAD, TYPES };
+static const int SIZE[] = {3, 4, 2, 3, 5, 5, 5}, LAG[] = {2, 2, -1, -1, 2, 2, 2}, SECOND[] = {-1, 3, -1, 2, 3, 3, 3};
+static const int INVERSE[] = {-1, -1, -1, -1, 4, -1, 4}, THIRD[] = {-1, -1, -1, -1, -1, 4, -1};
 enum { SLOPE, THETA };
 
 static const double LEAST_ZETA = 0.15, SWING_WEIGHT = 30.0; /* structure.py, misfit.py */
@@ -252,11 +252,12 @@ static void read_parameters(Work *w, const double *p, double least) {
     w->c2 = SECOND[type] >= 0 ? exp(p[SECOND[type]]) : 0;
     w->c0 = LAG[type] >= 0 ? exp(-p[LAG[type]]) : 0;
     w->third = THIRD[type] >= 0 ? exp(p[THIRD[type]]) : 0;
-    w->modes = inverse_of(modes_of(w->c2, w->c0, least), INVERSE[type] >= 0 ? exp(p[INVERSE[type]]) : 0);
+    double zero = INVERSE[type] >= 0 ? exp(p[INVERSE[type]]) : 0;
+    w->modes = inverse_of(modes_of(w->c2, w->c0, least), type == SOPDT_LEAD ? -zero : zero);
     w->rate = w->p.rounded ? 1 / exp(p[size + loads]) : 0;
     w->load_modes = w->p.rounded ? apart_from(w->modes, w->rate) : w->modes;
     w->tone = w->p.harmonics ? exp(p[w->p.size - 1]) : 0;
-    double most = -log(4 * LEAST_ZETA * LEAST_ZETA);
+    double least_zeta = type == SOPDT_LEAD ? 1 : LEAST_ZETA, most = -log(4 * least_zeta * least_zeta);
     w->swing = LAG[type] >= 0 && SECOND[type] >= 0 ? SWING_WEIGHT * fmax(0, p[SECOND[type]] - p[LAG[type]] - most) : 0;
 }
 

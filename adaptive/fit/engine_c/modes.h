@@ -102,7 +102,7 @@ WIDE static Py_ssize_t largest(const double *x, Py_ssize_t n) {
 
 /* ---------------------------------------------------------------- modes of the process */
 
-/* s : rates. w : weights. ds, dw : their derivatives by ln T (0), ln c2 (1) and ln b (2). count : of different rates;
+/* s : rates. w : weights. ds, dw : their derivatives by ln T (0), ln c2 (1) and ln |b| (2). count : of different rates;
  * pair : the one rate stands for itself and its conjugate. */
 typedef struct {
     int count, pair;
@@ -137,9 +137,9 @@ static Modes modes_of(double c2, double c0, double least) {
     return m;
 }
 
-/* The same behind a zero in the right half-plane, 1 - b s: the weight of a mode e^(-s t) grows by 1 + b s. */
+/* The same behind a zero 1 - b s of either sign: the weight of a mode e^(-s t) grows by 1 + b s. */
 static Modes inverse_of(Modes m, double b) {
-    for (int j = 0; b > 0 && j < m.count; j++) {
+    for (int j = 0; b != 0 && j < m.count; j++) {
         cplx grown = plus(cx(1, 0), scaled(m.s[j], b)), w = m.w[j];
         for (int q = 0; q < 2; q++)
             m.dw[q][j] = plus(times(m.dw[q][j], grown), scaled(times(w, m.ds[q][j]), b));
@@ -234,7 +234,7 @@ static Form ramp_form(const Modes *m) {
     return f;
 }
 
-/* Derivatives by ln T (q = 0), ln c2 (q = 1) and ln b (q = 2); a rate of zero stays zero. */
+/* Derivatives by ln T (q = 0), ln c2 (q = 1) and ln |b| (q = 2); a rate of zero stays zero. */
 static Form step_slope(const Modes *m, int q) {
     Form f = {0};
     cplx k[2] = {{0, 0}}, xk[2] = {{0, 0}}, x[2] = {{0, 0}};

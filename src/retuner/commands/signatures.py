@@ -171,13 +171,13 @@ class TuneOptions:
     """Compute settings for a known process by a tuning rule, with margins."""
 
     type: str | None = option(
-        None, "fopdt, sopdt, integrating, integrating-lag, double-integrating, delay, sopdt-inverse, topdt."
+        None, "fopdt, sopdt, integrating, integrating-lag, double-integrating, delay, sopdt-inverse, sopdt-lead, topdt."
     )
     k: float | None = option(None, "Steady-state gain; slope gain of integrating types.")
     tau1: float = option(0.0, "Lag, s.")
     tau2: float = option(0.0, "Second lag, s.")
     theta: float = option(0.0, "Dead time, s.")
-    inverse: float = option(0.0, "Inverse response b of 1 - b s, s (sopdt-inverse).")
+    inverse: float = option(0.0, "Zero b of 1 - b s, s: above 0 an inverse response, below 0 a lead.")
     tau3: float = option(0.0, "Third lag, s (topdt).")
     rule: str = option("simc", "Tuning rule; a wrong name shows the list.")
     kind: str | None = option(None, "p, pi or pid; default pi where the rule has it.")

@@ -20,6 +20,7 @@ STRUCTURES = {
     ProcessType.DOUBLE_INTEGRATING: "double integrating with dead time",
     ProcessType.DELAY: "pure dead time",
     ProcessType.SOPDT_INVERSE: "second order with an inverse response and dead time",
+    ProcessType.SOPDT_LEAD: "second order with a lead and dead time",
     ProcessType.TOPDT: "third order with dead time",
 }
 DONE = {

@@ -73,8 +73,7 @@ def response_text(decision: "Decision | Document") -> str:
 def process_text(m: ProcessModel) -> str:
     """The parameters that a process has."""
     gain = "k'" if m.type in INTEGRATING else "k"
-    times = (("tau1", m.tau1_s), ("tau2", m.tau2_s), ("tau3", m.tau3_s))
-    lags = "".join(f" {name} {brief(lag)} s" for name, lag in times if lag)
+    lags = "".join(f" {name} {brief(time)} s" for name, time in m.times_s.items())
     zeta = f" zeta {m.zeta:.2f}" if m.zeta < 1 else ""
     return f"{gain} {brief(m.k)}{lags}{zeta} theta {brief(m.theta_s)} s"
 

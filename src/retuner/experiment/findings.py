@@ -256,8 +256,7 @@ def headline(found: ExperimentFindings) -> str:
 
 def model_text(model: ProcessModel) -> str:
     """A model in a line; times that its structure does not have are left out."""
-    times = (("tau1", model.tau1_s), ("tau2", model.tau2_s), ("tau3", model.tau3_s))
-    shown = "".join(f"  {name} {value:.4g} s" for name, value in times if value)
+    shown = "".join(f"  {name} {time:.4g} s" for name, time in model.times_s.items())
     shown += f"  zeta {model.zeta:.2g}" if model.zeta < 1 else ""
     return f"{model.type}  k {model.k:.4g}{shown}  theta {model.theta_s:.4g} s"
 

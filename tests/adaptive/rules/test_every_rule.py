@@ -37,9 +37,10 @@ def ids(pairs: list[tuple[Rule, ControllerKind]]) -> list[str]:
 
 def models(types: tuple[ProcessType, ...]) -> st.SearchStrategy[ProcessModel]:
     def build(type_: ProcessType, k: float, tau1: float, share: float, theta: float) -> ProcessModel:
-        lag1 = tau1 if type_ in (T.FOPDT, T.SOPDT, T.SOPDT_INVERSE, T.TOPDT) else 0.0
-        lag2 = tau1 * share if type_ in (T.SOPDT, T.INTEGRATING_LAG, T.SOPDT_INVERSE, T.TOPDT) else 0.0
+        lag1 = tau1 if type_ in (T.FOPDT, T.SOPDT, T.SOPDT_INVERSE, T.SOPDT_LEAD, T.TOPDT) else 0.0
+        lag2 = tau1 * share if type_ in (T.SOPDT, T.INTEGRATING_LAG, T.SOPDT_INVERSE, T.SOPDT_LEAD, T.TOPDT) else 0.0
         zero, third = (theta * share if type_ == own else 0.0 for own in (T.SOPDT_INVERSE, T.TOPDT))
+        zero -= tau1 / 3 if type_ == T.SOPDT_LEAD else 0.0
         return ProcessModel(type_, k, lag1, lag2, theta, inverse_s=zero, tau3_s=third)
 
     return st.builds(

@@ -235,6 +235,20 @@ def test_half_rule_for_pi() -> None:
     assert without_second_lag(ProcessModel(T.SOPDT, 1, 1.0, 0.2, 0.0)) == ProcessModel(T.FOPDT, 1, 1.1, 0, 0.1)
 
 
+@pytest.mark.parametrize(("lead", "theta"), [(16.0, 3.0), (60.0, 3.0), (2.0, 0.5), (5.0, 20.0)])
+def test_a_lead_leaves_the_first_order_that_is_the_same_at_rest_and_at_crossover(lead: float, theta: float) -> None:
+    model = ProcessModel(T.SOPDT_LEAD, 2.0, 40.0, 6.0, theta, inverse_s=-lead)
+    plain = without_second_lag(model)
+    assert (plain.type, plain.k) == (T.FOPDT, 2.0)
+    assert plain.theta_s >= theta
+    w = np.geomspace(1e-4, 10.0, 20001)
+    phase = np.unwrap(np.angle(model.linear().response(w)))
+    last = w[np.flatnonzero(phase > -0.5 - np.pi / 2)[-1]]
+    assert plain.slope == pytest.approx(last * abs(model.linear().response(np.array([last]))[0]), rel=2e-3)
+    without = ProcessModel(T.SOPDT_LEAD, 2.0, 40.0, 6.0, 0.0, inverse_s=-lead)
+    assert without_second_lag(without).slope == pytest.approx(2.0 * lead / (40.0 * 6.0), rel=1e-3)
+
+
 def test_an_inverse_response_counts_as_dead_time() -> None:
     inverse = ProcessModel(T.SOPDT_INVERSE, 2.0, 10.0, 3.0, 1.0, inverse_s=1.5)
     plain = ProcessModel(T.SOPDT, 2.0, 10.0, 3.0, 2.5)

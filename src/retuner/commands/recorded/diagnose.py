@@ -330,11 +330,11 @@ def _process_lines(found: DiagnosedRecord) -> list[str]:
     if model is None:
         return []
     std = estimate.log.std() if estimate is not None and not found.result.likely else {}
-    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "tau3": model.tau3_s, "theta": model.theta_s}
-    known = [name for name in values if name in std] or [name for name, value in values.items() if value]
+    values = {"k": model.k, **model.times_s, "theta": model.theta_s}
     numbers = (
-        f"{name} {values[name]:.4g}{f' +- {std[name]:.2g}' if name in std else ''}{' s' if name != 'k' else ''}"
-        for name in known
+        f"{name} {value:.4g}{f' +- {std[name]:.2g}' if name in std else ''}{' s' if name != 'k' else ''}"
+        for name, value in values.items()
+        if value
     )
     among = f", the most likely of {len(found.result.likely)}" if found.result.likely else ""
     return [f"{'process':<{NAME}}{model.type}, {', '.join(numbers)}{among}"]

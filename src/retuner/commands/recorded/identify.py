@@ -91,13 +91,15 @@ def described(found: Identification) -> list[str]:
     estimate = found.estimate
     # the model with its standard deviations
     model, std = found.estimate.log.model(), found.estimate.log.std()
-    units = {"k": "", "tau1": " s", "tau2": " s", "tau3": " s", "theta": " s"}
     damped = [f"  {'zeta':<6} {model.zeta:10.4g}"] if model.zeta < 1 else []
-    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "tau3": model.tau3_s, "theta": model.theta_s}
+    values = {"k": model.k, **model.times_s, "theta": model.theta_s}
     lines = [
         "identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason,
         *[f"  {'type':<6} {model.type:>10}"]
-        + [f"  {name:<6} {values[name]:10.4g} +- {std[name]:.2g}{unit}" for name, unit in units.items() if name in std],
+        + [
+            f"  {name:<6} {value:10.4g} +- {std[name]:.2g}{' s' if name != 'k' else ''}"
+            for name, value in values.items()
+        ],
         *damped,
     ]
     if estimate.identifiable:

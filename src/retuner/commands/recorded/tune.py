@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 from retuner.adaptive.loop.performance import performance
-from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.process.model import ZERO_SIDE, ProcessModel, ProcessType
 from retuner.adaptive.rules.registry import Explanation
 from retuner.commands.options import check_plot, controller_units, tell
 from retuner.commands.signatures import TuneOptions
@@ -51,11 +51,10 @@ def _model(options: TuneOptions) -> ProcessModel | None:
         raise UserError(f"--type {options.type}: give one of {', '.join(ProcessType)}")
     if options.k is None:
         raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
-    # Refuse an inverse response out of its range, or where the type has none
-    if options.inverse < 0 or not math.isfinite(options.inverse):
-        raise UserError(f"--inverse {options.inverse:g}: give seconds, above 0, with --type sopdt-inverse only")
-    if (options.inverse > 0) != (options.type == ProcessType.SOPDT_INVERSE):
-        needs = "needs one above 0, in seconds" if not options.inverse else "has none; leave it out"
+    # Refuse a zero on the wrong side, or where the type has none
+    side = ZERO_SIDE.get(ProcessType(options.type), 0)
+    if not math.isfinite(options.inverse) or (options.inverse > 0) - (options.inverse < 0) != side:
+        needs = f"needs one {'above' if side > 0 else 'below'} 0, in seconds" if side else "has none; leave it out"
         raise UserError(f"--inverse {options.inverse:g}: --type {options.type} {needs}")
     with user_input("retuner tune"):
         lags = (options.tau1, options.tau2, options.theta)
