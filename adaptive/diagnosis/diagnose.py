@@ -42,6 +42,7 @@ from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict, linear_verdict
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.fit.record import setpoint_changes
+from retuner.adaptive.fit.structure import leads
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.condition import Condition
@@ -234,7 +235,11 @@ def _loop_or_tone_or_valve(
     settings: DiagnosisSettings,
     rough_law: Callable[[Window], PidGains | None],
 ) -> RecordVerdict:
-    """The linear explanation against its rivals, where they are worth asking."""
+    """The linear explanation against its rivals, where they are worth asking.
+
+    Of a record that oscillates no lead is asked: a tone beside one explains what a valve does.
+    """
+    found = [c for c in found if not (seen.oscillates and leads(c.fit.misfit.type))]
     best = found[0]
     evidence = dict(seen.evidence) | {"linear_left": residual(best), "loads": float(best.fit.misfit.loads)}
     fits = {"linear": best}

@@ -4,9 +4,9 @@ from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.fit.misfit import WHITE
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
-from retuner.adaptive.identification.structure_choice import StructureSettings
+from retuner.adaptive.identification.structure_choice import LEAD, ON_LINE, StructureSettings
 from retuner.adaptive.valve.stand_still import StandStillSettings
-from retuner.schedule.late_dataclass import dataclass, field
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +107,15 @@ class DiagnosisSettings:
     in_auto: bool = False
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(
-            StructureSettings(most_loads=6, most_order=WHITE, further=()), most_samples=2000
+            StructureSettings(most_loads=6, most_order=WHITE, further=(LEAD,)), most_samples=2000
         )
     )
     identified: FitSettings = field(default_factory=FitSettings)
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=2.4, weak=10.0))
     robust: RobustSettings = field(default_factory=RobustSettings)
     standing: StandStillSettings = field(default_factory=StandStillSettings)
+
+    def on_line(self) -> "DiagnosisSettings":
+        """The same on line: one sample tells automatic, and no lead is looked for (structure_choice.py)."""
+        fit = replace(self.fit, choice=replace(self.fit.choice, further=()))
+        return replace(self, in_auto=True, fit=fit, identified=replace(self.identified, choice=ON_LINE))

@@ -90,15 +90,9 @@ def parameters_of(model: ProcessModel) -> FloatArray:
         raise ValueError(f"theta_s = {model.theta_s}: a fit needs a dead time above zero")
     pair = model.tau1_s * model.tau2_s
     total = 2 * model.zeta * model.tau1_s if model.zeta < 1 else model.tau1_s + model.tau2_s
-    lags = {
-        ProcessType.FOPDT: (model.tau1_s,),
-        ProcessType.SOPDT: (total, pair / total if total else 0.0),
-        ProcessType.SOPDT_INVERSE: (total, pair / total if total else 0.0, model.inverse_s),
-        ProcessType.SOPDT_LEAD: (total, pair / total if total else 0.0, -model.inverse_s),
-        ProcessType.TOPDT: (total, pair / total if total else 0.0, model.tau3_s),
-        ProcessType.INTEGRATING: (),
-        ProcessType.INTEGRATING_LAG: (model.tau2_s,),
-    }[model.type]
+    own = abs(model.inverse_s) or model.tau3_s
+    each = (total, pair / total if total else 0.0, own) if model.type in LAG else (model.tau2_s,)
+    lags = each[: SIZE[model.type] - len((SLOPE, THETA))]
     if min(lags, default=1.0) <= 0:
         raise ValueError(f"{model.type} with a lag of zero: give the simpler type")
     slope = abs(model.k) / total if model.type in LAG else abs(model.k)

@@ -61,9 +61,9 @@ class StructureSettings:
     most_order : highest order of a whitening filter for what is left; 0 to 8, default 4.
     start_spread : see Misfit; default 0.3, 0 for an experiment that is known to begin at rest.
     further : structures of five numbers that are among those tried; default an inverse response, a third lag and a
-        lead; on line no lead. Where causes are compared there are none: a zero that has not come back yet explains a
-        process of the other sign, and a valve that slips late. Nor are the processes of a record's parts: a part of a
-        tone from outside is a process that swings.
+        lead; on line no lead. Where causes are compared there is no other: a zero that has not come back yet explains a
+        process of the other sign, and a valve that slips late. Without a third lag no start is the process of a part of
+        the record either: a part of a tone from outside is a process that swings.
     """
 
     seeded_loads: int = 2
@@ -119,7 +119,7 @@ def candidates(
         for found in _loads_first(rivals, settings.most_loads):
             seen.add(improved(found, settings.most_loads, seen, RELATIVE_MOVES))
         winner = seen.best()
-    if settings.further and settings.most_loads and _far(winner):
+    if THIRD in settings.further and settings.most_loads and _far(winner):
         _from_parts(window, record, signs, settings, seen)
         winner = seen.best()
     if asked_for(winner) and not np.any(np.diff(window.sp)):

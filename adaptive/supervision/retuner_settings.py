@@ -88,9 +88,7 @@ class RetunerSettings:
     swing: SwingSettings = field(default_factory=SwingSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
     limit_swing: LimitSwingSettings = field(default_factory=LimitSwingSettings)
-    diagnosis: DiagnosisSettings = field(
-        default_factory=lambda: DiagnosisSettings(cause=CauseSettings(), in_auto=True, identified=FitSettings(ON_LINE))
-    )
+    diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()).on_line())
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.15))
     robust: RobustSettings = field(
         default_factory=lambda: RobustSettings(ms_worst=1.95, ms_third=1.85, hidden_share=0.1)

@@ -6,6 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from retuner.adaptive.diagnosis import diagnose
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import refine
@@ -13,12 +18,15 @@ from retuner.adaptive.fit.search import with_one_more
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification import candidate
 from retuner.adaptive.identification.candidate import judged
-from retuner.adaptive.identification.identify import FitSettings, identify_window
+from retuner.adaptive.identification.identify import identify_window
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc
-from retuner.adaptive.identification.structure_choice import ON_LINE
+from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import replace
 
 INVERSE = ProcessType.SOPDT_INVERSE
 K, LAGS, B, DELAY = 1.0, (12.0, 5.0), 5.0, 3
@@ -98,9 +106,43 @@ def test_a_lead_is_found_and_its_settings_hold(seed: int) -> None:
 
 
 def test_on_line_no_lead_is_looked_for() -> None:
+    on_line, off_line = RetunerSettings(1.0, 1.0), DiagnosisSettings()
+    own, compared, identified = (
+        fit.choice for fit in (on_line.fit, on_line.diagnosis.fit, on_line.diagnosis.identified)
+    )
+    assert own.further == identified.further == (INVERSE, ProcessType.TOPDT)
+    assert compared.further == ()
+    assert off_line.fit.choice.further == (ProcessType.SOPDT_LEAD,)
     window = record(1, sp=1.0, n=600, zero=LEAD, lags=LONG)
-    found = identify_window(window, sign=1, settings=FitSettings(ON_LINE))
+    found = identify_window(window, sign=1, settings=on_line.fit)
     assert ProcessType.SOPDT_LEAD not in {one.log.type for one in found.alternatives}
+
+
+def test_a_lead_is_no_sticking_valve_and_no_gain_that_changes() -> None:
+    kc, tau_i = 0.5, 17.0
+    found = diagnose_window(record(2, sp=1.0, n=600, zero=LEAD, lags=LONG), PidGains(kc, kc / tau_i))
+    assert found.estimate is not None
+    assert found.estimate.log.type == ProcessType.SOPDT_LEAD
+    assert found.diagnosis.cause in {Cause.OK, Cause.SLUGGISH}
+
+
+class AskedError(Exception):
+    """With the structure beside which a tone and a valve were asked."""
+
+
+@pytest.mark.parametrize("period_s", [None, 50.0])
+def test_of_a_record_that_oscillates_no_lead_is_asked(period_s: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    def asked(best: candidate.Candidate, *_: object) -> None:
+        raise AskedError(best.fit.misfit.type)
+
+    window = record(2, sp=1.0, n=600, zero=LEAD, lags=LONG)
+    settings = DiagnosisSettings(oscillating_residual=0.1)
+    found = linear(window, (1,), settings.fit.choice, 2000)
+    seen = replace(screen(window), period_s=period_s)
+    monkeypatch.setattr(diagnose, "stiction_or_tone", asked)
+    with pytest.raises(AskedError) as told:
+        diagnose._loop_or_tone_or_valve(window, None, found, seen, settings, diagnose.unknown_law)
+    assert (told.value.args[0] == ProcessType.SOPDT_LEAD) == (period_s is None)
 
 
 def test_a_lead_pays_for_being_rare(monkeypatch: pytest.MonkeyPatch) -> None:
