@@ -34,6 +34,8 @@ SWINGS = 0.85
 """zeta under which a process counts as swinging by itself; over it SIMC's settings for two equal lags are as robust."""
 WALL = (0.9, 1.08)
 """Shares of the least damping that is fitted between which a fit has stopped there. Well below it evidence has won."""
+LONG_TIMES = 30.0
+"""Dead times beyond which the lag of a process with a lead is as an integrator's, and SIMC's settings hold."""
 MS_AIM = 1.59  # Ms of the most integral action: that of SIMC with tau_c = theta (Grimholt & Skogestad 2012)
 BEYOND_WALL = 1.5  # factor by which the damping of such a process is taken for less: 0.1, which few processes are below
 
@@ -145,8 +147,10 @@ def swings(model: ProcessModel) -> bool:
 
 def asks_for_integral(model: ProcessModel) -> bool:
     """Whether a process that comes to rest has no lag that a PI controller should go by (head of this file)."""
+    if model.inverse_s < 0:
+        return model.tau1_s <= LONG_TIMES * model.theta_s
     plain = without_second_lag(model)
-    return model.inverse_s < 0 or swings(model) or 0.0 < plain.tau1_s < plain.theta_s
+    return swings(model) or 0.0 < plain.tau1_s < plain.theta_s
 
 
 def by_integral(model: ProcessModel, ratio: float = 1.0) -> Tuning:

@@ -57,7 +57,8 @@ def _grids(process: LinearProcess) -> tuple[np.ndarray, np.ndarray]:
     times = [process.theta_s, *process.lags_s, *(abs(x) for x in process.leads_s)]
     times += [math.sqrt(c2) for _, c2 in process.quadratics]
     whole = sum(times)
-    shortest = max(min(x for x in times if x > 0), COUNTS * whole)
+    slow = whole - sum(x for x in process.leads_s if x > 0)  # a lead makes nothing slower
+    shortest = max(min(x for x in times if x > 0), COUNTS * slow)
     low, high = math.log10(SLOWEST / whole), math.log10(FASTEST / shortest)
     w = np.logspace(low, high, int(PER_DECADE * (high - low)))
     return w, whole * np.geomspace(SHORTEST, LONGEST, INTEGRAL_TIMES)

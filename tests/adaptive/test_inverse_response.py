@@ -19,7 +19,7 @@ from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification import candidate
 from retuner.adaptive.identification.candidate import judged
 from retuner.adaptive.identification.identify import identify_window
-from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc, robust_simc_on
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -124,6 +124,13 @@ def test_a_lead_is_no_sticking_valve_and_no_gain_that_changes() -> None:
     assert found.estimate is not None
     assert found.estimate.log.type == ProcessType.SOPDT_LEAD
     assert found.diagnosis.cause in {Cause.OK, Cause.SLUGGISH}
+
+
+@pytest.mark.parametrize(("long", "lead"), [(6e4, 16.0), (6e4, 3e4), (40.0, 5e3)])
+def test_a_lead_beside_a_lag_without_end_has_settings_that_hold(long: float, lead: float) -> None:
+    process = ProcessModel(ProcessType.SOPDT_LEAD, 9e3, long, 10.0, 11.0, inverse_s=-lead)
+    gains = robust_simc_on(process, (), 1.0, RobustSettings()).tuning.gains
+    assert 1.2 < sensitivity_peak(process.seen_by_controller(1.0).linear(), gains) < 1.75
 
 
 class AskedError(Exception):
