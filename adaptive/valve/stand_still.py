@@ -155,9 +155,9 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
     legs = [leg for p in found for leg in _legs(rows, p, steps, gains, tau_i, settings)]
     counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
     slips = [b.first for a, b in pairwise(found)]
-    agreed, share = _agreed(rows, found, gains.direction, tau_i, settings)
+    silent, unanswered = _silent(rows, steps, tau_i, settings)
+    agreed, share = _agreed(rows, found, gains.direction, tau_i, settings, unanswered)
     explained = _explained(rows.pv, steps, settings)
-    silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
     idle = sum(leg.travel * _up_to(leg.travel, settings.travel) for leg in legs)
     dwell = max((leg.dwell * _up_to(leg.travel, settings.travel) for leg in legs), default=0.0)
@@ -171,7 +171,7 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
         len(agreed),
         tuple(_ends(agreed, counted)),
         steps.lag / tau_i,
-        silent,
+        tuple(silent),
         stands,
         stands and quick >= 1.0,
         dead and not slips,
@@ -250,15 +250,17 @@ def _legs(
 
 
 def _agreed(
-    rows: Window, found: Sequence[Plateau], direction: int, tau_i: float, settings: StandStillSettings
-) -> tuple[list[float], float]:
+    rows: Window, found: Sequence[Plateau], direction: int, tau_i: float, settings: StandStillSettings,
+    unanswered: float = 0.0,
+) -> tuple[list[float], float]:  # fmt: skip
     """When pv steps from plateau to plateau the way that co has gone before, s; and the share of all steps that do so,
     by their squares and by how far co had gone.
 
     One that follows the setpoint at once says nothing of a valve that need not have turned. tau_i : in rows.
+    unanswered : squares of setpoint steps that pv has not answered; co had gone there as well.
     """
     least = settings.slip_travel * float(np.ptp(rows.co))
-    agreed, squares, ways = [], LEAST_STEPS, 0.0
+    agreed, squares, ways = [], LEAST_STEPS + unanswered, unanswered
     gone_by: list[tuple[int, float]] = []
     for before, after in pairwise(found):
         size, way = abs(after.level - before.level), np.sign(after.level - before.level)
@@ -286,20 +288,25 @@ def _ends(agreed: Sequence[float], legs: Sequence[Leg]) -> list[float]:
     return [slip for last, slip in pairs if any(last < leg.end_s <= slip for leg in legs)]
 
 
-def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandStillSettings) -> list[float]:
-    """Setpoint steps after which pv did not move for long while co did, and did move in the end."""
-    found = []
-    changes = [*(np.flatnonzero(np.diff(rows.sp)) + 1).tolist(), len(rows.sp)]
+def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandStillSettings) -> tuple[list[float], float]:
+    """Setpoint steps after which pv did not move for long while co did, and did move in the end, s; and the squares of
+    those that it has not answered yet, as far as it was long enough.
+    """
+    changes = runs(np.diff(rows.sp) != 0)
     co_range = float(np.ptp(rows.co))
-    for at, until in pairwise(changes):
-        step = float(rows.sp[at] - rows.sp[at - 1])
-        if abs(step) <= settings.step_sigmas * steps.sigma:
+    answered_s, squares = [], 0.0
+    for (first, at), (until, _) in pairwise([*changes, (len(rows.sp) - 1, 0)]):
+        step = float(rows.sp[at] - rows.sp[first])
+        moved = (rows.pv[at : until + 1] - median(rows.pv[max(at - 5, 0) : at])) / step
+        if float(np.mean(moved[len(moved) // 2 :])) < settings.answered:
+            seen = _up_to(abs(step), settings.step_sigmas * steps.sigma)
+            gone = _up_to(abs(float(rows.co[until] - rows.co[at])), settings.pushed * co_range)
+            squares += seen * gone * _up_to(until - at, settings.silent * tau_i) * step**2
             continue
-        moved = (rows.pv[at:until] - median(rows.pv[max(at - 5, 0) : at])) / step
         answers = np.flatnonzero(running_mean(moved, 3) > settings.answered)
-        if not answers.size or answers[0] < settings.silent * tau_i:
+        if abs(step) <= settings.step_sigmas * steps.sigma or not answers.size or answers[0] < settings.silent * tau_i:
             continue
         travel = abs(float(rows.co[at + answers[0]] - rows.co[at]))
         if travel > settings.pushed * co_range:
-            found.append(float(rows.t_s[at]))
-    return found
+            answered_s.append(float(rows.t_s[at]))
+    return answered_s, squares

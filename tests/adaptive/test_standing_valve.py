@@ -162,6 +162,17 @@ def test_a_step_that_follows_the_setpoint_at_once_says_nothing():
     assert max(_agreed(one, found, 1, 5.0, SETTINGS)[1] for one in (alone, turned)) < 0.1
 
 
+@pytest.mark.parametrize(("free", "degree"), [(False, 1.0), (True, 0.0)])
+def test_a_setpoint_step_that_pv_has_not_answered_is_as_good_as_a_slip(free: bool, degree: float) -> None:
+    """Of a valve that stood for an hour, and under a step to the end, nothing was told: it had not slipped yet."""
+    sp = np.repeat([0.0, 4.0], [240, 60])
+    gains = PidGains(0.2, 0.04)
+    found = stand_still(flow_loop(None if free else [], sp, np.full(300, 0.15)), gains, SETTINGS)
+    assert found is not None
+    assert found.degree == degree
+    assert not found.ends_s
+
+
 @pytest.mark.parametrize(("lag", "degree"), [(4.0, 1.0), (35.0, 0.1)])
 def test_a_slow_swing_is_no_pv_that_stands(lag: float, degree: float) -> None:
     """Squares that take a third of a round to turn are a wave: a level that swung in 16 tau_I was a sticking valve."""
