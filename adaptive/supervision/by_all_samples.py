@@ -153,21 +153,15 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
         known = look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)
         known = doubted(known, settings.changed_odds) if changed else move(known, now_s - first_s, settings.hazard_s)
         book = update(known, look.window, grows=look.grows)
-    if book is not None and (tone := _finds_tone(found, own)) is not None:
-        book = heard(book, MOST[Cause.EXTERNAL], tone=tone)
+    external = own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL  # else a swing of the loop's own
+    if book is not None and (external or (found.foreign is not None and found.foreign < record.foreign)):
+        book = heard(book, MOST[Cause.EXTERNAL], tone=external)
     seen = AllSamples(look, book, book is not record.book, None, shown)
     asked = book is not None and (own.changes or not seen.silent)
     if book is None or not asked:
         return seen
     by_loads = all(sample.sp == record.samples[-1].sp for sample in record.samples)
     return replace(seen, told=by_book(book, gains, settings, by_loads=by_loads))
-
-
-def _finds_tone(found: Findings, own: Outcome) -> bool | None:
-    """Whether the response's own diagnosis has found a tone, or a swing of the loop's own; None for neither."""
-    if own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL:
-        return True
-    return False if found.foreign is not None and found.foreign < found.record.foreign else None
 
 
 def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:

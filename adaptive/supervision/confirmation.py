@@ -51,10 +51,12 @@ def refutation(found: Findings, cause: Diagnosis, allowed: Sequence[Plausible]) 
     Loads of unknown shape beside it let a model explain any swing. A setpoint step from rest that needs none has shown
     the loop as the model says it is, wherever the peaks of it lie.
     """
-    record, settings = found.record, found.settings
-    if record.pattern is None or found.steps is not None or _by_the_setpoint_alone(found):
+    record, settings, damping = found.record, found.settings, found.record.response.damping
+    by_the_setpoint_alone = found.clear and found.learned is not None and not found.learned.estimate.load_times_s
+    if record.pattern is None or found.steps is not None or by_the_setpoint_alone:
         return None
-    if cause.cause not in SWINGING or not allowed or _swings_wider(record, settings):
+    # three peaks that grow: a model that says unstable is listened to, however fast it says so
+    if cause.cause not in SWINGING or not allowed or (damping is not None and damping > settings.swing.grows):
         return None
     if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
         return None
@@ -63,17 +65,6 @@ def refutation(found: Findings, cause: Diagnosis, allowed: Sequence[Plausible]) 
     said = foretold(record.response, loop, found.learned.estimate.ramp_s if found.learned is not None else 0.0)
     reason = not_seen(record.response, said, settings.swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
-
-
-def _by_the_setpoint_alone(found: Findings) -> bool:
-    """Whether the loop by itself explains a setpoint step from rest, to the noise and without a load."""
-    return found.clear and found.learned is not None and not found.learned.estimate.load_times_s
-
-
-def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
-    """Whether a response of three peaks grows: a model that says unstable is listened to, however fast it says so."""
-    damping = record.response.damping
-    return damping is not None and damping > settings.swing.grows
 
 
 def confirmation(found: Findings, change: Outcome, proof: Proof, why: str, lost: int) -> Outcome:

@@ -165,7 +165,9 @@ def without_a_model(found: Findings) -> Outcome | None:
         return found.outcome(NOT_KNOWN, learned.estimate.reason)
     why = model.reason if model is not None else learned.estimate.reason
     if record.pattern is None:
-        return found.outcome(NOT_KNOWN, f"{why}; {_of_two_sets(why, crossed=record.crossed)}")
+        came = "crossed a boundary" if record.crossed else "began under other gains"
+        told = "" if came in why else f", because it {came}"
+        return found.outcome(NOT_KNOWN, f"{why}; two sets of gains shaped this response{told}")
     locks, growth = found.settings.locks_of(record.region), found.growth
     own = Diagnosis(Cause.AGGRESSIVE, 0.9, growth.to_dict(), growth.sentence) if growth is not None else None
     proposed = step_without_model(
@@ -190,12 +192,6 @@ def without_a_model(found: Findings) -> Outcome | None:
     proof = prove(unproved_request(tuning, record.region, tables, found.settings, damping), found.settings.guard)
     step = found.outcome(proof.code, reason if proof.accepted else proof.sentence, own, proposed.numbers)
     return replace(step, proposal=tuning, basis=proposed.basis, proof=proof)
-
-
-def _of_two_sets(why: str, *, crossed: bool) -> str:
-    """Why a pattern tells nothing; why : what is said before."""
-    came = "crossed a boundary" if crossed else "began under other gains"
-    return f"two sets of gains shaped this response{'' if came in why else f', because it {came}'}"
 
 
 def _above_noise(found: Findings) -> bool:

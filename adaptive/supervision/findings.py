@@ -340,7 +340,9 @@ def region_model(found: Findings) -> Findings:
         return replace(found, excitation_now=record.excitation.with_response(record.response))
     swinging = None if record.crossed or found.steps is not None else _known_of_swing(record, settings)
     in_use = swinging or learned.region_model
-    before = record.excitation if swinging else _basis_of(record, learned.agreement)
+    before = record.excitation  # what the model rested on before this response
+    if not swinging and learned.agreement in ANEW:
+        before = before.of_alternative() if learned.agreement == Agreement.CHANGED else Excitation()
     clear, now = unambiguous(found, learned), before
     if not swinging and learned.agreement != Agreement.SILENT:  # what cannot tell is nothing that a model rests on
         rested = from_rest_to_rest(record.samples, record.response, settings.swing)
@@ -373,13 +375,6 @@ def _known_of_swing(record: ResponseRecord, settings: RetunerSettings) -> Region
 def wanted_of(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
     """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
     return tuning_of(record.known_with(model, settings), record.region, record.in_force)
-
-
-def _basis_of(record: ResponseRecord, agreement: Agreement) -> Excitation:
-    """What the model rested on before this response."""
-    if agreement == Agreement.CHANGED:
-        return record.excitation.of_alternative()
-    return Excitation() if agreement in ANEW else record.excitation
 
 
 def unambiguous(found: Findings, learned: Learned) -> bool:

@@ -98,11 +98,11 @@ def posterior_of(
         if known is None or learned.agreement != Agreement.AGREES:
             return None
         return _both_sets(case, known.plausible, trial.old, settings, known.identifiable)
-    if (
-        learned.agreement == Agreement.SILENT
-        or _outvoted(learned)
-        or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
-    ):
+    # against several that agree, a record that names no process by itself: its load was no step
+    odd = learned.agreement == Agreement.CONTRADICTS and not estimate.identifiable
+    outvoted = odd and known is not None and known.records >= AGREED
+    left = estimate.unexplained(float(np.ptp(case.window.pv)))
+    if learned.agreement == Agreement.SILENT or outvoted or left > settings.swing.unexplained:
         return None
     found = _both_sets(case, estimate.plausible, trial.old, settings, estimate.identifiable)
     agreed = learned.agreement == Agreement.AGREES and known is not None and known.records > AGREED
@@ -131,14 +131,6 @@ def beside_walk(
     models = [found.model for found in sorted(against, key=lambda found: found.excess)]
     limits = (settings.trial.harmless_ms, settings.trial.level)
     return beside_a_walk(case.samples, models, case.in_force, settings.sample_time_s, settings.filter_s, *limits)
-
-
-def _outvoted(learned: Learned) -> bool:
-    """The record contradicts several that agree, and could not name the process by itself: its load was no step."""
-    known = learned.region_model
-    records = known.records if known is not None else 0
-    alone = learned.agreement == Agreement.CONTRADICTS and not learned.estimate.identifiable
-    return alone and records >= AGREED
 
 
 def seen_of(case: ResponseRecord, outcome: Outcome, settings: RetunerSettings) -> JudgedResponse:
