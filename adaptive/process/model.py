@@ -207,6 +207,7 @@ class ProcessModel:
     def _without_lead(self) -> "ProcessModel":
         """The first order with the same gain at rest that an integral loop cannot tell from it where it lives.
 
+        A lead longer than every lag makes pv overshoot, and the gain is that of the overshoot (Skogestad's rule T1).
         w : the last frequency at which G lags by CROSSOVER, as k' e^(-theta s)/s does at w theta = 1/2, SIMC's own.
         """
         times = (self.inverse_s, *self.lags_s())
@@ -216,9 +217,8 @@ class ProcessModel:
             lag = w * self.theta_s + sum(math.atan(w * time) for time in times)
             low, high = (w, high) if lag < CROSSOVER else (low, w)
         slope = high * abs(self.linear().response(np.array([high]))[0])
-        return ProcessModel(
-            ProcessType.FOPDT, self.k, abs(self.k) / slope, 0.0, max((CROSSOVER - math.pi / 2) / high, self.theta_s)
-        )
+        k, theta = self.k * max(-self.inverse_s / self.tau1_s, 1.0), max((CROSSOVER - math.pi / 2) / high, self.theta_s)
+        return ProcessModel(ProcessType.FOPDT, k, abs(k) / slope, 0.0, theta)
 
     def of_second_order(self) -> "ProcessModel":
         """An inverse response taken as so much dead time, a third lag by the half rule (Skogestad 2003, section 2)."""
