@@ -17,7 +17,7 @@ class DiagnosisSettings:
     least_lead : by how much the criterion of an external tone or a stuck valve must be the smaller one;
         5 to 100, default 20 (odds of e^10). lead_per_sample : and by so much per sample; default 0.02.
     tone_explains : a tone that leaves no more than this many times the noise has explained the record, and a valve
-        must be likelier; 1.05 to 1.5, default 1.15.
+        must do better; 1.05 to 1.5, default 1.15 (no limit cycle is as regular).
     stuck_handicap : where it leaves more, a valve may leave so many times as much: its band differs from stop to stop,
         and the scan may miss it; 1 to 2.5, default 1.6.
     stuck_handicap_triangle : the same where the half waves of co are triangles, which only what moves in jumps makes

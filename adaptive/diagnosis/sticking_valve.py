@@ -5,8 +5,8 @@
     it slips         at times of its own, over another band at every stop (valve/slips.py)
     pv stands        on plateaus while co travels, once or twice a record (valve/stand_still.py)
 
-Where a tone leaves nothing but noise, the criterion decides: a valve has fewer numbers. Where it leaves more, a valve
-may leave somewhat more still, because its stick band differs from stop to stop.
+A tone that leaves nothing but noise has explained a record, whatever a valve does: no limit cycle is as regular. Where
+it leaves more, a valve may leave somewhat more still, because its stick band differs from stop to stop.
 """
 
 import math
@@ -107,8 +107,7 @@ def regular_stiction_verdict(
     turns = len(turns_s(valve))
     sent = turns < max(settings.turns_per_change * changes + 1, settings.fewest_turns)
     sent |= valve.valve.stick >= valve.fit.fit.misfit.record.co_range  # a valve that never moves explains nothing
-    # where a tone leaves the noise alone, it is a matter of likelihood; by residuals 1.003 had won over 1.006
-    if sent or (tone_left <= settings.tone_explains and leads[Cause.EXTERNAL] >= leads[Cause.STICTION]):
+    if sent or (tone_left <= settings.tone_explains and tone_left < stuck_left):
         cause = Cause.EXTERNAL
     elif stuck_left < settings.stuck_helps * evidence["linear_left"] and stuck_left < allowed * tone_left:
         cause = Cause.STICTION

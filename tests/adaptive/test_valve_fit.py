@@ -1,15 +1,10 @@
 """Stuck valves: what both models promise, and agreement with the cases of their papers."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.diagnosis import sticking_valve
-from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.signals.sample import Window
@@ -96,20 +91,3 @@ def test_a_valve_is_found_wherever_it_stood_first(valve: StuckValve) -> None:
     assert best.colour.std > 5 * noise
     assert found.fit.colour.std < 1.3 * noise
     assert found.valve.stick == pytest.approx(valve.stick, rel=0.1)
-
-
-@pytest.mark.parametrize(("lead", "cause"), [(587.0, Cause.STICTION), (400.0, Cause.EXTERNAL)])
-def test_where_a_tone_leaves_the_noise_alone_the_likelier_one_is_named(
-    monkeypatch: pytest.MonkeyPatch, lead: float, cause: Cause
-) -> None:
-    """Nine tenths of a record of a sticking valve were a tone: it left 1.003 times the noise, the valve 1.006."""
-    for name, told in {"turns_s": range(9), "tone_period_s": 1.5, "moves_pv": True}.items():
-        monkeypatch.setattr(sticking_valve, name, lambda *_, told=told: told)
-    record = SimpleNamespace(pv=np.zeros(1440), co_range=10.0, span_s=40.0)
-    fit: Any = SimpleNamespace(fit=SimpleNamespace(misfit=SimpleNamespace(record=record)))
-    valve: Any = SimpleNamespace(valve=SimpleNamespace(stick=3.0, jump=2.0), fit=fit)
-    left = {"linear_left": 1.205, "external_left": 1.003, "stuck_left": 1.006, "loads": 4.0}
-    evidence = left | {"external_lead": 423.0, "stuck_lead": lead}
-    found = sticking_valve.regular_stiction_verdict(fit, fit, valve, evidence, DiagnosisSettings())
-    assert found is not None
-    assert found.cause == cause
