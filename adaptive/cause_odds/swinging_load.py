@@ -75,7 +75,7 @@ def likelihood_swinging(record: Prepared, direction: int, gain_unit: float, w: f
         rows = [
             under_loads(through, co[None], lag, LOADS, DEAD_TIMES, through=second)
             for lag in LAGS
-            for second in second_lags(lag)
+            for second in range(len(second_lags(lag)))
         ]
         larger = (n - len(LOADS)) / (2.0 * TEMPER) * math.log(float(np.var(pv)) / float(np.var(record.pv)))
         found.append(np.stack([fits.mixed(gains[i : i + 1])[0] for i, fits in enumerate(rows)]) - larger)

@@ -11,8 +11,9 @@ instability, and several of them would make that sure.
 No window makes anything sure: it may be an odd one, that says nothing. A process may change, so what is known fades to
 what was known before any record. Windows add up point by point on one grid (process_grid.py), because gains are counted
 in a unit, and time in an interval, that stay: those of the loop when its book was begun. Before any record each process
-of the grid is as likely as the others on which a loop at work is neither far beyond its limit of stability nor idle.
-Whether the process runs away by itself is asked of the samples before a change (unstable_pole.py).
+of the grid is as likely as the others on which a loop at work is neither far beyond its limit of stability nor idle;
+those that run away by themselves have RUNAWAYS of the odds together, shared by the ones that the gains in force hold,
+or shares of them: the first gains may be too large.
 
 A window that still grows is weighed anew each time: `whole` is what was known before it. The weights are kept in levels
 of STEP, so that a book that was stored is the same as one that was not.
@@ -30,6 +31,7 @@ import numpy.typing as npt
 from retuner.adaptive.explanations.likely_processes import LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
+    EVERY_LAG,
     GAINS,
     ComplexArray,
     gain_unit,
@@ -49,7 +51,7 @@ ODD, FEWEST_SAMPLES = 0.02, 30
 """Probability that a window says nothing of the process; samples of one that may say something."""
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
-GRID = (len(shapes()), len(DEAD_TIMES), len(GAINS))
+GRID = (len(shapes(EVERY_LAG)), len(DEAD_TIMES), len(GAINS))
 PLANES, WEIGHED = (2 + len(ORDERS), *GRID), 2
 """Every process without a tone and with one, whose weights count; then, without, under each order of load by itself."""
 WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))  # planes whose weights are one together
@@ -57,6 +59,9 @@ BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 """Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
 keep Ms under this. A loop at work comes from neither: one that does next to nothing has a co that undoes its load, too.
 """
+SHARES = (1.0, 0.5, 0.25)  # shares of the gains in force, one of which must hold a process that runs away
+RUNAWAYS = 0.02
+"""Odds that a process runs away by itself, before any record: exothermic reactors, some tanks and vehicles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +90,19 @@ class Book:
         """The book before any record. gains : in force. dt_s : interval of the condensed samples."""
         known = robustness(gains, dt_s)
         possible = (known.ultimate * BEYOND >= GAINS) & (known.room(MS_OF_ROOM) <= MOST_ROOM)
-        logs = np.where(possible, 0.0, -math.inf)
+        unit, count = gain_unit(gains, dt_s), len(shapes())
+        rows, dead, gain = np.indices((len(shapes(EVERY_LAG)) - count, *GRID[1:])).reshape(3, -1)
+        rows = rows + count
+        answers: ComplexArray = responses_of(rows, dead) * (GAINS[gain] / unit)[:, None]
+        places = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))
+        away, g = LikelyProcesses(places, np.ones(len(places)), answers, dt_s), gains
+        under = [away.stable(PidGains(x * g.kp, x * g.ki, x * g.kd)) for x in SHARES]
+        held = np.any(under, axis=0).reshape(-1, *GRID[1:])
+        rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
+        logs = np.concatenate([np.where(possible, 0.0, -math.inf), np.where(held, rare, -math.inf)])
         tones = logs + np.log([1.0 - TONE, TONE])[:, None, None, None]
         levels = _levels(np.concatenate([tones, np.tile(logs, (len(ORDERS), 1, 1, 1))]))
-        return cls(gains.direction, gain_unit(gains, dt_s), dt_s, t_s, 0, 0, levels, levels, levels)
+        return cls(gains.direction, unit, dt_s, t_s, 0, 0, levels, levels, levels)
 
     def weights(self) -> FloatArray:
         """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
@@ -142,7 +156,7 @@ def update(book: Book, window: Window, *, grows: bool = False) -> Book:
     logs = -STEP * _array(book.whole)
     if len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
         columns, taken, prices = likeliest_tone(Prepared.at(replace(window, pv=window.sp - window.pv), book.dt_s).pv)
-        each, by_order = log_likelihoods(record, book.direction, book.unit, columns, taken)
+        each, by_order = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG)
         alone, line, drifting = (one - price / TEMPER for one, price in zip(each, prices, strict=True))
         found = np.array([alone, np.logaddexp(line, drifting) - math.log(2.0), *by_order])
         for one in WHOLE:

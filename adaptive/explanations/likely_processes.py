@@ -9,6 +9,7 @@ second term is what too little robustness costs.
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.explanations.process_grid import (
@@ -16,12 +17,15 @@ from retuner.adaptive.explanations.process_grid import (
     ComplexArray,
     ProcessShape,
     control_law,
-    phases,
+    loop_phases,
+    shapes,
 )
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +64,26 @@ class LikelyProcesses:
 
     def peaks(self, gains: PidGains) -> FloatArray:
         """Ms on each process, infinite where the loop is unstable; shape (processes,)."""
-        law, (rows, dead, _) = control_law(gains, self.sample_time_s), np.array(self.index).T
-        size, over = np.abs(self.responses) * np.abs(law), phases()[rows, dead] + np.angle(law) > HALF_TURN
-        falls = over[:, :-1] & ~over[:, 1:] & (size[:, :-1] * size[:, 1:] >= 1.0)
-        stable = ~falls.any(axis=1) & over[:, 0]
-        return np.where(stable, 1.0 / np.min(np.abs(1.0 + self.responses * law), axis=1), np.inf)
+        ms = 1.0 / np.min(np.abs(1.0 + self.responses * control_law(gains, self.sample_time_s)), axis=1)
+        return np.where(self.stable(gains), ms, np.inf)
+
+    def stable(self, gains: PidGains) -> BoolArray:
+        """Which of the loops are stable, shape (processes,)."""
+        law, away, (rows, dead, _) = control_law(gains, self.sample_time_s), self.runs_away, np.array(self.index).T
+        size, over = np.abs(self.responses) * np.abs(law), loop_phases(rows, dead, law) > HALF_TURN
+        falls, rises = over[:, :-1] & ~over[:, 1:], ~over[:, :-1] & over[:, 1:]
+        large = size[:, :-1] * size[:, 1:] >= 1.0
+        stable = ~(falls & large).any(axis=1) & over[:, 0]
+        if away.any():  # one turn round -1 holds one pole (Nyquist's criterion); a rise may lie below the frequencies
+            turns = (rises & large).sum(axis=1) - (falls & large).sum(axis=1)
+            turns += over[:, 0] & (size[:, 0] >= 1.0)
+            stable = np.where(away, turns == 1, stable)
+        return np.asarray(stable, dtype=np.bool_)
+
+    @property
+    def runs_away(self) -> BoolArray:
+        """Which of the processes run away by themselves, shape (processes,)."""
+        return np.array([i >= len(shapes()) for i, _, _ in self.index])
 
 
 def process_model(shape: ProcessShape, dead: float, gain: float, direction: int, sample_time_s: float) -> ProcessModel:

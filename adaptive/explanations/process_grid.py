@@ -1,6 +1,7 @@
 """The processes that a record is compared with, on one grid for all records of a loop, and how a controller does there.
 
     G(s) = K e^(-theta s) / ((tau1 s + 1) (tau2 s + 1)),      K' e^(-theta s) / (s (tau2 s + 1)) where tau1 has no end
+    G(s) = K e^(-theta s) / ((tau1 s - 1) (tau2 s + 1))       where it runs away by itself; tau1 is written negative
 
 Lags and dead times are in samples, so the grid is one constant. The gain is a grid too, spaced evenly in its logarithm
 and counted in loop gains: kc K = 1 is its middle. A grid and no search: every corner of what the record allows is seen,
@@ -23,6 +24,8 @@ ComplexArray = npt.NDArray[np.complex128]
 
 LAGS = (0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0, 50.0, 80.0, 130.0, 250.0, math.inf)
 """First lag in samples; without end the process integrates."""
+RUNAWAY_LAGS = (-8.0, -16.0, -33.0, -66.0, -130.0)
+"""Lags of processes that run away, each growing by a factor of e in so many samples. The book has them."""
 SECOND_SHARES = (0.0, 0.15, 0.4, 0.8)  # second lag as a share of the first
 SECOND_OF_INTEGRATING = 40.0  # the lag of which the same shares are a second lag where the process integrates, samples
 LEAST_SECOND = 0.6  # A second lag that is shorter (in samples) cannot be seen
@@ -39,7 +42,9 @@ HALF_TURN = 1e-9 - math.pi
 
 @dataclass(frozen=True, slots=True)
 class ProcessShape:
-    """A process but for its gain and dead time. lag, second : in samples; lag without end where it integrates."""
+    """A process but for its gain and dead time. lag, second : in samples; lag without end where it integrates, negative
+    where it runs away.
+    """
 
     lag: float
     second: float
@@ -58,38 +63,48 @@ class ProcessShape:
 @cache
 def second_lags(lag: float) -> tuple[float, ...]:
     """The second lags of a first one, zero first; in samples."""
-    base = SECOND_OF_INTEGRATING if math.isinf(lag) else lag
-    return tuple(share * base for share in SECOND_SHARES if not share or share * base >= LEAST_SECOND)
+    base = SECOND_OF_INTEGRATING if math.isinf(lag) else abs(lag)
+    shares = SECOND_SHARES if lag > 0 else SECOND_SHARES[:2]
+    return tuple(share * base for share in shares if not share or share * base >= LEAST_SECOND)
 
 
 @cache
-def shapes() -> tuple[ProcessShape, ...]:
-    """All shapes, in the order of every array of the grid."""
-    return tuple(ProcessShape(lag, second) for lag in LAGS for second in second_lags(lag))
+def shapes(lags: tuple[float, ...] = LAGS) -> tuple[ProcessShape, ...]:
+    """All shapes, in the order of every array of the grid. lags : EVERY_LAG adds those that run away, at the end."""
+    return tuple(ProcessShape(lag, second) for lag in lags for second in second_lags(lag))
+
+
+EVERY_LAG = (*LAGS, *RUNAWAY_LAGS)
 
 
 @cache
-def units() -> FloatArray:
+def units(lags: tuple[float, ...] = LAGS) -> FloatArray:
     """The unit of each shape's gain, shape (shapes, 1, 1)."""
-    return np.array([shape.unit for shape in shapes()])[:, None, None]
+    return np.array([shape.unit for shape in shapes(lags)])[:, None, None]
 
 
 @cache
 def _responses() -> ComplexArray:
-    """Frequency responses at gain one, complex, shape (shapes, dead times, frequencies)."""
+    """Frequency responses at gain one, complex, shape (shapes of every lag, dead times, frequencies)."""
     s = 1j * FREQUENCIES
     delays = np.exp(-s * (np.array(DEAD_TIMES)[:, None] + 0.5))
     rows = []
-    for shape in shapes():
-        first = 1.0 / s if shape.integrates else 1.0 / (shape.lag * s + 1.0)
+    for shape in shapes(EVERY_LAG):
+        first = 1.0 / s if shape.integrates else 1.0 / (abs(shape.lag) * s + math.copysign(1.0, shape.lag))
         rows.append(shape.unit * first / (shape.second * s + 1.0) * delays)
     return np.array(rows)
 
 
 @cache
-def phases() -> FloatArray:
-    """Phases of these responses, falling from that at rest: 0, -90 degrees where they integrate."""
-    return np.unwrap(np.angle(_responses()), axis=2)
+def _phases() -> FloatArray:
+    """Phases of these responses, falling from that at rest: 0, -90 degrees (integrating), -180 (runs away)."""
+    phase = np.unwrap(np.angle(_responses()), axis=2)
+    return np.asarray(phase - np.where(phase[:, :, :1] > 0.5 * math.pi, 2.0 * math.pi, 0.0))
+
+
+def loop_phases(rows: npt.NDArray[np.intp], dead: npt.NDArray[np.intp], law: ComplexArray) -> FloatArray:
+    """Phases of loops, shape (n, frequencies); they may begin below -180 degrees, where no gain is stable."""
+    return np.asarray(_phases()[rows, dead] + np.angle(law))
 
 
 def responses_of(rows: npt.NDArray[np.intp], dead: npt.NDArray[np.intp]) -> ComplexArray:
@@ -141,8 +156,8 @@ def robustness(gains: PidGains, sample_time_s: float, unit: float | None = None)
     """
     own = gain_unit(gains, sample_time_s)
     law = control_law(gains, sample_time_s) / own
-    loop = _responses() * law
-    size, phase = np.abs(loop), phases() + np.angle(law)
+    loop = _responses()[: len(shapes())] * law
+    size, phase = np.abs(loop), _phases()[: len(shapes())] + np.angle(law)
     ultimate = _ultimate(size, phase)[:, :, None]
     scale = own / (own if unit is None else unit)
     longest = np.argsort(-ultimate, axis=None)  # those that stay stable longest come first: the others need no margin

@@ -8,6 +8,7 @@ it is made where the book is clear, and was at the look before (for less action 
 where no tone from outside may be what moves the loop. Less action, where Ms is probably too high with the gains in
 force. More, where the loop probably has room, a set with more is probably cheaper, and next to no process makes a bad
 loop of it: a share of the way, where the whole is not sure.
+No less where a process that runs away by itself is alive and would be held worse, or no longer: it needs gain.
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
 How the spectrum of a load falls is assumed, and in closed loop much of what a record says rests on that (Forssell &
@@ -30,7 +31,7 @@ from retuner.adaptive.explanations.likely_processes import (
     process_model,
     quantile,
 )
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, shapes
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, shapes
 from retuner.adaptive.explanations.wandering_load import ORDERS
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
@@ -83,7 +84,7 @@ class BookSettings:
         require_in_range(self, "book")
 
 
-LESS, LONGER = (0.85, 0.75, 0.65, 0.55, 0.45, 0.35), (1.0, 1.5, 2.0, 4.0)
+LESS, LONGER = (0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25), (1.0, 1.5, 2.0, 4.0)
 """Times all actions, and times the integral time, that are tried for a loop with too little robustness."""
 MORE, SHORTER = (1.0, 1.25, 1.6, 2.0), (1.0, 0.7, 0.5)  # factors on gain and integral time for a loop that has room
 AT_ONCE, PROVED_ON = 2.5, 12
@@ -174,6 +175,21 @@ def gain(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSet
     return float(drawn.weights @ np.clip(each, -settings.most, settings.most)), float(drawn.weights @ (each > 0.0))
 
 
+def lets_go(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
+    """Whether new gains hold processes that run away by themselves worse than those in force, on more than the share of
+    the odds that may come out badly: Ms is larger, or gain is taken though HELD times as much would hold it. Its Ms is
+    over every limit, whatever the gains, and what holds it is gain: from a least one up (De Paor & O'Malley 1989).
+    """
+    worse = drawn.peaks(new) > np.maximum(drawn.peaks(now), settings.ms_high)
+    if abs(new.kp) < abs(now.kp):
+        worse |= drawn.stable(_times(now, HELD, 1.0))
+    return float(drawn.weights @ (drawn.runs_away & worse)) > settings.bad_share
+
+
+HELD = 1.5
+"""Gain margin from which such a process has not too much gain: with a smaller one Ms is over 3 whatever the process."""
+
+
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
     """All actions so many times, and the integral time besides; the derivative as a series form has it."""
     times = (all_of_them * gain for gain in (gains.kp, gains.ki / integral_time, gains.kd))
@@ -200,9 +216,9 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
     """SIMC's integral time on each process, seconds: min(tau1, 8 theta) by the half rule, tau_c = theta."""
     found = []
     for (i, j, _), weight in zip(drawn.index, drawn.weights, strict=True):
-        shape, dead = shapes()[i], DEAD_TIMES[j] + 0.5
+        shape, dead = shapes(EVERY_LAG)[i], DEAD_TIMES[j] + 0.5
         second = shape.second if shape.integrates else shape.second / 2
-        own = min(shape.lag + second, 8.0 * (dead + second))
+        own = min(shape.lag + second if shape.lag > 0 else math.inf, 8.0 * (dead + second))
         found += [own * book.dt_s] * max(round(float(weight) * PER_PROCESS), 1)
     return np.array(found)
 
@@ -217,6 +233,8 @@ def _best(
         bad, lost = float(drawn.weights @ (peaks > settings.ms_bad)), float(drawn.weights @ np.isinf(peaks))
         if more and (bad > settings.bad_share or lost > settings.unstable_share):
             continue
+        if not more and lets_go(drawn, gains, new, settings):
+            continue
         worth = now - cost
         if worth >= settings.worth and (best is None or worth > best[0]):
             best = worth, new, peaks
@@ -224,10 +242,16 @@ def _best(
 
 
 def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> tuple[Plausible, ...]:
-    """Processes spread over the odds by their Ms with the new gains, without the worst that may come out badly."""
+    """Processes spread over the odds by their Ms with the new gains, without the worst that may come out badly, and
+    without those that run away: the guard has no such model, `lets_go` has asked.
+    """
     order = np.argsort(peaks, kind="stable")
-    shares = np.array([0.5, *(1.0 - settings.bad_share) * (np.arange(PROVED_ON) + 0.5) / PROVED_ON])
-    at = np.searchsorted(np.cumsum(drawn.weights[order]), shares)
+    order = order[~drawn.runs_away[order]]
+    whole = np.cumsum(drawn.weights[order])
+    if not len(whole):
+        return ()
+    at = whole[-1] * (1.0 - settings.bad_share) * (np.arange(PROVED_ON) + 0.5) / PROVED_ON
+    at = np.searchsorted(whole, np.array([0.5 * whole[-1], *at]))
     chosen = [int(order[min(int(i), len(order) - 1)]) for i in at]
     return tuple(Plausible(_model(book, drawn, i), 0.0) for i in dict.fromkeys(chosen))
 

@@ -58,12 +58,9 @@ LOADS = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in BA
 FINE = (0.02, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, math.inf)
 """Bandwidths of the walk, for the book: between octaves the likelihood of a thousand samples falls by 50, and a wrong
 process takes the place of a bandwidth that is missing."""
-LOADS_OF_BOOK = (
-    *((one, VALUE) for one in FINE),
-    *((one, SLOPE) for one in BANDWIDTHS[1:-1]),
-    *((one, AT_PV) for one in BANDWIDTHS[1:]),
-)
-"""Loads that the book has for every process."""
+BEHIND_LAGS = (*((one, VALUE) for one in FINE), *((one, SLOPE) for one in BANDWIDTHS[1:-1]))
+LOADS_OF_BOOK = (*BEHIND_LAGS, *((bandwidth, AT_PV) for bandwidth in BANDWIDTHS[1:]))
+"""Loads that the book has for every process, and all that it has for those that do not run away by themselves."""
 ORDERS = (VALUE, SLOPE, AT_PV)
 """As they stand in the loads of the book."""
 TEMPER = 6.0
@@ -87,7 +84,6 @@ class LoadModel:
         return tuple(np.poly(self.roots).tolist())
 
 
-@cache
 def load_model(lag: float, bandwidth: float, order: int, second: float = 0.0) -> LoadModel:
     """The filter that whitens a load behind a first lag and a second one (0: none), in samples. order : of the walk.
 
@@ -96,6 +92,7 @@ def load_model(lag: float, bandwidth: float, order: int, second: float = 0.0) ->
     return load_models(lag, (bandwidth,), order, second)[0]
 
 
+@cache
 def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: float = 0.0) -> tuple[LoadModel, ...]:
     """Load models for several bandwidths: their polynomials are factored in one call."""
     roots = (1.0,) if order == AT_PV else (_pole(lag), *((_pole(second),) if second else ()), *(1.0,) * order)
@@ -198,13 +195,14 @@ class UnderLoads:
         return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)), dtype=np.float64)
 
 
+@lru_cache(maxsize=1024)
 def _behind(
-    lag: float, loads: tuple[tuple[float, int], ...], seconds: tuple[float, ...], through: float | None
+    lag: float, loads: tuple[tuple[float, int], ...], seconds: tuple[float, ...], through: int | None
 ) -> tuple[tuple[LoadModel, ...], tuple[float, ...], FloatArray, FloatArray, FloatArray]:
     """What under_loads needs of a first lag and loads, whatever the record: their models, poles that unknown starts
     fall with, how many unknowns there are under each load, poles of the second lags, and the models for the engine.
     """
-    behind = through or 0.0
+    behind = 0.0 if through is None else second_lags(lag)[through]
     by_order = {
         order: iter(load_models(lag, tuple(b for b, o in loads if o == order), order, behind * (order == VALUE)))
         for order in {order for _, order in loads}
@@ -221,25 +219,19 @@ def _behind(
     return models, falls, unknown, poles, packed
 
 
-_behind_again = lru_cache(maxsize=1024)(_behind)
-
-
 def under_loads(
     record: Prepared, inputs: FloatArray, lag: float, loads: Sequence[tuple[float, int]], dead_times: Sequence[float],
-    *, first_only: bool = False, through: float | None = None, tones: FloatArray | None = None,
-    ends: Sequence[int] = (0,), again: bool = True,
+    *, first_only: bool = False, through: int | None = None, tones: FloatArray | None = None, ends: Sequence[int] = (0,)
 ) -> UnderLoads:  # fmt: skip
     """What inputs through a first lag, each second one and each dead time explain of a record under each load.
 
     inputs : held between samples, shape (inputs, n). loads : bandwidth and order of each. first_only : without second
-    lags. through : the only second lag, which a walk of VALUE goes through as well; None for those of the grid, and no
+    lags. through : the number of the only second lag, which a walk of VALUE goes through as well; None for all, and no
     load at pv. tones : sinusoids that a load may hold besides, shape (number, n). ends : how many of them it does,
-    ascending; every load comes with each of these numbers. again : whether these lags will be asked for again. The rows
-    of the answer are second lags by inputs.
+    ascending; every load comes with each of these numbers. The rows of the answer are second lags by inputs.
     """
-    seconds = second_lags(lag)[: 1 if first_only else None] if through is None else (through,)
-    behind = _behind_again if again else _behind
-    models, falls, unknown, poles, packed = behind(lag, tuple(loads), seconds, through)
+    rows = slice(through, None if through is None else through + 1) if not first_only else slice(1)
+    models, falls, unknown, poles, packed = _behind(lag, tuple(loads), second_lags(lag)[rows], through)
     freedom = len(record.pv) - np.add.outer(unknown, ends).ravel().astype(np.float64)
     tones = np.zeros((0, len(record.pv))) if tones is None else tones
     size = float(np.var(record.pv)) or 1.0
@@ -250,7 +242,7 @@ def under_loads(
         asked = (packed, poles, falls, dead_times, record.resolution**2)
         gain, information, left = engine.walks(record.pv, inputs, lag, *asked, tones, ends)
         return UnderLoads(gain, information, left, freedom, size)
-    moved = responses(inputs, lag, seconds).reshape(-1, len(record.pv))
+    moved = responses(inputs, lag)[rows].reshape(-1, len(record.pv))
     each = [_whitened(record, moved, falls, model, dead_times, tones[:end]) for model in models for end in ends]
     gain, information, left = (np.array(part) for part in zip(*each, strict=True))
     return UnderLoads(gain, information, left, freedom, size)
@@ -296,8 +288,8 @@ def impulse_response(top: tuple[float, ...], bottom: tuple[float, ...], n: int) 
     return np.asarray(np.fft.irfft(ratio, length)[:n] / radius ** np.arange(n), dtype=np.float64)
 
 
-def responses(inputs: FloatArray, lag: float, seconds: Sequence[float] | None = None) -> FloatArray:
-    """What inputs held between samples do at gain one, through the first lag and each second one (None: of the grid).
+def responses(inputs: FloatArray, lag: float) -> FloatArray:
+    """What inputs held between samples do at gain one, through the first lag and each second one.
 
     inputs : shape (..., n). Returns shape (second lags, ..., n). Where the first runs away it is free of that, as A
     makes it: what grows leaves no digits to subtract.
@@ -308,9 +300,9 @@ def responses(inputs: FloatArray, lag: float, seconds: Sequence[float] | None = 
     stays = pole if pole <= 1.0 else 0.0
     rise = np.where(k > 0, stays ** np.maximum(k - 1.0, 0.0), 0.0) * (1.0 if math.isinf(lag) else abs(1.0 - pole))
     first = filtered(spectrum(inputs), n, rise)
+    others = [math.exp(-1.0 / second) for second in second_lags(lag)[1:]]
     passed = spectrum(first)
-    others = [_pole(second) if second else 0.0 for second in (second_lags(lag) if seconds is None else seconds)]
-    return np.array([filtered(passed, n, (1.0 - other) * other**k) if other else first for other in others])
+    return np.array([first, *(filtered(passed, n, (1.0 - other) * other**k) for other in others)])
 
 
 def reduced(rows: FloatArray, roots: tuple[float, ...]) -> FloatArray:
@@ -417,34 +409,38 @@ def temper(share: float) -> float:
     return 1.0 / ((1.0 - share) / T_LOADS + share / T_SETPOINT)
 
 
-def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatArray:
+def log_likelihood(record: Prepared, direction: int, gain_unit: float, lags: tuple[float, ...] = LAGS) -> FloatArray:
     """Tempered log-likelihood of every process of the grid, loads and noise summed over.
 
-    direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit).
+    direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit). lags : the
+    first ones; EVERY_LAG for processes that run away besides.
     Returns shape (shapes, dead times, gains); the largest is not zero: differences between records count.
     """
-    return np.asarray(log_likelihoods(record, direction, gain_unit, np.zeros((0, len(record.pv))), (0,))[0][0])
+    no_tones = np.zeros((0, len(record.pv)))
+    return np.asarray(log_likelihoods(record, direction, gain_unit, no_tones, (0,), lags)[0][0])
 
 
 def log_likelihoods(
-    record: Prepared, direction: int, gain_unit: float, tones: FloatArray, ends: Sequence[int]
-) -> tuple[FloatArray, FloatArray]:
+    record: Prepared, direction: int, gain_unit: float, tones: FloatArray, ends: Sequence[int],
+    lags: tuple[float, ...] = LAGS,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The log-likelihoods where the load holds so many of these tones besides (under_loads), of any size and phase.
 
     Returns shape (ends, shapes, dead times, gains); and where it holds as many as the first of ends, with loads of each
     of ORDERS by themselves, shape (orders, shapes, dead times, gains).
     """
-    gains, loads, e = direction * GAINS * units() / gain_unit, LOADS_OF_BOOK, len(ends)
-    each = ((lag, second) for lag in LAGS for second in second_lags(lag))
-    counts = [sum(order == one for _, one in loads) for order in ORDERS]
+    gains = direction * GAINS * units(lags) / gain_unit
+    each = ((lag, second) for lag in lags for second in range(len(second_lags(lag))))
     found, by_order = [], []
     for at, (lag, second) in enumerate(each):
-        of = gains[at : at + 1]
+        loads, of = LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS, gains[at : at + 1]
         fits = under_loads(record, record.co[None], lag, loads, DEAD_TIMES, through=second, tones=tones, ends=ends)
-        spans = (slice((to - n) * e, to * e, e) for n, to in zip(counts, accumulate(counts), strict=True))
+        counts = [n for order in ORDERS if (n := sum(order == one for _, one in loads))]
+        upto, e = accumulate(counts), len(ends)
+        spans = (slice((to - n) * e, to * e, e) for n, to in zip(counts, upto, strict=True))
         apart = [fits.of(span).mixed(of)[0] for span in spans]
         shares = np.log(np.array(counts) / len(loads))[:, None, None]
         whole = np.logaddexp.reduce(np.array(apart) + shares, axis=0)
         found.append([whole, *(fits.of(slice(i, None, e)).mixed(of)[0] for i in range(1, e))])
-        by_order.append(apart)
+        by_order.append([*apart, *[whole] * (len(ORDERS) - len(apart))])  # a process has no load of that order
     return np.stack(found, axis=1), np.stack(by_order, axis=1)

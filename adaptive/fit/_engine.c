@@ -31,7 +31,7 @@
 #include "engine_c/valves.h"
 #include "engine_c/walk.h"
 
-#define VERSION "10"
+#define VERSION "9"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -619,11 +619,29 @@ static PyObject *py_closed(View *v, Work *w, PyObject *const *from) {
     return Py_NewRef(Py_None);
 }
 
+/* held(numbers, pv) -> samples of pv that were written: see held_answer. */
+static PyObject *py_held(View *v, Work *w, PyObject *const *from) {
+    (void)w;
+    if (view(from[0], &v[0], "numbers", 0) || sized(&v[0], HELD, "numbers") || view(from[1], &v[1], "pv", 1))
+        return NULL;
+    if (!(v[0].x[LATE] >= 0 && v[0].x[LATE] <= 1e7))
+        return refuse("numbers: a delay is outside its range"), NULL;
+    double *u = calloc((size_t)v[1].n + (size_t)v[0].x[LATE] + 2, sizeof *u);
+    Py_ssize_t count = 0;
+    if (u) {
+        Py_BEGIN_ALLOW_THREADS
+        count = held_answer(v[0].x, v[1].n, u, v[1].x);
+        Py_END_ALLOW_THREADS
+        free(u);
+    }
+    return u ? PyLong_FromSsize_t(count) : PyErr_NoMemory();
+}
+
 /* Every function with how many arguments it has. */
 #define FUNCTIONS(M)                                                                                                  \
     M(refine, 13) M(costs, 6) M(project, 11) M(jacobian, 6) M(gains, 8) M(colour, 3) M(search, 11) M(position, 3)     \
     M(scan, 14) M(valve_costs, 7) M(slip_costs, 8) M(screen, 9) M(walk, 12) M(mix, 8) M(steps, 6) M(move_steps, 7)    \
-    M(closed, 8)
+    M(closed, 8) M(held, 2)
 #define DOOR(name, arguments)                                                                                         \
     static PyObject *door_##name(PyObject *self, PyObject *args) {                                                    \
         (void)self;                                                                                                   \

@@ -259,3 +259,10 @@ def closed(
     phi, gamma, c, x = (np.ascontiguousarray(np.moveaxis(part, -1, 0)) for part in spaces)
     _engine.closed(phi, gamma, c, x, np.ascontiguousarray(each), most, e, u)
     return e.T, u.T
+
+
+def held(numbers: Sequence[float], n: int) -> FloatArray:
+    """pv at n samples of a loop whose process may run away; not finite from where it has. numbers : as in closed.h."""
+    pv = np.full(n, math.nan)
+    _engine.held(array("d", numbers), pv)
+    return pv

@@ -1,5 +1,4 @@
-"""The seven structures that a fit chooses between, as points of one family (dynamics.py), and that of a process that
-runs away, which samples show in another way (explanations/unstable_pole.py): T, c2 are its tau1, tau2.
+"""The seven structures that a fit chooses between, as points of one family (dynamics.py).
 
     x = (ln k', ln theta [, ln T] [, ln c2] [, ln |b| or ln d]),   T = tau1 + tau2, c2 = tau1 tau2 / T, in seconds
     b the time constant of a zero, 1 - b s: above 0 pv answers the wrong way first, below 0 it leads: jumps, then creeps
@@ -19,12 +18,10 @@ from retuner.adaptive.process.model import ZERO_SIDE, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
 SLOPE, THETA = 0, 1  # places of ln k' and ln theta in x
-AWAY = ProcessType.RUNAWAY
 INVERSE = {ProcessType.SOPDT_INVERSE: 4, ProcessType.SOPDT_LEAD: 4}  # place of ln |b|, where the structure has it
-LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2, ProcessType.TOPDT: 2, AWAY: 2, **dict.fromkeys(INVERSE, 2)}
+LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2, ProcessType.TOPDT: 2, **dict.fromkeys(INVERSE, 2)}
 """Place of ln T, where the structure has it."""
-SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2, ProcessType.TOPDT: 3, AWAY: 3}
-SECOND |= dict.fromkeys(INVERSE, 3)
+SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2, ProcessType.TOPDT: 3, **dict.fromkeys(INVERSE, 3)}
 """Place of ln c2, where the structure has it."""
 THIRD = {ProcessType.TOPDT: 4}  # place of ln d, where the structure has it
 SIZE = {
@@ -36,8 +33,7 @@ SIZE = {
     ProcessType.SOPDT_LEAD: 5,
     ProcessType.TOPDT: 5,
 }
-KNOWN_SIZE = SIZE | {AWAY: 4}
-"""Number of parameters; of the structures that a fit chooses between, and of all."""
+"""Number of parameters."""
 LEAST_ZETA = 0.15
 """Damping below which nothing is fitted: what rings longer is a tone, or a loop at its limit. At 0.35 a process at 0.34
 and one at 0.2 looked alike, and neither got the settings that it could have."""
@@ -71,8 +67,6 @@ def model_at(type_: ProcessType, x: FloatArray, sign: int) -> ProcessModel:
     if type_ == ProcessType.FOPDT:
         return ProcessModel(type_, slope * total, total, 0.0, theta)
     c2 = math.exp(x[SECOND[type_]])
-    if type_ == AWAY:
-        return ProcessModel(type_, slope * total, total, c2, theta)
     d = 1 - 4 * c2 / total
     inverse = inverse_s(type_, x)
     third = math.exp(x[THIRD[type_]]) if type_ in THIRD else 0.0
@@ -90,16 +84,15 @@ def parameters_of(model: ProcessModel) -> FloatArray:
     Raises ValueError: the model has another structure, no dead time, or a second lag of zero where its structure has
     one.
     """
-    if model.type not in KNOWN_SIZE:
+    if model.type not in SIZE:
         raise ValueError(f"type {model.type} is not one that a fit can have")
     if not model.theta_s > 0:
         raise ValueError(f"theta_s = {model.theta_s}: a fit needs a dead time above zero")
     pair = model.tau1_s * model.tau2_s
-    total = 2 * model.zeta * model.tau1_s if model.zeta < 1 else model.tau1_s + model.tau2_s * (not model.runs_away)
+    total = 2 * model.zeta * model.tau1_s if model.zeta < 1 else model.tau1_s + model.tau2_s
     own = abs(model.inverse_s) or model.tau3_s
-    c2 = model.tau2_s if model.runs_away else pair / total if total else 0.0
-    each = (total, c2, own) if model.type in LAG else (model.tau2_s,)
-    lags = each[: KNOWN_SIZE[model.type] - len((SLOPE, THETA))]
+    each = (total, pair / total if total else 0.0, own) if model.type in LAG else (model.tau2_s,)
+    lags = each[: SIZE[model.type] - len((SLOPE, THETA))]
     if min(lags, default=1.0) <= 0:
         raise ValueError(f"{model.type} with a lag of zero: give the simpler type")
     slope = abs(model.k) / total if model.type in LAG else abs(model.k)

@@ -57,8 +57,7 @@ from retuner.schedule.late_dataclass import dataclass, field, replace
 #
 # and no model that was stable becomes unstable. On a model that is unstable before and after (the largest step that the
 # limits allow is not enough) Ms does not say which is better. There the direction does: less of everything, which slows
-# the run away on any process but one that does so by itself; or a step on the straight way to a goal that is stable
-# there.
+# the run away on any process; or a step on the straight way to a goal that is stable there.
 
 
 class Loops:
@@ -108,9 +107,7 @@ class Loops:
             return False
         lost = [i for i, (before, after) in enumerate(pairs) if math.isinf(before) and math.isinf(after)]
         if lost:
-            away = any(self._processes[i].grows_s for i in lost)  # less of everything lets such a process go
-            calmer = less_of_everything(old, new) and not away
-            return calmer or all(math.isfinite(self.ms(i, goal)) for i in lost)
+            return less_of_everything(old, new) or all(math.isfinite(self.ms(i, goal)) for i in lost)
         return pairs[0][1] < pairs[0][0] and max(after for _, after in pairs) < max(before for before, _ in pairs)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from retuner.adaptive.fit.structure import KNOWN_SIZE, LAG, THETA, model_at
+from retuner.adaptive.fit.structure import LAG, SIZE, THETA, model_at
 from retuner.adaptive.identification.candidate import MODEL_ERROR
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -19,7 +19,6 @@ STRUCTURE_STD = 0.05
 """Least deviation of a logarithm, however long the record: a process has more lags than two, a gain that is not the
 same everywhere and tomorrow. Counted on drawn records of processes in the family and beyond it
 (benchmarks/identification.py)."""
-MOST_LOG_STEP = math.log(2.0)  # farthest that age or a covariance moves a model in any log-parameter
 BENT = 1 - 2 / math.pi
 """Variance of |u| for a standard normal u: what moves the same way on both sides, as a lag does at two equal ones."""
 
@@ -53,9 +52,9 @@ class LogModel:
     type: ProcessType = ProcessType.FOPDT
 
     def __post_init__(self) -> None:
-        if self.type not in KNOWN_SIZE:
+        if self.type not in SIZE:
             raise ValueError(f"type {self.type} is not one that a fit can have")
-        d = KNOWN_SIZE[self.type]
+        d = SIZE[self.type]
         if self.x.shape != (d,) or self.p.shape != (d, d):
             raise ValueError(f"shapes {self.x.shape}, {self.p.shape}; type {self.type} has ({d},), ({d}, {d})")
         if not (np.all(np.isfinite(self.x)) and np.all(np.isfinite(self.p))):
@@ -101,15 +100,6 @@ class LogModel:
         at = without_second_lag(self.model()).seen_by_controller(sample_time_s).theta_s
         found = self.covariance_of(lambda model: np.array([log_controller(model, sample_time_s, at)]))
         return math.sqrt(float(found[0, 0]))
-
-    def corners(self, out: float) -> list[ProcessModel]:
-        """Models at both ends of every principal axis of the covariance, so many standard deviations out."""
-        values, vectors = np.linalg.eigh(self.p)
-        axes = out * vectors * np.sqrt(np.maximum(values, 0.0))
-        axes = axes * np.minimum(1.0, MOST_LOG_STEP / np.maximum(np.max(np.abs(axes), axis=0), MOST_LOG_STEP))
-        return [
-            model_at(self.type, self.x + s * axes[:, j], self.sign) for j in range(len(self.x)) for s in (1.0, -1.0)
-        ]
 
     def at_bound(self, bound_s: float) -> "LogModel":
         """The model with an effective dead time of at least a bound, which has no spread; 0 for as it is."""

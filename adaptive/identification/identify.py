@@ -451,6 +451,5 @@ NAMES = {
     ProcessType.SOPDT_INVERSE: "second order with inverse response + dead time",
     ProcessType.SOPDT_LEAD: "second order with a lead + dead time",
     ProcessType.TOPDT: "third order + dead time",
-    ProcessType.RUNAWAY: "unstable + dead time",
 }
 """The structures in words."""

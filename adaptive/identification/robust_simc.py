@@ -5,8 +5,7 @@
 Where a dead time is longer than the lag, or the process swings by itself (complex poles), SIMC's lag is not what a PI
 controller should go by. Almost pure dead time would get next to no gain; a pair of poles has no lag to take, and SIMC's
 gains make such a loop unstable at any tau_c. There the settings have the most integral action that an Ms allows
-(loop/most_integral.py), and a larger tau_c is a smaller Ms. At tau1 = theta both are the same settings. So have
-those of a process that runs away by itself, as far as it bears that Ms.
+(loop/most_integral.py), and a larger tau_c is a smaller Ms. At tau1 = theta both are the same settings.
 
 The first remedy for doubt is a larger tau_c (by at most so much); what is still not robust then is for the guard, or
 for the user, to judge by the Ms that comes with the settings. Half a sampling interval counts as dead time.
@@ -147,11 +146,11 @@ def swings(model: ProcessModel) -> bool:
 
 
 def asks_for_integral(model: ProcessModel) -> bool:
-    """Whether a process has no lag that a PI controller should go by (head of this file), or runs away by itself."""
+    """Whether a process that comes to rest has no lag that a PI controller should go by (head of this file)."""
     if model.inverse_s < 0:
         return model.tau1_s <= LONG_TIMES * model.theta_s
     plain = without_second_lag(model)
-    return swings(model) or model.runs_away or 0.0 < plain.tau1_s < plain.theta_s
+    return swings(model) or 0.0 < plain.tau1_s < plain.theta_s
 
 
 def by_integral(model: ProcessModel, ratio: float = 1.0) -> Tuning:

@@ -1,4 +1,4 @@
-"""The PI controller with the most integral action that keeps an Ms.
+"""The PI controller with the most integral action that keeps an Ms, for a stable process.
 
     maximise ki = kc/tau_I   subject to   |1 + kc z(w)| >= 1/Ms at every w,   z = G(jw) (1 + 1/(jw tau_I))
 
@@ -9,10 +9,6 @@ frequency and a tau_I the constraint is a quadratic in kc, so the largest kc on 
 
 On the way up from 0 a loop on a stable process is stable, so nothing else has to be asked. Where lags dominate, such a
 controller swings slowly; it is for dead times, inverse responses and processes that swing by themselves.
-
-A process that runs away by itself is held between a smallest and a largest kc, and where its dead time is not short no
-controller keeps the usual Ms: the least that there is then sets the limit. The optimum is as flat there, so of all with
-nearly as much integral action the longest tau_I is taken, which overshoots least.
 """
 
 import math
@@ -25,10 +21,8 @@ from retuner.schedule.gains import PidGains
 PER_DECADE = 200  # frequencies to a decade: Ms is then right to a part in a thousand
 SLOWEST, FASTEST = 0.02, 30.0  # frequencies looked at, times the sum of all times, and over the shortest that counts
 COUNTS = 0.01  # share of the sum of all times from which a time counts for the fastest frequency
-SHORTEST, LONGEST, TIMES = 0.02, 4.0, 5.0
-"""Range of tau_I over the sum of all times: from hardly more than an integral to where lags dominate; times the longest
-where the process runs away.
-"""
+SHORTEST, LONGEST = 0.02, 4.0
+"""Range of tau_I over the sum of all times: from hardly more than an integral to where lags dominate."""
 INTEGRAL_TIMES = 60  # integral times tried: 9 % apart, and the optimum is flat
 AS_MUCH = 0.97  # share of the most integral action that counts as the same: of these the longest tau_I swings least
 
@@ -36,9 +30,9 @@ AS_MUCH = 0.97  # share of the most integral action that counts as the same: of 
 def most_integral(process: LinearProcess, ms: float) -> PidGains:
     """The controller at the head of this file.
 
-    process : with a gain at rest. ms : largest sensitivity, above 1.
+    process : stable, with a gain at rest. ms : largest sensitivity, above 1.
 
-    Raises ValueError: the process integrates, nothing limits its gain, none is held, or ms is not above 1.
+    Raises ValueError: the process integrates, nothing limits its gain, or ms is not above 1.
     """
     if not 1 < ms < math.inf:
         raise ValueError(f"ms = {ms} must be more than 1 and finite; 1.59 is the usual demand")
@@ -47,39 +41,24 @@ def most_integral(process: LinearProcess, ms: float) -> PidGains:
     w, tau_i = _grids(process)
     sign = math.copysign(1.0, process.k)
     z = sign * process.response(w) * (1 + 1 / (1j * w * tau_i[:, None]))
-    size, below = np.abs(z) ** 2, np.zeros(z.shape, dtype=np.bool_)
-    if process.grows_s:  # up to where the phase is highest, kc must be over what is forbidden
-        highest = np.argmax(np.unwrap(np.angle(z)), axis=1)[:, None]
-        below = (np.arange(len(w)) < highest) | (np.take_along_axis(z.imag, highest, 1) >= 0)
-    while True:  # a process that runs away may bear no Ms so small
-        root = z.real**2 - size * (1 - 1 / ms**2)
-        limits, half = (z.real < 0) & (root >= 0), np.sqrt(np.maximum(root, 0.0))
-        least = np.where(limits & below, (half - z.real) / size, 0.0).max(axis=1)
-        kc = np.where(limits & ~below, -(z.real + half) / size, math.inf).min(axis=1)
-        ki = np.where((least < kc) & ~below.all(axis=1), kc, 0.0) / tau_i
-        if ki.any():
-            break
-        if ms > MOST_MS:
-            raise ValueError("no PI controller holds this process: its dead time is too long for how it runs away")
-        ms *= OVER_LEAST
+    size, least = np.abs(z) ** 2, 1 - 1 / ms**2
+    root = z.real**2 - size * least
+    limits = (z.real < 0) & (root >= 0)
+    kc = np.where(limits, (-z.real - np.sqrt(np.maximum(root, 0.0))) / size, math.inf).min(axis=1)
+    ki = kc / tau_i
     if not np.all(np.isfinite(ki)):
         raise ValueError("nothing limits the gain of this process: give more dead time")
-    best = int(np.flatnonzero(ki >= (NEARLY if process.grows_s else AS_MUCH) * ki.max())[-1])
+    best = int(np.flatnonzero(ki >= AS_MUCH * ki.max())[-1])
     return PidGains(float(sign * kc[best]), float(sign * ki[best]))
-
-
-OVER_LEAST, NEARLY = 1.05, 0.9
-"""Times the least Ms that a process that runs away bears; share of the most integral action that is as much there."""
-MOST_MS = 20.0  # of one that no controller holds
 
 
 def _grids(process: LinearProcess) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies in rad/s, and integral times in seconds."""
-    times = [process.theta_s, process.grows_s, *process.lags_s, *(abs(x) for x in process.leads_s)]
+    times = [process.theta_s, *process.lags_s, *(abs(x) for x in process.leads_s)]
     times += [math.sqrt(c2) for _, c2 in process.quadratics]
     whole = sum(times)
     slow = whole - sum(x for x in process.leads_s if x > 0)  # a lead makes nothing slower
     shortest = max(min(x for x in times if x > 0), COUNTS * slow)
     low, high = math.log10(SLOWEST / whole), math.log10(FASTEST / shortest)
     w = np.logspace(low, high, int(PER_DECADE * (high - low)))
-    return w, whole * np.geomspace(SHORTEST, LONGEST * (TIMES if process.grows_s else 1.0), INTEGRAL_TIMES)
+    return w, whole * np.geomspace(SHORTEST, LONGEST, INTEGRAL_TIMES)

@@ -22,8 +22,7 @@ class OpenLoop(NamedTuple):
     """L(s) as at the head of this file. A named tuple because on-line work makes one for every model it asks about.
 
     k : K, of either sign. order : m, the number of poles at the origin (-1 for derivative action alone).
-    b1, b2 : numerator of the controller. leads, lags : time constants in seconds, a lag below 0 for a pole that runs
-    away (no more than one). quadratics : pairs c1, c2.
+    b1, b2 : numerator of the controller. leads, lags : time constants in seconds. quadratics : pairs c1, c2.
     theta : dead time in seconds.
     """
 
@@ -74,7 +73,7 @@ class OpenLoop(NamedTuple):
         return np.asarray(value, dtype=np.float64)
 
     def phase(self, w: FloatArray) -> FloatArray:
-        """Unwrapped arg L(jw) in rad, shape of w; it begins at -m pi/2 (see `turned`)."""
+        """Unwrapped arg L(jw) in rad, shape of w; it begins at -m pi/2 (and pi more where K is negative)."""
         w = np.asarray(w, dtype=np.float64)
         value = -self.order * math.pi / 2 - self.theta * w + np.arctan2(self.b1 * w, 1 - self.b2 * w**2)
         for lead in self.leads:
@@ -83,7 +82,7 @@ class OpenLoop(NamedTuple):
             value = value - np.arctan(lag * w)
         for c1, c2 in self.quadratics:
             value = value - np.arctan2(c1 * w, 1 - c2 * w**2)
-        return np.asarray(value + self.turned, dtype=np.float64)
+        return np.asarray(value + (math.pi if self.k < 0 else 0.0), dtype=np.float64)
 
     def log_size_at(self, w: float) -> float:
         """ln |L(jw)| at one frequency."""
@@ -108,19 +107,7 @@ class OpenLoop(NamedTuple):
             value -= math.atan(lag * w)
         for c1, c2 in self.quadratics:
             value -= math.atan2(c1 * w, 1 - c2 * w * w)
-        return value + self.turned
-
-    @property
-    def runs_away(self) -> bool:
-        """Whether a pole of it lies in the right half plane."""
-        return min(self.lags, default=0.0) < 0
-
-    @property
-    def turned(self) -> float:
-        """Phase with which L begins beside its poles at the origin: K below 0 adds half a turn, and takes it away where
-        a pole runs away, whose own phase rises by half a turn.
-        """
-        return (-math.pi if self.runs_away else math.pi) if self.k < 0 else 0.0
+        return value + math.pi if self.k < 0 else value
 
     @property
     def excess(self) -> int:
@@ -135,7 +122,7 @@ class OpenLoop(NamedTuple):
         for lead in self.leads:
             value *= abs(lead)
         for lag in self.lags:
-            value /= abs(lag)
+            value /= lag
         for _, c2 in self.quadratics:
             value /= c2
         return value
@@ -147,7 +134,7 @@ class OpenLoop(NamedTuple):
 
     def corners(self) -> list[float]:
         """Frequencies in rad/s between which the loop does all it does."""
-        times = [self.theta, *(abs(x) for x in (*self.lags, *self.leads)), abs(self.b1), math.sqrt(abs(self.b2))]
+        times = [self.theta, *self.lags, *(abs(x) for x in self.leads), abs(self.b1), math.sqrt(abs(self.b2))]
         times += [abs(self.b2 / self.b1)] if self.b1 else []
         times += [math.sqrt(c2) for _, c2 in self.quadratics] + [c1 for c1, _ in self.quadratics]
         found = [1 / x for x in times if x > 0]
@@ -181,8 +168,6 @@ def open_loop(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> 
     if not all(lags):
         lags = tuple(x for x in lags if x)
     leads = process.leads_s if all(process.leads_s) else tuple(x for x in process.leads_s if x)
-    if process.grows_s:
-        lags, a0, a1, a2 = (*lags, -process.grows_s), -a0, -a1, -a2
     return OpenLoop(process.k * a0, order, a1 / a0, a2 / a0, leads, lags, pairs, process.theta_s)
 
 
@@ -313,9 +298,8 @@ def turns_at(loop: OpenLoop, w: float) -> int:
 
 # Stability of a closed loop by the argument principle, decided at the gain crossovers alone.
 #
-# Where L has no poles in the right half plane the loop is stable when arg(1 + L) grows by m pi/2 from w = 0+ to
-# infinity (m poles at the origin; Astrom & Murray 2008, section 9.2); by pi more where it has one, which is what its
-# phase begins lower. Where |L| < 1, 1 + L stays right of the origin
+# L has no poles in the right half plane, so the loop is stable when arg(1 + L) grows by m pi/2 from w = 0+ to
+# infinity (m poles at the origin; Astrom & Murray 2008, section 9.2). Where |L| < 1, 1 + L stays right of the origin
 # and its arg is the principal one; where |L| > 1, arg(1 + L) = arg L + arg(1 + 1/L), the second term principal again.
 # So the change is a sum over the crossovers of the whole turns n by which arg L has left its principal value:
 #
@@ -333,7 +317,7 @@ def is_stable(loop: OpenLoop, crossovers: list[float]) -> bool:
     """Whether the closed loop is stable. crossovers : all gain crossovers, increasing."""
     if loop.theta and loop.end_size >= 1:
         return False
-    if loop.runs_away != (loop.k < 0 and (loop.order > 0 or (loop.order == 0 and loop.k <= -1))):
+    if loop.k < 0 and (loop.order > 0 or (loop.order == 0 and loop.k <= -1)):
         return False
     above = loop.order > 0 or (loop.order == 0 and abs(loop.k) > 1)
     turns = 0

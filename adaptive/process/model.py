@@ -2,8 +2,7 @@
 
     G(s) = k  prod(1 + lead_i s) / (s^n prod(1 + lag_i s) prod(1 + c1_i s + c2_i s^2))  e^(-theta s)
 
-k is the steady-state gain; for integrating types it is the slope gain k' per second (k'' per second squared). A process
-that runs away by itself has 1/(g s - 1) besides: left alone, pv leaves its place by a factor of e in g seconds.
+k is the steady-state gain; for integrating types it is the slope gain k' per second (k'' per second squared).
 """
 
 import math
@@ -19,11 +18,10 @@ ComplexArray = npt.NDArray[np.complex128]
 
 
 class ProcessType(StrEnum):
-    """The six structures of Skogestad (2003), as the command line names them, and four that only fits have.
+    """The six structures of Skogestad (2003), under the names of the command line, and three that only fits have.
 
     Attributes
     ----------
-    RUNAWAY : an unstable pole, 1/(tau1 s - 1), and a lag tau2: an exothermic reactor, some tanks.
     SOPDT_INVERSE : second order behind a zero in the right half-plane, 1 - b s: pv answers the wrong way first.
     SOPDT_LEAD : second order and a lead, a zero in the left half-plane: pv jumps, or overshoots, then creeps.
     TOPDT : second order and a third lag. Rules take it as the second order that the half rule makes of it.
@@ -38,7 +36,6 @@ class ProcessType(StrEnum):
     SOPDT_INVERSE = "sopdt-inverse"
     SOPDT_LEAD = "sopdt-lead"
     TOPDT = "topdt"
-    RUNAWAY = "runaway"
 
 
 def _type_named(name: str) -> ProcessType:
@@ -68,7 +65,6 @@ class LinearProcess:
     theta_s : dead time in seconds.
     integrators : number of pure integrators.
     quadratics : pairs (c1_s, c2_s2) of factors 1 + c1 s + c2 s^2 of the denominator: pairs of poles, complex ones too.
-    grows_s : g of a process that runs away by itself (see the head of this file); 0 for none.
 
     Raises
     ------
@@ -82,17 +78,15 @@ class LinearProcess:
     theta_s: float = 0.0
     integrators: int = 0
     quadratics: tuple[tuple[float, float], ...] = ()
-    grows_s: float = 0.0
 
     def __post_init__(self) -> None:
-        _plain(self, "k", "theta_s", "grows_s")
+        _plain(self, "k", "theta_s")
         for name in ("lags_s", "leads_s"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         object.__setattr__(self, "quadratics", tuple((float(c1), float(c2)) for c1, c2 in self.quadratics))
         for name, value in (
             ("k", self.k),
             ("theta_s", self.theta_s),
-            ("grows_s", self.grows_s),
             *(("lags_s", x) for x in self.lags_s),
             *(("leads_s", x) for x in self.leads_s),
             *(("quadratics", x) for pair in self.quadratics for x in pair),
@@ -101,7 +95,7 @@ class LinearProcess:
                 raise ValueError(f"{name} = {value} is not a finite number")
         if self.k == 0:
             raise ValueError("k = 0: the controller output does not move this process")
-        if min((self.theta_s, self.grows_s, *self.lags_s)) < 0:
+        if min((self.theta_s, *self.lags_s)) < 0:
             raise ValueError(f"theta_s = {self.theta_s}, lags_s = {self.lags_s}: times must not be negative")
         if any(c1 < 0 or c2 < 0 for c1, c2 in self.quadratics):
             raise ValueError(f"quadratics = {self.quadratics}: a negative coefficient makes the process unstable")
@@ -114,8 +108,6 @@ class LinearProcess:
         """G(jw) at the frequencies w in rad/s, shape (n,)."""
         s = 1j * np.asarray(w, dtype=np.float64)
         g = self.k * np.exp(-self.theta_s * s) / s**self.integrators
-        if self.grows_s:
-            g = g / (self.grows_s * s - 1)
         for lead in self.leads_s:
             g = g * (1 + lead * s)
         for lag in self.lags_s:
@@ -139,8 +131,7 @@ class ProcessModel:
     ----------
     type : structure, or its name.
     k : steady-state gain, or k', k'' for one or two integrators.
-    tau1_s, tau2_s : lags, tau1_s >= tau2_s; 0 where the structure has none. For integrating-lag the lag is tau2_s. Of
-        a process that runs away tau1_s is the time in which it grows by a factor of e, and k the gain at its rest.
+    tau1_s, tau2_s : lags, tau1_s >= tau2_s; 0 where the structure has none. For integrating-lag the lag is tau2_s.
     theta_s : (effective) dead time.
     zeta : damping of a second-order process that swings, 0 < zeta <= 1: its denominator is
         1 + 2 zeta tau s + tau^2 s^2 with tau = tau1_s = tau2_s. 1 for two real lags and for all other structures.
@@ -167,29 +158,24 @@ class ProcessModel:
             object.__setattr__(self, "type", _type_named(self.type))
         _plain(self, "k", "tau1_s", "tau2_s", "theta_s", "zeta", "inverse_s", "tau3_s")
         LinearProcess(self.k, (self.tau1_s, self.tau2_s), (), self.theta_s)
-        second = self.type in {ProcessType.SOPDT, ProcessType.TOPDT, ProcessType.RUNAWAY, *ZERO_SIDE}
+        second = self.type in {ProcessType.SOPDT, ProcessType.TOPDT, *ZERO_SIDE}
         has_tau1 = second or self.type == ProcessType.FOPDT
         has_tau2 = second or self.type == ProcessType.INTEGRATING_LAG
         if has_tau1 != (self.tau1_s > 0):
             raise ValueError(f"tau1_s = {self.tau1_s}: type {self.type} {'needs' if has_tau1 else 'has no'} tau1")
         if self.tau2_s > 0 and not has_tau2:
             raise ValueError(f"tau2_s = {self.tau2_s}: type {self.type} has no tau2")
-        if has_tau1 and self.tau2_s > self.tau1_s and not self.runs_away:
+        if has_tau1 and self.tau2_s > self.tau1_s:
             raise ValueError(f"tau2_s = {self.tau2_s} is larger than tau1_s = {self.tau1_s}; exchange them")
         if not 0 < self.zeta <= 1:
             raise ValueError(f"zeta = {self.zeta} is outside 0 to 1; two real lags have zeta = 1")
-        if self.zeta < 1 and not (second and self.tau1_s == self.tau2_s and not self.runs_away):
+        if self.zeta < 1 and not (second and self.tau1_s == self.tau2_s):
             raise ValueError(f"zeta = {self.zeta}: only type sopdt with tau1 = tau2 can swing")
         if not (0 <= self.tau3_s < math.inf) or (self.tau3_s > 0) != (self.type == ProcessType.TOPDT):
             raise ValueError(f"tau3_s = {self.tau3_s}: type topdt needs one above 0, no other has one")
         if not math.isfinite(self.inverse_s) or np.sign(self.inverse_s) != ZERO_SIDE.get(self.type, 0):
             needed = "sopdt-inverse needs one above 0, sopdt-lead one below"
             raise ValueError(f"inverse_s = {self.inverse_s}: type {needed}, no other has one")
-
-    @property
-    def runs_away(self) -> bool:
-        """Whether it has an unstable pole: a gain may be too small for it as well as too large."""
-        return self.type == ProcessType.RUNAWAY
 
     @property
     def slope(self) -> float:
@@ -202,8 +188,6 @@ class ProcessModel:
 
     def linear(self) -> LinearProcess:
         """The model as a general linear process."""
-        if self.runs_away:
-            return LinearProcess(self.k, (self.tau2_s,) * (self.tau2_s > 0), (), self.theta_s, grows_s=self.tau1_s)
         integrators = {ProcessType.INTEGRATING: 1, ProcessType.INTEGRATING_LAG: 1, ProcessType.DOUBLE_INTEGRATING: 2}
         leads, third = (-self.inverse_s,) if self.inverse_s else (), (self.tau3_s,) if self.tau3_s else ()
         if self.zeta < 1:
@@ -297,7 +281,6 @@ def state_space(process: LinearProcess, unit_s: float) -> StateSpace:
     # The cascade: fastest poles first, so that rates of the output cancel no digits; slow zeros go to slow poles
     lags = [x / unit_s for x in process.lags_s if x]
     lags = sorted([*lags, *(c1 / unit_s for c1, c2 in process.quadratics if c2 == 0 and c1)])
-    lags += [-process.grows_s / unit_s] if process.grows_s else []
     pairs = [(1.0, c1 / unit_s, c2 / unit_s**2) for c1, c2 in process.quadratics if c2]
     sections: list[Section] = [((1.0, lag), []) for lag in lags] + [(pair, []) for pair in pairs]
     sections += [((0.0, 1.0), []) for _ in range(process.integrators)]
@@ -327,7 +310,7 @@ def state_space(process: LinearProcess, unit_s: float) -> StateSpace:
             else:
                 c[first + order] += powers[order]
         first += len(rates) - 1
-    gain = process.k * unit_s**process.integrators * (-1 if process.grows_s else 1)
+    gain = process.k * unit_s**process.integrators
     return StateSpace(a, b, gain * c, gain * d)
 
 

@@ -77,7 +77,7 @@ def lenders(region_models: Mapping[int, RegionModel], sign: int) -> dict[int, Re
     return {
         i: model
         for i, model in region_models.items()
-        if model.records and model.identifiable and model.log.sign == sign and not model.runs_away
+        if model.records and model.identifiable and model.log.sign == sign
     }
 
 

@@ -102,11 +102,6 @@ class RegionModel:
         """The leading structure's."""
         return self.known[0].log.at_bound(self.bound_s)
 
-    @property
-    def runs_away(self) -> bool:
-        """Whether it is that of a process that runs away by itself."""
-        return self.known[0].log.type is ProcessType.RUNAWAY
-
     def logs(self) -> dict[ProcessType, LogModel]:
         """The estimates by structure."""
         return {k.log.type: k.log for k in self.known}

@@ -289,7 +289,7 @@ def _taken_in(region_model: RegionModel | None, record: NewRecord, in_force: Pid
     if not teaches(record.alone, fit):
         kept = region_model if region_model is not None and region_model.records else None
         return Learned(kept, record.alone, Agreement.SILENT, 0.0)
-    if region_model is None or region_model.log.sign != sign or region_model.runs_away:
+    if region_model is None or region_model.log.sign != sign:
         return _first(record)
     posterior = _posterior_of(region_model.known, record.t_s - region_model.t_s, record)
     points = remembered(region_model.points, record.point(posterior.innovation))

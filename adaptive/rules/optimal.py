@@ -35,7 +35,7 @@ RULES = (
         formulas={PI: TEXT, PID: TEXT},
         source="Grimholt & Skogestad 2012, IFAC PID'12, section 3",
         valid="any process with a limit of stability; PI not for two integrators",
-        types=tuple(one for one in ProcessType if one is not ProcessType.RUNAWAY),
+        types=tuple(ProcessType),
         wishes=("ms",),
         from_model=optimal,
     ),

@@ -55,7 +55,7 @@ def simc(
         kc, tau_i, tau_d = 1 / (4 * model.k * span**2), 4 * span, 4 * span
     else:
         kc, tau_i, tau_d = 1 / (model.slope * span), c * span, model.tau2_s
-        if model.tau1_s and not model.runs_away:
+        if model.tau1_s:
             tau_i = min(model.tau1_s, tau_i)
     return tuning("simc", "series", kc, tau_i, tau_d, tau_c_s)
 
@@ -77,8 +77,6 @@ def without_second_lag(model: ProcessModel) -> ProcessModel:
         return ProcessModel(ProcessType.FOPDT, model.k, model.tau1_s + half, 0.0, model.theta_s + half)
     if model.type == ProcessType.INTEGRATING_LAG:
         return ProcessModel(ProcessType.INTEGRATING, model.k, 0.0, 0.0, model.theta_s + model.tau2_s / 2)
-    if model.runs_away:  # as for an integrator: an unstable pole is no lag that could take the other half
-        return ProcessModel(model.type, model.k, model.tau1_s, 0.0, model.theta_s + model.tau2_s / 2)
     return model
 
 

@@ -214,7 +214,7 @@ def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning
     return _with_notes(replace(found, rule="simc-smooth"), model, kind)
 
 
-EVERY = tuple(t for t in ProcessType if t not in {*ZERO_SIDE, ProcessType.TOPDT, ProcessType.RUNAWAY})
+EVERY = tuple(t for t in ProcessType if t not in {*ZERO_SIDE, ProcessType.TOPDT})
 """An inverse response comes as so much dead time, a third lag by the half rule (registry.py)."""
 GAIN = "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))"
 

@@ -25,7 +25,7 @@ from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, move, update
 from retuner.adaptive.explanations.likely_processes import cost_at
-from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, shares
+from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
@@ -39,13 +39,13 @@ from retuner.adaptive.supervision.confirmation import (
     doubt_of,
     exempt_from_confirmation,
     is_known,
+    runaway,
     valve_explains_more,
 )
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import AGREED, may_follow
 from retuner.adaptive.supervision.known_processes import KnownProcesses
-from retuner.adaptive.supervision.learning import learned_of_runaway
 from retuner.adaptive.supervision.question import OTHER_LOOP, Look
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
@@ -177,23 +177,25 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     record, look, shown = found.record, seen.look, seen.shown
     if book is None or told is None or proof is None or proof.gains is None:
         return None
-    away = found.in_use is not None and found.in_use.runs_away
-    if record.table.lookup is not Lookup.HARD or away or found.growth is not None:
+    if record.table.lookup is not Lookup.HARD:
         return None
     now, new, numbers, drawn = record.in_force, proof.gains, own.numbers, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
+    away = less and lets_go(drawn, now, new, settings)
+    if found.growth is not None and not away:
+        return None
     rests = shown and (look is None or _rests(found, look))
     told_of, needed = (told.numbers.book_high, HALF) if less else (told.numbers.book_room, settings.more_odds)
     asked = own.basis is not Basis.RAN and not seen.silent
     if asked and told_of < needed and (doubt := _doubt(found, own, seen, less=less)):
         return found.unconfirmed(own, replace(doubt, reason=f"{told.words}; {doubt.reason}"))
     carries = book.records or (look is not None and less and found.in_use and not found.in_use.identifiable)
-    if not carries:
+    if not away and not carries:
         return None
     worth, better = gain(drawn, now, new, settings)
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
     if less:
-        against = better < (1.0 - settings.less_odds if rests else settings.borne_out)
+        against = away or better < (1.0 - settings.less_odds if rests else settings.borne_out)
     elif rests:
         against = False
     else:
@@ -201,6 +203,8 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     if not against:
         return None
     by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
+    if away:
+        by_that = f"the process runs away by itself with {float(drawn.weights @ drawn.runs_away):.0%} probability"
     reason = found.words(f"{told.words}; by that, {by_that}")
     return replace(own, code="unconfirmed", reason=reason, proof=None, basis=None, prediction=None)
 
@@ -259,9 +263,6 @@ def _may_speak(found: Findings, own: Outcome, look: Look) -> bool:
     """Whether the case is the book's."""
     record = found.record
     if own.code not in OPEN or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
-        return False
-    known = record.region_models.get(record.region)
-    if any(one is not None and one.runs_away for one in (known, found.in_use)):  # shown in closed loop, to the noise
         return False
     stood = own.diagnosis is not None and own.diagnosis.cause is Cause.SATURATION  # before the look began, too
     if stood or look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
@@ -364,20 +365,24 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
         locks=settings.locks_of(region), units=settings.units,
     )  # fmt: skip
     proof = prove(request, settings.guard)
-    if not proof.accepted or proof.gains is None or learned_of_runaway(record, settings) is not None:
+    if not proof.accepted or proof.gains is None:
         return None
     if also and _worth(also[0], record.in_force, proof.gains, settings) < settings.book.worth:
+        return None
+    if less and lets_go(book.drawn(settings.book.drawn), record.in_force, proof.gains, settings.book):
         return None
     odds = told.numbers.book_high if less else told.numbers.book_room
     cause = Cause.AGGRESSIVE if less else Cause.SLUGGISH
     words = f"{told.words}; {'less' if less else 'more'} action is expected to be worth {told.numbers.book_worth:.0%}"
     if own.code != LOOKED:
         words = f"{words} (this response by itself: {own.reason})"
-    return replace(
+    change = replace(
         own, code=proof.code, reason=found.words(words), proposal=told.tuning, proof=proof,
         diagnosis=Diagnosis(cause, min(odds, MOST_SURE), told.numbers.to_dict(), words), basis=Basis.ALL_SAMPLES,
         numbers=NO_NUMBERS, prediction=None,  # not those of a change that was dropped
     )  # fmt: skip
+    doubt = runaway(found, proof)
+    return change if doubt is None else found.unconfirmed(change, doubt)
 
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97

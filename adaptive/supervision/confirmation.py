@@ -1,11 +1,12 @@
 """Whether a change that is proved and worth it is sure.
 
-The loop itself may refute the model (`refutation`), and a case that is not clear is put to the whole diagnosis before
-gains change (`confirmation`). Whether a valve may stick is asked here
+The loop itself may refute the model (`refutation`), the process may run away by itself (`runaway`), and a case that is
+not clear is put to the whole diagnosis before gains change (`confirmation`). Whether a valve may stick is asked here
 alone: by how pv stands (`stands`), by the diagnosis (`doubt_of`; diagnosis/sticking_valve.py), and by all samples
 (`valve_explains_more`).
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,15 +15,17 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import stretch
 from retuner.adaptive.diagnosis.second_opinion import SWINGING, TOWARDS_SAFETY, Excitation, runs_away, unconfirmed
 from retuner.adaptive.diagnosis.swing_checks import at_own_crossover, foretold, not_seen
+from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import Proof
 from retuner.adaptive.identification.estimate import log_controller
 from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
-from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import (
     FEWEST_SAMPLES,
@@ -33,6 +36,7 @@ from retuner.adaptive.supervision.findings import (
     swings_between_limits,
     wanted_of,
 )
+from retuner.adaptive.supervision.question import ResponseRecord
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.valve.stand_still import stand_still
@@ -225,3 +229,56 @@ def counted_cause(found: Findings, cause: Diagnosis) -> int:
     """Responses behind which something else than the tuning was found (Outcome.foreign), this one among them."""
     counted = found.record.foreign if found.foreign is None else found.foreign
     return min(counted + (cause.cause in OTHER_CAUSES), found.settings.swing.most_counted)
+
+
+SAMPLES_BEFORE_STEP = 5  # samples before a setpoint step that are looked at with it
+
+
+FEWEST_OF_STEP = 3  # samples of such a window
+
+
+def runaway(found: Findings, proof: Proof) -> Diagnosis | None:
+    """Does the process run away by itself, and would the proved change hold it worse?
+
+    The last setpoint step under these gains shows it. The models that settings follow from have no unstable pole; they
+    have an integrator in its place, on which less gain looks safer.
+    """
+    record, settings = found.record, found.settings
+    if proof.gains is None or found.steps is not None or record.pattern is None:
+        return None
+    window = _last_step(record)
+    if window is None:
+        return None
+    law = SampledLaw(record.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
+    shown = unstable_process(window, law)
+    if shown is None:
+        return None
+    after = record.table.with_gains(record.region, proof.gains).at(record.region, *record.at)
+    worse = worse_on(shown, law, after, len(window.pv), settings.cause.ms_high)
+    return None if worse is None else _runaway_words(shown, *worse)
+
+
+def _last_step(record: ResponseRecord) -> Window | None:
+    """The last setpoint step under these gains, to the end of its response or to the load or step that came next.
+
+    None where none is kept, or co did not follow its law.
+    """
+    response, revision = record.response, record.samples[-1].revision
+    end_s = response.t_end_s if response.sp_changed else response.t_start_s
+    kept = [s for s in record.samples if s.t_s < end_s and s.revision == revision and s.t_s >= record.entered_s]
+    at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
+    own = kept[max(at - SAMPLES_BEFORE_STEP, 0) :]
+    followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
+    return Window.of(own) if at and followed and len(own) >= FEWEST_OF_STEP else None
+
+
+def _runaway_words(shown: UnstableProcess, before: float, after: float) -> Diagnosis:
+    """Why nothing changes. before, after : Ms on it."""
+    then = f"Ms {before:.2f} -> {after:.2f}" if math.isfinite(after) else f"Ms {before:.2f} now"
+    what = "make it less robust" if math.isfinite(after) else "not hold it"
+    reason = (
+        f"the process runs away by itself, by a factor of 2.7 in {shown.grows_s:.3g} s; the gains hold it. "
+        f"What the rule gives would {what} ({then}); there is no rule for such a process"
+    )
+    evidence = {"runs_away_s": shown.grows_s, "ms": before}
+    return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)

@@ -44,13 +44,12 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.by_all_samples import (
     LOOKED,
-    OPEN,
     all_samples,
     objection,
     proposal_by_all_samples,
     robust_by_all_samples,
 )
-from retuner.adaptive.supervision.confirmation import confirmation, counted_cause, doubt_of, refutation
+from retuner.adaptive.supervision.confirmation import confirmation, counted_cause, doubt_of, refutation, runaway
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import (
     NOT_KNOWN,
@@ -58,18 +57,16 @@ from retuner.adaptive.supervision.findings import (
     RobustProposal,
     findings_of,
     over_limit,
-    region_model,
     too_bold,
     unambiguous,
 )
 from retuner.adaptive.supervision.judge_evidence import beside_walk, may_follow, posterior_of, prediction_of_proof
 from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, known_of, unproved_request
-from retuner.adaptive.supervision.learning import learned_of_runaway
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.question import OTHER_LOOP, Question, ResponseRecord, not_evaluated
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import decay_seen
-from retuner.adaptive.trial.rollback import LOST_WORDS, NOTHING_KNOWN, StillAllowed, less_stable
+from retuner.adaptive.trial.rollback import LOST_WORDS, NOTHING_KNOWN, less_stable
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.without_model.proposal_without_model import step_without_model
 from retuner.schedule.gains import PidGains
@@ -101,7 +98,6 @@ def _decided(question: Question) -> Outcome:
         return expectation(found, gains_that_win(found, found.outcome(code, reason)))
     found = findings_of(question)
     own = found.ended or without_a_model(found) or by_model(found)
-    found, own = runaway(found, own)
     winner = gains_that_win(found, own)
     winner = expectation(found, winner)
     winner = check_after_trial(found, winner)
@@ -112,31 +108,8 @@ ONE_RECORD = "one_record"  # Code: a second record that agrees would make the ch
 NOT_WORTH = "not_worth"  # Code: the gains in force are expected to cost no more, or hardly more, than others
 
 
-def runaway(found: Findings, own: Outcome) -> tuple[Findings, Outcome]:
-    """Where a change is to follow, or nothing can be told: do the last samples show that the process runs away by
-    itself? Then what follows from that. own : what follows from the response by itself.
-    """
-    record, settings = found.record, found.settings
-    stepped = any(sample.sp != record.samples[-1].sp for sample in record.samples)  # loads alone tell seldom
-    unsure = own.code in (OPEN - {LOOKED}) | {NOT_WORTH} or not found.clear
-    asked = own.changes or (stepped and unsure)
-    known = found.in_use is not None and found.in_use.runs_away
-    if known or not asked or found.steps is not None or (learned := learned_of_runaway(record, settings)) is None:
-        return found, own
-    if learned.region_model is None:  # no more than likely
-        process = learned.estimate.log.model().seen_by_controller(settings.sample_time_s).linear()
-        at, new = StillAllowed((process,), settings.filter_s), own.proof.gains if own.proof is not None else None
-        worse = own.changes and new is not None and less_stable(new, record.in_force, at, settings.cause.ms_high)
-        return found, found.unconfirmed(own, Diagnosis(Cause.UNKNOWN, 0.5, {}, MAY_RUN_AWAY)) if worse else own
-    found = region_model(replace(found, ended=None, learned=learned, unexplained=0.0, foreign=None))
-    return found, by_model(found)
-
-
-MAY_RUN_AWAY = "the process may run away by itself, and would be held worse: another setpoint step would tell"
-
-
 def by_model(found: Findings) -> Outcome:
-    """What follows from the model of the region: cause, proof, refutation, worth, confirmation."""
+    """What follows from the model of the region: cause, proof, refutation, worth, runaway, confirmation."""
     learned, model, wanted = found.learned, found.in_use, found.wanted
     assert learned is not None
     assert model is not None
@@ -165,6 +138,8 @@ def by_model(found: Findings) -> Outcome:
         return replace(change, code=code, reason=reason, basis=None, proof=None, numbers=choice.numbers)
     prediction = prediction_of_proof(found, proof)
     change = replace(change, proof=proof, numbers=choice.numbers, prediction=prediction)
+    if doubt := runaway(found, proof):  # does the process run away by itself, and would the change hold it worse?
+        return found.unconfirmed(change, doubt)
     return confirmation(found, change, proof, choice.reason, lost)
 
 

@@ -41,13 +41,7 @@ from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, step_sequence
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.known_processes import KnownProcesses
-from retuner.adaptive.supervision.learning import (
-    SMALL_STEP,
-    beside_sequences,
-    learned_by_itself,
-    learned_by_sequences,
-    learned_of_runaway,
-)
+from retuner.adaptive.supervision.learning import SMALL_STEP, beside_sequences, learned_by_itself, learned_by_sequences
 from retuner.adaptive.supervision.question import Question, ResponseRecord
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
@@ -301,18 +295,8 @@ def known_to_swing(record: ResponseRecord, settings: RetunerSettings) -> bool:
 
 
 def identification(found: Findings) -> Findings:
-    """What does the record say of the process, with what is known of the region, or of its neighbours?
-
-    Of a process that was known to run away nothing else is asked, until a setpoint step shows one that does not.
-    """
+    """What does the record say of the process, with what is known of the region, or of its neighbours?"""
     record, settings, beside = found.record, found.settings, found.beside
-    known = record.region_models.get(record.region)
-    if known is not None and known.runs_away:
-        if (learned := learned_of_runaway(record, settings)) is not None:
-            return replace(found, learned=learned)
-        others = {i: model for i, model in record.region_models.items() if i != record.region}
-        record = replace(record, region_models=others)
-        found = replace(found, question=replace(found.question, record=record))
     if found.steps is not None:
         learned = learned_by_sequences(record, settings, found.steps)
     elif short := too_few(record.window):
@@ -402,8 +386,6 @@ def unambiguous(found: Findings, learned: Learned) -> bool:
     record, loads = found.record, len(learned.estimate.load_times_s)
     if learned.valve is not None:
         return False
-    if learned.region_model is not None and learned.region_model.runs_away:
-        return learned.agreement is not Agreement.SILENT
     if found.steps is not None:
         return learned.agreement is not Agreement.CONTRADICTS
     if record.crossed:
@@ -426,9 +408,6 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
     dt_s, best, cause = settings.sample_time_s, log.model(), settings.cause
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
     tuning = _by_weight(region_model, best, in_force, robust, settings)
-    if best.runs_away:  # no gains keep every limit on such a process: over it is what others would better
-        least = sensitivity_peak(best.seen_by_controller(dt_s).linear(), tuning.gains, settings.filter_s)
-        cause = replace(cause, ms_high=round(max(cause.ms_high, OVER_NOMINAL * least), MS_DIGITS))
     given, lagged = (in_force, tuning.gains, log.gain_uncertainty(dt_s)), with_second_lag(region_model.plausible, dt_s)
     as_well = [best, *(p.model for p in region_model.plausible[1:] if not p.excess)]
 
@@ -515,7 +494,6 @@ def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, 
     return f"on a plausible model Ms would be {ms:.2f}" if ms > settings.cause.ms_high else ""
 
 
-MS_DIGITS = 2  # of a limit that people read
 BEYOND = 1.05
 """Times the limit of a cause above which a set is one at a border: the neighbour's model moves with its records."""
 BETWEEN = "ms_between"  # evidence that a set is over its limit on the way to a neighbour: the Ms there

@@ -19,6 +19,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
+from retuner.adaptive.explanations.settings_by_book import lets_go
 from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import predicted
@@ -67,7 +68,7 @@ from retuner.adaptive.trial.judge import Judgement, TrialFinding
 from retuner.adaptive.trial.persons_edit import NOT_TAKEN, edit_words, require_action
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction
-from retuner.adaptive.trial.rollback import StillAllowed
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
@@ -346,7 +347,12 @@ class Retuner:
         return self._finder.samples[-1].t_s if self._finder.samples else 0.0
 
     def _still_allowed(self, region: int) -> StillAllowed:
-        """What is known of a region's process now."""
+        """What is known of a region's process now. Nothing, where by the book it may run away by itself and the set
+        on trial holds it worse than the one before: no model has an unstable pole, so all of them prefer less gain.
+        """
+        book, trial, asked = self.books.get(region), self.trials.of(region), self.settings.book
+        if book and trial.old and trial.new and lets_go(book.drawn(asked.drawn), trial.old, trial.new, asked):
+            return NOTHING_KNOWN
         return known_of(KnownProcesses(self.table, self.region_models, self.now_s, self.settings), region)
 
     def _person_decides(self, region: int) -> bool:

@@ -35,8 +35,7 @@ class Upset:
 
     def rest(self, process: LinearProcess) -> float:
         """Controller output at rest after it."""
-        gain = -process.k if process.grows_s else process.k
-        return (0.0 if process.integrators else self.setpoint / gain) - self.load_step
+        return (0.0 if process.integrators else self.setpoint / process.k) - self.load_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +89,7 @@ def crossover(loop: ClosedLoop) -> float:
 
 def _with_states(process: LinearProcess) -> LinearProcess:
     """A pure dead time as one with a short lag."""
-    if process.integrators or process.lags_s or process.quadratics or process.grows_s:
+    if process.integrators or process.lags_s or process.quadratics:
         return process
     return replace(process, lags_s=(LEAST_LAG * process.theta_s or 1.0,))
 

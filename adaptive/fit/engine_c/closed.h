@@ -1,4 +1,5 @@
-/* Closed loops from sample to sample: many on few points (trial/batch_responses.py). */
+/* Closed loops from sample to sample: many on few points (trial/batch_responses.py), and one whose process may run away by
+ * itself (diagnosis/unstable_process.py). */
 
 #ifndef RETUNER_CLOSED_H
 #define RETUNER_CLOSED_H
@@ -40,6 +41,28 @@ static void lane_answer(const Closed *l, Py_ssize_t which) {
         }
         memcpy(x, next, (size_t)m * sizeof *x);
     }
+}
+
+enum { SLOW, SLOW_OLD, SLOW_NEW, FAST, FAST_OLD, FAST_NEW, AT_ONE, RATE, DT_S, P_GAIN, I_GAIN, D_GAIN, B_WEIGHT, LATE, FAR_OFF, HELD };
+
+/* pv after a unit setpoint step; the rest stays as it was from where pv is FAR_OFF: their number. u : (n + late + 2). */
+static Py_ssize_t held_answer(const double *p, Py_ssize_t n, double *u, double *pv) {
+    double x = 0, y = 0, integral = 0, rate = 0, last = 0;
+    double *late = u + (Py_ssize_t)p[LATE] + 1;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        double now = p[AT_ONE] * (x - y);
+        if (!(fabs(now) < p[FAR_OFF]))
+            return i;
+        pv[i] = now;
+        rate += p[RATE] * ((now - last) / p[DT_S] - rate);
+        last = now;
+        late[i] = p[P_GAIN] * (p[B_WEIGHT] - now) + integral - p[D_GAIN] * rate;
+        integral += p[I_GAIN] * p[DT_S] * (1.0 - now);
+        double old = u[i], new = u[i + 1];
+        x = p[SLOW] * x + p[SLOW_OLD] * old + p[SLOW_NEW] * new;
+        y = p[FAST] * y + p[FAST_OLD] * old + p[FAST_NEW] * new;
+    }
+    return n;
 }
 
 #endif

@@ -22,7 +22,6 @@ STRUCTURES = {
     ProcessType.SOPDT_INVERSE: "second order with an inverse response and dead time",
     ProcessType.SOPDT_LEAD: "second order with a lead and dead time",
     ProcessType.TOPDT: "third order with dead time",
-    ProcessType.RUNAWAY: "unstable with a lag and dead time",
 }
 DONE = {
     "commit": "Written to the controller",

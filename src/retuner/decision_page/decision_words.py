@@ -74,7 +74,6 @@ def process_text(m: ProcessModel) -> str:
     """The parameters that a process has."""
     gain = "k'" if m.type in INTEGRATING else "k"
     lags = "".join(f" {name} {brief(time)} s" for name, time in m.times_s.items())
-    lags = lags.replace("tau1", "unstable tau1") if m.runs_away else lags
     zeta = f" zeta {m.zeta:.2f}" if m.zeta < 1 else ""
     return f"{gain} {brief(m.k)}{lags}{zeta} theta {brief(m.theta_s)} s"
 

@@ -17,9 +17,10 @@ from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations import settings_by_book
-from retuner.adaptive.explanations.book import ODD, PLANES, WEIGHED, Book, doubted, move, update
+from retuner.adaptive.explanations.book import ODD, PLANES, RUNAWAYS, WEIGHED, Book, doubted, move, update
 from retuner.adaptive.explanations.likely_processes import WorthSettings
-from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain
+from retuner.adaptive.explanations.process_grid import shapes
+from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, lets_go
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
@@ -31,6 +32,7 @@ from retuner.adaptive.supervision.decision import Action, Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.question import Look, Question
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings, demanded
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.pid import law, start, step
 from retuner.schedule.regions import Regions
@@ -128,6 +130,22 @@ def test_less_action_must_not_be_worse_under_any_order_of_the_load(plane: int) -
     planes[plane] = np.roll(planes[plane], -10, axis=-1)  # a seventh of the gain
     told = by_book(replace(after(tight, 9), levels=planes.tobytes()), tight, SETTINGS)
     assert (told.leans, told.tuning) == (-1, None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kc", "cut"), [(0.75, 0.6), (1.6, 0.3)])
+def test_the_gain_of_a_process_that_runs_away_is_not_cut(kc: float, cut: float) -> None:
+    """k 2, tau 33 to the wrong side, dead time 4: held from kc 0.5 to 4."""
+    gains = PidGains(kc, kc / 80.0)
+    book = update(begun(gains), recorded(gains, 1, lag=-33.0))
+    assert float(begun(gains).weights()[len(shapes()) :].sum()) == pytest.approx(RUNAWAYS, rel=0.1)
+    assert float(book.weights()[len(shapes()) :].sum()) > 0.5
+    told, drawn = by_book(replace(book, leans=-1), gains, SETTINGS), book.drawn(SETTINGS.drawn)
+    less = PidGains(cut * gains.kp, cut * gains.ki)
+    assert lets_go(drawn, gains, less, SETTINGS)
+    assert gain(drawn, gains, less, SETTINGS)[1] < 0.2
+    assert told.tuning is None or told.tuning.gains.kp >= gains.kp
+    assert not lets_go(after(scaled(2.6), 3).drawn(SETTINGS.drawn), scaled(2.6), scaled(1.0), SETTINGS)
 
 
 def test_a_record_under_other_gains_counts_for_the_same_process() -> None:
@@ -287,8 +305,7 @@ def put_to_the_book(
     window = recorded(now, 5)
     book = replace(begun(now) if first else after(now, 3), leans=leans)
     record: Any = SimpleNamespace(
-        region=0, region_models={0: SimpleNamespace(identifiable=True, runs_away=False)},
-        excitation=Excitation(clear=int(shown)),
+        region=0, region_models={0: SimpleNamespace(identifiable=True)}, excitation=Excitation(clear=int(shown)),
         foreign=0, in_force=now, book=book, crossed=True, samples=[SimpleNamespace(sp=one) for one in setpoints],
         table=SimpleNamespace(lookup=Lookup.HARD), response=SimpleNamespace(band=100.0 if at_rest else 0.1),
     )  # fmt: skip
@@ -297,7 +314,7 @@ def put_to_the_book(
         record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0, alone=False, trial=Trial()
     )
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
-    known: Any = SimpleNamespace(identifiable=settled, runs_away=False)
+    known: Any = SimpleNamespace(identifiable=settled)
     learned: Any = SimpleNamespace(agreement=agreement, valve=None)
     own = Outcome(code, "", diagnosis=diagnosis) if code else Outcome("accepted", "", proof=verdict)
     if expected is not None:
@@ -326,7 +343,7 @@ def test_the_book_does_not_speak_where_the_output_stood_at_a_limit_before_its_lo
     monkeypatch: pytest.MonkeyPatch, cause: Cause | None, *, speaks: bool
 ) -> None:
     monkeypatch.setattr(by_all_samples, "may_follow", lambda *_: True)
-    record = SimpleNamespace(crossed=False, region=0, region_models={}, table=SimpleNamespace(lookup=Lookup.HARD))
+    record = SimpleNamespace(crossed=False, table=SimpleNamespace(lookup=Lookup.HARD))
     question: Any = SimpleNamespace(record=record, trial=None, settings=None, alone=False)
     told = None if cause is None else Diagnosis(cause, 0.9, {}, "")
     own = Outcome("unconfirmed", "", diagnosis=told)
@@ -354,9 +371,7 @@ def test_a_cut_that_the_book_does_not_see_needs_a_clear_response(
     now = scaled(1.0)
     record = SimpleNamespace(crossed=False, in_force=now)
     question: Any = SimpleNamespace(record=record, look=None)
-    found = Findings(
-        question, learned=cast("Any", SimpleNamespace()), in_use=cast("Any", SimpleNamespace(runs_away=False))
-    )
+    found = Findings(question, learned=cast("Any", SimpleNamespace()), in_use=cast("Any", SimpleNamespace()))
     proof: Any = SimpleNamespace(gains=PidGains(to[0] * now.kp, to[1] * now.ki))
     seen = AllSamples(book=begun(now))
     doubt = by_all_samples._doubt(found, Outcome("accepted", "", proof=proof), seen, less=to[0] < 1.0)
@@ -394,6 +409,16 @@ def test_less_action_by_a_model_that_is_not_identifiable_is_dropped_before_a_who
     assert found.code == "unconfirmed"
     assert put_to_the_book(1.0, 0.3, 1.5, first=True).proof
     assert put_to_the_book(2.6, 0.4, 0.2, first=True, settled=False).proof, "too much gain"
+
+
+def test_no_model_without_that_pole_keeps_out_the_gain_that_held_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    held, less = PidGains(1.6, 0.02), PidGains(0.6, 0.01)
+    one = controller(1.0).retuner
+    one.books[0] = update(begun(held), recorded(held, 1, lag=-33.0))
+    monkeypatch.setattr(retuner, "known_of", lambda *_: "models")
+    for old, new, expected in ((held, less, NOTHING_KNOWN), (less, held, "models")):
+        one.trials._trials[0] = Trial(old=old, new=new)
+        assert one._still_allowed(0) == expected
 
 
 def test_more_action_that_would_take_robustness_is_not_taken_where_no_step_has_shown_the_process() -> None:
@@ -438,16 +463,14 @@ def test_more_action_is_proved_on_what_responses_have_shown(
     model = Plausible(ProcessModel("fopdt", times * K, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
     table = GainTable("loop", Regions("pv", "-", ("whole",), -1e6, (), 1e6, 1.0, 0.0), (now,))
     record: Any = SimpleNamespace(
-        region=0, region_models={
-            0: SimpleNamespace(identifiable=identifiable, records=records, plausible=(model,), runs_away=False)
-        },
+        region=0, region_models={0: SimpleNamespace(identifiable=identifiable, records=records, plausible=(model,))},
         table=table, commissioned=table, in_force=now, window=SimpleNamespace(t_s=[2000.0]),
     )  # fmt: skip
-    question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0), alone=False)
+    question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0))
     look = Look(book, recorded(now, 5), grows=True, limited=0.0)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(by_all_samples.KnownProcesses, "borders", lambda *_: ())
-        patched.setattr(by_all_samples, "learned_of_runaway", lambda *_: None)
+        patched.setattr(by_all_samples, "runaway", lambda *_: None)
         dropped: Any = SimpleNamespace()
         own = Outcome("unconfirmed", "", numbers=ChoiceNumbers(0.5, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8), prediction=dropped)
         outcome = by_all_samples._proved_by_all_samples(

@@ -5,21 +5,23 @@ import math
 import numpy as np
 import pytest
 from drawn_loop import PRIOR, loop_record
+from scipy.optimize import brentq
 
 from retuner.adaptive.explanations.likely_processes import LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
+    EVERY_LAG,
     GAINS,
     gain_unit,
     responses_of,
     robustness,
-    second_lags,
     shapes,
 )
 from retuner.adaptive.explanations.tuning_odds import CLASSES, TuningLimits, class_of, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import (
     AT_PV,
+    BEHIND_LAGS,
     LOADS,
     LOADS_OF_BOOK,
     SLOPE,
@@ -88,7 +90,7 @@ def test_least_squares_under_a_load_are_those_of_the_whole_covariance(order: int
     pv = 2.0 * x + (responses(load, lag)[0] if order else 0.1 * load) + noise
     model = load_model(lag, 0.1, order)
     record = Prepared(pv - pv[0], u - u[0], 0.0, 1.0)
-    fit = under_loads(record, record.co[None], lag, [(0.1, order)], (0.0,), through=None if order else 0.0)
+    fit = under_loads(record, record.co[None], lag, [(0.1, order)], (0.0,), through=None if order else 0)
     # in full: A z = w makes z's covariance from w's; its unknown start and the lag's are a column each
     r = abs(np.polyval(model.a[::-1], np.exp(-0.1j))) ** 2
     drive = np.array([np.concatenate([np.zeros(i), impulse_response((1.0,), model.a, n - i)]) for i in range(n)]).T
@@ -123,6 +125,26 @@ def test_the_units_of_pv_mean_nothing(scale: float) -> None:
     assert other - other.max() == pytest.approx(one - one.max(), abs=1e-6)
 
 
+@pytest.mark.parametrize(("row", "dead"), [(-1, 4.0), (-3, 8.0), (-5, 0.0)])
+def test_a_process_that_runs_away_is_held_between_two_gains(row: int, dead: float) -> None:
+    """P control of k e^(-theta s)/(tau s - 1): from k kc = 1 to sqrt(1 + (w tau)^2), w theta = atan(w tau) (De Paor &
+    O'Malley 1989).
+    """
+    every = shapes(EVERY_LAG)
+    rows = [i for i, shape in enumerate(every) if shape.lag < 0 and not shape.second]
+    places = tuple((rows[row], DEAD_TIMES.index(dead), i) for i in range(len(GAINS)))
+    i, j, k = np.array(places).T
+    known = LikelyProcesses(places, np.ones(len(places)), responses_of(i, j) * GAINS[k][:, None], 1.0)
+    tau, theta = -every[rows[row]].lag, dead + 0.5
+    most = math.sqrt(1.0 + (brentq(lambda w: w * theta - math.atan(w * tau), 1e-3, math.pi / theta) * tau) ** 2)
+    held = np.isfinite(known.peaks(PidGains(1.0, 0.0)))
+    assert held.tolist() == [1.0 < gain < most for gain in GAINS.tolist()]
+    assert known.runs_away.all()
+    held_by_pi = np.isfinite(known.peaks(PidGains(1.0, 0.1 / tau)))
+    assert np.flatnonzero(held_by_pi)[0] >= np.flatnonzero(held)[0]
+    assert 0 < held_by_pi.sum() <= held.sum()
+
+
 @pytest.mark.parametrize("gain", [0.5, 2.0, 6.0])
 def test_robustness_of_the_grid_is_that_of_the_margins(gain: float) -> None:
     gains = PidGains(gain, gain / 22.0)
@@ -150,7 +172,7 @@ def test_the_grid_is_stable_where_the_margins_say_so(seed: int) -> None:
             few = LikelyProcesses(
                 ((i, j, k),), np.ones(1), responses_of(np.array([i]), np.array([j])) * loop_gain / shape.unit, 1.0
             )
-            assert math.isfinite(few.peaks(gains)[0]) == math.isfinite(ms)
+            assert few.stable(gains)[0] == math.isfinite(ms)
             count += 1
     assert count > 100
 
@@ -216,9 +238,6 @@ def test_the_compiled_least_squares_are_those_of_numpy(seed: int, lag: float, cl
     assert np.array_equal(c.freedom, numpy.freedom)
 
 
-BEHIND_LAG = tuple(load for load in LOADS_OF_BOOK if load[1])  # none at pv: where a process runs away there is none
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_the_compiled_least_squares_of_a_load_through_both_lags_are_those_of_numpy(seed: int) -> None:
     """A second lag that is in the load adds no start: the round-off of one had taken up to a third of what is left."""
@@ -227,8 +246,8 @@ def test_the_compiled_least_squares_of_a_load_through_both_lags_are_those_of_num
     for lag in (1.0, 22.0, 80.0, 250.0, -16.0):
         for name in ("c", "numpy"):
             with engine.using(name):
-                given = (record, record.co[None], lag, LOADS_OF_BOOK if lag > 0 else BEHIND_LAG, DEAD_TIMES)
-                found.append(under_loads(*given, through=0.15 * abs(lag)).left)
+                given = (record, record.co[None], lag, LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS, DEAD_TIMES)
+                found.append(under_loads(*given, through=1).left)
         largest = np.max(found[-1], axis=(1, 2), keepdims=True)
         assert np.max(np.abs(found[-2] - found[-1]) / largest) < 1e-7, lag
 
@@ -238,9 +257,9 @@ def test_loads_whitened_together_are_those_of_each_by_itself(lag: float) -> None
     pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
     given = drawn_record(21)
     with engine.using("c"):
-        together = under_loads(given, given.co[None], lag, LOADS_OF_BOOK, DEAD_TIMES, through=second_lags(lag)[1])
+        together = under_loads(given, given.co[None], lag, LOADS_OF_BOOK, DEAD_TIMES, through=1)
         for i, load in enumerate(LOADS_OF_BOOK):
-            alone = under_loads(given, given.co[None], lag, [load], DEAD_TIMES, through=second_lags(lag)[1])
+            alone = under_loads(given, given.co[None], lag, [load], DEAD_TIMES, through=1)
             if load[1] or load == LOADS_OF_BOOK[-1]:  # a load at pv adds a start to all that are asked for with it
                 assert np.array_equal(alone.left[0], together.left[i]), load
                 assert np.array_equal(alone.gain[0], together.gain[i]), load
@@ -255,13 +274,13 @@ def test_the_compiled_least_squares_beside_tones_are_those_of_numpy(lag: float) 
     for name in ("c", "numpy"):
         with engine.using(name):
             given = (record, record.co[None], lag, (*LOADS_OF_BOOK[3:5], *LOADS_OF_BOOK[-3:]), DEAD_TIMES)
-            found.append(under_loads(*given, through=second_lags(lag)[1], tones=tones, ends=(0, 1, 6)))
+            found.append(under_loads(*given, through=1, tones=tones, ends=(0, 1, 6)))
     for name in ("gain", "information", "left"):
         one, other = (getattr(fits, name) for fits in found)
         assert np.max(np.abs(one - other) / np.max(np.abs(other), axis=(1, 2), keepdims=True)) < 1e-7, name
     assert found[0].freedom[:3] == pytest.approx(found[0].freedom[0] - np.array([0, 1, 6]))
     with engine.using("c"):
-        without = under_loads(*given, through=second_lags(lag)[1])
+        without = under_loads(*given, through=1)
     assert np.array_equal(without.left, found[0].of(slice(0, None, 3)).left)
     assert np.all(found[0].of(slice(2, None, 3)).left <= without.left)
 

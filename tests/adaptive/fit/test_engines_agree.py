@@ -10,6 +10,7 @@ import pytest
 from effort import sized
 from scipy.linalg import expm
 
+from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, _answer
 from retuner.adaptive.fit import engine
 from retuner.adaptive.fit.dynamics import told_apart
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
@@ -20,6 +21,7 @@ from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import judged
 from retuner.adaptive.identification.loads import linear_gains
 from retuner.adaptive.identification.structure_choice import _ramps
+from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.process.model import LinearProcess, ProcessType, exponentials
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
@@ -289,12 +291,18 @@ def test_closed_loops_answer_alike() -> None:
         for kp in (0.3, 1.0, 8.0)
     ]
     upsets = [Upset(setpoint=1.0), Upset(load_step=1.0), Upset(pulse=1.0)]
+    held = [UnstableProcess(0.2, pole, 4.0, theta) for pole in (0.05, 0.0, -0.02, -0.3) for theta in (0.0, 3.0, 4.7)]
+    law = SampledLaw(PidGains(0.4, 0.02, 0.1), 1.0, 0.7, 2.0)
     found = []
     for name in ("c", "numpy"):
         with engine.using(name):
             responses = [trace for each in traces(loops, upsets) for trace in each]
-            found.append([(trace.e, trace.u) for trace in responses])
-    np.testing.assert_allclose(*found, rtol=1e-12, atol=1e-12)
+            found.append(
+                ([(trace.e, trace.u) for trace in responses], [_answer(process, law, 300) for process in held])
+            )
+    for c, other in zip(*found, strict=True):
+        np.testing.assert_allclose(c, other, rtol=1e-12, atol=1e-12)
+    assert np.isnan(found[0][1]).any()  # one of them has run away
 
 
 def test_exponentials_of_matrices_are_those_of_scipy() -> None:
