@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.identification.identify import Fits, FitSettings
+from retuner.adaptive.identification.structure_choice import ON_LINE
 from retuner.adaptive.region_model.boundary_crossing import (
     Crossing,
     FittedCrossing,
@@ -25,7 +26,7 @@ from retuner.schedule.regions import Regions
 
 REGIONS = Regions("pv", "-", ("low", "middle", "high"), 0.0, (40.0, 60.0), 100.0)
 GAINS = PidGains(2.0, 0.05)
-FIT = FitSettings(gain_std_limit=0.3)
+FIT = FitSettings(ON_LINE, gain_std_limit=0.3)
 TAU_S, THETA_S = 40.0, 8.0
 AT_REST = 50
 

@@ -216,7 +216,7 @@ def test_what_loads_do_by_themselves_is_told_of_the_stretches_of_one_set_of_gain
 # ---- What pv and co at rest say of the gain: a load that is invented against it loses, one that came does not
 
 K = 2.0
-NO_ZERO = FitSettings(StructureSettings(inverse=False))
+NO_ZERO = FitSettings(StructureSettings(further=()))
 
 
 def record(seed: int, *, sp: float = 1.0, load: float = 0.0, load_at: int = 90, inverse: float = 0.0) -> Window:
