@@ -297,6 +297,8 @@ def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandStillSettin
     answered_s, squares = [], 0.0
     for (first, at), (until, _) in pairwise([*changes, (len(rows.sp) - 1, 0)]):
         step = float(rows.sp[at] - rows.sp[first])
+        if not step:  # the setpoint came back at once
+            continue
         moved = (rows.pv[at : until + 1] - median(rows.pv[max(at - 5, 0) : at])) / step
         if float(np.mean(moved[len(moved) // 2 :])) < settings.answered:
             seen = _up_to(abs(step), settings.step_sigmas * steps.sigma)

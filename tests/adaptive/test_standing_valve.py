@@ -173,6 +173,18 @@ def test_a_setpoint_step_that_pv_has_not_answered_is_as_good_as_a_slip(free: boo
     assert not found.ends_s
 
 
+def test_a_setpoint_that_returns_at_the_next_sample_is_no_step() -> None:
+    """Its size of zero had divided what pv did after it."""
+    sp = np.repeat([0.0, 4.0], [240, 60])
+    returned = sp.copy()
+    returned[120] = 4.0
+    loops = (flow_loop([], one, np.full(300, 0.15)) for one in (returned, sp))
+    found, plain = (stand_still(loop, PidGains(0.2, 0.04), SETTINGS) for loop in loops)
+    assert found is not None
+    assert plain is not None
+    assert found.silent_s == plain.silent_s
+
+
 @pytest.mark.parametrize(("lag", "degree"), [(4.0, 1.0), (35.0, 0.1)])
 def test_a_slow_swing_is_no_pv_that_stands(lag: float, degree: float) -> None:
     """Squares that take a third of a round to turn are a wave: a level that swung in 16 tau_I was a sticking valve."""
