@@ -118,8 +118,9 @@ class LinearProcess:
 
 
 ZERO_SIDE = {ProcessType.SOPDT_INVERSE: 1, ProcessType.SOPDT_LEAD: -1}  # sign of b in the zero 1 - b s
-CROSSOVER = 0.5 + math.pi / 2
-BISECTIONS = 40
+W_THETA = 0.5
+"""w theta at the crossover of SIMC with tau_c = theta: there k' e^(-theta s)/s lags by so much and a quarter turn."""
+BISECTIONS = 40  # halvings of the range of w: its twelfth digit
 NO_TIME = 1e-9  # share of the lag below which a dead time is none
 
 
@@ -208,16 +209,16 @@ class ProcessModel:
         """The first order with the same gain at rest that an integral loop cannot tell from it where it lives.
 
         A lead longer than every lag makes pv overshoot, and the gain is that of the overshoot (Skogestad's rule T1).
-        w : the last frequency at which G lags by CROSSOVER, as k' e^(-theta s)/s does at w theta = 1/2, SIMC's own.
+        w : the last frequency at which G lags as k' e^(-theta s)/s does at its crossover under SIMC (W_THETA).
         """
         times = (self.inverse_s, *self.lags_s())
         low, high = 0.0, math.pi / max(self.theta_s, NO_TIME * self.tau1_s)
         for _ in range(BISECTIONS):
             w = (low + high) / 2
             lag = w * self.theta_s + sum(math.atan(w * time) for time in times)
-            low, high = (w, high) if lag < CROSSOVER else (low, w)
+            low, high = (w, high) if lag < W_THETA + math.pi / 2 else (low, w)
         slope = high * abs(self.linear().response(np.array([high]))[0])
-        k, theta = self.k * max(-self.inverse_s / self.tau1_s, 1.0), max((CROSSOVER - math.pi / 2) / high, self.theta_s)
+        k, theta = self.k * max(-self.inverse_s / self.tau1_s, 1.0), max(W_THETA / high, self.theta_s)
         return ProcessModel(ProcessType.FOPDT, k, abs(k) / slope, 0.0, theta)
 
     def of_second_order(self) -> "ProcessModel":

@@ -215,7 +215,7 @@ def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning
 
 
 EVERY = tuple(t for t in ProcessType if t not in {*ZERO_SIDE, ProcessType.TOPDT})
-"""An inverse response comes as so much dead time, a third lag by the half rule (registry.py)."""
+"""An inverse response is so much dead time, a third lag goes by the half rule, a lead as a first order: registry.py."""
 GAIN = "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))"
 
 
