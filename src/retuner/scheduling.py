@@ -302,9 +302,8 @@ def design_schedule(
         raise ValueError(f"active gains at {len(before.kp)} samples, the records have {len(visited)}")
     made = ScheduleDesign(found, table_of(found, name, unit), before, limits, windows, (co_min, co_max), visited)
     first = first_sets(found, windows, [named[n] for n in (found.variable, found.second) if n], made.before_at)
-    if first is found:
+    if first.aim is None:
         return made
-    assert first.aim is not None
     aim = table_of(replace(first, layout=first.aim), name, unit)
     return replace(made, design=first, table=table_of(first, name, unit), aim=aim)
 
