@@ -7,8 +7,8 @@ Parts: the demo under two seeds (every row of its ledger, gains, scores, the bus
 (gains after each disturbance, every decision), rows of its other parts (bad changes injected, processes that change, do
 no harm), identification and diagnosis of drawn records, half of the latter traps.
 `compare` works everything out again, or reads OTHER, and tells each difference once per key path: how often, by how
-much, first examples (path: before -> after). Status 1 when anything differs. A key whose values stand unchanged under
-another name is told as renamed. `input` is a hash of the record: where it differs, another question was asked.
+much, first examples (path: before -> after). Status 1 when anything differs. `input` is a hash of the record: where it
+differs, another question was asked.
 Answers are the same to the last digit only with the same libraries on the same kind of processor; FILE tells which.
 FILE ending in .gz is compressed.
 """
@@ -27,7 +27,6 @@ import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
@@ -288,91 +287,41 @@ def write(path: Path, document: Answer) -> None:
 # ---- comparing
 
 
-@dataclass
-class Differences:
-    """All differences by key path. lost, come : values of keys that only one side has, by parent, key and place."""
-
-    changed: dict[str, list[tuple[str, Any, Any]]] = field(default_factory=lambda: defaultdict(list))
-    lost: dict[tuple[str, str], dict[str, Any]] = field(default_factory=lambda: defaultdict(dict))
-    come: dict[tuple[str, str], dict[str, Any]] = field(default_factory=lambda: defaultdict(dict))
-
-    def look(self, before: Any, after: Any, group: str, place: str) -> None:  # noqa: ANN401  whatever JSON holds
-        """Compare two values. group : the path without numbers and names of records; place : the whole path."""
-        if isinstance(before, dict) and isinstance(after, dict):
-            for key in sorted(before.keys() | after.keys()):
-                if key not in after:
-                    self.lost[group, key][place] = before[key]
-                elif key not in before:
-                    self.come[group, key][place] = after[key]
-                else:
-                    self.look(before[key], after[key], f"{group}.{key}", f"{place}.{key}")
-        elif isinstance(before, list) and isinstance(after, list):
-            if len(before) != len(after):
-                self.changed[f"{group}, length"].append((place, len(before), len(after)))
-            for i, (one, other) in enumerate(zip(before, after, strict=False)):
-                self.look(one, other, f"{group}[*]", f"{place}[{i}]")
-        elif repr(before) != repr(after):  # 1 and 1.0, 0.0 and -0.0 are not the same answer
-            self.changed[group].append((place, before, after))
-
-    def lines(self) -> Iterator[str]:
-        """For people: a head line a key path, and examples."""
-        for (parent, key), values in sorted(self.lost.items()):
-            new = self._renamed(parent, values)
-            if new:
-                del self.come[parent, new]
-                yield f"{parent}.{key}: renamed to {new}, the same {_times(values)}"
-            else:
-                yield from _some(f"{parent}.{key}: gone", [(place, v, "nothing") for place, v in values.items()])
-        for (parent, key), values in sorted(self.come.items()):
-            yield from _some(f"{parent}.{key}: new", [(place, "nothing", v) for place, v in values.items()])
-        for group, found in sorted(self.changed.items()):
-            yield from _some(f"{group}: differs{_by_how_much(found)}", found)
-
-    def _renamed(self, parent: str, values: dict[str, Any]) -> str | None:
-        """The new key beside a lost one that holds the same everywhere."""
-        wanted = _text(values)
-        return min((key for (at, key), new in self.come.items() if at == parent and _text(new) == wanted), default=None)
-
-
-def _text(value: object) -> str:
-    return json.dumps(value, sort_keys=True)
-
-
-def _some(head: str, found: list[tuple[str, Any, Any]]) -> Iterator[str]:
-    yield f"{head}, {_times(found)}"
-    yield from (f"    {place}: {_short(before)} -> {_short(after)}" for place, before, after in found[:EXAMPLES])
-
-
-def _times(found: Iterable[object]) -> str:
-    count = len(list(found))
-    return f"{count} time" + ("s" if count > 1 else "")
-
-
-def _short(value: object) -> str:
-    text = value if value == "nothing" else _text(value)
-    return str(text) if len(str(text)) <= SHOWN else f"{str(text)[:SHOWN]}..."
-
-
-def _by_how_much(found: list[tuple[str, Any, Any]]) -> str:
-    """The largest relative difference, where all are numbers."""
-    numbers = [(a, b) for _, a, b in found if type(a) in {int, float} and type(b) in {int, float}]
-    if len(numbers) < len(found):
-        return ""
-    return f" by up to {max(abs(b - a) / max(abs(a), abs(b)) if a != b else 0.0 for a, b in numbers):.2g} of it"
+def leaves(value: Any, place: str) -> Iterator[tuple[str, str]]:  # noqa: ANN401  whatever JSON holds
+    """Every value that holds no others, by its path."""
+    if isinstance(value, dict | list) and value:
+        pairs = value.items() if isinstance(value, dict) else ((f"[{i}]", inner) for i, inner in enumerate(value))
+        for key, inner in pairs:
+            yield from leaves(inner, f"{place}{key}" if isinstance(value, list) else f"{place}.{key}")
+    else:
+        yield place, json.dumps(value)  # 1 and 1.0, 0.0 and -0.0 are not the same answer
 
 
 def differences(before: Answer, after: Answer) -> list[str]:
-    """What differs between two sets of answers, part by part; records are met by their names."""
-    found = Differences()
+    """What differs between two sets of answers: a line a key path with examples; records are met by their names."""
+    found: dict[str, list[tuple[str, str, str]]] = defaultdict(list)
     for part in sorted(before.keys() | after.keys()):
         one, other = before.get(part, {}), after.get(part, {})
         for name in sorted(one.keys() | other.keys()):
-            if name in one and name in other:
-                found.look(one[name], other[name], part, f"{part} {name}")
-            else:
-                side = found.lost if name in one else found.come
-                side[part, "record"][f"{part} {name}"] = one.get(name) or other.get(name)
-    return list(found.lines())
+            old, new = (dict(leaves(of.get(name, {}), "")) for of in (one, other))
+            for place in sorted(old.keys() | new.keys()):
+                was, now = old.get(place, "nothing"), new.get(place, "nothing")
+                if was != now:
+                    found[part + re.sub(r"\[\d+\]", "[*]", place)].append((f"{part} {name}{place}", was, now))
+    lines = []
+    for group, of in sorted(found.items()):
+        lines.append(f"{group}: differs{_by_how_much(of)}, {len(of)} times")
+        lines += [f"    {place}: {was[:SHOWN]} -> {now[:SHOWN]}" for place, was, now in of[:EXAMPLES]]
+    return lines
+
+
+def _by_how_much(found: list[tuple[str, str, str]]) -> str:
+    """The largest relative difference, where all are numbers."""
+    try:
+        numbers = [(float(a), float(b)) for _, a, b in found]
+    except ValueError:
+        return ""
+    return f" by up to {max(abs(b - a) / (max(abs(a), abs(b)) or 1.0) for a, b in numbers):.2g} of it"
 
 
 # ---- the command
