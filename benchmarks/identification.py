@@ -1,13 +1,10 @@
 """How often is a process identified well enough to tune it? Counts over records drawn from a seed.
 
     python benchmarks/identification.py [--seed 1] [--cases 260] [--jobs 1] [--only "setpoint"] [--save-failures FOLDER]
-    python benchmarks/identification.py --beyond [--seed 1] [--cases 200]
 
 In spec: the SIMC settings that follow from the estimate meet, on the true process, Ms <= max(1.8, 1.03 x the Ms of SIMC
 with perfect knowledge) and J <= 1.25 x its J (mean of the IAE ratios of a setpoint and a load step). "Not identifiable"
 is counted apart. Calibration: where the structure is right, how often the truth lies within two standard deviations.
---beyond: records of processes that no structure fits (cases/beyond.py); there ln |G(jw)| is asked, at w = 1/theta and a
-third of it.
 Seeds from 1000 on are for final measurements, not for development.
 """
 
@@ -22,15 +19,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from cases import beyond, identification
+from cases import identification
 from cases.case import IdentificationCase, picture, share, spread
 from cases.loop import performance
 from cases.plant import half_rule, kc_bound, later, robustness, sampled, simc_of
 
 from retuner import identify
-from retuner.adaptive.fit.structure import model_at
-from retuner.adaptive.identification.estimate import STRUCTURE_STD
 from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
@@ -228,41 +222,6 @@ def summary(scores: list[Score]) -> list[str]:
     return lines
 
 
-def beyond_score(seed: int, index: int) -> tuple[str, bool, float, list[float]]:
-    """Kind, whether identified, Ms of what follows on the true process, errors of ln |G| in standard deviations."""
-    case = beyond.case(seed, index)
-    found = identify(*(getattr(case.record, name) for name in ("t", "sp", "pv", "co")), gains=case.gains)
-    if not found.estimate.identifiable or found.settings is None:
-        return case.kind, False, math.nan, []
-    log, z = found.estimate.log, []
-    for at_s in (case.theta_eff_s, 3 * case.theta_eff_s):
-        sizes = [
-            [beyond.log_size(model_at(log.type, log.x + h * e, log.sign).linear(), at_s) for h in (1e-4, -1e-4)]
-            for e in np.eye(len(log.x))
-        ]
-        slope = np.array([(up - down) / 2e-4 for up, down in sizes])
-        std = math.sqrt(float(slope @ (log.p + STRUCTURE_STD**2 * np.eye(len(slope))) @ slope))
-        z.append((beyond.log_size(log.model().linear(), at_s) - beyond.log_size(case.process, at_s)) / std)
-    gains = (found.aim or found.settings).tuning.gains
-    return case.kind, True, robustness(case.process, gains).ms, z
-
-
-def beyond_lines(seed: int, count: int, jobs: int) -> list[str]:
-    """The table of records that no structure fits."""
-    rows = list(spread(functools.partial(beyond_score, seed), range(count), jobs))
-    lines = [f"seed {seed}, {count} records of processes that no structure fits"]
-    for kind in (*beyond.KINDS, "all"):
-        of_kind = [row for row in rows if kind in {row[0], "all"}]
-        z = [abs(value) for row in of_kind for value in row[3]]
-        given = [row[2] for row in of_kind if row[1]]
-        lines.append(
-            f"{kind:<22} within 2 sigma {share(sum(v <= TWO_SIGMA for v in z), len(z))}; identified "
-            f"{share(len(given), len(of_kind))}; Ms over {MS_LIMIT}: {sum(ms > MS_LIMIT for ms in given)}, worst "
-            f"{max(given, default=math.nan):.2f}"
-        )
-    return lines
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=1)
@@ -272,11 +231,7 @@ def main() -> int:
     parser.add_argument("--no-bounds", action="store_true", help="leave the Cramer-Rao bounds out")
     parser.add_argument("--save-failures", metavar="FOLDER")
     parser.add_argument("--out", metavar="FILE", help="every score as a line of JSON")
-    parser.add_argument("--beyond", action="store_true", help="processes that no structure fits")
     options = parser.parse_args()
-    if options.beyond:
-        sys.stdout.write("\n".join(beyond_lines(options.seed, options.cases, options.jobs)) + "\n")
-        return 0
     work = functools.partial(score, options.seed, options.only, options.save_failures, not options.no_bounds)
     scores = list(spread(work, range(options.cases), options.jobs))
     lines = [f"seed {options.seed}, {len(scores)} cases", *summary(scores), "", *table(scores, "group"), ""]

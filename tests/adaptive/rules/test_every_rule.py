@@ -243,7 +243,7 @@ def test_ms_over_the_batch() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["P1 T=0.02", "P2 T=2", "P4 n=4", "P6 L=0.5", "P8 a=1", "P9 T=0.5"])
 def test_simc_is_near_the_best_pi_at_its_ms(name: str) -> None:
-    # over the whole batch (benchmarks/rules.py): median 1.05, at most 1.33 on the nearly pure delay
+    # over the whole batch by the lines below: median 1.05, at most 1.33 on the nearly pure delay
     process = BATCH[name]
     gains = simc(half_rule(process)).gains
     best = references(process)
