@@ -4,10 +4,10 @@
 
 CPU time of this process or of the command's; the shortest of interleaved rounds. Records and commands are counted in
 `python -c "import numpy"` of the same round, parts of the engine in the same part computed by numpy, an examination in
-samples of the device. Records are drawn from a seed of its own (benchmarks/cases), 1,000 samples or so each. Prints
-each ratio beside the last one in costs.toml and exits 1 where one is worse by more than a tenth; --note appends this
-run there with its reason. On a machine that does something else as well, ratios differ by a fifth from run to run: more
-rounds help.
+samples of the device, a frame in python-can's own. Records are drawn from a seed of its own (benchmarks/cases), 1,000
+samples or so each. Prints each ratio beside the last one in costs.toml and exits 1 where one is worse by more than a
+tenth; --note appends this run there with its reason. On a machine that does something else as well, ratios differ by a
+fifth from run to run: more rounds help.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
+import can
 import numpy as np
 from bus_simulation.device_end import LagPlant
 from bus_simulation.in_thread import InThread
@@ -36,10 +37,13 @@ from retuner.adaptive.fit import engine
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import as_steps
 from retuner.diagnosing import diagnose
+from retuner.drivers.bus.bus import CanLink, LinkSettings
+from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.conformance.chapters import chapters
 from retuner.drivers.conformance.conversation import Conversation
 from retuner.drivers.conformance.examination import examine
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import GainBox
 
 HISTORY = Path(__file__).with_suffix(".toml")
@@ -51,6 +55,8 @@ DECIDING_S = 0.005
 """A step of PidController that takes longer decided something."""
 SETTLED_SAMPLES = 136
 """After so many no stamp of the lease is waited for."""
+BURST, BURSTS = 64, 500
+"""Frames between two looks at the bus, and how often."""
 
 
 def spent(work: Callable[[], object]) -> float:
@@ -156,9 +162,35 @@ def of_examination(_: float) -> Iterator[tuple[str, float]]:
     yield "an examination, samples", device.sample - before
 
 
+def on_bus(_: float) -> Iterator[tuple[str, float]]:
+    """A frame made, sent, received and read, over python-can's own Message, send and recv, on its virtual bus."""
+    codec, clock = Codec(1), SimulatedClock()
+    message = VirtualDevice(VirtualDeviceSettings(PidGains(2.0, 0.25)), LagPlant()).step()[-1]
+    frame, id_, data = codec.decode(message), message.arbitration_id, bytes(message.data)
+
+    def bare() -> None:
+        for _ in range(BURST):
+            a.send(can.Message(arbitration_id=id_, is_extended_id=False, data=data), timeout=0.05)
+        while b.recv(timeout=0.0) is not None:
+            pass
+
+    def ours() -> None:
+        for _ in range(BURST):
+            far.send(codec.encode(frame))
+        for received in near.receive_all():
+            codec.decode(received)
+
+    with can.Bus(interface="virtual", channel="bare") as a, can.Bus(interface="virtual", channel="bare") as b:
+        near, far = (CanLink(LinkSettings(channel="ours"), clock) for _ in range(2))
+        times = [(spent(ours), spent(bare)) for _ in range(BURSTS)]
+        near.close()
+        far.close()
+    yield "a frame over python-can's", statistics.median(ours_s / bare_s for ours_s, bare_s in times)
+
+
 GROUPS = {
     "records": on_records, "engine": of_engine, "commands": of_commands, "online": on_line, "demo": of_demo,
-    "plant": of_plant, "examination": of_examination,
+    "plant": of_plant, "examination": of_examination, "bus": on_bus,
 }  # fmt: skip
 
 

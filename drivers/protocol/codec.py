@@ -5,7 +5,7 @@ too long, all without complaint. So every number is held to the DBC's range here
 checksum and length is compared. decode() gives a frame or a Refused for any bytes, and raises nothing.
 
 Layout: cantools reads the DBC once. This file does the same arithmetic on the same bits (tests compare them bit for
-bit) from what was prepared then; benchmarks/bus_throughput.py has the ratios. Signals that a C struct can hold
+bit) from what was prepared then; benchmarks/costs.py has the ratio. Signals that a C struct can hold
 (unscaled, 8, 16 or 32 bits, float32, on byte borders) are read and written by one, the others bit by bit. It takes what
 retuner.dbc needs: little-endian signals, whole numbers with a linear scale, float32.
 """
