@@ -15,7 +15,7 @@ from cases.plant import HeldPlant
 
 from online.judge import Judge, Judgement, counted
 from online.loop import LostLoop, Supervisor, WatchedLoop, Watching, guard_settings, one_region, settings
-from online.rivals import Member, PatternAlone, batch, relay_then_ziegler_nichols, step_then_simc
+from online.rivals import Member, batch
 from online.session import (
     LENGTH_THETA,
     LOST,
@@ -47,20 +47,18 @@ class Task:
     opened: bool
     noise: float = NOISE
     verbose: bool = False
-    rivals: bool = False
 
 
 def tasks(
     seed: int,
     *,
-    opened: bool,
+    opened: bool = False,
     every: int = 1,
     offset: int = 0,
     only: str = "",
     noise: float = NOISE,
     verbose: bool = False,
     starts: int = 1,
-    rivals: bool = False,
 ) -> list[Task]:
     """The runs of a table: `starts` of STARTS (in a drawn order) for each process; every n-th, from an offset on."""
     rng = np.random.default_rng(seed)
@@ -68,7 +66,7 @@ def tasks(
     for member in batch():
         order = rng.permutation(len(STARTS))[:starts]
         found += [
-            Task(member, STARTS[i], zlib.crc32(f"{seed} {member.name} {i}".encode()), opened, noise, verbose, rivals)
+            Task(member, STARTS[i], zlib.crc32(f"{seed} {member.name} {i}".encode()), opened, noise, verbose)
             for i in order
         ]
     return [task for task in found if task.member.name.startswith(only)][offset::every]
@@ -114,21 +112,7 @@ def run(task: Task, line: Line | None = None) -> Row:
         "kc_now": loop.gains.kp / judge.best.kp,
         "ki_now": loop.gains.ki / judge.best.ki,
         "story": story if task.verbose else [],
-        "rivals": rivals(task, judge, gains) if task.rivals else {},
     }
-
-
-def rivals(task: Task, judge: Judge, gains: PidGains) -> dict[str, list[bool]]:
-    """In spec after each disturbance, under those that retuner is compared with."""
-    process, dt_s = task.member.process, judge.dt_s
-    rng = np.random.default_rng(task.seed + 1)
-    relay = relay_then_ziegler_nichols(HeldPlant(process, dt_s), process, dt_s, task.noise, rng)
-    simc = step_then_simc(HeldPlant(process, dt_s), process, judge.theta_s, dt_s, task.noise, rng)
-    pattern = PatternAlone(one_region(gains), settings(dt_s, PV_SPAN))
-    loop = WatchedLoop(HeldPlant(process, dt_s), pattern.table, dt_s, pattern)
-    once = {"fixed": gains, "relay once": relay, "simc once": simc}
-    found = {who: [x is not None and judge.of(x).in_spec] * DISTURBANCES for who, x in once.items()}
-    return found | {"pattern": [x.in_spec for x in disturbed(loop, judge, task, [])]}
 
 
 def disturbed(loop: WatchedLoop, judge: Judge, task: Task, story: list[str]) -> list[Judgement]:
@@ -211,11 +195,6 @@ def table(rows: list[Row]) -> list[str]:
         for n in (1, 3, 6)
         if of
     ]
-    for who in sorted({name for row in rows for name in row["rivals"]}):
-        of = [row["rivals"][who] for row in rows if who in row["rivals"]]
-        lines += [
-            f"{who}: after {n}, and staying  {counted(sum(all(x[n - 1 :]) for x in of), len(of))}" for n in (1, 3, 6)
-        ]
     lines.append(faults(rows))
     for key in ("family", "kc", "tau_i"):
         lines.append(f"{key:<8} runs  staying after 1 / 3 / 6")

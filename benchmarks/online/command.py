@@ -23,6 +23,7 @@ from online import (
     interrupted,
     loads,
     own_fault,
+    proof,
     real_loads,
     tours,
     wrong_starts,
@@ -46,7 +47,7 @@ class Part:
     def tasks(self, options: argparse.Namespace) -> Sequence[Any]:
         """What is to be run."""
         wanted = {name: getattr(options, name) for name in (*self.asks, "verbose")}
-        if self.module is batch:
+        if self.module in {batch, proof}:
             return batch.tasks(options.seed, every=options.every, offset=options.offset, **wanted)
         kinds = self.module.KINDS if options.kind == ALL else (options.kind,)
         count = {kind: options.hours if kind == "quiet" and self.module is harm else options.loops for kind in kinds}
@@ -56,9 +57,9 @@ class Part:
 
 PARTS = {
     "batch": Part(
-        batch, "the standard batch of 134 processes, gains off", ("opened", "only", "noise", "starts", "rivals"),
-        quiet=True,
+        batch, "the standard batch of 134 processes, gains off", ("opened", "only", "noise", "starts"), quiet=True,
     ),
+    "proof": Part(proof, "retuner, and what people do instead, on the standard batch", quiet=True),
     "tours": Part(
         tours, "nonlinear plants: visits until a region is good", ("start", "places", "lookup", "opened"), 8,
         tours.SMOOTH,
@@ -121,14 +122,13 @@ def _parser() -> argparse.ArgumentParser:
     parts = parser.add_subparsers(dest="part", required=True)
     of = {name: parts.add_parser(name, parents=[common], help=part.title) for name, part in PARTS.items()}
     for name, part in PARTS.items():
-        if part.module is not batch:
+        if part.module not in {batch, proof}:
             of[name].add_argument("--kind", choices=(ALL, *part.module.KINDS), default=part.first)
             of[name].add_argument("--loops", type=int, default=part.loops, help="of each kind")
     for name in ("batch", "tours", "loads"):
         of[name].add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
     of["batch"].add_argument("--only", default="", help='processes whose name begins so: "P6", "P1 T=0.02"')
     of["batch"].add_argument("--noise", type=float, default=batch.NOISE, help="share of a setpoint step")
-    of["batch"].add_argument("--rivals", action="store_true", help="the same runs under fixed gains, relay, pattern")
     of["batch"].add_argument("--starts", type=int, default=1, help=f"wrong starts, of {len(batch.STARTS)}")
     of["harm"].add_argument("--hours", type=int, default=100, help="quiet hours")
     of["injected"].add_argument("--wander", choices=loads.WANDERING, default="", help="a load that goes on all along")

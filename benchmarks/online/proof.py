@@ -1,32 +1,25 @@
-"""retuner against what people do instead, on the same loops, in one table: docs/proof.md has it.
-
-    python benchmarks/proof.py --seed 5107 --every 4
+"""retuner against what people do instead, on the same loops, in one table: docs/results.md has it.
 
 Processes are the batch of Astrom & Hagglund, with gains that are off by up to 4 in Kc and in tau_I; every rival is
 given the sign of the process. What comes out is judged on the true process: Ms, and J against SIMC with perfect
-knowledge (benchmarks/online/judge.py). Those who use simple-pid use it here: its numbers as its own README has them,
-and the recipe that guides give for turning the knobs by hand, with simple-pid as the controller.
+knowledge (judge.py). Those who use simple-pid use it here: its numbers as its own README has them, and the recipe that
+guides give for turning the knobs by hand, with simple-pid as the controller.
 """
 
-import argparse
 import math
-import sys
 import zlib
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import median
-from typing import Any
 
 import numpy as np
 from cases.case import interval
 from cases.plant import HeldPlant
+
 from online import batch
 from online.judge import Judge, Judgement
 from online.loop import WatchedLoop, one_region, settings
 from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
-from online.runner import collect
-from simple_pid import PID
-
+from online.session import LOST, Row
 from retuner.schedule.gains import PidGains
 
 PRINTED = PidGains(1.0, 0.1, 0.05)
@@ -35,8 +28,6 @@ FIRST, FACTOR, MOST_TURNS = 0.01, 1.5, 24
 """Turning a knob by hand: from this on, up by a factor each time, so often at most."""
 TRIAL_THETA, SWING, OVERSHOOT = 60.0, 0.3, 0.1
 """A trial lasts so many effective dead times; it swings from this much up and down in its second half."""
-LOST = Judgement(math.inf, math.inf, in_spec=False)
-Row = dict[str, Any]
 WHO = {
     "fixed": "gains left as they were",
     "printed": "simple-pid, its README's numbers",
@@ -83,6 +74,8 @@ class ByHand:
 
     def trial(self, kp: float, ki: float) -> list[float]:
         """pv after a setpoint step of 1."""
+        from simple_pid import PID  # an extra: no other part needs it
+
         self.turns += 1
         rng = np.random.default_rng(self.task.seed + self.turns)
         plant, pv, pvs = HeldPlant(self.task.member.process, self.dt_s), 0.0, []
@@ -129,6 +122,11 @@ def run(task: batch.Task) -> Row:
     return {"part": "proof", "process": task.member.name, "seed": task.seed, "turns": hand.turns, "of": told}
 
 
+def line(row: Row) -> str:
+    """Ms of everybody on one process."""
+    return f"{row['process']:<14} Ms " + ", ".join(f"{who} {x['ms']:.2f}" for who, x in row["of"].items())
+
+
 def table(rows: list[Row]) -> list[str]:
     """One line for each, as Markdown; a rival that gave no settings for a process is out of spec there."""
     turns = median(row["turns"] for row in rows)
@@ -149,22 +147,3 @@ def table(rows: list[Row]) -> list[str]:
 def _middle(values: list[float]) -> str:
     found = median(values)
     return f"{found:.2f}" if math.isfinite(found) else "-"
-
-
-def main() -> int:
-    """Run the loops and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--every", type=int, default=4, help="every n-th of the 134 processes")
-    parser.add_argument("--offset", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", type=Path, help="every run as a line of JSON")
-    options = parser.parse_args()
-    tasks = batch.tasks(options.seed, opened=False, every=options.every, offset=options.offset)
-    rows, whole = collect(run, tasks, options.jobs, options.out, None)
-    sys.stdout.write("\n".join([f"seed {options.seed}, {len(rows)} processes", *(table(rows) if rows else [])]) + "\n")
-    return 0 if rows and whole else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
