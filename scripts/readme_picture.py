@@ -8,7 +8,7 @@ from pathlib import Path
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import load_config
 from retuner.decision_page.svg import svg_file
-from retuner.report.plots import Mark, trend_figure
+from retuner.report.run_drawings import Mark, trend_svg
 from retuner.session.running import Run, nothing
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -20,8 +20,9 @@ def main() -> None:
     retuned = Run(config, nothing).simulated().loops[0]
     fixed = Run(config, nothing, mode=Mode.OFF).simulated().loops[0]
     marks = [Mark(t_s, 0, rolled_back=False) for t_s, _ in retuned.changes]
-    figure = trend_figure(retuned.trend.columns(), fixed.trend.columns(), marks, config.regions(), config.loop.pv_unit)
-    (ROOT / "docs" / "oven.svg").write_text(svg_file(figure, "An oven retuned in three regions"), encoding="utf-8")
+    run, before, alt = retuned.trend.columns(), fixed.trend.columns(), "An oven retuned in three regions"
+    drawing = trend_svg(run, before, marks, config.regions(), config.loop.pv_unit, alt)
+    (ROOT / "docs" / "oven.svg").write_text(svg_file(drawing), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 from retuner.decision_page.decision_document import decision_document
 from retuner.decision_page.decision_sentences import ms_limit
 from retuner.decision_page.decision_view import DecisionView
+from retuner.decision_page.response_drawing import response_svg
+from retuner.decision_page.robustness_drawing import robustness_svg
 from retuner.templates import rendered
 
 
@@ -17,9 +19,6 @@ def article(view: DecisionView) -> str:
 
 
 def _rendered(template: str, view: DecisionView) -> str:
-    from retuner.decision_page.response_drawing import response_svg  # noqa: PLC0415  matplotlib, for those who draw
-    from retuner.decision_page.robustness_drawing import robustness_svg  # noqa: PLC0415
-
     drawings = {"response": response_svg(view), "robustness": robustness_svg(view, ms_limit(view))}
     told = decision_document(view)
     return rendered(template, title=told.title, decision=told, drawings=drawings)

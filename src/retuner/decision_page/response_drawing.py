@@ -1,54 +1,57 @@
 """The response that led to a decision: pv and sp with the peaks E1, E2, E3, the model over it, what is left, co."""
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.decision_page.decision_view import DecisionView, Samples
+from retuner.decision_page.looks import AFTER, FAINT, LIMIT, MODEL, SETPOINT, steps, thinned
+from retuner.decision_page.panel import Panel, Place, Range, Stroke, page_of, room, stacked
 from retuner.decision_page.row_values import number, numbers
-from retuner.decision_page.svg import AFTER, FAINT, LIMIT, MODEL, SETPOINT, settings, steps, svg, thinned
 
 FAR_SETPOINT_RANGES = 3.0  # A setpoint farther from pv than this many ranges of pv would leave no room for the curves
 NOISE_STDS = 2.0  # half width of the band in which 95 % of what noise leaves lies
-LABEL_SHIFT = 9  # distance of a peak's name from it, in points
+WIDTH, ROOM = 8208, (288, 120, 346, 616)  # of the drawing, and around its panels: above, right, below, left
+SIGNALS, REMAINDER, OUTPUT = 1780, 610, 690  # heights of the panels
+SHARE, PEAK_SHARE = 0.05, 0.12  # room above and below the curves, and where the peaks' names need some
+BAND, LINE = Stroke(FAINT, 0, opacity=0.25), Stroke(AFTER, 10)
 
 
 def response_svg(view: DecisionView) -> str:
     """The drawing, empty where the samples were not kept."""
-    if view.samples is None:
+    samples = view.samples
+    if samples is None:
         return ""
-    modelled = view.samples.explained is not None
-    with settings(f"response {view.number}"):
-        height = 5.6 if modelled else 4.7
-        figure = Figure(figsize=(11.4, height))
-        heights = (2.6, 0.9, 1.0) if modelled else (2.6, 1.0)
-        panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-        figure.subplots_adjust(left=0.075, right=0.985, top=1 - 0.4 / height, bottom=0.48 / height, hspace=0.13)
-        # All panels on one time axis that begins with the response
-        start = number(view.response, "t_start_s")
-        zero = view.samples.t_s[0] if start is None else start
-        since = "time" if start is None else "time since the response began"
-        scale, name = time_unit(float(view.samples.t_s[-1] - view.samples.t_s[0]))
-        x = (view.samples.t_s - zero) / scale
-        _signals(panels[0], view, view.samples, x)
-        _peaks(panels[0], view, view.samples, zero, scale)
-        if view.samples.explained is not None:
-            _remainder(panels[1], view, view.samples, x)
-        panels[-1].plot(*thinned(*steps(x, view.samples.co)), color=AFTER, lw=1.0)
-        panels[-1].set_ylabel("co [%]")
-        panels[-1].set_xlabel(f"{since} [{name}]")
-        marks = (
-            (numbers(view.estimate, "loads"), "-.", "load step as the fit places it"),
-            (view.samples.changed_s, ":", "other gains run"),
-        )
-        for times, style, label in marks:
-            for i, t_s in enumerate(times):
-                for axes in panels:
-                    axes.axvline((t_s - zero) / scale, color=LIMIT, lw=1.3, ls=style, label=None if i else label)
-        panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=6, borderaxespad=0.2)
-        panels[0].figure.align_ylabels(panels)
-        return svg(figure, "The response with its peaks, the model over it, the residual, controller output")
+    # All panels on one time axis that begins with the response
+    start = number(view.response, "t_start_s")
+    zero = samples.t_s[0] if start is None else start
+    since = "time" if start is None else "time since the response began"
+    scale, name = time_unit(float(samples.t_s[-1] - samples.t_s[0]))
+    x = (samples.t_s - zero) / scale
+    heights = (SIGNALS, OUTPUT) if samples.explained is None else (SIGNALS, REMAINDER, OUTPUT)
+    size, places = stacked(heights, WIDTH, ROOM)
+    over = (float(x[0]), float(x[-1]))
+    top = _signals(places[0], over, view, samples, x)
+    _peaks(top, view, samples, zero, scale)
+    remainder = _remainder(places[1], over, view, samples, x)
+    output = Panel(places[-1], over, room([samples.co], SHARE))
+    output.curve(*thinned(*steps(x, samples.co)), LINE)
+    marks = (
+        (numbers(view.estimate, "loads"), "80 20 13 20", "load step as the fit places it"),
+        (samples.changed_s, "13 21", "other gains run"),
+    )
+    panels = [top, *remainder, output]
+    for times, dash, label in marks:
+        for i, t_s in enumerate(times):
+            for panel in panels:
+                at = (t_s - zero) / scale
+                panel.curve([at, at], panel.y, Stroke(LIMIT, 13, dash), label * (not i))
+    names = [f"pv, sp [{view.unit}]", *[f"pv - model\n[{view.unit}]"] * len(remainder), "co [%]"]
+    below = [*[""] * (len(panels) - 1), f"{since} [{name}]"]
+    drawn = [
+        panel.drawn(f"response-{view.number}-{i}", *labels, columns=6 * (not i))
+        for i, (panel, *labels) in enumerate(zip(panels, below, names, strict=True))
+    ]
+    return page_of(drawn, size, "The response with its peaks, the model over it, the residual, controller output")
 
 
 def time_unit(span_s: float) -> tuple[float, str]:
@@ -59,47 +62,43 @@ def time_unit(span_s: float) -> tuple[float, str]:
     return 1.0, "s"
 
 
-def _signals(axes: Axes, view: DecisionView, samples: Samples, x: FloatArray) -> None:
+def _signals(place: Place, over: Range, view: DecisionView, samples: Samples, x: FloatArray) -> Panel:
     """pv, setpoint with the band in which the error counted as zero, and the model's pv."""
-    band = number(view.response, "band")
+    band = number(view.response, "band") or 0.0
     near = abs(float(np.median(samples.sp - samples.pv))) < FAR_SETPOINT_RANGES * float(np.ptp(samples.pv))
-    if near or np.ptp(samples.sp) > 0:
+    with_setpoint = near or np.ptp(samples.sp) > 0
+    edges = [samples.sp - band, samples.sp + band] if with_setpoint else []
+    explained = [] if samples.explained is None else [samples.explained]
+    panel = Panel(place, over, room([samples.pv, *edges, *explained], PEAK_SHARE))
+    if with_setpoint:
         if band:
             at, low = thinned(*steps(x, samples.sp - band))
-            axes.fill_between(at, low, low + 2 * band, color=FAINT, alpha=0.25, lw=0, label="noise band")
-        axes.plot(*thinned(*steps(x, samples.sp)), color=SETPOINT, lw=1.0, ls="--", label="sp")
-    axes.plot(*thinned(x, samples.pv), color=AFTER, lw=1.3, label="pv")
-    if samples.explained is not None:
-        axes.plot(*thinned(x, samples.explained), color=MODEL, lw=1.5, ls=(0, (4, 2)), label="pv as the model has it")
-    axes.set_ylabel(f"pv, sp [{view.unit}]")
-    low_y, high_y = axes.get_ylim()
-    axes.set_ylim(low_y - 0.06 * (high_y - low_y), high_y + 0.06 * (high_y - low_y))
+            panel.band(at, low, low + 2 * band, BAND, "noise band")
+        panel.curve(*thinned(*steps(x, samples.sp)), Stroke(SETPOINT, 10, "37 16"), "sp")
+    panel.curve(*thinned(x, samples.pv), Stroke(AFTER, 13), "pv")
+    for one in explained:
+        panel.curve(*thinned(x, one), Stroke(MODEL, 15, "60 30"), "pv as the model has it")
+    return panel
 
 
-def _peaks(axes: Axes, view: DecisionView, samples: Samples, zero: float, scale: float) -> None:
+def _peaks(panel: Panel, view: DecisionView, samples: Samples, zero: float, scale: float) -> None:
     """E1, E2, E3: the error at each as a line from the setpoint to pv."""
     for i, peak in enumerate(view.peaks, 1):
         sp = float(samples.sp[min(int(np.searchsorted(samples.t_s, peak.t_s)), len(samples.sp) - 1)])
         at = (peak.t_s - zero) / scale
-        axes.plot([at, at], [sp, sp - peak.e], color=SETPOINT, lw=0.9)
-        axes.plot([at], [sp - peak.e], "o", color=SETPOINT, ms=4.5)
-        below = peak.e > 0
-        axes.annotate(
-            f"E{i} = {peak.e:.3g}",
-            (at, sp - peak.e),
-            (6, -LABEL_SHIFT if below else LABEL_SHIFT),
-            textcoords="offset points",
-            va="top" if below else "bottom",
-            fontsize=9,
-        )
+        panel.curve([at, at], [sp, sp - peak.e], Stroke(SETPOINT, 9))
+        away = (60, 160 if peak.e > 0 else -90)
+        panel.note(at, sp - peak.e, f"E{i} = {peak.e:.3g}", away, SETPOINT, dot=True)
 
 
-def _remainder(axes: Axes, view: DecisionView, samples: Samples, x: FloatArray) -> None:
-    """What the model leaves of pv, in the band of the noise."""
-    assert samples.explained is not None
-    noise = number(view.estimate, "noise")
+def _remainder(place: Place, over: Range, view: DecisionView, samples: Samples, x: FloatArray) -> list[Panel]:
+    """What the model leaves of pv, in the band of the noise; nothing where there is no model."""
+    if samples.explained is None:
+        return []
+    left, noise = samples.pv - samples.explained, number(view.estimate, "noise") or 0.0
+    panel = Panel(place, over, room([left, [0.0, NOISE_STDS * noise, -NOISE_STDS * noise]], SHARE))
     if noise:
-        axes.axhspan(-NOISE_STDS * noise, NOISE_STDS * noise, color=FAINT, alpha=0.25, lw=0)
-    axes.axhline(0, color=FAINT, lw=0.8)
-    axes.plot(*thinned(x, samples.pv - samples.explained), color=AFTER, lw=0.9)
-    axes.set_ylabel(f"pv - model\n[{view.unit}]")
+        panel.band(over, [-NOISE_STDS * noise] * 2, [NOISE_STDS * noise] * 2, BAND)
+    panel.curve(over, (0.0, 0.0), Stroke(FAINT, 8))
+    panel.curve(*thinned(x, left), LINE)
+    return [panel]

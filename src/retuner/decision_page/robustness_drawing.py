@@ -9,9 +9,6 @@ other models that the records still allow, with the new gains.
 import math
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.loop.open_loop import grid, open_loop
@@ -20,8 +17,9 @@ from retuner.adaptive.process.model import ComplexArray, LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.decision_page.decision_sentences import new_name, old_name
 from retuner.decision_page.decision_view import DecisionView
+from retuner.decision_page.looks import AFTER, BEFORE, FAINT, LIMIT, SETPOINT, thinned
+from retuner.decision_page.panel import Panel, Stroke, page_of, room
 from retuner.decision_page.response_drawing import time_unit
-from retuner.decision_page.svg import AFTER, BEFORE, FAINT, LIMIT, SETPOINT, settings, svg, thinned
 from retuner.schedule.gains import PidGains
 
 REAL, IMAGINARY = (-2.3, 0.7), (-1.75, 0.75)  # the part of the plane that is drawn: round -1
@@ -29,6 +27,11 @@ FAR_OUT = 4.0  # points of a curve farther out than this are left out
 MOST_MODELS = 24  # other models whose curves are drawn; the first are the most likely ones
 MOST_RESPONSES = 8  # other models whose step responses make the spread
 SHOWN = 2.0  # largest setpoint response that the axes make room for; an unstable one leaves the picture
+SIZE, PLANE = (8208, 2952), (458, 443, 2508, 2090)  # of the drawing, and where Nyquist's curves are in it
+RESPONSES = (3640, 6090)  # where the panels of the step responses begin
+PV, CO = (443, 1210), (1790, 710)  # tops and heights of their panels
+WIDTH, SHARE = 1990, 0.08  # of these panels; room above and below the curves
+DASHED, WHOLE, PLUS = "64 32", "", 0.06  # half length of the cross at -1
 
 
 def robustness_svg(view: DecisionView, ms_limit: float) -> str:
@@ -38,79 +41,65 @@ def robustness_svg(view: DecisionView, ms_limit: float) -> str:
     """
     if view.process is None or view.before is None:
         return ""
-    with settings(f"robustness {view.number}"):
-        figure = Figure(figsize=(11.4, 4.1))
-        places = figure.add_gridspec(
-            2,
-            3,
-            width_ratios=(1.35, 1, 1),
-            height_ratios=(1.7, 1),
-            wspace=0.27,
-            hspace=0.14,
-            left=0.055,
-            right=0.985,
-            top=0.85,
-            bottom=0.12,
-        )
-        _nyquist(figure.add_subplot(places[:, 0]), view, view.process, view.before, ms_limit)
-        for column, load in ((1, False), (2, True)):
-            top = figure.add_subplot(places[0, column])
-            bottom = figure.add_subplot(places[1, column], sharex=top)
-            top.tick_params(labelbottom=False)
-            # Predicted responses to one step, before and after, with the spread over the other models
-            gains = view.tried or view.before
-            assert gains is not None
-            # Time in which the loop answers both steps: a few integral times and dead times
-            tau_i = gains.kp / gains.ki if gains.ki and gains.kp else 0.0
-            lags = sum(view.process.lags_s)
-            until = 3 * tau_i + 8 * view.process.theta_s or 5 * lags or 1.0
-            scale, unit = time_unit(until)
-            if view.tried:
-                _spread(top, view.allowed[:MOST_RESPONSES], view.tried, until, scale, load=load)
-            looks = ((old_name(view), view.before, BEFORE, (0, (4, 2))), (new_name(view), view.tried, AFTER, "-"))
-            reach = []
-            for label, one, colour, style in looks:
-                if one is None:
-                    continue
-                found = _from_zero(step_response(view.process, one, until, load=load), until)
-                for axes, values in ((top, found.pv), (bottom, found.co)):
-                    axes.plot(*thinned(found.t / scale, values, 300), color=colour, ls=style, lw=1.5, label=label)
-                if one is gains or math.isfinite(sensitivity_peak(view.process, one)):
-                    reach.append(found)
-            top.set_xlim(0, until / scale)
-            _frame(top, bottom, reach, view.unit, unit, load=load)
-        return svg(figure, "Nyquist curves before and after with the Ms circle; predicted setpoint and load responses")
+    drawn = [_nyquist(view, view.process, view.before, ms_limit)]
+    for left, load in zip(RESPONSES, (False, True), strict=True):
+        drawn += _responses(left, view, view.process, view.before, load=load)
+    alt = "Nyquist curves before and after with the Ms circle; predicted setpoint and load responses"
+    return page_of(drawn, SIZE, alt)
 
 
-def _nyquist(axes: Axes, view: DecisionView, process: LinearProcess, before: PidGains, ms_limit: float) -> None:
+def _responses(left: int, view: DecisionView, process: LinearProcess, before: PidGains, *, load: bool) -> list[str]:
+    """Predicted responses of pv and co to one step, before and after, with the spread over the other models."""
+    gains = view.tried or before
+    # Time in which the loop answers both steps: a few integral times and dead times
+    tau_i = gains.kp / gains.ki if gains.ki and gains.kp else 0.0
+    until = 3 * tau_i + 8 * process.theta_s or 5 * sum(process.lags_s) or 1.0
+    scale, time = time_unit(until)
+    looks = ((old_name(view), before, Stroke(BEFORE, 15, DASHED)), (new_name(view), view.tried, Stroke(AFTER, 15)))
+    found = [
+        (name, one, _from_zero(step_response(process, one, until, load=load), until), look)
+        for name, one, look in looks
+        if one is not None
+    ]
+    reach = [to for _, one, to, _ in found if one is gains or math.isfinite(sensitivity_peak(process, one))]
+    over, within = (0.0, until / scale), (-math.inf, math.inf) if load else (1 - SHOWN, SHOWN + 0.2)
+    top = Panel((left, PV[0], WIDTH, PV[1]), over, room([one.pv for one in reach], SHARE, *within))
+    bottom = Panel((left, CO[0], WIDTH, CO[1]), over, room([one.co for one in reach], SHARE))
+    if view.tried:
+        _spread(top, view.allowed[:MOST_RESPONSES], view.tried, until, scale, load=load)
+    for name, _, to, look in found:
+        for panel, values in ((top, to.pv), (bottom, to.co)):
+            panel.curve(*thinned(to.t / scale, values, 300), look, name)
+    if not load:
+        top.curve(over, (1.0, 1.0), Stroke(SETPOINT, 8, "30 13"))
+    title = f"predicted: {'load step of 1 % co' if load else f'setpoint step of 1 {view.unit}'}"
+    ident = f"{'load' if load else 'setpoint'}-{view.number}"
+    return [
+        top.drawn(f"{ident}-pv", "", f"pv [{view.unit}]", title=title, columns=3),
+        bottom.drawn(f"{ident}-co", f"time [{time}]", "co [%]", columns=0),
+    ]
+
+
+def _nyquist(view: DecisionView, process: LinearProcess, before: PidGains, ms_limit: float) -> str:
     """L(jw) round -1."""
-    axes.set_aspect("equal", adjustable="box")
-    axes.add_patch(Circle((-1, 0), 1 / ms_limit, facecolor=LIMIT, alpha=0.22, lw=0))
-    axes.add_patch(Circle((-1, 0), 1 / ms_limit, fill=False, edgecolor=LIMIT, lw=1.3, label=f"Ms = {ms_limit:.3g}"))
-    axes.add_patch(Circle((0, 0), 1, fill=False, edgecolor=FAINT, lw=0.8, ls=":"))
-    axes.plot([-1], [0], "+", color=SETPOINT, ms=9, mew=1.4)
+    panel = Panel(PLANE, REAL, IMAGINARY)
+    turn = np.exp(2j * np.pi * np.linspace(0, 1, 181))
+    around = turn / ms_limit - 1
+    panel.curve(around.real, around.imag, Stroke(LIMIT, 0, opacity=0.22))
+    panel.curve(around.real, around.imag, Stroke(LIMIT, 13), f"Ms = {ms_limit:.3g}")
+    panel.curve(turn.real, turn.imag, Stroke(FAINT, 8, "8 13"))
+    for across, up in ((PLUS, 0.0), (0.0, PLUS)):
+        panel.curve([-1 - across, -1 + across], [-up, up], Stroke(SETPOINT, 14))
     tried, name = view.tried, new_name(view)
     others = view.allowed[:MOST_MODELS] if tried else ()
     for i, model in enumerate(others):
         assert tried is not None
-        label = f"{name}, {len(others)} other plausible model{'s' * (len(others) != 1)}" if not i else None
-        axes.plot(*_curve(model, tried), color=AFTER, lw=0.6, alpha=0.45, label=label)
-    axes.plot(
-        *_curve(process, before),
-        color=BEFORE,
-        lw=1.6,
-        ls=(0, (4, 2)),
-        label=f"{old_name(view)}: {_ms(process, before)}",
-    )
+        label = f"{name}, {len(others)} other plausible model{'s' * (len(others) != 1)}" if not i else ""
+        panel.curve(*_curve(model, tried), Stroke(AFTER, 6, opacity=0.45), label)
+    panel.curve(*_curve(process, before), Stroke(BEFORE, 16, DASHED), f"{old_name(view)}: {_ms(process, before)}")
     if tried:
-        axes.plot(*_curve(process, tried), color=AFTER, lw=1.8, label=f"{name}: {_ms(process, tried)}")
-    axes.set_xlim(*REAL)
-    axes.set_ylim(*IMAGINARY)
-    axes.set_xlabel("real part of L(jw)")
-    axes.set_ylabel("imaginary part")
-    axes.legend(
-        loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handlelength=1.8, columnspacing=1.0
-    )
+        panel.curve(*_curve(process, tried), Stroke(AFTER, 18), f"{name}: {_ms(process, tried)}")
+    return panel.drawn(f"plane-{view.number}", "real part of L(jw)", "imaginary part", columns=2)
 
 
 def _ms(process: LinearProcess, gains: PidGains) -> str:
@@ -138,7 +127,7 @@ def _from_zero(found: StepResponse, until_s: float) -> StepResponse:
 
 
 def _spread(
-    axes: Axes, models: tuple[LinearProcess, ...], gains: PidGains, until_s: float, scale: float, *, load: bool
+    panel: Panel, models: tuple[LinearProcess, ...], gains: PidGains, until_s: float, scale: float, *, load: bool
 ) -> None:
     """The band between the lowest and the highest response of the other models."""
     t = np.linspace(0, until_s, 200)
@@ -147,28 +136,5 @@ def _spread(
         for one in (step_response(model, gains, until_s, load=load) for model in models)
     ]
     if found:
-        low, high = np.min(found, axis=0), np.max(found, axis=0)
-        axes.fill_between(t / scale, low, high, color=AFTER, alpha=0.2, lw=0, label="other models")
-
-
-def _frame(top: Axes, bottom: Axes, reach: list[StepResponse], unit: str, time: str, *, load: bool) -> None:
-    """Titles, units, and axes that an unstable response does not blow up; reach : what they must show."""
-    top.set_title(f"predicted: {'load step of 1 % co' if load else f'setpoint step of 1 {unit}'}", loc="left", pad=20)
-    _limit(top, [one.pv for one in reach], *((-math.inf, math.inf) if load else (1 - SHOWN, SHOWN + 0.2)))
-    _limit(bottom, [one.co for one in reach], -math.inf, math.inf)
-    if not load:
-        top.axhline(1, color=SETPOINT, lw=0.8, ls="--")
-    top.set_ylabel(f"pv [{unit}]")
-    bottom.set_ylabel("co [%]")
-    bottom.set_xlabel(f"time [{time}]")
-    top.legend(
-        loc="lower left", bbox_to_anchor=(-0.02, 0.98), ncols=3, borderaxespad=0.1, handlelength=1.6, columnspacing=0.9
-    )
-
-
-def _limit(axes: Axes, curves: list[FloatArray], lowest: float, highest: float) -> None:
-    """Room for these curves, between those limits."""
-    low = max(min(float(np.min(one)) for one in curves), lowest)
-    high = min(max(float(np.max(one)) for one in curves), highest)
-    room = 0.08 * (high - low) or 0.1
-    axes.set_ylim(low - room, high + room)
+        look = Stroke(AFTER, 0, opacity=0.2)
+        panel.band(t / scale, np.min(found, axis=0), np.max(found, axis=0), look, "other models")

@@ -8,9 +8,10 @@ from matplotlib.figure import Figure
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.decision_page.svg import MARK, settings
+from retuner.decision_page.looks import MARK, time_axis
+from retuner.decision_page.svg import settings
 from retuner.report.change_of_settings import ShownChange, change_words, settling_s
-from retuner.report.plots import FIXED, PV, SP, floors, time_axis
+from retuner.report.plots import FIXED, PV, SP, floors
 from retuner.schedule.gains import PidGains
 from retuner.simulation.loop_trend import LoopTrend
 

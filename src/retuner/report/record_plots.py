@@ -8,10 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.decision_page.svg import FAINT, MARK, MODEL, settings
+from retuner.decision_page.looks import FAINT, MARK, MODEL, time_axis
+from retuner.decision_page.svg import settings
 from retuner.report.change_of_settings import ShownChange
 from retuner.report.loop_plots import change_into
-from retuner.report.plots import PV, SP, floors, time_axis
+from retuner.report.plots import PV, SP, floors
 from retuner.schedule.late_dataclass import dataclass
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from retuner.decision_page.decision_words import (
 )
 from retuner.decision_page.row_values import Document, decided_on, in_full, number, part, words
 from retuner.decision_page.shown_units import units_of
-from retuner.report.plots import Mark, trend_svg, twin_svg
+from retuner.report.run_drawings import Mark, trend_svg, twin_svg
 from retuner.report.scores import Columns, RegionScore, Twin, twin_steps
 from retuner.report.what_if import of_region, panel_style
 from retuner.report.what_if import section as what_if_section

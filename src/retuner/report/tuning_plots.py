@@ -15,7 +15,8 @@ from retuner.adaptive.loop.simulate import StepResponse, step_response
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc, without_second_lag
-from retuner.decision_page.svg import AFTER, BEFORE, SETPOINT, settings
+from retuner.decision_page.looks import AFTER, BEFORE, SETPOINT
+from retuner.decision_page.svg import settings
 from retuner.report.rule_comparison import RuleRow
 
 SHOWN = 1.8  # largest |pv| that the axes make room for; wilder responses leave the picture

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.decision_page.decision_view import samples_of
+from retuner.decision_page.looks import steps, thinned
 from retuner.decision_page.response_drawing import response_svg, time_unit
 from retuner.decision_page.robustness_drawing import robustness_svg
-from retuner.decision_page.svg import steps, thinned
 
 
 def texts(svg: str) -> list[str]:
