@@ -6,6 +6,7 @@ from retuner.adaptive.signals.sample import FloatArray
 
 BEFORE, AFTER, MODEL, SETPOINT, FAINT, LIMIT = "#d55e00", "#0072b2", "#d55e00", "#222222", "#9a9a9a", "#cc79a7"
 """Colours that colour-blind readers tell apart (Okabe & Ito 2008), each with a line style of its own beside it."""
+PV, SP, FIXED = AFTER, SETPOINT, BEFORE
 BANDS = ("#e4eef7", "#f8f0df", "#f5e4ec", "#e2f1ea", "#ecebf5")
 """Behind the time spent in each region."""
 MARK = "#a3261b"

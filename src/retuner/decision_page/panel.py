@@ -1,6 +1,6 @@
 """Panels of curves as SVG, written here: a page has dozens, and a plotting library takes a tenth of a second for each.
 
-Lengths are tenths of a point, so that coordinates are whole numbers. Colours are those of svg.py, and follow the page.
+Lengths are tenths of a point, so that coordinates are whole numbers. Colours are those of looks.py.
 """
 
 import math
@@ -24,7 +24,7 @@ FAR = 30_000  # where a curve that leaves the drawing is cut off, long after its
 
 
 class Stroke(NamedTuple):
-    """colour : as in svg.py. width : of the line, 0 where the curve's inside is filled. dash : as SVG has it."""
+    """colour : as in looks.py. width : of the line, 0 where the curve's inside is filled. dash : as SVG has it."""
 
     colour: str
     width: float = 10.0
@@ -48,9 +48,9 @@ class Panel:
     """Curves in a rectangle. place : its left, top, width and height. x, y : the values at its edges."""
 
     def __init__(self, place: Place, x: Range, y: Range) -> None:
-        self.place, self.x, self.y = place, x, y
+        self.place, self.x, self.y = place, x if x[0] < x[1] else (x[0] - 0.5, x[0] + 0.5), y
         self._shapes: list[str] = []
-        self._heads: list[str] = []
+        self._texts: list[str] = []
         self._keys: list[tuple[str, Stroke]] = []
 
     def curve(self, x: ArrayLike, y: ArrayLike, look: Stroke, label: str = "") -> None:
@@ -66,19 +66,14 @@ class Panel:
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, look: Stroke, label: str = "") -> None:
         """What lies between two curves, filled."""
-        there, back = np.asarray(x), np.asarray(x)[::-1]
-        self.curve([*there, *back], [*np.asarray(low), *np.asarray(high)[::-1]], look._replace(width=0), label)
+        across, up = (np.concatenate([one, np.asarray(back)[::-1]]) for one, back in ((x, x), (low, high)))
+        self.curve(across, up, look._replace(width=0), label)
 
-    def note(self, x: float, y: float, text: str, away: tuple[int, int], colour: str, *, dot: bool = False) -> None:
+    def note(self, at: Range, text: str, away: tuple[int, int], colour: str = INK.colour, *, dot: bool = False) -> None:
         """A text so far away from a point, which may be marked by a dot."""
-        across, down = self._at([x], [y])[0].astype(int).tolist()
-        style = Stroke(colour, 0).style
+        (across, down), style = self._at(at[:1], at[1:])[0].astype(int).tolist(), Stroke(colour, 0).style
         self._shapes += [f'<circle cx="{across}" cy="{down}" r="24" style="{style}"/>'] * dot
-        self._shapes.append(_text(across + away[0], down + away[1], text, style=style))
-
-    def head(self, x: float, text: str) -> None:
-        """A text over a place of the panel."""
-        self._heads.append(_text(int(self._at([x], [self.y[1]])[0, 0]), self.place[1] - 30, text, "middle"))
+        self._texts.append(_text(across + away[0], down + away[1], text, "start" if away[0] else "middle", style))
 
     def _at(self, x: ArrayLike, y: ArrayLike) -> np.ndarray:
         """Points of the drawing."""
@@ -87,10 +82,10 @@ class Panel:
         down = top + height * (self.y[1] - np.asarray(y, float)) / (self.y[1] - self.y[0])
         return np.clip(np.stack([across, down], axis=1).round(), -FAR, FAR)
 
-    def drawn(self, ident: str, x_label: str, y_label: str, *, title: str = "", columns: int = 6) -> str:
+    def drawn(self, ident: str, x_label: str, y_label: str, *, title: str = "", columns: int = 6, up: int = 0) -> str:
         """The panel with ticks, names of the axes (that of x also where no number stands at it) and of the curves.
 
-        ident : of its edges, one of a kind on a page. columns : of names above it, over these the title.
+        ident : of its edges, one of a kind on a page. columns : of names so far up above it, over these the title.
         """
         left, top, width, height = self.place
         bottom, middle, grid, ticks, numbers = top + height, top + height // 2, "", "", []
@@ -102,32 +97,24 @@ class Panel:
             at = int(self._at([self.x[0]], [value])[0, 1])
             grid, ticks = f"{grid}M{left} {at}h{width}", f"{ticks}M{left} {at}h-{TICK}"
             numbers.append(_text(left - 60, at + 32, f"{value:.8g}", "end"))
-        above, keys = self._names(columns)
-        turned = f'<g transform="translate({left - 390} {middle}) rotate(-90)">'
+        start, above = left, top - 50 - up
+        rows = -(-len(self._keys) // columns)
+        for first in range(min(columns, len(self._keys))):  # column by column, beside a sample of each line
+            for row, (label, look) in enumerate(self._keys[first::columns], 1 - rows):
+                at = above + ROW * row
+                sample = f"M{start} {at - 30}h{KEY}" if look.width else f"M{start} {at - 10}h{KEY}v-50h-{KEY}z"
+                numbers.append(f'<path d="{sample}" style="{look.style}"/>{_text(start + KEY + GAP, at, label)}')
+            start += KEY + 2 * GAP + LETTER * max(len(label) for label, _ in self._keys[first::columns])
         lines = y_label.split("\n")
         return "".join([
             f'<clipPath id="{ident}"><path d="M{left} {top}h{width}v{height}h-{width}z"/></clipPath>',
             f'<path d="{grid}" style="{GRID.style}"/><g clip-path="url(#{ident})">{"".join(self._shapes)}</g>',
-            f'<path d="M{left} {top}v{height}h{width}{ticks}" style="{INK.style}"/>', *numbers, *self._heads, *keys,
+            f'<path d="M{left} {top}v{height}h{width}{ticks}" style="{INK.style}"/>', *numbers, *self._texts,
             _text(left + width // 2, bottom + 265, x_label, "middle"),
-            turned, *(_text(0, 110 * (i + 1 - len(lines)), line, "middle") for i, line in enumerate(lines)), "</g>",
-            _text(left, above - 20, title),
+            f'<g transform="translate({left - 390} {middle}) rotate(-90)">',
+            *(_text(0, 110 * (i + 1 - len(lines)), line, "middle") for i, line in enumerate(lines)), "</g>",
+            _text(left, above - 20 - ROW * rows, title),
         ])  # fmt: skip
-
-    def _names(self, columns: int) -> tuple[int, list[str]]:
-        """Above the panel the name of each curve that has one, row by row, beside a sample of its line; and where they
-        end.
-        """
-        found, at, last = [], self.place[0], self.place[1] - 50 - ROW * bool(self._heads)
-        rows = -(-len(self._keys) // columns) if columns else 0
-        for first in range(min(columns, len(self._keys))):
-            column = self._keys[first::columns]
-            for row, (label, look) in enumerate(column):
-                y = last - ROW * (rows - 1 - row)
-                sample = f"M{at} {y - 30}h{KEY}" if look.width else f"M{at} {y - 10}h{KEY}v-50h-{KEY}z"
-                found.append(f'<path d="{sample}" style="{look.style}"/>{_text(at + KEY + GAP, y, label)}')
-            at += KEY + 3 * GAP + LETTER * max(len(label) for label, _ in column)
-        return last - ROW * rows, found
 
 
 def stacked(heights: Sequence[int], width: int, room: Place) -> tuple[tuple[int, int], list[Place]]:

@@ -44,11 +44,11 @@ def response_svg(view: DecisionView) -> str:
         for i, t_s in enumerate(times):
             for panel in panels:
                 at = (t_s - zero) / scale
-                panel.curve([at, at], panel.y, Stroke(LIMIT, 13, dash), label * (not i))
+                panel.curve([at, at], panel.y, Stroke(LIMIT, 13, dash), label * (panel is top and not i))
     names = [f"pv, sp [{view.unit}]", *[f"pv - model\n[{view.unit}]"] * len(remainder), "co [%]"]
     below = [*[""] * (len(panels) - 1), f"{since} [{name}]"]
     drawn = [
-        panel.drawn(f"response-{view.number}-{i}", *labels, columns=6 * (not i))
+        panel.drawn(f"response-{view.number}-{i}", *labels)
         for i, (panel, *labels) in enumerate(zip(panels, below, names, strict=True))
     ]
     return page_of(drawn, size, "The response with its peaks, the model over it, the residual, controller output")
@@ -88,7 +88,7 @@ def _peaks(panel: Panel, view: DecisionView, samples: Samples, zero: float, scal
         at = (peak.t_s - zero) / scale
         panel.curve([at, at], [sp, sp - peak.e], Stroke(SETPOINT, 9))
         away = (60, 160 if peak.e > 0 else -90)
-        panel.note(at, sp - peak.e, f"E{i} = {peak.e:.3g}", away, SETPOINT, dot=True)
+        panel.note((at, sp - peak.e), f"E{i} = {peak.e:.3g}", away, SETPOINT, dot=True)
 
 
 def _remainder(place: Place, over: Range, view: DecisionView, samples: Samples, x: FloatArray) -> list[Panel]:

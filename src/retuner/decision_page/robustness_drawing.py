@@ -68,15 +68,15 @@ def _responses(left: int, view: DecisionView, process: LinearProcess, before: Pi
     if view.tried:
         _spread(top, view.allowed[:MOST_RESPONSES], view.tried, until, scale, load=load)
     for name, _, to, look in found:
-        for panel, values in ((top, to.pv), (bottom, to.co)):
-            panel.curve(*thinned(to.t / scale, values, 300), look, name)
+        for panel, values, label in ((top, to.pv, name), (bottom, to.co, "")):
+            panel.curve(*thinned(to.t / scale, values, 300), look, label)
     if not load:
         top.curve(over, (1.0, 1.0), Stroke(SETPOINT, 8, "30 13"))
     title = f"predicted: {'load step of 1 % co' if load else f'setpoint step of 1 {view.unit}'}"
     ident = f"{'load' if load else 'setpoint'}-{view.number}"
     return [
         top.drawn(f"{ident}-pv", "", f"pv [{view.unit}]", title=title, columns=3),
-        bottom.drawn(f"{ident}-co", f"time [{time}]", "co [%]", columns=0),
+        bottom.drawn(f"{ident}-co", f"time [{time}]", "co [%]"),
     ]
 
 

@@ -8,11 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.decision_page.looks import FAINT, MARK, MODEL, time_axis
+from retuner.decision_page.looks import FAINT, MARK, MODEL, PV, SP, time_axis
 from retuner.decision_page.svg import settings
 from retuner.report.change_of_settings import ShownChange
-from retuner.report.loop_plots import change_into
-from retuner.report.plots import PV, SP, floors
+from retuner.report.loop_plots import change_into, floors
 from retuner.schedule.late_dataclass import dataclass
 
 if TYPE_CHECKING:

@@ -18,6 +18,7 @@ NAMED_SHARE = 0.05  # a region is named over the first stay in it that takes suc
 TREND, TREND_HEIGHTS, TREND_ROOM = 9360, (2250, 1240, 790), (490, 94, 380, 520)  # width; panels; room around them
 TWIN, TWIN_HEIGHTS, TWIN_ROOM = 4536, (1700, 1000), (340, 70, 370, 500)
 SHARE = 0.05  # room above and below the curves
+ABOVE = 125  # room above the first panel for the names of the regions
 DASHES = "37 16"
 
 
@@ -58,7 +59,7 @@ def trend_svg(
         top.band((x[start], x[end]), (top.y[0],) * 2, (top.y[1],) * 2, Stroke(BANDS[i % len(BANDS)]))
         if i not in named and x[end] - x[start] > NAMED_SHARE * (x[-1] - x[0]):
             named.add(i)
-            top.head((x[start] + x[end]) / 2, regions.names[i])
+            top.note(((x[start] + x[end]) / 2, top.y[1]), regions.names[i], (0, -30))
     for one in old["pv"]:
         top.curve(*thinned(x[:n], one, DENSE), Stroke(BEFORE, 8), "pv with fixed gains")
     for one in old["co"]:
@@ -74,7 +75,7 @@ def trend_svg(
     names = [f"pv, sp [{unit}]", "co [%]", *(f"{axis.label} [{axis.unit}]" for axis in regions.axes[1:])]
     below = [*[""] * (len(panels) - 1), f"time [{x_unit}]"]
     drawn = [
-        panel.drawn(f"trend-{i}", *labels, columns=5 * (not i))
+        panel.drawn(f"trend-{i}", *labels, up=ABOVE)
         for i, (panel, *labels) in enumerate(zip(panels, below, names, strict=False))
     ]
     return page_of(drawn, size, alt)
@@ -96,7 +97,7 @@ def _marks(panels: Sequence[Panel], marks: Sequence[Mark], start_s: float, scale
             panel.curve((at, at), panel.y, Stroke(MARK, 11, dash), "" if mark.rolled_back in labelled else name)
             labelled.add(mark.rolled_back)
         if mark.number:
-            panels[0].note(at, panels[0].y[0], f"{mark.number}", (30, -40), MARK)
+            panels[0].note((at, panels[0].y[0]), f"{mark.number}", (30, -40), MARK)
 
 
 def twin_svg(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: str, *, commissioned: bool) -> str:
