@@ -145,11 +145,6 @@ class ResponseFinder:
         return self._gains_at(self._region.region, *self.scheduled) if self._region else None
 
     @property
-    def phase(self) -> RecogniserPhase | None:
-        """Where the recogniser stands."""
-        return RecogniserPhase(self._state.phase) if self._state else None
-
-    @property
     def at_rest(self) -> bool:
         """Whether it waits for the next response, and none has begun."""
         state = self._state

@@ -23,7 +23,7 @@ from retuner.adaptive.explanations.settings_by_book import lets_go
 from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import predicted
-from retuner.adaptive.signals.recogniser import RecogniserPhase
+from retuner.adaptive.signals.recogniser import RecogniserState
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
@@ -120,9 +120,9 @@ class Retuner:
         return list(self._finder.samples)
 
     @property
-    def phase(self) -> RecogniserPhase | None:
-        """Where the recogniser stands."""
-        return self._finder.phase
+    def recogniser(self) -> RecogniserState | None:
+        """Where the recogniser stands, None before the first sample."""
+        return self._finder.recogniser
 
     @property
     def at_rest(self) -> bool:

@@ -237,7 +237,7 @@ def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -
     assert found.proof.accepted
     calm = replace(found, proof=None, prediction=None, code="ok", elsewhere={1: found})
     assert retuner.enter(question, calm, retuner.sample_number).action is Action.NONE
-    decision, phase = retuner.step(next(samples)).decision, retuner.phase
+    decision, under_way = retuner.step(next(samples)).decision, retuner.recogniser
     assert decision is not None
     assert (decision.action, decision.region) == (Action.WRITE, retuner.table.regions.names[1])
     assert decision.gains_after is not None
@@ -245,7 +245,7 @@ def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -
     assert decision.to_dict()["later"] is True
     assert "in the table, to be written when the loop enters the region: Kc" in live_line(decision)
     retuner.committed(1, decision.gains_after)
-    assert retuner.phase is phase  # what goes on where the loop is goes on
+    assert retuner.recogniser is under_way  # what goes on where the loop is goes on
     retuner.step(next(samples))
     assert retuner.trials.phase(1) is TrialPhase.AWAY
     assert retuner.table.gains_of(0) == scaled(0.25, 0.25)

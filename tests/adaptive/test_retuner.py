@@ -146,11 +146,11 @@ def test_a_gap_or_manual_mode_begins_anew() -> None:
     bench.run(400)
     bench.run(30, sp=1.0)
     last = LoopSample(bench.t + 60.0, 1.0, 0.3, 0.2, LoopMode.AUTO, 0, 10.0)
-    assert bench.retuner.observe(last) is None
-    assert bench.retuner.phase == RecogniserPhase.SETTLE
-    manual = last._replace(t_s=last.t_s + 1, mode=LoopMode.MANUAL)
-    assert bench.retuner.observe(manual) is None
-    assert bench.retuner.phase == RecogniserPhase.SETTLE
+    for each in (last, last._replace(t_s=last.t_s + 1, mode=LoopMode.MANUAL)):
+        assert bench.retuner.observe(each) is None
+        state = bench.retuner.recogniser
+        assert state is not None
+        assert state.phase == RecogniserPhase.SETTLE
 
 
 def bad(values: Iterable[float]) -> list[dict[str, float]]:

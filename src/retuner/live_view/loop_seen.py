@@ -168,13 +168,13 @@ class LoopObserver:
 
     def moved(self) -> tuple[object, ...]:
         """What tells whether anything but the samples has changed: equal values, nothing to be told."""
-        r = self._retuner
-        return (r.phase, r.region, id(r.table), r.trials.phase(r.region or 0), r.open_question is None)
+        r, state = self._retuner, self._retuner.recogniser
+        return (state and state.phase, r.region, id(r.table), r.trials.phase(r.region or 0), r.open_question is None)
 
     def look(self, sample: LoopSample) -> LoopSeen:
         """What can be seen at a sample."""
         r = self._retuner
-        following = r.state().finder.recogniser
+        following = r.recogniser
         return LoopSeen(
             loop=r.table.loop,
             sample=sample,
