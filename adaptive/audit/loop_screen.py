@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from retuner.adaptive.audit.lasting_swing import LastingSwing, lasting_swing
-from retuner.adaptive.audit.record_sums import LAGS, AtExtreme, Measure, RecordSums, covariances, record_sums
+from retuner.adaptive.audit.record_sums import LAGS, AtExtreme, Measure, RecordSums, record_sums
 from retuner.adaptive.indexes.autocovariance import Regularity
 from retuner.adaptive.indexes.condition import (
     AVERAGED,
@@ -125,7 +125,9 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
         at_limits=traits.at_limit,
         loss_at_limits=sum(side.size for side in limits) / sums.size if sums.size > 0 else 0.0,
         one_sided=sum(abs(side.error) for side in limits) / size if size > 0 else 0.0,
-        harris=_harris(sums.covariance, MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)),
+        harris=harris_index(
+            sums.covariance, MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)
+        ),
         noise_share=min(noise[0] ** 2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
         quantum=step,
         compression=1.0 if step or traits.dead_pv else n / (n - min(sums.straight, n - 1)),
@@ -238,18 +240,13 @@ def _traits(record: Window, sums: RecordSums, noise: tuple[float, float], limits
     )
 
 
-def harris_index(error: FloatArray, delay: int) -> float:
+def harris_index(r: FloatArray, delay: int) -> float:
     """Share of the error's variance that minimum-variance control would take away, 0 to 1.
 
-    error : shape (n,). delay : dead time in samples, one for the hold included, at least 1.
+    r : covariances of the error at lags 0 to LAGS. delay : dead time in samples, one for the hold included, at least 1.
 
     Source: Harris (1989), Canadian Journal of Chemical Engineering 67, 856-861; Desborough & Harris (1992).
     """
-    return _harris(covariances(error), delay) if len(error) > 2 * LAGS else 0.0
-
-
-def _harris(r: FloatArray, delay: int) -> float:
-    """The Harris index of the error's covariances at lags 0 to LAGS."""
     if r[0] <= 0:
         return 0.0
     r = np.concatenate([[1 + 1e-9], r[1:] / r[0]])

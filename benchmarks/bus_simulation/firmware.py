@@ -14,7 +14,7 @@ import can
 from retuner import drivers
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.controller.gain_memory import GainSet, Slot
-from retuner.drivers.plants.plant import MeasuresMore, Plant
+from retuner.drivers.plants.plant import Plant
 from retuner.drivers.protocol.authentication import fresh_nonce
 from retuner.drivers.protocol.frames import Item
 from retuner.drivers.telemetry.signal_source import plant_message
@@ -151,7 +151,6 @@ class FirmwareDevice:
         self._keep = Keep(lambda: ENDS[keep()])
         self.state = State()
         self._slots: dict[bytes, Slot] = {}
-        self._more = plant if isinstance(plant, MeasuresMore) else None  # a protocol is dear to ask once a sample
         self.pages, self.lease = _Pages(self), _Lease(self)
         self.pv = plant.pv
         s, key = settings, settings.key or b""
@@ -219,7 +218,8 @@ class FirmwareDevice:
         dt = self.settings.sample_time_s if dt_s is None else dt_s
         self.pv = self.plant.step(self.co, self.load, dt)
         count = self._library.bench_sample(self._bench, ctypes.c_double(self.pv), ctypes.c_double(dt))
-        more = [plant_message(self.settings.node, self._more.aux)] if self._more else []
+        aux = getattr(self.plant, "aux", None)
+        more = [] if aux is None else [plant_message(self.settings.node, aux)]
         return [*more, *self._sent(count)]
 
     def receive(self, message: can.Message) -> list[can.Message]:

@@ -33,7 +33,7 @@ from retuner import cli
 from retuner.config import load_config
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.protocol.codec import DbcError, Refused, plans_of, read_dbc, schema, schema_of
-from retuner.drivers.recorded.recording import RecordingError, read_recording
+from retuner.drivers.recorded.recording import ROLES, RecordingError, read_columns
 from retuner.errors import ConfigError, LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.document import from_toml, to_toml
@@ -119,10 +119,10 @@ def recording(path: Path) -> Judge:
     def judge(data: bytes) -> str:
         path.write_bytes(data)
         try:
-            read = read_recording(path)
+            read = read_columns(path, [*ROLES], ["t", "pv", "co"])
         except RecordingError as error:
             return one_line(error)
-        if not all(math.isfinite(v) for values in (read.t_s, read.pv, read.co) for v in values):
+        if not all(math.isfinite(v) for values in read.values() for v in values):
             raise WrongError("a number that is not finite was taken")
         return "accepted"
 

@@ -65,13 +65,6 @@ class RunReport(NamedTuple):
     overruns: int
 
 
-def run_device(
-    on_bus: DeviceOnBus, clock: Clock, *, until_s: float = float("inf"), stop: Callable[[], bool] = lambda: False
-) -> RunReport:
-    """Run one device: see run_devices."""
-    return run_devices([on_bus], clock, until_s=until_s, stop=stop)
-
-
 def run_devices(
     devices: Sequence[DeviceOnBus],
     clock: Clock,

@@ -206,7 +206,7 @@ class VirtualDevice:
         if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
             frames += self._life_sign()
         # What the plant measures beside pv, before the telemetry of its sample
-        aux: float | None = getattr(self.plant, "aux", None)  # of MeasuresMore; to ask isinstance a sample costs more
+        aux: float | None = getattr(self.plant, "aux", None)  # of a plant with a second measurement
         return [*([] if aux is None else [plant_message(self.settings.node, aux)]), *map(self._encode, frames)]
 
     def tell_fault(self, *, fault: bool) -> None:

@@ -2,7 +2,7 @@
 
 import math
 import random
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from retuner.adaptive.process.model import LinearProcess
 
@@ -38,15 +38,6 @@ class KnownPlant(Plant, Protocol):
 
         load : where the process depends on it, percent as in `step`.
         """
-
-
-@runtime_checkable
-class MeasuresMore(Protocol):
-    """A plant with a second measurement, which the device publishes beside pv."""
-
-    @property
-    def aux(self) -> float | None:
-        """The reading of the last step, in its own unit, noise included; None while there is none."""
 
 
 def check_step(co: float, load: float, dt_s: float) -> None:

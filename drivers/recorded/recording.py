@@ -8,7 +8,7 @@ file, line and column.
 import csv
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, field
 
 ROLES = ("t", "sp", "pv", "co")
-REQUIRED = ("t", "pv", "co")
 DELIMITERS = ",;\t"
 SIZE_MAX = 1 << 30
 """Largest file in bytes; a year at one sample a second is about as long."""
@@ -100,25 +99,6 @@ def require_excitation(recording: Recording) -> None:
                 f"{recording.source}: {name} is {low:g} in all {len(values)} samples, so there is nothing to identify; "
                 "choose a record in which co and pv move"
             )
-
-
-def read_recording(path: Path, columns: Mapping[str, str] | None = None) -> Recording:
-    """Read a recorded loop from a CSV file (comma, semicolon or tab) or a .parquet file.
-
-    path : file.
-    columns : for a role ("t", "sp", "pv", "co") the name of its column, where that is another.
-
-    Raises RecordingError: the file cannot be read or is malformed: see the head of this file.
-    """
-    named = dict(columns or {})
-    for role in named:
-        if role not in ROLES:
-            raise RecordingError(f'columns: no role "{role}"; roles are {", ".join(ROLES)}, as in pv=temperature')
-    names = {role: named.get(role, role) for role in ROLES}
-    wanted = [names[role] for role in ROLES if role in REQUIRED or role in named]
-    table = read_columns(path, list(names.values()), wanted)
-    arrays = {role: table[name] for role, name in names.items() if name in table}
-    return Recording(str(path), arrays["t"], arrays["pv"], arrays["co"], arrays.get("sp"))
 
 
 def read_columns(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:

@@ -18,7 +18,7 @@ from bench import FIRMWARE, FIRST, HOST, LOOK_S, NODE, link, some_gains
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.clock import MonotonicClock
-from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch, run_device
+from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch, run_devices
 from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import WriteDone, WriteRefusedError
 from retuner.drivers.host.can_device import CanDevice
@@ -50,7 +50,7 @@ def device() -> None:
     clock = MonotonicClock()
     machine = VirtualDevice(FIRMWARE, LinearPlant(LinearProcess(1.0, (1.0,)), start_pv=50.0), fresh_epoch())
     with link(CHANNEL, clock) as bus:
-        run_device(DeviceOnBus(machine, bus), clock)
+        run_devices([DeviceOnBus(machine, bus)], clock)
 
 
 def host(path: Path, seed: int) -> None:

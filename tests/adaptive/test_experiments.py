@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plain_recording import read_recording
 
 from retuner.adaptive.experiments import relay, step
 from retuner.adaptive.experiments.plan import (
@@ -27,7 +28,6 @@ from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.drivers.recorded.recording import read_recording
 
 SERVO = Path(__file__).parents[1] / "data" / "servo" / "relay.csv"
 

@@ -8,12 +8,12 @@ import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_recording import read_recording
 
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
 from retuner.adaptive.controller_settings.regression import Structure, by_levels
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
 from retuner.adaptive.signals.sample import Window
-from retuner.drivers.recorded.recording import read_recording
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 

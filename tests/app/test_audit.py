@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from audit_work import dies_or_works
+from plain_recording import read_recording
 
 from retuner.audit.catalogue import Task, catalogue, files_of
 from retuner.audit.loop_row import SCHEMA, AuditSettings, Row, audit_task, drawn, is_fault
@@ -18,7 +19,7 @@ from retuner.audit.results import change, ranked, summary, write_results
 from retuner.audit.working import expected, on_a_cluster, on_this_machine
 from retuner.cli import main
 from retuner.drivers.historian.record_form import RecordForm
-from retuner.drivers.recorded.recording import RecordingError, read_recording
+from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError
 from retuner.schedule.controller_units import ControllerUnits
 

@@ -23,7 +23,7 @@ from retuner.decisions.worker import DecideInWorker, DecisionWorkers
 from retuner.drivers.clock import SimulatedClock
 from retuner.replay.replaying import recorded_columns
 from retuner.session.assembly import make_retuner
-from retuner.session.outputs import read_session
+from retuner.session.outputs import read_loops
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -49,7 +49,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def asked(session: Path) -> tuple[Retuner, Question]:
     """A retuner with an open question, and the question."""
-    recorded = read_session(session)
+    recorded = read_loops(session)[0][0]
     retuner = make_retuner(recorded.config, recorded.mode)
     columns = recorded_columns(recorded)
     for t, sp, pv, co in zip(*(columns[name] for name in ("t", "sp", "pv", "co")), strict=True):

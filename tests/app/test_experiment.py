@@ -23,7 +23,7 @@ from retuner.config import load_config
 from retuner.config.bench_plants import known_plant
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
-from retuner.drivers.controller.device_process import DeviceOnBus, run_device
+from retuner.drivers.controller.device_process import DeviceOnBus, run_devices
 from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import Bench
 from retuner.drivers.plants.linear_plant import LinearPlant
@@ -348,7 +348,7 @@ def test_a_live_bus_is_experimented_with_and_restored(loop: Path, monkeypatch: p
         clock = MonotonicClock(speed)
         try:
             with CanLink(link_settings(config, speed), clock) as link:
-                run_device(DeviceOnBus(machine, link), clock, stop=stop.is_set)
+                run_devices([DeviceOnBus(machine, link)], clock, stop=stop.is_set)
         finally:
             shared.leave()
 

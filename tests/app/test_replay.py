@@ -25,7 +25,7 @@ from retuner.drivers.recorded.frame_log import read_frames
 from retuner.ledger.chain import Row
 from retuner.replay.replaying import first_difference, recorded_columns
 from retuner.session import bench_or_buses, outputs
-from retuner.session.outputs import read_session
+from retuner.session.outputs import read_loops
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -169,10 +169,10 @@ def test_a_bus_log_in_parts_is_one_log_until_its_beginning_is_gone(
     assert (status, found["identical"], found["compared"]) == (1, False, 0)
     assert re.search(r"bus\.blf: its beginning is gone, [34] full parts?, .* bus_log_mb = 256$", found["reason"])
     (cut / "trend.csv").unlink()
-    columns = recorded_columns(read_session(cut))
+    columns = recorded_columns(read_loops(cut)[0][0])
     assert np.all(np.diff(columns["t"]) > 0)
     assert len(columns["t"]) > 100
-    assert columns["t"][-1] == pytest.approx(recorded_columns(read_session(session))["t"][-1])
+    assert columns["t"][-1] == pytest.approx(recorded_columns(read_loops(session)[0][0])["t"][-1])
     (whole / "bus-1.blf").unlink()
     assert "is not the log of this session" in replayed(whole, capsys)[1]["reason"]
 

@@ -6,12 +6,13 @@ import can
 import cantools
 import numpy as np
 import pytest
+from plain_recording import read_recording
 
 from retuner.cli import main
 from retuner.drivers.historian.bus_traffic import tables_of_traffic, traffic_names
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.historian.record_form import RecordForm, form_from_toml
-from retuner.drivers.recorded.recording import RecordingError, read_recording
+from retuner.drivers.recorded.recording import RecordingError
 
 VALVE = Path(__file__).parent.parent / "data" / "plant" / "FIC20102_1016_12.csv"
 DBC = """VERSION ""

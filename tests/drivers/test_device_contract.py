@@ -109,7 +109,7 @@ DEVICE_PROCESS = """
     from retuner.adaptive.process.model import LinearProcess
     from retuner.drivers.bus.bus import CanLink, LinkSettings
     from retuner.drivers.clock import MonotonicClock
-    from retuner.drivers.controller.device_process import DeviceOnBus, run_device
+    from retuner.drivers.controller.device_process import DeviceOnBus, run_devices
     from retuner.drivers.plants.linear_plant import LinearPlant
     from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
     from retuner.schedule.gains import PidGains
@@ -119,7 +119,7 @@ DEVICE_PROCESS = """
     device = VirtualDevice(VirtualDeviceSettings(PidGains(1.0, 0.0625)), plant)
     settings = LinkSettings(interface="udp_multicast", channel=sys.argv[1], options={"port": int(sys.argv[2])})
     with CanLink(settings, clock) as link:
-        run_device(DeviceOnBus(device, link), clock, until_s=50.0 * 60)
+        run_devices([DeviceOnBus(device, link)], clock, until_s=50.0 * 60)
 """
 
 

@@ -11,12 +11,13 @@ import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_recording import read_recording
 
 from retuner.drivers.historian.assumption import in_a_line, in_full, quoted
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import RecordForm, form_from_toml
 from retuner.drivers.historian.tags import loops, named
-from retuner.drivers.recorded.recording import RecordingError, read_recording
+from retuner.drivers.recorded.recording import RecordingError
 
 DATA = Path(__file__).parent.parent / "data"
 N = 60

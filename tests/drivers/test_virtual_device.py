@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from speaking import CODEC, FIRST, OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
 
 from retuner.drivers.clock import MonotonicClock, SimulatedClock
-from retuner.drivers.controller.device_process import RunReport, run_device, run_devices
+from retuner.drivers.controller.device_process import RunReport, run_devices
 from retuner.drivers.controller.gain_memory import Slot
 from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
 from retuner.drivers.protocol.checksum import frame_crc, page_crc, set_crc
@@ -257,7 +257,7 @@ def test_a_machine_that_falls_behind_skips_samples_and_says_so(make_bench) -> No
     bench = make_bench()
     clock = Slow()
     bench.far._clock = clock
-    report = run_device(bench.on_bus, clock, until_s=60.0)
+    report = run_devices([bench.on_bus], clock, until_s=60.0)
     assert report.samples + report.overruns == pytest.approx(30, abs=6)
     assert report.overruns > 15
 
@@ -286,9 +286,9 @@ def test_devices_of_a_slow_machine_keep_step_as_a_plant_that_they_share_wants() 
 
 def test_simulated_time_needs_no_waiting(make_bench) -> None:
     bench = make_bench()
-    assert run_device(bench.on_bus, bench.clock, until_s=600.0) == RunReport(300, 0)
+    assert run_devices([bench.on_bus], bench.clock, until_s=600.0) == RunReport(300, 0)
     stops = iter([False] * 10 + [True])
-    report = run_device(bench.on_bus, bench.clock, stop=lambda: next(stops))
+    report = run_devices([bench.on_bus], bench.clock, stop=lambda: next(stops))
     assert 4 <= report.samples <= 10
 
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from matplotlib import rc_context, rcParams
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from retuner.decision_page.looks import TONES
@@ -29,35 +29,21 @@ _SIZE = re.compile(r'<svg ([^>]*?)width="[^"]*" height="[^"]*"', re.DOTALL)
 
 
 @contextmanager
-def settings(name: str) -> Iterator[None]:
-    """The look of these drawings; name : tells the ids of one drawing on a page from those of another."""
-    with rc_context(
-        {
-            "svg.fonttype": "none",
-            "text.parse_math": False,
-            "font.size": 9.0,
-            "axes.titlesize": 9.5,
-            "axes.titley": 1.0,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "font.family": ["DejaVu Sans", "sans-serif"],
-            "axes.grid": True,
-            "grid.alpha": 0.35,
-            "grid.linewidth": 0.6,
-            "axes.axisbelow": True,
-            "legend.frameon": False,
-            "legend.fontsize": 8.5,
-            "axes.xmargin": 0.0,
-            "svg.hashsalt": name,
-        }
-    ):
+def settings() -> Iterator[None]:
+    """The look of these drawings."""
+    with rc_context({
+        "svg.fonttype": "none", "svg.hashsalt": "retuner", "text.parse_math": False, "font.size": 9.0,
+        "font.family": ["DejaVu Sans", "sans-serif"], "axes.titlesize": 9.5, "axes.titley": 1.0,
+        "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True,
+        "axes.xmargin": 0.0, "grid.alpha": 0.35, "grid.linewidth": 0.6, "legend.frameon": False, "legend.fontsize": 8.5,
+    }):  # fmt: skip
         yield
 
 
 def svg(figure: Figure, alt: str, *, tight: bool = False) -> str:
     """The drawing as an <svg> element that fills the width it is given; tight : cut or grown to what is drawn."""
     buffer, nothing = io.StringIO(), {"Date": None, "Creator": None, "Format": None, "Type": None}
-    with settings(rcParams["svg.hashsalt"] or alt):  # the name of who draws on a page, else its own
+    with settings():
         figure.savefig(buffer, format="svg", metadata=nothing, bbox_inches="tight" if tight else None)
     text = _METADATA.sub("", _HEAD.sub("", buffer.getvalue()))
     text = _COLOUR.sub(lambda found: f"var(--{TONES[found[0]]})", text)

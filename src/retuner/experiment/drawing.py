@@ -11,7 +11,7 @@ from retuner.experiment.findings import ExperimentFindings
 from retuner.report.record_plots import ExplainedCurve
 
 
-@settings("experiment")
+@settings()
 def experiment_figure(
     window: Window, found: ExperimentFindings, title: str, unit: str, band: tuple[float, float] | None
 ) -> Figure:

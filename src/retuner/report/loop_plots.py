@@ -39,7 +39,7 @@ def floors(pv_axes: "Axes", co_axes: "Axes", pv: FloatArray) -> None:
     at_least(co_axes, CO_FLOOR)
 
 
-@settings("trend")
+@settings()
 def trend_figure(trend: LoopTrend) -> Figure:
     """Setpoint and pv above, co below; a line where gains changed. Raises ValueError: the trend has no samples."""
     if not len(trend.t_s):

@@ -64,7 +64,7 @@ class RecordPicture:
     change: ShownChange | None = None
 
 
-@settings("record")
+@settings()
 def record_figure(picture: RecordPicture) -> Figure:
     """Draw it: the record with its explanations, and below it before and after where a change is recommended."""
     height = HEIGHT if picture.change is None else HEIGHT + HEIGHT_OF_CHANGE

@@ -25,7 +25,7 @@ TAU_C_CURVE = (0.2, 0.35, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
 TAU_C_MARKED = (0.5, 1.0, 1.5)
 
 
-@settings("responses")
+@settings()
 def responses_figure(model: ProcessModel, rows: tuple[RuleRow, ...]) -> Figure:
     """Process value (above) and controller output (below) of every stable row, one column for each kind.
 
@@ -94,7 +94,7 @@ def _load_size(process: LinearProcess, stable: list[RuleRow], window_s: float) -
     return math.copysign(float(f"{size:.1g}"), process.k)
 
 
-@settings("pareto")
+@settings()
 def pareto_figure(model: ProcessModel) -> Figure:
     """J against Ms: the best PI controllers, and SIMC with tau_c as parameter (Grimholt & Skogestad 2012, figure 9).
 

@@ -183,7 +183,7 @@ CURVES = (("k", "process gain k"), ("tau", "lag [s]"), ("theta", "dead time [s]"
 SHOWS = "records, process, gains, Ms and J over the variable"
 
 
-@settings("schedule")
+@settings()
 def schedule_figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
     """Draw it."""
     figure = Figure(figsize=(14, 11))

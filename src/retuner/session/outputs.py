@@ -210,20 +210,11 @@ def rows_by_loop(rows: Iterable[Row], names: Collection[str]) -> dict[str, tuple
     return {name: tuple(about) for name, about in found.items()}
 
 
-def read_session(session: Path, loop: str | None = None) -> RecordedSession:
-    """A session with everything that it is replayed from, but the bus log.
-
-    loop : the name of one of several loops.
-
-    Raises UserError: something is missing or was changed after the run, there is no such loop, or there are several and
-    none is named.
-    """
-    loops, config = read_loops(session)
-    return loops[config.place(loop)]
-
-
 def read_loops(session: Path) -> tuple[tuple[RecordedSession, ...], SessionConfig]:
-    """Every loop of a session, in the order of its configuration, which comes with them; errors as read_session."""
+    """Every loop of a session, in the order of its configuration, which comes with them, but not the bus log.
+
+    Raises UserError: something is missing or was changed after the run.
+    """
     path = ledger_path(session)
     folder = path.parent
     rows = believed_rows(path)

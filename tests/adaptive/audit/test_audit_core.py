@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from retuner.adaptive.audit.common_swing import Swinging, common_swings
 from retuner.adaptive.audit.loop_screen import DAY_S, harris_index, screen_loop
 from retuner.adaptive.audit.over_time import stretches_of_interest
+from retuner.adaptive.audit.record_sums import covariances
 from retuner.adaptive.audit.verdict import (
     EFFORT,
     AuditAction,
@@ -67,7 +68,7 @@ def test_the_harris_index_of_an_autoregressive_error_is_the_analytic_one(phi: fl
         error[i] = phi * error[i - 1] + shocks[i]
     least = (1 - phi**2) * sum(phi ** (2 * i) for i in range(delay))
 
-    assert harris_index(error, delay) == pytest.approx(1 - least, abs=0.02)
+    assert harris_index(covariances(error), delay) == pytest.approx(1 - least, abs=0.02)
 
 
 def test_a_dead_signal_has_no_avoidable_error() -> None:
