@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from retuner.files import write_whole
+from retuner.live_view.live_screen import LiveScreen
 from retuner.report.console import RunScreen, counted, scores_table, screen_console
 from retuner.report.event_words import event_line
 from retuner.report.scores import RegionScore
@@ -106,7 +107,7 @@ def test_a_narrow_screen_cuts_no_number(monkeypatch: pytest.MonkeyPatch, capsys:
     gains = PidGains(kp=0.425, ki=0.0017, kd=0.0)
     score = RegionScore("a region with a long name", gains, gains, 12, 1.12, 1.25, 4230.0, 1140274.0)
 
-    RunScreen(screen_console(stderr=False), "bar").table(scores_table([score], "bar"))
+    LiveScreen(screen_console(stderr=False)).table(scores_table([score], "bar"), list)
 
     shown = capsys.readouterr().out
     assert "a region with a long name 0.425, 250" in shown

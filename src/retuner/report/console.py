@@ -1,11 +1,10 @@
-"""What a run shows on the screen: progress, each decision in a line, and at the end a table per region."""
+"""What stands on the screen: progress of an experiment, each decision of a run in a line, a table per region."""
 
 import sys
 from typing import TextIO, cast
 
 from rich.console import Console
 from rich.markup import escape
-from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -40,17 +39,15 @@ def screen_console(*, stderr: bool) -> Console:
 
 
 class RunScreen:
-    """Progress and decisions of one run.
+    """Progress of one experiment.
 
-    console : where to. unit : of pv. quiet : show nothing (for --json). answers_only : no
-        progress and no decisions (for -q).
+    console : where to. unit : of pv. quiet : show nothing (for --json). answers_only : no progress (for -q).
     """
 
     def __init__(self, console: Console, unit: str, *, quiet: bool = False, answers_only: bool = False) -> None:
         self.console = console
         self._unit = unit
         self._quiet = quiet
-        self._answers_only = answers_only
         self._progress = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(),
@@ -92,22 +89,10 @@ class RunScreen:
             state = f"t {in_full(sample.t_s)} s  {region}  {values}"
             self._progress.update(self._task, completed=progress, state=state)
 
-    def decision(self, decision: Decision, loop: str = "") -> None:
-        """A decision was taken. loop : its name, where there are several."""
-        if not (self._quiet or self._answers_only):
-            self._progress.console.print(live_line(decision, loop), highlight=False, soft_wrap=True)
-
     def say(self, text: str) -> None:
         """A line of plain text."""
         if not self._quiet:
             self._progress.console.print(escape(text), highlight=False, soft_wrap=True)
-
-    def table(self, table: Table) -> None:
-        """A table with all its numbers: where the screen is narrower its lines run over, and nothing is cut."""
-        if not self._quiet:
-            wide = self.console.options.update(max_width=MOST_CHARACTERS)
-            table.width = Measurement.get(self.console, wide, table).maximum
-            self._progress.console.print(table, crop=False)
 
 
 def counted(number: int, what: str) -> str:
