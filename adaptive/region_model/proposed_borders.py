@@ -1,164 +1,78 @@
 """Another schedule, where a region is too wide for one set: a boundary inside it, or sets that are interpolated.
 
 The curves through what is known of the regions (region_curves.py) say what the process is at places from end to end of
-every region, and how well that is known. The chances that a set is in spec at them add up to how many of them it is
-expected to serve. Whether the sets in force are the best ones is not asked here: that is seen to from response to
-response. A region with the set that serves it best is weighed against the same region with a boundary in it and the
-best set on either side, and against means of the sets at the centres. What is not known well lowers all of them alike,
-so doubt proposes nothing. Nothing is changed by it: a person takes it up, or leaves it.
+every region, and how well that is known: places as the design of a schedule has them (schedule_design/places.py), at
+which a set of gains keeps the limits or not. Whether the sets in force are the best ones is not asked here: that is
+seen to from response to response. A region with the set that serves it best is weighed against the same region with a
+boundary in it and the best set on either side, and against means of the sets at the centres. What is not known well
+counts for none of them, so doubt proposes nothing. Nothing is changed by it: a person takes it up, or leaves it.
 
 Pure: a table and region models in, a proposal out.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.region_curves import RegionCurves, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.split_or_merge import features
 from retuner.adaptive.region_model.update import TrackerSettings
-from retuner.adaptive.rules.simc import simc, without_second_lag
-from retuner.adaptive.schedule_design.places import LEAST_STD, DesignLimits, iae
+from retuner.adaptive.schedule_choice.borders_of_one_variable import CALMER, times
+from retuner.adaptive.schedule_design.places import LEAST_STD, OUT, DesignLimits, Place, place_on
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass, field
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.regions import Regions, choose, enter
 from retuner.schedule.table import GainTable, Lookup
-
-# A place along the scheduling variable, and how likely a set of gains is in spec there.
-#
-# At a place a set is in spec while Ms and J keep their limits. Along a shape (one tau_I) that is an interval of ln Kc,
-# worked out on the likeliest process. What is not known of a process is above all its ln Kc, so with its doubt s
-#
-#     P(in spec) = Phi((high - ln Kc)/s) - Phi((low - ln Kc)/s)
-
-MS_END = 2.1  # largest Ms where a set ends, the guard's own limit at a boundary (guard/guard_settings.py)
-OVER_OWN = 1.03
-"""Times the Ms of a place's own settings that a set may have there, where these are over the limit themselves."""
-KC_TRIED = 25  # gains that are tried of each shape
-WIDEST = math.log(8.0)  # widest interval in which a gain keeps its limits, either way from the place's own
-BISECTIONS = 12
-J_BISECTIONS = 6
-
-
-@dataclass(frozen=True)
-class Spot:
-    """A place x: the likeliest process there, and how well Kc is known.
-
-    process : as the sampled controller sees it. ln_std : of ln Kc. own : SIMC's set. iae : of it, for a step of the
-    setpoint and of the load.
-    """
-
-    x: float
-    model: ProcessModel
-    process: LinearProcess
-    ln_std: float
-    own: PidGains
-    iae: tuple[float, float]
-    sample_time_s: float
-    limits: DesignLimits
-    _asked: dict[float, tuple[float, float, float]] = field(default_factory=dict, repr=False, compare=False)
-
-    def ms(self, gains: PidGains) -> float:
-        """Ms by the likeliest process."""
-        return sensitivity_peak(self.process, gains)
-
-    def interval(self, tau_i_s: float) -> tuple[float, float, float]:
-        """ln |Kc| of this shape from which J is kept, up to which Ms is, and up to which Ms is that of an end."""
-        if tau_i_s not in self._asked:
-            limit = max(self.limits.ms, OVER_OWN * self.ms(self.own))
-            high, end = (self._largest(tau_i_s, ms) for ms in (limit, max(MS_END, limit)))
-            self._asked[tau_i_s] = (self._least(tau_i_s, high), high, end)
-        return self._asked[tau_i_s]
-
-    def chance(self, ln_kc: float, tau_i_s: float) -> float:
-        """The chance that a set is in spec here."""
-        low, high, _ = self.interval(tau_i_s)
-        return max(_normal((high - ln_kc) / self.ln_std) - _normal((low - ln_kc) / self.ln_std), 0.0)
-
-    def _set(self, ln_kc: float, tau_i_s: float) -> PidGains:
-        kc = math.copysign(math.exp(ln_kc), self.own.kp)
-        return PidGains(kc, kc / tau_i_s, 0.0)
-
-    def _largest(self, tau_i_s: float, ms: float) -> float:
-        middle = math.log(abs(self.own.kp))
-        return _gain_at_limit(
-            lambda x: self.ms(self._set(x, tau_i_s)) <= ms, middle - WIDEST, middle + WIDEST, BISECTIONS
-        )
-
-    def _least(self, tau_i_s: float, high: float) -> float:
-        """inf where J is not kept even at the largest gain."""
-        if not self._is_fast(high, tau_i_s):
-            return math.inf
-        return -_gain_at_limit(lambda x: self._is_fast(-x, tau_i_s), -high, WIDEST - high, J_BISECTIONS)
-
-    def _is_fast(self, ln_kc: float, tau_i_s: float) -> bool:
-        gains = self._set(ln_kc, tau_i_s)
-        if not math.isfinite(self.ms(gains)):
-            return False
-        found = iae(self.model, gains, self.sample_time_s)
-        return sum(one / own for one, own in zip(found, self.iae, strict=True)) / 2 <= self.limits.j
-
-
-def _gain_at_limit(keeps: Callable[[float], bool], low: float, high: float, times: int) -> float:
-    """The largest value up to which something is kept that is so at low."""
-    for _ in range(times):
-        middle = (low + high) / 2
-        low, high = (middle, high) if keeps(middle) else (low, middle)
-    return low
-
-
-def _normal(z: float) -> float:
-    return 0.5 * math.erfc(-z / math.sqrt(2)) if math.isfinite(z) else float(z > 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Best:
-    """The set that serves some places best: how many of them are expected to be in spec."""
+    """The set that serves some places best: at how many of them it keeps the limits."""
 
     gains: PidGains
     kept: float
 
 
-def spot_of(x: float, log: LogModel, sample_time_s: float, limits: DesignLimits) -> Spot | None:
+def place_by(x: float, log: LogModel, sample_time_s: float, limits: DesignLimits) -> Place | None:
     """The place x by what is known of the process there; None where that is not known well enough."""
     ln_std = math.hypot(math.sqrt(float(features(log, sample_time_s).p[0, 0])), LEAST_STD)
-    model = log.model()
-    plain = without_second_lag(model.seen_by_controller(sample_time_s))
-    own = simc(plain, plain.theta_s).gains
-    process = model.seen_by_controller(sample_time_s).linear()
-    if ln_std > limits.std or not math.isfinite(sensitivity_peak(process, own)):
+    if ln_std > limits.std:
         return None
-    return Spot(x, model, process, ln_std, own, iae(model, own, sample_time_s), sample_time_s, limits)
+    values, vectors = np.linalg.eigh(log.p)
+    ways = OUT * vectors * np.sqrt(np.maximum(values, 0.0))
+    allowed = tuple(model_at(log.type, log.x + side * way, log.sign) for way in ways.T for side in (1.0, -1.0))
+    found = place_on(x, log.model(), allowed, (), ln_std, sample_time_s, limits)
+    return found if found.known else None
 
 
-def best_of(spots: Sequence[Spot]) -> Best:
-    """The set for these places, in order: the shape of one of three, within what a boundary bears at both ends."""
-    shapes = {spot.own.kp / spot.own.ki: None for spot in (spots[0], spots[len(spots) // 2], spots[-1])}
-    return max((_of_shape(spots, tau_i_s) for tau_i_s in shapes), key=lambda one: one.kept)
+def best_of(places: Sequence[Place], limits: DesignLimits) -> Best:
+    """The set that keeps the limits at most of these places, of their own sets and calmer ones."""
+    tried = (times(place.own, factor) for place in places for factor in CALMER)
+    return max((Best(one, _kept(places, one, limits)) for one in tried), key=lambda best: best.kept)
 
 
-def _of_shape(spots: Sequence[Spot], tau_i_s: float) -> Best:
-    """The best gain of a shape, by one standard deviation inside what a boundary bears at either end."""
-    own = [math.log(abs(spot.own.kp)) for spot in spots]
-    most = min(spot.interval(tau_i_s)[2] - spot.ln_std for spot in (spots[0], spots[-1]))
-    tried = np.minimum(np.linspace(min(own) - 0.3, max(own) + 0.3, KC_TRIED), most).tolist()
-    kept = [sum(spot.chance(ln_kc, tau_i_s) for spot in spots) for ln_kc in tried]
-    at = int(np.argmax(kept))
-    kc = math.copysign(math.exp(tried[at]), spots[0].own.kp)
-    return Best(PidGains(kc, kc / tau_i_s, 0.0), kept[at])
+def _kept(places: Sequence[Place], gains: PidGains, limits: DesignLimits) -> int:
+    return sum(_keeps(place, gains, limits) for place in places)
 
 
+def _keeps(place: Place, gains: PidGains, limits: DesignLimits) -> bool:
+    """Whether a set keeps the limits on the likeliest process; what else it may be makes a place's own set calmer."""
+    found = place.judged(gains)
+    return found.ms <= max(limits.ms, place.judged(place.own).ms) and found.j <= limits.j
+
+
+MS_END = 2.1  # largest Ms where a set ends, the guard's own limit at a boundary (guard/guard_settings.py)
 PLACES = 5  # places of a region, from end to end; those between the ends are where a boundary is tried
 LEAST_RECORDS = 3  # records that every region must have
 LEAST_KNOWN = 3  # places of a region that must be known; the others demand nothing
 TOO_WIDE = 0.6  # share of a region's places that its best set must serve, or the region is too wide
 WORTH = 0.15  # share of a region's places by which another schedule must serve more of them, in expectation
-CALMER = (1.0, 0.92, 0.85)  # factors on the sets of an interpolation: a mean of two sets may be too much between them
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,8 +129,8 @@ class Refinement:
                 *(one.sentence for one in self.wide),
                 f"Another schedule serves more places: {what} {axis.unit}".rstrip() + ".",
                 f"Ms {self.limits.ms:g} and {self.limits.j:g} times SIMC's IAE are then expected to hold at "
-                f"{self.kept_then:.1f} of {self.places} places. "
-                f"With the best set in each region as it is they hold at {self.kept:.1f}. "
+                f"{self.kept_then:g} of {self.places} places. "
+                f"With the best set in each region as it is they hold at {self.kept:g}. "
                 f"The largest Ms is then {_ms(self.ms_then)} instead of {_ms(self.ms)}.",
             ]
         )
@@ -257,37 +171,38 @@ def proposed_borders(
         the controller. limits : of Ms and J, those of a schedule's design where nothing is said.
     """
     wanted = limits or DesignLimits()
-    spots = _known_spots(table, region_models, t_s, sample_time_s, tracker, wanted)
-    now = {region: best_of(row) for region, row in spots.items()}
-    wide = [region for region, row in spots.items() if now[region].kept < TOO_WIDE * len(row)]
+    places = _known_places(table, region_models, t_s, sample_time_s, tracker, wanted)
+    now = {region: best_of(row, wanted) for region, row in places.items()}
+    wide = [region for region, row in places.items() if now[region].kept <= TOO_WIDE * len(row)]
     if not wide:
         return None
-    ways = [_interpolated(table, spots, factor) for factor in CALMER] if len(spots) == len(table.regions) else []
-    most = max(MS_END, _largest_ms(table, spots))
-    ways = [way for way in (*_split(table, spots, now, wide), *ways) if _largest_ms(way.table, spots) <= most]
+    whole = len(places) == len(table.regions)
+    ways = [_interpolated(table, places, factor, wanted) for factor in CALMER] if whole else []
+    most = max(MS_END, _largest_ms(table, places))
+    ways = [way for way in (*_split(table, places, now, wide, wanted), *ways) if _largest_ms(way.table, places) <= most]
     if not ways:
         return None
-    best = max(ways, key=lambda way: sum(way.kept.values()))
+    best = max(ways, key=lambda way: (sum(way.kept.values()), -_largest_ms(way.table, places)))
     told = tuple(
-        _told(table, region, spots[region], now[region].kept, best.kept[region])
+        _told(table, region, places[region], now[region].kept, best.kept[region])
         for region in wide
-        if best.kept[region] - now[region].kept >= WORTH * len(spots[region])
+        if best.kept[region] - now[region].kept >= WORTH * len(places[region])
     )
-    places, kept, then = sum(map(len, spots.values())), sum(one.kept for one in now.values()), sum(best.kept.values())
+    count, kept, then = sum(map(len, places.values())), sum(one.kept for one in now.values()), sum(best.kept.values())
     if not told or then - kept < WORTH * PLACES:
         return None
-    ms = max(spot.ms(now[region].gains) for region, row in spots.items() for spot in row)
-    return Refinement(best.table, places, kept, then, ms, _largest_ms(best.table, spots), wanted, told)
+    ms = max(_ms_at(place, now[region].gains) for region, row in places.items() for place in row)
+    return Refinement(best.table, count, kept, then, ms, _largest_ms(best.table, places), wanted, told)
 
 
-def _known_spots(
+def _known_places(
     table: GainTable,
     region_models: Mapping[int, RegionModel],
     t_s: float,
     sample_time_s: float,
     tracker: TrackerSettings,
     limits: DesignLimits,
-) -> dict[int, list[Spot]]:
+) -> dict[int, list[Place]]:
     """Known places from end to end of every region that has records of its own, its middle among them."""
     sign, regions = table.gains[0].direction, table.regions
     own = {i: model for i, model in lenders(region_models, sign).items() if model.records >= LEAST_RECORDS}
@@ -299,15 +214,19 @@ def _known_spots(
     found = {}
     for region in own:
         xs = np.linspace(*regions.span(region), PLACES).tolist()
-        row = [spot_of(x, _log(through[type_], x, sign, type_), sample_time_s, limits) for x in xs]
-        known = [spot for spot in row if spot is not None]
+        row = [place_by(x, _log(through[type_], x, sign, type_), sample_time_s, limits) for x in xs]
+        known = [place for place in row if place is not None]
         found.update({region: known} if len(known) >= LEAST_KNOWN and row[PLACES // 2] is not None else {})
     return found
 
 
-def _largest_ms(table: GainTable, spots: Mapping[int, Sequence[Spot]]) -> float:
+def _largest_ms(table: GainTable, places: Mapping[int, Sequence[Place]]) -> float:
     """The largest Ms at any known place, by the likeliest process."""
-    return max(spot.ms(in_force(table, spot.x)) for row in spots.values() for spot in row)
+    return max(_ms_at(place, in_force(table, place.x)) for row in places.values() for place in row)
+
+
+def _ms_at(place: Place, gains: PidGains) -> float:
+    return sensitivity_peak(place.processes[0], gains)
 
 
 def in_force(table: GainTable, x: float) -> PidGains:
@@ -330,18 +249,14 @@ class _Cut:
     above: Best
 
 
-def _best_border(row: Sequence[Spot]) -> _Cut:
+def _best_border(row: Sequence[Place], limits: DesignLimits) -> _Cut:
     """The boundary that serves most places of a region."""
     cuts = []
     for at in range(1, len(row) - 1):
-        parts = (best_of(row[: at + 1]), best_of(row[at:]))
-        below, above = (Best(part.gains, part.kept - _chance(row[at], part.gains) / 2) for part in parts)
+        parts = (best_of(row[: at + 1], limits), best_of(row[at:], limits))
+        below, above = (Best(part.gains, part.kept - _keeps(row[at], part.gains, limits) / 2) for part in parts)
         cuts.append(_Cut(row[at].x, below, above))
     return max(cuts, key=lambda cut: cut.below.kept + cut.above.kept)
-
-
-def _chance(spot: Spot, gains: PidGains) -> float:
-    return spot.chance(math.log(abs(gains.kp)), gains.kp / gains.ki)
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,7 +268,11 @@ class _Way:
 
 
 def _split(
-    table: GainTable, spots: Mapping[int, Sequence[Spot]], now: Mapping[int, Best], wide: Sequence[int]
+    table: GainTable,
+    places: Mapping[int, Sequence[Place]],
+    now: Mapping[int, Best],
+    wide: Sequence[int],
+    limits: DesignLimits,
 ) -> list[_Way]:
     """The table with a boundary in the regions that are too wide, their sets the best on either side; the others keep
     theirs. Nothing where no boundary is worth it.
@@ -364,11 +283,11 @@ def _split(
     kept = {region: best.kept for region, best in now.items()}
     for region, name in enumerate(table.regions.names):
         bounds.append(table.regions.span(region)[0])
-        cut = _best_border(spots[region]) if region in wide else None
+        cut = _best_border(places[region], limits) if region in wide else None
         more = cut.below.kept + cut.above.kept - now[region].kept if cut is not None else 0.0
         low, high = table.regions.span(region)  # the boundary leaves the hysteresis its room on both sides
         room = cut is not None and min(cut.x - low, high - cut.x) >= 2 * table.regions.axes[0].hysteresis
-        if cut is None or more < WORTH * len(spots[region]) or not room:
+        if cut is None or more < WORTH * len(places[region]) or not room:
             names, sets = [*names, name], [*sets, table.gains_of(region)]
             continue
         names += [f"{name} lower", f"{name} upper"]
@@ -379,12 +298,12 @@ def _split(
     return [_Way(_table_of(table, tuple(names), tuple(bounds[1:]), tuple(sets), Lookup.HARD), kept)]
 
 
-def _interpolated(table: GainTable, spots: Mapping[int, Sequence[Spot]], factor: float) -> _Way:
+def _interpolated(table: GainTable, places: Mapping[int, Sequence[Place]], factor: float, limits: DesignLimits) -> _Way:
     """The table with its regions' centres as knots, and the sets of these, a little calmer or not."""
-    own = [min(spots[i], key=lambda s: abs(s.x - table.regions.centre(i))).own for i in range(len(table.regions))]
-    sets = tuple(PidGains(*(factor * gain for gain in (one.kp, one.ki, one.kd))) for one in own)
+    own = [min(places[i], key=lambda p: abs(p.x - table.regions.centre(i))).own for i in range(len(table.regions))]
+    sets = tuple(times(one, factor) for one in own)
     other = _table_of(table, table.regions.names, table.regions.bounds, sets, Lookup.INTERPOLATED)
-    return _Way(other, {i: sum(_chance(spot, other.at(i, spot.x)) for spot in row) for i, row in spots.items()})
+    return _Way(other, {i: sum(_keeps(p, other.at(i, p.x), limits) for p in row) for i, row in places.items()})
 
 
 def _table_of(
@@ -407,7 +326,7 @@ def _table_of(
     return GainTable(table.loop, regions, sets, lookup, table.revision + 1)
 
 
-def _told(table: GainTable, region: int, row: Sequence[Spot], served: float, kept: float) -> TooWide:
+def _told(table: GainTable, region: int, row: Sequence[Place], served: float, kept: float) -> TooWide:
     """What speaks for another schedule in one region."""
-    asked = [abs(spot.own.kp) for spot in row]
+    asked = [abs(place.own.kp) for place in row]
     return TooWide(table.regions.names[region], max(asked) / min(asked), served / len(row), kept / len(row))

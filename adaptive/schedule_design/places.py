@@ -154,8 +154,6 @@ def place_of(x: float, ln: FloatArray, p: FloatArray, sign: int, sample_time_s: 
     values, vectors = np.linalg.eigh(covariance)
     ways = OUT * vectors * np.sqrt(np.maximum(values, 0.0))
     allowed = tuple(model_of(moved(ln, side * way), sign) for way in ways.T for side in (1.0, -1.0))
-    settings = RobustSettings(ms_worst=max(limits.ms - 0.03, 1.5))
-    own = robust_simc_on(model, [Plausible(m, OUT**2) for m in allowed], sample_time_s, settings).tuning.gains
     # standard deviation of ln Kc = -ln b - ln(theta + tau2/2), the larger part of SIMC's answer
     effective = np.exp(ln[1]) + (0.5 * np.exp(ln[3]) if len(ln) > 3 else 0.0)
     way = np.zeros(len(ln))
@@ -164,9 +162,24 @@ def place_of(x: float, ln: FloatArray, p: FloatArray, sign: int, sample_time_s: 
         way[3] = 0.5 * np.exp(ln[3]) / effective
     spread = float(np.sqrt(way @ covariance @ way))
     std = tuple(float(s) for s in np.sqrt(np.diag(covariance)))
+    return place_on(x, model, allowed, std, spread, sample_time_s, limits)
+
+
+def place_on(
+    x: float,
+    model: ProcessModel,
+    allowed: tuple[ProcessModel, ...],
+    ln_std: tuple[float, ...],
+    gain_std: float,
+    sample_time_s: float,
+    limits: DesignLimits,
+) -> Place:
+    """A place by its likeliest model and those OUT standard deviations out, with its own settings."""
+    settings = RobustSettings(ms_worst=max(limits.ms - 0.03, 1.5))
+    own = robust_simc_on(model, [Plausible(m, OUT**2) for m in allowed], sample_time_s, settings).tuning.gains
     seen = tuple(m.seen_by_controller(sample_time_s).linear() for m in (model, *allowed))
-    known = spread <= limits.std and all(sensitivity_peak(m, own) <= MOST_MS for m in seen)
-    return Place(x, model, allowed, seen, std, spread, known, own, iae(model, own, sample_time_s), sample_time_s)
+    known = gain_std <= limits.std and all(sensitivity_peak(m, own) <= MOST_MS for m in seen)
+    return Place(x, model, allowed, seen, ln_std, gain_std, known, own, iae(model, own, sample_time_s), sample_time_s)
 
 
 def moved(ln: FloatArray, way: FloatArray) -> FloatArray:

@@ -1,27 +1,24 @@
 """Another schedule is proposed where a region is too wide for one set, and nowhere else."""
 
 import json
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from retuner.adaptive.identification.estimate import LogModel
-from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.proposed_borders import (
     MS_END,
     Refinement,
-    Spot,
     best_of,
     in_force,
+    place_by,
     proposed_borders,
-    spot_of,
 )
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.schedule_design.places import DesignLimits
+from retuner.adaptive.schedule_design.places import DesignLimits, Place
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
@@ -55,8 +52,8 @@ def table_of(*gains: PidGains, regions: Regions = REGIONS, lookup: Lookup = Look
     return GainTable("oven", regions, gains, lookup)
 
 
-def spot(k: float, x: float = 0.0, variance: float = 2e-4) -> Spot:
-    found = spot_of(x, log_of(k, variance), 1.0, DesignLimits())
+def place(k: float, x: float = 0.0, variance: float = 2e-4) -> Place:
+    found = place_by(x, log_of(k, variance), 1.0, DesignLimits())
     assert found is not None
     return found
 
@@ -86,8 +83,7 @@ def test_regions_in_which_the_gain_grows_eightfold_are_too_wide(one_set: GainTab
 def test_what_is_proposed_serves_more_places_of_the_true_process(found: Refinement) -> None:
     def served(table: GainTable) -> int:
         xs = np.linspace(2.0, 97.0, 20).tolist()
-        places = [(spot(STEEP ** ((x - 16.5) / 66.5), x), in_force(table, x)) for x in xs]
-        return sum(place.chance(math.log(gains.kp), gains.kp / gains.ki) > 0.5 for place, gains in places)
+        return sum(place(STEEP ** ((x - 16.5) / 66.5), x).keeps(in_force(table, x), DesignLimits()) for x in xs)
 
     centres = table_of(*(best(STEEP ** (i / 2)) for i in range(3)))
     assert served(found.table) > served(centres)
@@ -133,31 +129,16 @@ def test_no_boundary_stands_nearer_to_another_than_its_hysteresis() -> None:
     assert found is None or found.table.lookup is Lookup.INTERPOLATED
 
 
-def test_the_interval_of_a_shape_ends_where_ms_and_j_do() -> None:
-    place = spot(2.0)
-    tau_i_s = place.own.kp / place.own.ki
-    low, high, end = place.interval(tau_i_s)
-
-    def ms(ln_kc: float) -> float:
-        kc = math.exp(ln_kc)
-        return sensitivity_peak(place.process, PidGains(kc, kc / tau_i_s, 0.0))
-
-    assert ms(high) == pytest.approx(1.8, abs=0.01)
-    assert ms(end) == pytest.approx(MS_END, abs=0.01)
-    assert low < math.log(place.own.kp) < high < end
+def test_doubt_makes_a_place_its_own_set_calmer_until_it_has_none() -> None:
+    sure, unsure = place(2.0), place(2.0, variance=1.4e-2)
+    assert abs(unsure.own.kp) < abs(sure.own.kp)
+    assert sure.keeps(sure.own, DesignLimits())
+    assert not unsure.keeps(PidGains(*(1.3 * gain for gain in (sure.own.kp, sure.own.ki, 0.0))), DesignLimits())
+    assert place_by(0.0, log_of(2.0, 8e-2), 1.0, DesignLimits()) is None
 
 
-def test_doubt_takes_chances_from_what_is_right_and_gives_some_to_what_is_wrong() -> None:
-    sure, unsure = spot(2.0), spot(2.0, variance=8e-3)
-    tau_i_s = sure.own.kp / sure.own.ki
-    right, wrong = math.log(sure.own.kp), math.log(1.6 * sure.own.kp)
-    assert sure.chance(right, tau_i_s) > unsure.chance(right, tau_i_s)
-    assert sure.chance(wrong, tau_i_s) < unsure.chance(wrong, tau_i_s)
-    assert sure.chance(right, tau_i_s) == pytest.approx(1.0, abs=0.01)
-
-
-def test_the_best_set_for_places_keeps_to_what_a_boundary_bears_at_both_ends() -> None:
-    row = [spot(k, x) for x, k in enumerate((1.0, 2.0, 4.0))]
-    chosen = best_of(row)
-    assert max(row[0].ms(chosen.gains), row[2].ms(chosen.gains)) <= MS_END + 0.01
-    assert 0.0 <= chosen.kept <= 3.0
+def test_the_best_set_for_places_keeps_the_limits_at_most_of_them() -> None:
+    row = [place(k, x) for x, k in enumerate((1.0, 1.2, 1.4, 8.0))]
+    chosen = best_of(row, DesignLimits())
+    assert [one.keeps(chosen.gains, DesignLimits()) for one in row] == [True, True, True, False]
+    assert chosen.kept == 3
