@@ -37,11 +37,6 @@ class CurvesAgreement:
     normal: FloatArray
     right: FloatArray
 
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the coefficients."""
-        return np.asarray(np.linalg.inv(self.normal), dtype=np.float64)
-
 
 @dataclass(frozen=True, slots=True)
 class _StretchPiece:

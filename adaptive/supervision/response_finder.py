@@ -140,11 +140,6 @@ class ResponseFinder:
         return values(self._regions, self._region, newest.x, newest.x2)
 
     @property
-    def in_force(self) -> PidGains | None:
-        """The gains in force now, None before the first sample."""
-        return self._gains_at(self._region.region, *self.scheduled) if self._region else None
-
-    @property
     def at_rest(self) -> bool:
         """Whether it waits for the next response, and none has begun."""
         state = self._state

@@ -103,8 +103,7 @@ class StandStill:
     """What the plateaus of a record show.
 
     legs : that count. slips_s, agreed : when pv went to another level, and how many of these times co had gone there.
-    ends_s : those of the latter that end a leg. slip_lag : T of the slips in units of tau_I. silent_s : setpoint steps
-    that were answered late and then at once.
+    ends_s : those of the latter that end a leg. silent_s : setpoint steps that were answered late and then at once.
     stands, sticks, dead : the verdicts. degree : how far it stands, 0 to 1. quick : how far its slips are no loop's.
     rows, sigma, criterion : of the steps; see plateaus.py.
     """
@@ -113,7 +112,6 @@ class StandStill:
     slips_s: tuple[float, ...]
     agreed: int
     ends_s: tuple[float, ...]
-    slip_lag: float
     silent_s: tuple[float, ...]
     stands: bool
     sticks: bool
@@ -170,7 +168,6 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
         tuple(float(rows.t_s[s]) for s in slips),
         len(agreed),
         tuple(_ends(agreed, counted)),
-        steps.lag / tau_i,
         tuple(silent),
         stands,
         stands and quick >= 1.0,

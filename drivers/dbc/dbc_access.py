@@ -264,18 +264,7 @@ class DbcAccess:
 
     def put(self, numbers: Mapping[str, float]) -> None:
         """Have numbers written: see Access."""
-        frames = self._noted(numbers)
-        for slot in frames:
-            place = next(place for place in self._written.values() if (place.frame_id, place.page) == slot)
-            self._queue.append(self._frame(place, slot))
-
-    def assume(self, numbers: Mapping[str, float]) -> None:
-        """Note what the controller is believed to hold, for messages that carry more than one kind of thing."""
-        self._noted(numbers)
-
-    def _noted(self, numbers: Mapping[str, float]) -> list[Slot]:
-        """Note numbers in their messages; the messages."""
-        slots: list[Slot] = []
+        slots: dict[Slot, SignalPlace] = {}
         for name, number in numbers.items():
             place = self._written.get(name)
             if place is None:
@@ -288,8 +277,9 @@ class DbcAccess:
             slot = (place.frame_id, place.page)
             fixed = self._mapping.fixed
             self._last.setdefault(slot, defaults(place.layout, place.page, fixed))[place.signal.name] = value
-            slots += [slot] if slot not in slots else []
-        return slots
+            slots.setdefault(slot, place)
+        for slot, place in slots.items():
+            self._queue.append(self._frame(place, slot))
 
     def _frame(self, place: SignalPlace, slot: Slot) -> can.Message:
         """The frame of a message as it stands."""

@@ -144,12 +144,6 @@ class GainWriter:
         return sound and self.machine.phase is WriterPhase.IDLE and not self.restoring
 
     @property
-    def ready(self) -> bool:
-        """Whether a decision could be written now: none waits, the wire is free, the link has been sound."""
-        sound = self.t_s >= self._hold_until_s and not self.frozen and not self.retuner.turned
-        return self.machine.phase is WriterPhase.IDLE and sound
-
-    @property
     def restoring(self) -> bool:
         """Whether a verified set is not known to run again."""
         return bool(self.retuner.trials.restoring)

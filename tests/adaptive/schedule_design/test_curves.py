@@ -135,7 +135,7 @@ def test_differences_are_found_where_they_are(std):
     found = agreement(FORM, fitted(std), [ROWS] * STRETCHES, 1.0)
 
     assert found.differences == pytest.approx((std, 0.0), abs=0.03)
-    told = LEVEL_STD * np.sqrt(np.diag(found.covariance))
+    told = LEVEL_STD * np.sqrt(np.diag(np.linalg.inv(found.normal)))
     sampling = 1 / math.sqrt(100 * ROWS / 2 * STRETCHES)
     assert told[0] == pytest.approx(math.hypot(sampling, std / math.sqrt(STRETCHES)), rel=0.2)
     assert told[1] == pytest.approx(sampling, rel=0.2)
