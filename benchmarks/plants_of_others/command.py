@@ -18,7 +18,7 @@ from pathlib import Path
 
 from online.runner import collect, rows_of
 
-from plants_of_others import aircraft, eastman, session, slow_levels
+from plants_of_others import aircraft, eastman, pairs, session, slow_levels
 from plants_of_others.columns import COLUMNS, Distillation
 from plants_of_others.loop import Card, Plant
 from plants_of_others.motor import Motor
@@ -74,6 +74,12 @@ def main() -> int:
     pitch.add_argument("--seed", type=int, default=1)
     pitch.add_argument("--sessions", type=int, default=1)
     pitch.add_argument("--start", choices=("all", *aircraft.STARTS), default="all")
+    both = parts.add_parser("pairs", help="two loops of one plant retuned at once, apart and with regard to both")
+    both.add_argument("--seed", type=int, default=1)
+    both.add_argument("--sessions", type=int, default=1)
+    both.add_argument("--plants", nargs="+", choices=tuple(pairs.PAIRS), default=tuple(pairs.PAIRS))
+    both.add_argument("--starts", nargs="+", choices=tuple(pairs.STARTS), default=tuple(pairs.STARTS))
+    both.add_argument("--out", type=Path, metavar="FILE", help="every session as a line of JSON")
     levels = parts.add_parser("levels", help="level loops that swing slowly: what diagnose says of their records")
     levels.add_argument("--seed", type=int, default=1)
     levels.add_argument("--sessions", type=int, default=6, help="records")
@@ -91,8 +97,16 @@ def main() -> int:
     if options.part == "picture":
         _say([str(draw(options.folder, options.seed, options.start))])
         return 0
-    alone = {"aircraft": aircraft.measure, "levels": slow_levels.measure}
+    alone = {"aircraft": aircraft.measure, "levels": slow_levels.measure, "pairs": _pairs}
     return alone.get(options.part, _measure)(options)
+
+
+def _pairs(options: argparse.Namespace) -> int:
+    seeds = range(options.seed, options.seed + options.sessions)
+    tasks = [pairs.Task(pair, start, seed) for pair in options.plants for start in options.starts for seed in seeds]
+    rows, whole = collect(pairs.run, tasks, 1, options.out, pairs.line)
+    _say(pairs.table(rows) if rows else ["no runs"])
+    return 0 if rows and whole else 1
 
 
 def _measure(options: argparse.Namespace) -> int:
