@@ -47,6 +47,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 STEP, DEEPEST = 0.05, 255
 """Levels of the logarithms that are kept, and the one of what is left out: no loop at work comes from there."""
+WEIGHT_AT = np.append(np.exp(-STEP * np.arange(DEEPEST)), 0.0)  # of each level
 ODD, FEWEST_SAMPLES = 0.02, 30
 """Probability that a window says nothing of the process; samples of one that may say something."""
 TONE, TONE_LASTS = 0.3, 20000
@@ -216,8 +217,7 @@ def _array(levels: bytes) -> FloatArray:
 
 
 def _weights(levels: bytes) -> FloatArray:
-    kept = _array(levels)
-    weights = np.where(kept < DEEPEST, np.exp(-STEP * kept), 0.0)
+    weights = WEIGHT_AT[np.frombuffer(levels, dtype=np.uint8)].reshape(PLANES)
     for one in WHOLE:
         weights[one] /= float(weights[one].sum())
     return np.asarray(weights, dtype=np.float64)
