@@ -20,8 +20,8 @@ def main() -> None:
     retuned = Run(config, nothing).simulated().loops[0]
     fixed = Run(config, nothing, mode=Mode.OFF).simulated().loops[0]
     marks = [Mark(t_s, 0, rolled_back=False) for t_s, _ in retuned.changes]
-    run, before, alt = retuned.trend.columns(), fixed.trend.columns(), "An oven retuned in three regions"
-    drawing = trend_svg(run, before, marks, config.regions(), config.loop.pv_unit, alt)
+    run, before = retuned.trend.columns(), fixed.trend.columns()
+    drawing = trend_svg(run, before, marks, config.regions(), config.loop.pv_unit)
     (ROOT / "docs" / "oven.svg").write_text(svg_file(drawing), encoding="utf-8")
 
 

@@ -7,12 +7,11 @@ from matplotlib.figure import Figure
 
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.decision_page.looks import FIXED, MARK, PV, SP, time_axis
 from retuner.decision_page.svg import settings
 from retuner.report.change_of_settings import ShownChange, change_words, settling_s
-from retuner.report.scores import CO_FLOOR, NOISE_BANDS
+from retuner.report.scores import axis_floors
 from retuner.schedule.gains import PidGains
 from retuner.simulation.loop_trend import LoopTrend
 
@@ -24,19 +23,12 @@ BAND = 0.22  # opacity of the band over the models
 OUT_OF_SIGHT = 1e9  # where an unstable answer is cut off; the axes end long before
 
 
-def at_least(axes: "Axes", floor: float) -> None:
-    """Make the axis of values no shorter than that, about its middle."""
-    low, high = axes.get_ylim()
-    if high - low < floor:
-        axes.set_ylim((low + high - floor) / 2, (low + high + floor) / 2)
-
-
 def floors(pv_axes: "Axes", co_axes: "Axes", pv: FloatArray) -> None:
-    """The floors of pv's and of co's axis."""
-    known = pv[np.isfinite(pv)]
-    if len(known) > 2:
-        at_least(pv_axes, NOISE_BANDS * noise_sigma(known))
-    at_least(co_axes, CO_FLOOR)
+    """Make no axis of values shorter than its floor."""
+    for axes, floor in zip((pv_axes, co_axes), axis_floors(pv), strict=True):
+        low, high = axes.get_ylim()
+        if high - low < floor:
+            axes.set_ylim((low + high - floor) / 2, (low + high + floor) / 2)
 
 
 @settings()

@@ -5,11 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray
 from retuner.decision_page.looks import AFTER, BANDS, BEFORE, MARK, SETPOINT, thinned, time_axis
 from retuner.decision_page.panel import Panel, Stroke, page_of, room, stacked
-from retuner.report.scores import CO_FLOOR, NOISE_BANDS, Columns, Twin
+from retuner.report.scores import Columns, Twin, axis_floors
 from retuner.schedule.regions import Regions
 
 DENSE = 2400
@@ -30,17 +28,10 @@ class Mark(NamedTuple):
     rolled_back: bool
 
 
-def trend_svg(
-    run: Columns,
-    fixed: Columns | None,
-    marks: Sequence[Mark],
-    regions: Regions,
-    unit: str,
-    alt: str = "Trend with the regions",
-) -> str:
+def trend_svg(run: Columns, fixed: Columns | None, marks: Sequence[Mark], regions: Regions, unit: str) -> str:
     """Process value, setpoint and output over the whole run; red marks for changes of gains (dotted: undone), each with
     the number of its decision.
-    """  # fmt: skip
+    """
     # The panels of a trend from the top: pv and sp, co, and the second scheduling variable where there is one
     second = [run["x2"]] if "x2" in run and len(regions.axes) > 1 else []
     size, places = stacked(TREND_HEIGHTS[: 2 + len(second)], TREND, TREND_ROOM)
@@ -48,8 +39,9 @@ def trend_svg(
     n = 0 if fixed is None else min(len(x), len(fixed["t"]))
     old = {name: [fixed[name][:n]] if fixed is not None else [] for name in ("pv", "co")}
     over = (float(x[0]), float(x[-1]))
-    top = Panel(places[0], over, room([run["pv"], run["sp"], *old["pv"]], SHARE, floor=_floor(run["pv"])))
-    bottom = Panel(places[1], over, room([run["co"], *old["co"]], SHARE, floor=CO_FLOOR))
+    floor = axis_floors(run["pv"])
+    top = Panel(places[0], over, room([run["pv"], run["sp"], *old["pv"]], SHARE, floor=floor[0]))
+    bottom = Panel(places[1], over, room([run["co"], *old["co"]], SHARE, floor=floor[1]))
     # colour the time spent in each region, with its name once at the top
     region = run["region"]
     starts = np.flatnonzero(np.diff(region, prepend=region[0] - 1))
@@ -78,13 +70,7 @@ def trend_svg(
         panel.drawn(f"trend-{i}", *labels, up=ABOVE)
         for i, (panel, *labels) in enumerate(zip(panels, below, names, strict=False))
     ]
-    return page_of(drawn, size, alt)
-
-
-def _floor(pv: FloatArray) -> float:
-    """What the axis of pv spans at the least."""
-    known = pv[np.isfinite(pv)]
-    return NOISE_BANDS * noise_sigma(known) if len(known) > 2 else 0.0
+    return page_of(drawn, size, "Trend with the regions")
 
 
 def _marks(panels: Sequence[Panel], marks: Sequence[Mark], start_s: float, scale: float) -> None:
@@ -120,8 +106,9 @@ def twin_svg(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: s
     (old, old_t, _), (new, new_t, _) = drawn
     size, places = stacked(TWIN_HEIGHTS, TWIN, TWIN_ROOM)
     over = (float(min(old_t[0], new_t[0])), float(max(old_t[-1], new_t[-1])))
-    top = Panel(places[0], over, room([old["pv"], new["pv"], new["sp"]], SHARE, floor=_floor(new["pv"])))
-    bottom = Panel(places[1], over, room([old["co"], new["co"]], SHARE, floor=CO_FLOOR))
+    floor = axis_floors(new["pv"])
+    top = Panel(places[0], over, room([old["pv"], new["pv"], new["sp"]], SHARE, floor=floor[0]))
+    bottom = Panel(places[1], over, room([old["co"], new["co"]], SHARE, floor=floor[1]))
     for (columns, t, label), colour in zip(drawn, (BEFORE, AFTER), strict=True):
         top.curve(t, columns["pv"], Stroke(colour, 14), label)
         bottom.curve(t, columns["co"], Stroke(colour, 9))

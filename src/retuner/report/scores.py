@@ -14,6 +14,7 @@ import numpy as np
 
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.schedule.gains import PidGains
@@ -22,6 +23,13 @@ from retuner.schedule.table import GainTable
 
 NOISE_BANDS, CO_FLOOR = 8.0, 10.0
 """Least height of a drawn axis: noise bands of pv (standard deviations), and co units. A loop at rest looks at rest."""
+
+
+def axis_floors(pv: FloatArray) -> tuple[float, float]:
+    """The least heights of the axes of pv and co. pv : what is drawn, shape (n,)."""
+    known = pv[np.isfinite(pv)]
+    return NOISE_BANDS * noise_sigma(known) if len(known) > 2 else 0.0, CO_FLOOR
+
 
 Linearise = Callable[..., LinearProcess]  # true process at a pv, and at a load where that is not 0
 Columns = dict[str, FloatArray]

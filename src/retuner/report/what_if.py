@@ -20,12 +20,11 @@ from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.rules.registry import rule_named, settings
 from retuner.adaptive.rules.rule import ControllerKind, Wishes
-from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.decision_page.row_values import Document, decided_on
 from retuner.diagnosing import RecordDiagnosis
 from retuner.report.change_of_settings import processes_of, settling_s
-from retuner.report.scores import CO_FLOOR, NOISE_BANDS, Columns
+from retuner.report.scores import Columns, axis_floors
 from retuner.schedule.controller_units import DEFAULT, ControllerUnits
 from retuner.schedule.dials import CONTROLLERS
 from retuner.schedule.gains import PidGains
@@ -198,7 +197,7 @@ def _recorded(record: Window | None, limits: tuple[float | None, float | None]) 
         **{name: _listed(getattr(record, name), 6) for name in ("sp", "pv", "co")},
         "limits": [low, high],
         "range": max(float(np.ptp(record.pv)), float(np.ptp(record.sp)), 1e-9),
-        "floor": [NOISE_BANDS * noise_sigma(record.pv), CO_FLOOR],
+        "floor": [*axis_floors(record.pv)],
     }
 
 
