@@ -11,9 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from cases.case import share
 from cases.plant import HeldPlant
 
-from online.judge import Judge, Judgement, counted
+from online.judge import Judge, Judgement
 from online.loop import LostLoop, Supervisor, WatchedLoop, Watching, guard_settings, one_region, settings
 from online.rivals import Member, batch
 from online.session import (
@@ -181,7 +182,7 @@ def table(rows: list[Row]) -> list[str]:
     """Shares in spec after each number of disturbances, by family, and what is left at the end."""
     lines = [f"{len(rows)} runs; {sum(row['changes'] for row in rows) / len(rows):.1f} changes a run"]
     lines += [
-        f"in spec after {n} disturbances, and staying  {counted(sum(staying(r, n) for r in rows), len(rows))}"
+        f"in spec after {n} disturbances, and staying  {share(sum(staying(r, n) for r in rows), len(rows))}"
         f"   (at that moment {sum(r['spec'][n - 1] for r in rows)})"
         for n in range(1, DISTURBANCES + 1)
     ]
@@ -190,7 +191,7 @@ def table(rows: list[Row]) -> list[str]:
         "where a set of one change is in spec": [row for row in rows if row.get("reach", False)],
     }
     lines += [
-        f"{kind}: after {n}, and staying  {counted(sum(staying(r, n) for r in of), len(of))}"
+        f"{kind}: after {n}, and staying  {share(sum(staying(r, n) for r in of), len(of))}"
         for kind, of in kinds.items()
         for n in (1, 3, 6)
         if of

@@ -17,11 +17,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from cases.case import share
 from cases.plant import log_uniform
 from cases.setting import scaled
 from cases.signals import coloured
 
-from online.judge import Judge, counted
+from online.judge import Judge
 from online.runner import Task
 from online.session import (
     LENGTH_THETA,
@@ -172,6 +173,6 @@ def table(rows: list[Row]) -> list[str]:
     lines = []
     for kind, of, head in by_kind(rows, KINDS):
         later = [ok for row in of for ok in row["spec"][2:]]
-        drift = [f"  in spec, of all disturbances from the third on  {counted(sum(later), len(later))}"]
+        drift = [f"  in spec, of all disturbances from the third on  {share(sum(later), len(later))}"]
         lines += [head, *(drift if kind == "drift" else in_spec_after(of)), f"  {faults(of)}"]
     return lines

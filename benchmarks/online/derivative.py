@@ -15,12 +15,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from cases.case import FloatArray
+from cases.case import FloatArray, share
 from cases.loop import Controller, Upsets
 from cases.loop import run as simulated
 from cases.plant import HeldPlant, log_uniform, robustness
 
-from online.judge import MS_LIMIT, MS_OVER_BEST, Judgement, counted
+from online.judge import MS_LIMIT, MS_OVER_BEST, Judgement
 from online.runner import Task
 from retuner import PidController, PidGains
 from retuner.adaptive.process.model import LinearProcess
@@ -133,12 +133,12 @@ def line(row: Row) -> str:
 def table(rows: list[Row]) -> list[str]:
     """In spec after each upset and at the end; J alone; derivatives that went."""
     n = len(rows)
-    found = [f"in spec after {i + 1} upsets  {counted(sum(r['spec'][i] for r in rows), n)}" for i in range(UPSETS)]
+    found = [f"in spec after {i + 1} upsets  {share(sum(r['spec'][i] for r in rows), n)}" for i in range(UPSETS)]
     return [
         *found,
-        f"J up to {J_LIMIT:g} at the end  {counted(sum(r['j'][-1] <= J_LIMIT for r in rows), n)}",
-        f"derivative dropped        {counted(sum(r['dropped'] for r in rows), n)}",
-        f"kept though it hurts      {counted(sum(r['hurts'] for r in rows), n)}",
+        f"J up to {J_LIMIT:g} at the end  {share(sum(r['j'][-1] <= J_LIMIT for r in rows), n)}",
+        f"derivative dropped        {share(sum(r['dropped'] for r in rows), n)}",
+        f"kept though it hurts      {share(sum(r['hurts'] for r in rows), n)}",
         f"Ms over its limit, worse than at the start: "
         f"{sum(r['ms'][-1] > max(MS_LIMIT, 1.01 * r['ms0']) for r in rows)} of {n}",
     ]

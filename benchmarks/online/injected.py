@@ -32,10 +32,11 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from cases.case import share
 from cases.plant import FAMILIES, HeldPlant, log_uniform
 from cases.setting import Loop, draw_loop, scaled
 
-from online.judge import Judge, counted
+from online.judge import Judge
 from online.loads import PERIODS, load_of
 from online.loop import FixedGains, LostLoop, WatchedLoop, Watching, one_region, settings
 from online.runner import Task
@@ -273,7 +274,7 @@ def table(rows: list[Row]) -> list[str]:
             f"{kind:<10}{lie:<12}{len(of):>8}{sum(math.isinf(r['ms']) for r in of):>9}{sum(r['passed'] for r in of):>8}"
             f"{sum(r['lost'] for r in of):>6}{statistics.median(times):>9.0f}{times[int(0.9 * (len(times) - 1))]:>7.0f}"
             f"{times[-1]:>7.0f}{'':11}{statistics.median(peaks):>9.1f}{max(peaks):>7.1f}{'':13}"
-            f"{counted(len(back), len(of))}"
+            f"{share(len(back), len(of))}"
         )
     wrong = sum(row["rolled_back"] and not row["verified"] for row in rows)
     lines.append(f"restored to anything but the verified set: {wrong}")

@@ -25,11 +25,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from cases.case import share
 from cases.loop import FAR
 from cases.plant import FAMILIES, log_uniform
 from cases.setting import Loop, draw_loop, scaled
 
-from online.judge import Judge, counted
+from online.judge import Judge
 from online.loop import WRITTEN, Watching, one_region, settings
 from online.runner import Task
 from online.session import LENGTH_THETA, Row, Session, by_kind, effects, in_words, line, noise_of
@@ -190,5 +191,5 @@ def table(rows: list[Row]) -> list[str]:
     lines = []
     for _, of, head in by_kind(rows, KINDS):
         counts = ", ".join(f"{name.replace('_', ' ')} {sum(row[name] for row in of)}" for name in names)
-        lines += [f"{head}, {counts}", f"  in spec at the end  {counted(sum(r['spec'][-1] for r in of), len(of))}"]
+        lines += [f"{head}, {counts}", f"  in spec at the end  {share(sum(r['spec'][-1] for r in of), len(of))}"]
     return lines

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from cases.case import interval
 from cases.loop import Controller, Upsets, iae, run
 from cases.plant import robustness
 from scipy.stats import beta
@@ -125,14 +124,6 @@ def effect(judge: Judge, t_s: float, before: PidGains, after: PidGains, *, resto
 # ---- Counts with their uncertainty
 
 CONFIDENCE = 0.95
-
-
-def counted(hits: int, n: int) -> str:
-    """hits of n, the share, and its 95 % interval (Wilson)."""
-    if n == 0:
-        return "none"
-    low, high = interval(hits, n)
-    return f"{hits:4d} of {n:4d}  {hits / n:6.1%}  [{low:.1%}, {high:.1%}]"
 
 
 def at_most(events: int, n: int) -> float:

@@ -15,11 +15,12 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
+from cases.case import share
 from cases.making import own_period_s
 from cases.plant import FAMILIES, log_uniform
 from cases.setting import Loop, draw_loop, scaled
 
-from online.judge import Judge, counted
+from online.judge import Judge
 from online.runner import Task
 from online.session import Row, Session, by_kind, noise_of
 from online.session import line as session_line
@@ -126,9 +127,9 @@ def table(rows: list[Row]) -> list[str]:
         lines += [
             head,
             f"  decisions at Ms over 3 that name the tuning  "
-            f"{counted(sum(r['named'] for r in of), sum(r['in_danger'] for r in of))}",
+            f"{share(sum(r['named'] for r in of), sum(r['in_danger'] for r in of))}",
             "  named: " + ", ".join(f"{name} {number}" for name, number in causes.most_common()),
-            f"  Ms under 3 at the end{middle}  {counted(len(relieved), len(of))}",
-            f"  in spec at the end  {counted(sum(r['spec'][-1] for r in of), len(of))}",
+            f"  Ms under 3 at the end{middle}  {share(len(relieved), len(of))}",
+            f"  in spec at the end  {share(sum(r['spec'][-1] for r in of), len(of))}",
         ]
     return lines

@@ -10,10 +10,11 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from cases.case import share
 from cases.plant import FAMILIES, HeldPlant
 from cases.setting import Loop, draw_loop, scaled
 
-from online.judge import Effect, Judge, Judgement, counted, effect
+from online.judge import Effect, Judge, Judgement, effect
 from online.loop import LostLoop, Moved, WatchedLoop, Watching, one_region, settings
 from online.runner import Task
 from retuner.adaptive.supervision.decision import Action, Decision
@@ -152,7 +153,7 @@ def by_kind(rows: list[Row], kinds: Iterable[str]) -> Iterator[tuple[str, list[R
 
 def in_spec_after(rows: list[Row], after: Iterable[int] = AFTER) -> list[str]:
     """Shares in spec after so many upsets."""
-    return [f"  in spec after {n}  {counted(sum(row['spec'][n - 1] for row in rows), len(rows))}" for n in after]
+    return [f"  in spec after {n}  {share(sum(row['spec'][n - 1] for row in rows), len(rows))}" for n in after]
 
 
 def faults(rows: list[Row]) -> str:

@@ -25,10 +25,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from cases.case import share
 from schedules import physics, records
 from schedules.subject import Live, Subject
 
-from online.judge import Judge, counted, effect
+from online.judge import Judge, effect
 from online.loop import FixedGains, LostLoop, Supervisor, WatchedLoop, Watching, settings
 from online.runner import Task
 from retuner.adaptive.guard import GuardSettings
@@ -287,9 +288,9 @@ def table(rows: list[Row]) -> list[str]:
         good = " ".join(f"{sum(each)}/{len(each)}" for each in goods)
         ratios = [_ratio(row, "retuner") for row in group]
         spec = {who: [ok for row in group for ok in _later(row["who"][who]["spec"])] for who in WHO}
-        told = {who: counted(sum(each), len(each)) for who, each in spec.items()}
+        told = {who: share(sum(each), len(each)) for who, each in spec.items()}
         borne = [ok for row in group for ok in _borne(row)]
-        told["can"] = counted(sum(borne), len(borne))
+        told["can"] = share(sum(borne), len(borne))
         there = {who: [ok for row in group for ok in _where_one_can_be(row, who)] for who in ("retuner", "perfect")}
         told["there"] = " and ".join(f"{sum(each)} ({who})" for who, each in there.items())
         harm = f"worse {sum(row['ms_worse'] for row in group)}, unstable {sum(row['made_unstable'] for row in group)}"
