@@ -97,7 +97,7 @@ class LinearProcess:
             raise ValueError("k = 0: the controller output does not move this process")
         if min((self.theta_s, *self.lags_s)) < 0:
             raise ValueError(f"theta_s = {self.theta_s}, lags_s = {self.lags_s}: times must not be negative")
-        if any(c1 < 0 or c2 < 0 for c1, c2 in self.quadratics):
+        if min(map(min, self.quadratics), default=0.0) < 0:
             raise ValueError(f"quadratics = {self.quadratics}: a negative coefficient makes the process unstable")
 
     def seen_by_controller(self, sample_time_s: float) -> "LinearProcess":
@@ -158,7 +158,9 @@ class ProcessModel:
         if type(self.type) is not ProcessType:
             object.__setattr__(self, "type", _type_named(self.type))
         _plain(self, "k", "tau1_s", "tau2_s", "theta_s", "zeta", "inverse_s", "tau3_s")
-        LinearProcess(self.k, (self.tau1_s, self.tau2_s), (), self.theta_s)
+        times = (self.theta_s, self.tau1_s, self.tau2_s)
+        if not (self.k and math.isfinite(self.k + sum(times)) and min(times) >= 0):
+            LinearProcess(self.k, times[1:], (), self.theta_s)  # says what is wrong
         second = self.type in {ProcessType.SOPDT, ProcessType.TOPDT, *ZERO_SIDE}
         has_tau1 = second or self.type == ProcessType.FOPDT
         has_tau2 = second or self.type == ProcessType.INTEGRATING_LAG
@@ -174,7 +176,8 @@ class ProcessModel:
             raise ValueError(f"zeta = {self.zeta}: only type sopdt with tau1 = tau2 can swing")
         if not (0 <= self.tau3_s < math.inf) or (self.tau3_s > 0) != (self.type == ProcessType.TOPDT):
             raise ValueError(f"tau3_s = {self.tau3_s}: type topdt needs one above 0, no other has one")
-        if not math.isfinite(self.inverse_s) or np.sign(self.inverse_s) != ZERO_SIDE.get(self.type, 0):
+        side = (self.inverse_s > 0) - (self.inverse_s < 0)
+        if not math.isfinite(self.inverse_s) or side != ZERO_SIDE.get(self.type, 0):
             needed = "sopdt-inverse needs one above 0, sopdt-lead one below"
             raise ValueError(f"inverse_s = {self.inverse_s}: type {needed}, no other has one")
 
