@@ -2,11 +2,14 @@
 without a tone from outside and with one (tone.py).
 
     L         the likelihood of a window of samples, whatever the gains were while it was recorded: co is the input
+    1/T       its power: what the setpoint makes co do is trusted more than what loads do (wandering_load.py)
     update    ln w  <-  ln w + ln((1 - ODD) L / max L + ODD mean L / max L)
     move      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard);      a tone begins and ends likewise
 
 A tone lasts, so that it is kept with each process whether there is one: a single window of it may look like a loop near
-instability, and several of them would make that sure.
+instability, and several of them would make that sure. Under a tone and by loads alone, next to nothing tells a process
+from the inverse of its controller, which explains pv by co as well: such windows say how likely a tone is. Which
+process is there, the moves of the setpoint say by themselves, once there are some: L to the power of their share.
 
 No window makes anything sure: it may be an odd one, that says nothing. A process may change, so what is known fades to
 what was known before any record. Windows add up point by point on one grid (process_grid.py), because gains are counted
@@ -40,7 +43,15 @@ from retuner.adaptive.explanations.process_grid import (
     shapes,
 )
 from retuner.adaptive.explanations.tone import likeliest_tone
-from retuner.adaptive.explanations.wandering_load import ORDERS, TEMPER, Prepared, log_likelihoods
+from retuner.adaptive.explanations.wandering_load import (
+    ORDERS,
+    T_SETPOINT,
+    TEMPER,
+    Prepared,
+    log_likelihoods,
+    setpoint_share,
+    temper,
+)
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -53,8 +64,10 @@ ODD, FEWEST_SAMPLES = 0.02, 30
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
 GRID = (len(shapes(EVERY_LAG)), len(DEAD_TIMES), len(GAINS))
-PLANES, WEIGHED = (2 + len(ORDERS), *GRID), 2
-"""Every process without a tone and with one, whose weights count; then, without, under each order of load by itself."""
+BY_STEPS = 2
+PLANES, WEIGHED = (3 + len(ORDERS), *GRID), 2
+"""Every process without a tone and with one, whose odds count; with one, as the setpoint's moves alone show it; then,
+without, under each order of load by itself."""
 WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))  # planes whose weights are one together
 BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 """Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
@@ -71,9 +84,10 @@ class Book:
 
     direction : sign of its gain. unit, dt_s : what loop gains and times of the grid are counted in. t_s : time up to
     which samples are entered for good. records : windows entered. leans : what followed at the last look, -1
-    less action, 1 more, 0 nothing. levels : of each process of the grid on each of PLANES, how many STEP its logarithm
-    of the weight lies under the largest; whole : the same without the window that still grows; prior : before any
-    record. One byte each.
+    less action, 1 more, 0 nothing. moved : windows that the setpoint has moved, each counted as its share;
+    moved_before : the same without the window that still grows. levels : of each process of the grid on each of
+    PLANES, how many STEP its logarithm of the weight lies under the largest; whole : the same without the window that
+    still grows; prior : before any record. One byte each.
     """
 
     direction: int
@@ -82,6 +96,8 @@ class Book:
     t_s: float
     records: int
     leans: int
+    moved: float
+    moved_before: float
     levels: bytes
     whole: bytes
     prior: bytes
@@ -102,12 +118,19 @@ class Book:
         rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
         logs = np.concatenate([np.where(possible, 0.0, -math.inf), np.where(held, rare, -math.inf)])
         tones = logs + np.log([1.0 - TONE, TONE])[:, None, None, None]
-        levels = _levels(np.concatenate([tones, np.tile(logs, (len(ORDERS), 1, 1, 1))]))
-        return cls(gains.direction, unit, dt_s, t_s, 0, 0, levels, levels, levels)
+        levels = _levels(np.concatenate([tones, np.tile(logs, (PLANES[0] - WEIGHED, 1, 1, 1))]))
+        return cls(gains.direction, unit, dt_s, t_s, 0, 0, 0.0, 0.0, levels, levels, levels)
 
     def weights(self) -> FloatArray:
         """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
-        return np.asarray(_weights(self.levels)[:WEIGHED].sum(axis=0))
+        known, tone, told = _weights(self.levels), self.tone, self.by_setpoint
+        alone, beside = (one / float(one.sum()) for one in known[:WEIGHED])
+        return np.asarray((1.0 - tone) * alone + tone * ((1.0 - told) * beside + told * known[BY_STEPS]))
+
+    @property
+    def by_setpoint(self) -> float:
+        """How far the moves of the setpoint tell the process, 0 to 1: by themselves from one window of them on."""
+        return min(self.moved, 1.0)
 
     @property
     def tone(self) -> float:
@@ -121,7 +144,7 @@ class Book:
 
         Drawn from the whole and not the likeliest only: where much is possible each of those has next to no weight.
         """
-        weights = self.weights() if order is None else _weights(self.levels)[WEIGHED + ORDERS.index(order)]
+        weights = self.weights() if order is None else _weights(self.levels)[BY_STEPS + 1 + ORDERS.index(order)]
         whole = np.cumsum(weights.ravel())
         at = np.searchsorted(whole, (np.arange(count) + 0.5) / count * whole[-1])
         times = np.bincount(np.minimum(at, len(whole) - 1))
@@ -133,7 +156,8 @@ class Book:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        kept = {name: getattr(self, name) for name in ("direction", "unit", "dt_s", "t_s", "records", "leans")}
+        numbers = ("direction", "unit", "dt_s", "t_s", "records", "leans", "moved", "moved_before")
+        kept = {name: getattr(self, name) for name in numbers}
         arrays = {name: zlib.compress(getattr(self, name)) for name in ("levels", "whole", "prior")}
         return kept | {name: base64.b64encode(packed).decode("ascii") for name, packed in arrays.items()}
 
@@ -145,29 +169,45 @@ class Book:
         """
         levels, whole, prior = (_unpacked(str(body[name])) for name in ("levels", "whole", "prior"))
         unit, dt_s, t_s = (float(body[name]) for name in ("unit", "dt_s", "t_s"))
-        if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s)):
-            raise ValueError(f"a book of unit {unit}, interval {dt_s} s, time {t_s} s")
+        moved, before = float(body["moved"]), float(body["moved_before"])
+        if not (0 < unit < math.inf and 0 < dt_s < math.inf and all(map(math.isfinite, (t_s, moved, before)))):
+            raise ValueError(f"a book of unit {unit}, interval {dt_s} s, time {t_s} s, moved by {moved}, {before}")
         direction = 1 if int(body["direction"]) > 0 else -1
-        return cls(direction, unit, dt_s, t_s, int(body["records"]), int(body["leans"]), levels, whole, prior)
+        records, leans = int(body["records"]), int(body["leans"])
+        return cls(direction, unit, dt_s, t_s, records, leans, moved, before, levels, whole, prior)
 
 
 def update(book: Book, window: Window, *, grows: bool = False) -> Book:
     """Take in a window of all samples since the last one. grows : it will come again, with more samples."""
-    record = Prepared.at(window, book.dt_s)
+    record, share = Prepared.at(window, book.dt_s), 0.0
     logs = -STEP * _array(book.whole)
     if len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
         columns, taken, prices = likeliest_tone(Prepared.at(replace(window, pv=window.sp - window.pv), book.dt_s).pv)
         each, by_order = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG)
         alone, line, drifting = (one - price / TEMPER for one, price in zip(each, prices, strict=True))
-        found = np.array([alone, np.logaddexp(line, drifting) - math.log(2.0), *by_order])
+        share = _moved_by_setpoint(record, Prepared.at(replace(window, pv=window.sp), book.dt_s).pv, alone)
+        beside = np.logaddexp(line, drifting) - math.log(2.0)
+        power, by_steps = TEMPER / temper(share), share * TEMPER / T_SETPOINT
+        found = np.array([power * alone, power * beside, by_steps * beside, *(power * by_order)])
         for one in WHOLE:
-            share = np.exp(found[one] - float(np.max(found[one])))
-            logs[one] += np.log((1.0 - ODD) * share + ODD * float(np.mean(share)))
+            part = np.exp(found[one] - float(np.max(found[one])))
+            logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part)))
     logs[_array(book.whole) == DEEPEST] = -math.inf
-    now = replace(book, levels=_levels(logs))
+    now = replace(book, levels=_levels(logs), moved=book.moved_before + share)
     if grows:
         return now
-    return replace(now, whole=now.levels, t_s=float(window.t_s[-1]), records=book.records + 1)
+    last_s, records = float(window.t_s[-1]), book.records + 1
+    return replace(now, whole=now.levels, moved_before=now.moved, t_s=last_s, records=records)
+
+
+def _moved_by_setpoint(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> float:
+    """How much of what moves a window is the setpoint's (setpoint_share), as far as the likeliest process has answered:
+    a step within the last dead time says nothing. setpoint : from its first value, shape (n,).
+    """
+    row, dead, _ = np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)
+    shape, n = shapes(EVERY_LAG)[row], len(setpoint)
+    late = math.ceil(DEAD_TIMES[dead] + shape.second + 1.0)
+    return setpoint_share(record, np.concatenate([np.zeros(late), setpoint])[:n], abs(shape.lag))[1]
 
 
 def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
@@ -179,13 +219,14 @@ def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
     weights = _weights(book.whole)
     alone = weights[:WEIGHED].sum(axis=0)
     weights[:WEIGHED] += turn * (np.array([1.0 - TONE, TONE])[:, None, None, None] * alone - weights[:WEIGHED])
-    return replace(book, whole=_mixed(weights, book.prior, change))
+    return replace(book, moved_before=(1.0 - change) * book.moved_before, whole=_mixed(weights, book.prior, change))
 
 
 def doubted(book: Book, change: float) -> Book:
     """Where the process has become another one with this probability."""
     levels, whole = (_mixed(_weights(known), book.prior, change) for known in (book.levels, book.whole))
-    return replace(book, levels=levels, whole=whole)
+    moved, before = ((1.0 - change) * known for known in (book.moved, book.moved_before))
+    return replace(book, moved=moved, moved_before=before, levels=levels, whole=whole)
 
 
 def heard(book: Book, sure: float, *, tone: bool) -> Book:
@@ -208,7 +249,11 @@ def _with(known: bytes, more: FloatArray) -> bytes:
 
 
 def _mixed(weights: FloatArray, prior: bytes, change: float) -> bytes:
-    weights = (1.0 - change) * weights + change * _weights(prior)
+    """Where the process has become another one with this probability; a tone that is there stays."""
+    fresh = _weights(prior)
+    known, before = (np.sum(x[:WEIGHED], axis=(1, 2, 3), keepdims=True) for x in (weights, fresh))
+    fresh[:WEIGHED] *= known / before
+    weights = (1.0 - change) * weights + change * fresh
     return _levels(np.where(weights > 0.0, np.log(np.maximum(weights, 1e-300)), -math.inf))
 
 

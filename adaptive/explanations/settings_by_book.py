@@ -5,9 +5,9 @@
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
 expectation is over processes drawn from the book, each as likely as the others. On line a change costs more than words:
 it is made where the book is clear, and was at the look before (for less action after the whole window before), and
-where no tone from outside may be what moves the loop. Less action, where Ms is probably too high with the gains in
-force. More, where the loop probably has room, a set with more is probably cheaper, and next to no process makes a bad
-loop of it: a share of the way, where the whole is not sure.
+where no tone from outside may be what moves it, unless the setpoint has moved it as well. Less action, where Ms is
+probably too high with the gains in force. More, where the loop probably has room, a set with more is probably cheaper,
+and next to no process makes a bad loop of it: a share of the way, where the whole is not sure.
 No less where a process that runs away by itself is alive and would be held worse, or no longer: it needs gain.
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
@@ -54,6 +54,7 @@ class BookSettings:
         0.5, "Odds that a process has changed where two responses differ from all before", 0.1, 0.9
     )
     drawn: int = setting(300, "Processes that stand for the weights", 100, 1000)
+    tone: float = setting(0.2, "Odds of an external oscillation from which nothing follows by loads alone", 0.05, 0.9)
     worth: float = setting(0.25, "How much cheaper a change must be expected to be", 0.1, 0.7)
     ms_high: float = setting(2.0, "Ms above which a loop has too little robustness", *_MS)
     ms_good: float = setting(1.7, "Ms up to which a loop may have more action", *_MS)
@@ -61,7 +62,6 @@ class BookSettings:
     bad_share: float = setting(0.1, "Share of the odds that may come out badly", 0.05, 0.4)
     unstable_share: float = setting(0.02, "Share of the odds that may be unstable", 0.0, 0.05)
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", 0.5, 0.9)
-    tone: float = setting(0.2, "Odds of an external oscillation from which nothing follows", 0.05, 0.9)
     sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", 0.9, 0.99)
     more_odds: float = setting(
         0.85, "Odds of being cheaper, by loads alone of room as well, from which more action follows", 0.5, 0.9
@@ -151,7 +151,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings, *, by_loads: bo
     elif high >= settings.less_odds:
         less = (_times(gains, share, longer) for share in LESS for longer in (LONGER if gains.kp else (1.0,)))
         leans, best = -1, _best(drawn, gains, less, settings, more=False)
-    leans = 0 if book.tone >= settings.tone else leans
+    leans = 0 if book.tone * (1.0 - book.by_setpoint) >= settings.tone else leans
     sure = high >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     if not leans or best is None or (leans != book.leans and not sure):
         return ByBook(numbers, leans)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retuner.adaptive.explanations.book import TONE, TONE_LASTS, Book, heard, move, update
+from retuner.adaptive.explanations.book import TONE, TONE_LASTS, Book, doubted, heard, move, update
 from retuner.adaptive.explanations.process_grid import robustness
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book
 from retuner.adaptive.explanations.tone import likeliest_tone
@@ -27,15 +27,15 @@ def cycle(period: float, jitter: float, n: int = N) -> FloatArray:
     return np.asarray(np.sin(2.0 * math.pi * np.interp(np.arange(n), edges, np.arange(len(edges)))))
 
 
-def recorded(gains: PidGains, load: FloatArray) -> Window:
-    """A lag with dead time and gain one under a load."""
+def recorded(gains: PidGains, load: FloatArray, step_at: int = N + 1) -> Window:
+    """A lag with dead time and gain one under a load. step_at : sample from which the setpoint is 4."""
     rules = law(gains, co_min=-1e6, co_max=1e6)
     state, rows, pv, late = start(rules, 0.0, 0.0, 0.0), [], 0.0, [0.0] * DEAD
     noise = 0.1 * np.random.default_rng(8).normal(size=len(load))
     for i, upset in enumerate(load.tolist()):
-        seen = pv + float(noise[i])
-        state, co = step(rules, state, 0.0, seen, 1.0)
-        rows.append((float(i), 0.0, seen, co))
+        sp, seen = 4.0 if i >= step_at else 0.0, pv + float(noise[i])
+        state, co = step(rules, state, sp, seen, 1.0)
+        rows.append((float(i), sp, seen, co))
         late.append(co + upset)
         pv += (late.pop(0) - pv) * (1.0 - math.exp(-1.0 / LAG))
     return Window(*np.array(rows).T)
@@ -148,4 +148,40 @@ def test_nor_does_what_was_thought_before_any_record_outlast_its_first_samples()
     """A loop with room had waited for a whole window before it got more action, though nothing had found a tone."""
     begun = Book.begun(GOOD, 1.0, 0.0)
     seen = update(begun, recorded(GOOD, np.cumsum(np.random.default_rng(9).normal(size=N)) * 0.2), grows=True)
-    assert begun.tone > SETTINGS.tone > seen.tone
+    assert begun.tone > SETTINGS.tone
+    assert begun.tone > seen.tone
+
+
+WEAK = PidGains(0.2 * GOOD.kp, 0.2 * GOOD.ki)
+
+
+@pytest.mark.parametrize(("step_at", "leans"), [(300, 1), (N + 1, 0), (N - 3, 0)])
+def test_under_a_tone_the_moves_of_the_setpoint_tell_the_process(step_at: int, leans: int) -> None:
+    """By loads alone nothing follows, nor from a step to which pv has had no time to answer."""
+    book = Book.begun(WEAK, 1.0, 0.0)
+    for _ in range(2):
+        book = update(book, recorded(WEAK, 4.0 * cycle(60.0, 0.05), step_at))
+    told = by_book(book, WEAK, SETTINGS)
+    assert told.numbers.book_tone > SETTINGS.tone
+    assert told.leans == leans
+    assert (book.by_setpoint > 0.9) == bool(leans)
+
+
+def test_what_the_setpoint_has_told_counts_once_for_a_window_that_grows_and_fades_with_the_process() -> None:
+    window = recorded(WEAK, 4.0 * cycle(60.0, 0.05), 300)
+    grown = update(update(Book.begun(WEAK, 1.0, 0.0), window, grows=True), window, grows=True)
+    assert (grown.moved, grown.moved_before) == (update(Book.begun(WEAK, 1.0, 0.0), window).moved, 0.0)
+    whole = update(grown, window)
+    assert doubted(whole, 0.5).moved == 0.5 * whole.moved == doubted(whole, 0.5).moved_before
+    assert move(whole, math.log(2.0), 1.0).moved_before == pytest.approx(0.5 * whole.moved)
+    assert Book.from_dict(whole.to_dict()) == whole
+    with pytest.raises(ValueError, match="moved by nan"):
+        Book.from_dict(whole.to_dict() | {"moved": math.nan})
+
+
+def test_a_window_that_the_setpoint_moves_says_more_than_one_of_loads() -> None:
+    """The same samples: in one the setpoint is said to have stood, so that all is by loads."""
+    window = recorded(GOOD, np.zeros(N), 300)
+    known = [update(Book.begun(GOOD, 1.0, 0.0), w) for w in (window, replace(window, sp=np.zeros(N)))]
+    sizes = [1.0 / float(np.sum(book.weights() ** 2)) for book in known]
+    assert sizes[0] < 0.5 * sizes[1]
