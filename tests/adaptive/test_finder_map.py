@@ -14,7 +14,7 @@ from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Axis, Regions
-from retuner.schedule.table import GainTable, Lookup
+from retuner.schedule.table import GainTable
 
 HEAT = Axis("sp", "degC", 0.0, (50.0,), 100.0, 2.0)
 FLOW = Axis("can", "%", 0.0, (50.0,), 100.0, 5.0, 0.0, 4.0, "flow")
@@ -63,7 +63,7 @@ def test_an_unknown_variable_keeps_its_axis_and_cuts_responses() -> None:
 
 def test_nothing_begins_before_all_variables_are_known() -> None:
     finder, seen = watched([sample(float(t), x2=NAN) for t in range(5)])
-    assert (finder.region, finder.in_force, seen) == (None, None, [])
+    assert (finder.region, seen) == (None, [])
     finder.step(sample(5.0, x2=80.0))
     assert finder.region == 1
 
@@ -109,12 +109,6 @@ def test_after_a_gap_the_place_is_taken_anew_where_it_is_known() -> None:
     finder.step(sample(500.0, x=80.0, x2=NAN))
     assert finder.region == 3
     assert finder.scheduled == (80.0, 90.0)
-
-
-def test_in_force_is_the_mean_of_an_interpolated_table() -> None:
-    smooth = GainTable("boiler", TABLE.regions, GAINS, Lookup.INTERPOLATED)
-    finder, _ = watched([sample(float(t), x=50.0, x2=50.0) for t in range(3)], smooth)
-    assert finder.in_force == PidGains(2.5, 0.02)
 
 
 def test_a_memory_taken_while_a_variable_is_unknown_goes_on_alike() -> None:
