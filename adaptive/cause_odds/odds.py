@@ -33,7 +33,6 @@ from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_
 from retuner.adaptive.explanations.likely_processes import quantile
 from retuner.adaptive.explanations.periodic_load import log_odds_of_repeating
 from retuner.adaptive.explanations.proposed_test import DecidingTest
-from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, worthwhile
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
@@ -136,7 +135,6 @@ def diagnose_records(
     odds = None
     if known is not None:
         odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
-        odds = with_overshoot(odds, [one for w, f in open_ones if (one := _overshoot(w, f))], settings.limits)
     free, by_shape = max(unlike(f) for _, f in open_ones), sum(shapes_of(f, settings) for _, f in open_ones)
     stepped = any(setpoint_changes(w) for w, _ in open_ones)  # what a valve does after a step may repeat as steps do
     if not stepped and (walk.valve > 0.0 or by_shape > 0.0):
@@ -230,14 +228,6 @@ def _repeating(walk: Walk, windows: Sequence[Window], direction: int) -> Walk:
 UNSEEN, SEEN = -1.0, 4.0
 """Evidence of a record in which no valve with slips of its own is likelier: of one and the same, others may show it.
 And of a valve of one band, from which none is looked for."""
-
-
-def _overshoot(window: Window, found: RecordVerdict) -> RecordOvershoot | None:
-    """What was read off the setpoint responses, where there are any."""
-    evidence = found.diagnosis.evidence
-    if not evidence.get("setpoint_steps"):
-        return None
-    return RecordOvershoot.of(window.sp - window.pv, evidence["overshoot"], evidence["setpoint_size"])
 
 
 def _under_walk(
@@ -408,6 +398,9 @@ def _verdict(
     if cause == Cause.NONLINEAR:
         evidence, test = evidence | {"gain_ratio": walk.along.ratio}, None
     reason = _bends(walk.along) if cause == Cause.NONLINEAR else _reason(cause, odds, evidence, told)
+    overshoot = evidence.get("overshoot", 0.0)
+    if cause not in BEHIND and overshoot > OVERSHOOTS and OVERSHOOT not in reason:
+        reason += f"; its setpoint responses {OVERSHOOT} {overshoot:.0%}"
     window = next(w for w, f in open_ones if f is told)
     if record_condition(window).condition == Condition.MOVING_SETPOINT:
         evidence |= _follows(window)
@@ -498,7 +491,7 @@ def _ms_range(odds: TuningOdds) -> dict[str, float]:
 MS_SHOWN = 20.0
 """A larger Ms, and an unstable loop, is told as this."""
 
-OVERSHOOTS = 0.25
+OVERSHOOTS, OVERSHOOT = 0.25, "overshoot by"
 """Overshoot from which it is told with a verdict, and more action is not advised."""
 
 WORDS = {
@@ -549,6 +542,4 @@ def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float]
         return told.diagnosis.reason if told.diagnosis.cause == cause else WORDS[cause]
     low, middle, high = (evidence[name] for name in ("ms_low", "ms", "ms_high"))
     most = "or more" if high >= MS_SHOWN else f"to {high:.2f}"
-    overshoot = evidence.get("overshoot", 0.0)
-    seen = f"; its setpoint responses overshoot by {overshoot:.0%}" if overshoot > OVERSHOOTS else ""
-    return f"{WORDS[cause]}: Ms {middle:.2f} (90 % range {low:.2f} {most}) with the active gains{seen}"
+    return f"{WORDS[cause]}: Ms {middle:.2f} (90 % range {low:.2f} {most}) with the active gains"

@@ -116,10 +116,10 @@ def tuning_odds(
             weights[of_class] = likelihood[of_class] * (prior[name] / float(among.sum())) * among
     weights /= float(weights.sum())
     found = TuningOdds(weights, {}, known, gains, sample_time_s)
-    return replace(found, classes=shares_of(found, classes, limits))
+    return replace(found, classes=_shares_of(found, classes, limits))
 
 
-def shares_of(odds: TuningOdds, classes: FloatArray, limits: TuningLimits) -> dict[str, float]:
+def _shares_of(odds: TuningOdds, classes: FloatArray, limits: TuningLimits) -> dict[str, float]:
     """Probability by class. classes : of class_of; a tight loop that swings slowly has too much integral action."""
     gains, sample_time_s, weights = odds.gains, odds.sample_time_s, odds.weights
     shares = {name: float(weights[classes == i].sum()) for i, name in enumerate(CLASSES)}

@@ -10,7 +10,6 @@ from retuner.adaptive.explanations.deciding_test import deciding_test, valve_tes
 from retuner.adaptive.explanations.likely_processes import WorthSettings
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes, units
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
-from retuner.adaptive.explanations.setpoint_overshoot import RecordOvershoot, with_overshoot
 from retuner.adaptive.explanations.settings_by_odds import halved, likely_processes, worthwhile
 from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
@@ -91,27 +90,6 @@ def test_a_loop_far_too_tight_is_calmed_where_no_set_is_sure() -> None:
     share = found.tuning.gains.kp / 5.0
     assert 0.15 <= share <= 0.5
     assert found.tuning.gains.ki == pytest.approx(share * 0.25)
-
-
-def test_an_overshoot_that_was_seen_speaks_for_a_tight_loop_and_none_for_nothing() -> None:
-    odds, _ = odds_of(2.5, step=0.0)
-    error = 0.01 * np.random.default_rng(1).standard_normal(500)
-    seen = with_overshoot(odds, [RecordOvershoot.of(error, 0.86, 5.0)], TuningLimits())
-    tight = seen.classes["aggressive"] + seen.classes["slow_integrating"]
-    assert tight > 0.9
-    assert odds.classes["aggressive"] + odds.classes["slow_integrating"] < 0.8
-    assert seen.classes["sluggish"] < 0.05
-    assert sum(seen.classes.values()) == pytest.approx(1.0)
-    none = with_overshoot(odds, [RecordOvershoot.of(error, 0.0, 5.0)], TuningLimits())
-    assert none.classes == pytest.approx(odds.classes)
-    assert with_overshoot(odds, [], TuningLimits()) is odds
-
-
-def test_an_overshoot_under_large_loads_says_little() -> None:
-    odds, _ = odds_of(2.5, step=0.0)
-    error = 5.0 * np.random.default_rng(1).standard_normal(500)
-    seen = with_overshoot(odds, [RecordOvershoot.of(error, 0.86, 5.0)], TuningLimits())
-    assert seen.classes == pytest.approx(odds.classes, abs=0.1)
 
 
 @pytest.mark.parametrize(("band", "step"), [(0.0, 0.0), (1.5, 0.0), (0.0, 3.0), (1.3, 3.0)])
