@@ -27,7 +27,7 @@ from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
+from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict, not_brought_back
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
 from retuner.adaptive.explanations.likely_processes import quantile
@@ -398,10 +398,11 @@ def _verdict(
     if cause == Cause.NONLINEAR:
         evidence, test = evidence | {"gain_ratio": walk.along.ratio}, None
     reason = _bends(walk.along) if cause == Cause.NONLINEAR else _reason(cause, odds, evidence, told)
+    window = next(w for w, f in open_ones if f is told)
+    reason += not_brought_back(window) * (cause in {Cause.OK, Cause.SLUGGISH})
     overshoot = evidence.get("overshoot", 0.0)
     if cause not in BEHIND and overshoot > OVERSHOOTS and OVERSHOOT not in reason:
         reason += f"; its setpoint responses {OVERSHOOT} {overshoot:.0%}"
-    window = next(w for w, f in open_ones if f is told)
     if record_condition(window).condition == Condition.MOVING_SETPOINT:
         evidence |= _follows(window)
         reason += FOLLOWS.format(**evidence)

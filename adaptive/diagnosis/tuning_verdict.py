@@ -101,7 +101,7 @@ def linear_verdict(
     loop = JudgedLoop(
         window, gains, found, Fits(window, (gains.direction,), settings.identified), settings, fits.get("external")
     )
-    reason = estimate.reason + _not_brought_back(window)
+    reason = estimate.reason + not_brought_back(window)
     told = _by_margins(loop, RecordVerdict(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate), oscillates)
     told = replace(told, fits=fits)
     return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
@@ -347,7 +347,7 @@ def _doubt(verdict: Diagnosis, loop: JudgedLoop, oscillates: bool) -> Doubt | No
     explained = left < settings.second_explained and not refuted
     unexplained = _unexplained(steps, loads, left, settings)
     if unexplained:
-        seen = _overshoots(evidence, settings) or _not_brought_back(window)
+        seen = _overshoots(evidence, settings) or not_brought_back(window)
         return Doubt(Cause.UNKNOWN, unexplained + seen, explained)
     by_tone = _tone_doubt(loop, evidence, explained and not oscillates)
     if by_tone is not None and (not steps or moves_pv(loop.tone, evidence, settings)):
@@ -413,7 +413,7 @@ def _overshoots(evidence: Mapping[str, float], settings: DiagnosisSettings) -> s
     return f". Its setpoint responses overshoot by {overshoot:.0%}" if overshoot > settings.most_overshoot else ""
 
 
-def _not_brought_back(window: Window) -> str:
+def not_brought_back(window: Window) -> str:
     """What is seen where pv stays on one side of its setpoint while co goes one way; empty where it is not so."""
     share = one_sided(window)
     if share is None:
