@@ -341,8 +341,9 @@ def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, whole: floa
     steps = misfit.loads + misfit.harmonics
     lead = lead_of_steps(left, steps, len(misfit.record.pv), record, walk.of_record) / TEMPER
     most = settings.tone_alone if cause == Cause.EXTERNAL else 1.0
-    if cause == Cause.EXTERNAL and _white(fit, settings):  # harmonics cost a tone much
-        lead, most = max(lead, 0.0) * settings.valve_weight, 1.0
+    if _white(fit, settings):
+        lead, most = lead * settings.valve_weight if lead > 0.0 else lead, 1.0
+        lead = max(lead, 0.0) if cause == Cause.EXTERNAL else lead  # harmonics cost a tone much
     return most / (1.0 + math.exp(-min(max(lead - whole, -50.0), 50.0)))
 
 

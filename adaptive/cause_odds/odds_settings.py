@@ -20,7 +20,7 @@ class OddsSettings:
         cycle of a valve elsewhere, behind its process; 0.01 to 0.2, default 0.05.
     nonlinear : prior that the gain changes along pv by two and more within the record's range; 0.01 to 0.1, default
         0.03; no more gain is given where the records leave it larger odds.
-    valve_weight : power of the Bayes factor of a valve, of a load that repeats, and of a tone that leaves the noise
+    valve_weight : power of the Bayes factor of a valve, of a load that repeats, and of a fit that leaves the noise
         alone; 0.5 to 3, default 2.5: the tempered likelihood was too doubtful where the truth was known
         (benchmarks/world). other_valve, other_weight : share of valves that are unlike every
         one of the grid, and the power that a factor against a valve has for them; default 0.3 and 0.25 (of 60 sticking

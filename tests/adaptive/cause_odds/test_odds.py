@@ -241,16 +241,18 @@ def test_steps_that_leave_the_noise_alone_count_by_their_likelihood_and_a_tone_a
     assert odds._weight_of_steps(cause, found, walk, rivals, OddsSettings()) == pytest.approx(weight, abs=0.01)
 
 
-def test_a_tone_that_leaves_the_noise_alone_weighs_as_a_valve_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A triangle from outside was a sticking valve with 97 %, whose power alone was 2.5."""
+@pytest.mark.parametrize("cause", [Cause.EXTERNAL, Cause.SLUGGISH])
+def test_what_leaves_the_noise_alone_weighs_as_a_valve_does(monkeypatch: pytest.MonkeyPatch, cause: Cause) -> None:
+    """A triangle from outside, and a process with a lead after a setpoint step, were a sticking valve with 97 %."""
     record = SimpleNamespace(pv=np.zeros(9), sample_time_s=1.0, noise_std=1.0)
     misfit = SimpleNamespace(record=record, loads=0, harmonics=5)
     fit = SimpleNamespace(
         colour=SimpleNamespace(std=0.8), fit=SimpleNamespace(misfit=misfit, at=SimpleNamespace(explained=np.ones(9)))
     )
-    found, walk = (SimpleNamespace(fits={"external": fit}), SimpleNamespace(record=record, of_record=np.zeros(1)))
+    found: Any = SimpleNamespace(fits={"external": fit, "linear": fit})
+    walk: Any = SimpleNamespace(record=record, of_record=np.zeros(1))
     monkeypatch.setattr(odds, "lead_of_steps", lambda *_: 6.0 * 18.0)
-    weight = odds._weight_of_steps(Cause.EXTERNAL, cast("Any", found), cast("Any", walk), 2.5 * 14.5, OddsSettings())
+    weight = odds._weight_of_steps(cause, found, walk, 2.5 * 14.5, OddsSettings())
     assert weight > 0.99
 
 
