@@ -5,7 +5,8 @@
 P_walk     process, valve and a load that wanders, by their likelihoods over all records and windows of the loop
            (explanations/): aggressive, slow integrating, sluggish, ok, stiction, nonlinear (the gain changes along pv);
            where a valve is in question, external: a load that repeats
-P_steps    the verdict where loads are steps, ramps or a tone (diagnosis/diagnose.py), with its confidence
+P_steps    the verdict where loads are steps, ramps or a tone (diagnosis/diagnose.py), with its confidence; and
+           external, by the odds of a tone beside which the loop is robust
 w          the odds that loads are what the second says: its fit against the walk, with a valve or without. Where its
            residual is white noise after a few steps it is by far the likelier one; under the loads of a plant it is not
 
@@ -27,7 +28,8 @@ from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict, not_brought_back
+from retuner.adaptive.diagnosis.rival_fits import tone_period_s
+from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict, by_coincidence, not_brought_back
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
 from retuner.adaptive.explanations.likely_processes import quantile
@@ -39,9 +41,11 @@ from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_mean, log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps
 from retuner.adaptive.fit.record import setpoint_changes
+from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition, record_condition
 from retuner.adaptive.indexes.recording_quality import held_together
+from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -114,7 +118,7 @@ def diagnose_records(
     OddsFound
         The most probable cause first in `found.diagnosis`, all causes in its `causes`, sum 1.
     """
-    settings, diagnosis = settings or OddsSettings(), diagnosis or DiagnosisSettings()
+    settings, diagnosis = settings or OddsSettings(), diagnosis or DiagnosisSettings(by_odds=True)
     each = [
         diagnose_window(w, gains, co_min, co_max, diagnosis, direction=direction, rough_law=rough_law) for w in windows
     ]
@@ -140,7 +144,7 @@ def diagnose_records(
     if not stepped and (walk.valve > 0.0 or by_shape > 0.0):
         walk = max((_repeating(walk, [w for w, _ in open_ones], one) for one in signs), key=lambda w: w.repeats)
     under_walk, whole = _under_walk(walk, odds, by_shape, free, settings)
-    under_steps, weight = _under_steps(open_ones, under_walk, whole, walk, settings)
+    under_steps, weight = _under_steps(open_ones, under_walk, whole, walk, known, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
     causes = _mixed(under_steps, under_walk, weight, most)
     return replace(_verdict(told, causes, weight, odds, walk, open_ones, settings, sure=gains is not None), record=at)
@@ -273,6 +277,7 @@ def _under_steps(
     under_walk: Mapping[Cause, float],
     whole: float,
     walk: Walk,
+    gains: PidGains | None,
     settings: OddsSettings,
 ) -> tuple[dict[Cause, float], float]:
     """Odds where loads are steps or a tone, over the records in which that is likely; and how likely it is there.
@@ -283,14 +288,23 @@ def _under_steps(
     most = 0.0
     for window, found in open_ones:
         told = found.diagnosis
-        tone = _one_tone(window, found, settings) * math.exp(-whole)
+        outside = _tone_instead(found, gains, settings)
+        lasts, loop, tone = _one_tone(window, found, settings) * math.exp(-whole), 0.0, 0.0
+        if outside:
+            tone = outside * _weight_of_steps(Cause.EXTERNAL, found, walk, whole, settings)
         if told.cause == Cause.UNKNOWN:
-            if not tone:
-                continue
-            told = replace(told, cause=Cause.EXTERNAL, confidence=HALF)
-        weight = max(_weight_of_steps(told.cause, found, walk, whole, settings), tone)
-        shares = {cause: (1 - told.confidence) * p for cause, p in under_walk.items()}  # where steps are silent
-        shares[told.cause] = shares.get(told.cause, 0.0) + told.confidence
+            tone = max(tone, lasts)
+        else:
+            loop = (1.0 - outside) * _weight_of_steps(told.cause, found, walk, whole, settings)
+            loop = max(loop, lasts * (told.cause == Cause.EXTERNAL))
+        weight = loop + tone
+        if not weight:
+            continue
+        named, seen = loop / weight * told.confidence, tone / weight * max(outside, HALF)
+        shares = {cause: (1.0 - named - seen) * p for cause, p in under_walk.items()}  # where steps are silent
+        for cause, share in ((told.cause, named), (Cause.EXTERNAL, seen)):
+            if share:
+                shares[cause] = shares.get(cause, 0.0) + share
         for cause in dict.fromkeys((*shares, *total)):
             total[cause] = total.get(cause, 0.0) + weight * math.log(max(shares.get(cause, 0.0), 1e-6))
         most = max(most, weight)
@@ -310,6 +324,28 @@ def _one_tone(window: Window, found: RecordVerdict, settings: OddsSettings) -> f
         return 0.0
     share = found.diagnosis.evidence.get("tone_share", 0.0)
     return min(max((share - settings.tone_from) / (settings.tone_to - settings.tone_from), 0.0), 1.0)
+
+
+def _tone_instead(found: RecordVerdict, gains: PidGains | None, settings: OddsSettings) -> float:
+    """Probability that a tone from outside is the cause where loads are steps, and not the loop, which is robust on the
+    process beside the tone. Where no setpoint step shows that process, it says nothing.
+
+    With few cycles a tone is a load like any other, and what wanders always holds some sinusoid.
+    """
+    told, tone = found.diagnosis, found.fits.get("external")
+    if told.cause not in {*TUNING_CAUSES, Cause.UNKNOWN} or tone is None or "external_lead" not in told.evidence:
+        return 0.0
+    misfit = tone.fit.misfit
+    goes_on = misfit.record.span_s >= DiagnosisSettings().tone_cycles * tone_period_s(tone)
+    if not goes_on or not _white(tone, settings):
+        return 0.0
+    if gains is not None and told.evidence.get("setpoint_steps"):
+        model = model_at(misfit.type, tone.fit.x, misfit.sign).seen_by_controller(misfit.record.sample_time_s)
+        if sensitivity_peak(model.linear(), gains) > settings.limits.ms_high:
+            return 0.0
+    lead = told.evidence["external_lead"] + by_coincidence(told.evidence)
+    odds = settings.valve_weight * lead / (2.0 * TEMPER) + math.log(settings.repeats / (1.0 - settings.repeats))
+    return 1.0 / (1.0 + math.exp(-min(max(odds, -50.0), 50.0)))
 
 
 def _lasts(found: RecordVerdict) -> bool:
@@ -393,7 +429,9 @@ def _verdict(
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
     test = None
     if odds is not None:
-        evidence |= _ms_range(odds) | ({} if math.isnan(walk.period_s) else {"swing_s": walk.period_s})
+        tone = told.fits.get("external")
+        swing_s = tone_period_s(tone) if math.isnan(walk.period_s) and tone is not None else walk.period_s
+        evidence |= _ms_range(odds) | ({} if math.isnan(swing_s) else {"swing_s": swing_s})
         if p < settings.undecided or (cause in TUNING_CAUSES and worth is None):
             test = _next(causes, odds, walk, open_ones[0][0], settings)
     if cause == Cause.NONLINEAR:

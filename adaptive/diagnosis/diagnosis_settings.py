@@ -65,6 +65,7 @@ class DiagnosisSettings:
         nothing is said of the tuning; 0.05 to 0.5, default 0.15 (real records with such gaps: 0.19 to 0.54).
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
     in_auto : the samples say that the loop is in automatic, so that a co which stands still is no sign of manual.
+    by_odds : a tone, and models that do not agree, are weighed by odds (cause_odds/) and are no doubt of a verdict.
     """
 
     saturated_share: float = 0.25
@@ -105,6 +106,7 @@ class DiagnosisSettings:
     held_share: float = 0.15
     majority: float = 0.75
     in_auto: bool = False
+    by_odds: bool = False
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(
             StructureSettings(most_loads=6, most_order=WHITE, further=(LEAD,)), most_samples=2000

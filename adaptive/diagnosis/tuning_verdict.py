@@ -340,7 +340,7 @@ def _doubt(verdict: Diagnosis, loop: JudgedLoop, oscillates: bool) -> Doubt | No
     """The first doubt of a verdict that would change gains."""
     evidence, window, settings = verdict.evidence, loop.window, loop.settings
     steps, loads, left = evidence.get("setpoint_steps", 0.0), evidence["loads"], evidence["linear_left"]
-    if verdict.confidence < settings.majority:
+    if verdict.confidence < settings.majority and not settings.by_odds:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
         return Doubt(Cause.UNKNOWN, reason)
     refuted = math.isinf(evidence["ms"]) and not _grows(window)
@@ -349,7 +349,7 @@ def _doubt(verdict: Diagnosis, loop: JudgedLoop, oscillates: bool) -> Doubt | No
     if unexplained:
         seen = _overshoots(evidence, settings) or not_brought_back(window)
         return Doubt(Cause.UNKNOWN, unexplained + seen, explained)
-    by_tone = _tone_doubt(loop, evidence, explained and not oscillates)
+    by_tone = None if settings.by_odds else _tone_doubt(loop, evidence, explained and not oscillates)
     if by_tone is not None and (not steps or moves_pv(loop.tone, evidence, settings)):
         return by_tone
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
@@ -373,7 +373,7 @@ def _tone_doubt(loop: JudgedLoop, evidence: Mapping[str, float], explained: bool
 
     A second fit without a tone dispels it where the tone is not the likelier one: it would be as near its border.
     """
-    settings, lead = loop.settings, evidence.get("external_lead", -math.inf) + _by_coincidence(evidence)
+    settings, lead = loop.settings, evidence.get("external_lead", -math.inf) + by_coincidence(evidence)
     as_good = settings.tone_as_good if evidence.get("setpoint_steps", 0.0) else settings.tone_as_good_loads
     may_be_asked = explained and lead < min(settings.least_lead, settings.tone_odds)
     if lead > -settings.tone_odds and evidence["external_left"] < as_good * evidence["linear_left"]:
@@ -384,7 +384,7 @@ def _tone_doubt(loop: JudgedLoop, evidence: Mapping[str, float], explained: bool
     return None
 
 
-def _by_coincidence(evidence: Mapping[str, float]) -> float:
+def by_coincidence(evidence: Mapping[str, float]) -> float:
     """What it costs that a loop stands so near its border, as a criterion: 2 ln Ms; nothing where a setpoint step shows
     the process, or the loop is past its border.
 

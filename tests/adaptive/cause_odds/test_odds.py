@@ -17,6 +17,7 @@ from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES
+from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.diagnosing import diagnose, diagnose_windows
 from retuner.schedule.gains import PidGains
@@ -277,11 +278,51 @@ def test_a_valve_that_its_pv_shows_is_a_rival_of_load_steps_in_any_unit_of_time(
 def test_a_lasting_tone_weighs_less_the_likelier_a_valve_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(odds, "_one_tone", lambda *_: 1.0)
     monkeypatch.setattr(odds, "_weight_of_steps", lambda *_: 0.0)
-    found: Any = SimpleNamespace(diagnosis=Diagnosis(Cause.UNKNOWN, 0.5, {}, ""))
+    found: Any = SimpleNamespace(diagnosis=Diagnosis(Cause.UNKNOWN, 0.5, {}, ""), fits={})
     walk: Any = SimpleNamespace()
     for rivals, weight in ((0.0, 1.0), (2.0, math.exp(-2.0))):
         share = {Cause.STICTION: 0.2, Cause.OK: 0.8}
-        assert odds._under_steps([(loop(), found)], share, rivals, walk, OddsSettings())[1] == pytest.approx(weight)
+        told = odds._under_steps([(loop(), found)], share, rivals, walk, GAINS, OddsSettings())
+        assert told[1] == pytest.approx(weight)
+
+
+def beside_a_tone(
+    cause: Cause, lead: float, *, k: float = 1.0, left: float = 1.0, steps: float = 1.0, period_s: float = 30.0
+) -> Any:
+    """A verdict where loads are steps, and a tone's fit with k/(20 s + 1) and 4 s dead time beside the tone."""
+    record = SimpleNamespace(noise_std=1.0, sample_time_s=1.0, span_s=100.0)
+    misfit = SimpleNamespace(type=ProcessType.FOPDT, sign=1, record=record, loads=0)
+    fit = SimpleNamespace(misfit=misfit, x=np.log([k / 20.0, 4.0, 20.0]), p=np.log([2.0 * math.pi / period_s]))
+    evidence = {"external_lead": lead, "setpoint_steps": steps, "ms": 3.0}
+    tone = SimpleNamespace(fit=fit, colour=SimpleNamespace(std=left))
+    return SimpleNamespace(diagnosis=Diagnosis(cause, 0.5, evidence, ""), fits={"external": tone})
+
+
+@pytest.mark.parametrize(
+    ("found", "share"),
+    [
+        (beside_a_tone(Cause.AGGRESSIVE, 60.0), 1.0),
+        (beside_a_tone(Cause.UNKNOWN, 60.0), 1.0),
+        (beside_a_tone(Cause.OK, 60.0), 0.0),  # whatever swings, nothing is wrong with the loop
+        (beside_a_tone(Cause.AGGRESSIVE, 60.0, k=6.0), 0.0),  # a loop too tight beside the tone as well
+        (beside_a_tone(Cause.AGGRESSIVE, 60.0, k=6.0, steps=0.0), 1.0),  # loads alone do not show that process
+        (beside_a_tone(Cause.AGGRESSIVE, 60.0, left=1.5), 0.0),  # what wanders always holds some sinusoid
+        (beside_a_tone(Cause.AGGRESSIVE, 60.0, period_s=50.0), 0.0),  # two cycles: a load like any other
+        (beside_a_tone(Cause.AGGRESSIVE, -20.0), 0.0),
+    ],
+)
+def test_a_tone_is_the_cause_where_the_loop_is_robust_beside_it(found: Any, share: float) -> None:
+    """A good loop under a tone was in order with 60 %, another too tight by six load steps, unstable."""
+    assert odds._tone_instead(found, PidGains(2.0, 0.1), OddsSettings()) == pytest.approx(share, abs=0.01)
+
+
+def test_a_tone_as_good_as_the_loop_with_load_steps_moves_the_odds_a_little() -> None:
+    """A sluggish loop, 95 %, was unknown where the tone's criterion was the smaller one by 4."""
+    shares = [
+        odds._tone_instead(beside_a_tone(Cause.SLUGGISH, lead), GAINS, OddsSettings()) for lead in (-4.0, 0.0, 4.0)
+    ]
+    assert shares == sorted(shares)
+    assert shares[-1] - shares[0] < 0.1
 
 
 def test_a_record_in_which_no_slip_is_seen_speaks_a_little_against_those_of_another(
