@@ -337,7 +337,7 @@ def _tone_instead(found: RecordVerdict, gains: PidGains | None, settings: OddsSe
         return 0.0
     misfit = tone.fit.misfit
     goes_on = misfit.record.span_s >= DiagnosisSettings().tone_cycles * tone_period_s(tone)
-    if not goes_on or not _white(tone, settings):
+    if not goes_on or not _white(tone, settings.few_loads, settings):
         return 0.0
     if gains is not None and told.evidence.get("setpoint_steps"):
         model = model_at(misfit.type, tone.fit.x, misfit.sign).seen_by_controller(misfit.record.sample_time_s)
@@ -360,10 +360,10 @@ BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The fit that a verdict rests on; the loop by itself for all others."""
 
 
-def _white(fit: Candidate, settings: OddsSettings) -> bool:
+def _white(fit: Candidate, most_loads: int, settings: OddsSettings) -> bool:
     """Whether a fit with few load steps leaves noise alone: no load that wanders leaves that."""
     noise = fit.fit.misfit.record.noise_std
-    return fit.colour.std <= settings.noise_left * noise and fit.fit.misfit.loads <= settings.few_loads
+    return fit.colour.std <= settings.noise_left * noise and fit.fit.misfit.loads <= most_loads
 
 
 def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, whole: float, settings: OddsSettings) -> float:
@@ -377,7 +377,8 @@ def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, whole: floa
     steps = misfit.loads + misfit.harmonics
     lead = lead_of_steps(left, steps, len(misfit.record.pv), record, walk.of_record) / TEMPER
     most = settings.tone_alone if cause == Cause.EXTERNAL else 1.0
-    if _white(fit, settings):
+    # a slipping valve looks like load steps: beside one the loop by itself needs none
+    if _white(fit, settings.few_loads if cause == Cause.EXTERNAL else 0, settings):
         lead, most = lead * settings.valve_weight if lead > 0.0 else lead, 1.0
         lead = max(lead, 0.0) if cause == Cause.EXTERNAL else lead  # harmonics cost a tone much
     return most / (1.0 + math.exp(-min(max(lead - whole, -50.0), 50.0)))

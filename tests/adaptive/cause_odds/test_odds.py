@@ -242,11 +242,20 @@ def test_steps_that_leave_the_noise_alone_count_by_their_likelihood_and_a_tone_a
     assert odds._weight_of_steps(cause, found, walk, rivals, OddsSettings()) == pytest.approx(weight, abs=0.01)
 
 
-@pytest.mark.parametrize("cause", [Cause.EXTERNAL, Cause.SLUGGISH])
-def test_what_leaves_the_noise_alone_weighs_as_a_valve_does(monkeypatch: pytest.MonkeyPatch, cause: Cause) -> None:
+@pytest.mark.parametrize(
+    ("cause", "loads", "heavy"),
+    [
+        (Cause.EXTERNAL, 2, True),
+        (Cause.SLUGGISH, 0, True),
+        (Cause.SLUGGISH, 1, False),  # a slipping valve looks like load steps
+    ],
+)
+def test_what_leaves_the_noise_alone_weighs_as_a_valve_does(
+    monkeypatch: pytest.MonkeyPatch, cause: Cause, loads: int, heavy: bool
+) -> None:
     """A triangle from outside, and a process with a lead after a setpoint step, were a sticking valve with 97 %."""
     record = SimpleNamespace(pv=np.zeros(9), sample_time_s=1.0, noise_std=1.0)
-    misfit = SimpleNamespace(record=record, loads=0, harmonics=5)
+    misfit = SimpleNamespace(record=record, loads=loads, harmonics=5)
     fit = SimpleNamespace(
         colour=SimpleNamespace(std=0.8), fit=SimpleNamespace(misfit=misfit, at=SimpleNamespace(explained=np.ones(9)))
     )
@@ -254,7 +263,7 @@ def test_what_leaves_the_noise_alone_weighs_as_a_valve_does(monkeypatch: pytest.
     walk: Any = SimpleNamespace(record=record, of_record=np.zeros(1))
     monkeypatch.setattr(odds, "lead_of_steps", lambda *_: 6.0 * 18.0)
     weight = odds._weight_of_steps(cause, found, walk, 2.5 * 14.5, OddsSettings())
-    assert weight > 0.99
+    assert (weight > 0.99) is heavy
 
 
 def test_a_healthy_flow_loop_does_not_bend_where_its_first_tenth_is_cropped() -> None:
@@ -312,7 +321,7 @@ def beside_a_tone(
     ],
 )
 def test_a_tone_is_the_cause_where_the_loop_is_robust_beside_it(found: Any, share: float) -> None:
-    """A good loop under a tone was in order with 60 %, another too tight by six load steps, unstable."""
+    """A good loop under a sine, too tight by its load steps, had 68 % for the sine and has 97 %."""
     assert odds._tone_instead(found, PidGains(2.0, 0.1), OddsSettings()) == pytest.approx(share, abs=0.01)
 
 
