@@ -53,11 +53,13 @@ def prediction_of(
     response: Response | None,
     settings: RetunerSettings,
     samples: Sequence[LoopSample] = (),
+    last: Trial | None = None,
 ) -> Prediction | None:
     """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
 
     at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
-    samples : all that are kept, for how much the error moves while nothing happens.
+    samples : all that are kept, for how much the error moves while nothing happens. last : the trial of the gains in
+    force, which knows how far it moved before them, where they have not run for long.
     """
     if proof is None or proof.gains is None:
         return None
@@ -72,14 +74,18 @@ def prediction_of(
     else:
         return None
     swung = prediction.decay_seen is not None and prediction.decay_seen > settings.trial.harmless_decay
-    return prediction if swung else replace(prediction, wander=load_variability(samples))
+    wander, moved = load_variability(samples)
+    if not moved and last is not None and last.prediction is not None and last.new == in_force:
+        moved = last.prediction.moved
+    cut = abs(new.kp) < abs(in_force.kp) or abs(new.ki) < abs(in_force.ki)  # else a swing passes for a load's
+    return replace(prediction, wander=0.0 if swung else wander, moved=0.0 if swung and cut else moved)
 
 
 def prediction_of_proof(found: Findings, proof: Proof) -> Prediction | None:
     """What the gains of a proof promise; how pv moved before steps to and fro is what loads do by themselves."""
     record = found.record
     at = record.table, record.region, record.at
-    told = prediction_of(proof, *at, record.pattern, found.settings, record.samples)
+    told = prediction_of(proof, *at, record.pattern, found.settings, record.samples, found.question.trial)
     if told is None or found.steps is None:
         return told
     return replace(told, wander=max(told.wander, found.steps.wander))

@@ -122,7 +122,7 @@ def _far_off(found: Findings, region: int, models: Sequence[Plausible], now: Pid
 def _wander(found: Findings, proof: Proof) -> float:
     """How much a load that never rests will move the error there, with the gains that are due."""
     record, settings, model = found.record, found.settings, found.in_use
-    seen = load_variability(record.samples)
+    seen, _ = load_variability(record.samples)
     swung = decay_seen(record.pattern)
     if not seen or model is None or proof.gains is None or (swung or 0.0) > settings.trial.harmless_decay:
         return 0.0

@@ -78,7 +78,7 @@ def law_of(prediction: Prediction, settings: TrialSettings, shortest_s: float) -
         settings.stays_for,
         settings.limit_swings,
         max(settings.limited_settles * patience, shortest_s),
-        settings.seen_wanders / 2 * prediction.wander,
+        max(settings.seen_wanders / 2 * prediction.wander, prediction.moved),
     )
 
 

@@ -5,7 +5,8 @@
 over blocks of BLOCK samples of those that ran under the gains in force. A quarter of the blocks lie below the quantile:
 upsets that come and go leave quiet blocks, a load that wanders leaves none. The line takes away what a slow integral
 has still to bring back, which is no wandering. A loop that swings by its own fault leaves no quiet block either, so
-that what is seen of such a loop is no measure (see prediction.py).
+that what is seen of such a loop is no measure (see prediction.py). The same quantile of the largest |sp - pv| of a
+block is what a load does to the error in all: no half wave within it is one of a set that runs away.
 
 Of a set for a place where the loop is not, nothing ran yet. A load that is a random walk moves the error there as its
 unit step does: the variance is its increments' times the integral of the squared response. So what is seen here beside
@@ -28,23 +29,21 @@ FEWEST_BLOCKS = 4  # blocks without which nothing is said
 QUIET = 0.25  # share of the blocks in which less happens than in the others
 
 
-def load_variability(samples: Sequence[LoopSample]) -> float:
-    """Standard deviation of the error within the quieter blocks, pv units; 0 where it is not known.
+def load_variability(samples: Sequence[LoopSample]) -> tuple[float, float]:
+    """Of the error within the quieter blocks, pv units; zeros where it is not known: its standard deviation about a
+    straight line, and its largest value.
 
     samples : the newest last; those under other gains than the newest one's do not count.
     """
-    if not samples:
-        return 0.0
-    revision = samples[-1].revision
-    own = list(takewhile(lambda sample: sample.revision == revision, reversed(samples)))
+    own = list(takewhile(lambda sample: sample.revision == samples[-1].revision, reversed(samples)))
     blocks = len(own) // BLOCK
     if blocks < FEWEST_BLOCKS:
-        return 0.0
+        return 0.0, 0.0
     error = np.array([sample.sp - sample.pv for sample in islice(own, blocks * BLOCK)]).reshape(blocks, BLOCK)
     line = np.stack([np.full(BLOCK, BLOCK**-0.5), np.linspace(-1.0, 1.0, BLOCK)])
     line[1] /= np.linalg.norm(line[1])
     left = error - error @ line.T @ line
-    return quantile(np.std(left, axis=1), QUIET)
+    return quantile(np.std(left, axis=1), QUIET), quantile(np.max(np.abs(error), axis=1), QUIET)
 
 
 def load_variability_there(seen: float, noise_std: float, here: ClosedLoop, there: ClosedLoop) -> float:

@@ -93,8 +93,8 @@ class Prediction:
     models : how many models it is spread over. ms : of the new set; None for a promise without a model.
     decay_seen : of the response under the old gains that led to the change, None when it does not tell; what was seen
     counts more than what a model says of the old gains.
-    wander : standard deviation of the error under the old gains while nothing happened (load_variability.py), pv units;
-    0 where it is not known, or where they were seen to swing.
+    wander, moved : standard deviation of the error under the old gains while nothing happened, and how far it went
+    (load_variability.py), pv units; 0 where it is not known, or where they were seen to swing.
     """
 
     setpoint: Expected
@@ -105,6 +105,7 @@ class Prediction:
     decay_seen: float | None = None
     ms: Spread | None = None
     wander: float = 0.0
+    moved: float = 0.0
 
     def decay_before(self, setpoint: bool) -> float:
         """Decay under the old gains: as seen, else on the best model."""
@@ -135,6 +136,7 @@ class Prediction:
             "decay_seen": self.decay_seen,
             "ms": self.ms.to_list() if self.ms else None,
             "wander": self.wander,
+            "moved": self.moved,
         }
 
     @classmethod
@@ -153,6 +155,7 @@ class Prediction:
             None if seen is None else float(seen),
             None if ms is None else Spread.from_list(ms),
             float(body.get("wander", 0.0)),
+            float(body.get("moved", 0.0)),
         )
 
     def sentence(self) -> str:

@@ -91,7 +91,8 @@ class OnTrial(Watching):
         """Put a set on trial with the promise that a model makes for the set that it is said to be."""
         old = self.retuner.table.gains_of(0)
         promised = predict([change.believed], old, change.said, self.retuner.settings.sample_time_s)
-        promised = replace(promised, wander=load_variability(self.retuner.state().finder.samples))
+        wander, moved = load_variability(self.retuner.state().finder.samples)
+        promised = replace(promised, wander=wander, moved=moved)
         self.retuner.trials.begin(0, old, change.new, promised, self.t_s)
         self.due = change.new
 
