@@ -48,6 +48,7 @@ from retuner.adaptive.supervision.judge_evidence import AGREED, may_follow
 from retuner.adaptive.supervision.known_processes import KnownProcesses
 from retuner.adaptive.supervision.question import OTHER_LOOP, Look
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import Lookup
@@ -145,7 +146,7 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
     changed = found.learned is not None and found.learned.agreement is Agreement.CHANGED
     if book is not None and changed:
         book = doubted(book, settings.changed_odds)
-    doubts = not shown or own.code in OPEN - {LOOKED}
+    doubts = not shown or own.code in OPEN - {LOOKED} or found.question.trial.phase is TrialPhase.TRIAL
     if look is not None and not ((look.due and doubts) or own.changes):
         look = None  # a look is dear
     if look is not None:

@@ -60,13 +60,13 @@ from retuner.adaptive.supervision.findings import (
     too_bold,
     unambiguous,
 )
-from retuner.adaptive.supervision.judge_evidence import beside_walk, may_follow, posterior_of, prediction_of_proof
+from retuner.adaptive.supervision.judge_evidence import may_follow, posterior_of, prediction_of_proof
 from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, known_of, unproved_request
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.question import OTHER_LOOP, Question, ResponseRecord, not_evaluated
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import decay_seen
-from retuner.adaptive.trial.rollback import LOST_WORDS, NOTHING_KNOWN, less_stable
+from retuner.adaptive.trial.rollback import LOST_WORDS, less_stable
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.without_model.proposal_without_model import step_without_model
 from retuner.schedule.gains import PidGains
@@ -389,12 +389,7 @@ def check_after_trial(found: Findings, winner: Outcome) -> Outcome:
         return winner
     if winner.code != Ground.SATURATED.name.lower():
         winner = replace(winner, posterior=posterior_of(record, learned, trial, settings))
-    if robust_by_all_samples(found, winner):
-        return replace(winner, beside_walk=NOTHING_KNOWN)
-    model = winner.region_model or record.region_models.get(record.region)
-    known = model.plausible if model is not None else ()
-    against = learned.estimate.plausible if learned is not None and winner.posterior is not None else known
-    return replace(winner, beside_walk=beside_walk(record, against or known, trial, settings))
+    return replace(winner, robust=robust_by_all_samples(found, winner))
 
 
 def _step_of(error: BaseException) -> str:

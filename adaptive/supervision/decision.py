@@ -27,7 +27,6 @@ from retuner.adaptive.trial.persons_edit import lasting_words
 from retuner.adaptive.trial.phase import ROLLBACK_CAUSES, TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
 from retuner.adaptive.trial.prediction import Prediction
-from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
@@ -77,8 +76,8 @@ class Outcome:
     excitation : what the region model rests on.
     prediction : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
-    elsewhere : what is due in a region where the loop is not, by its index. beside_walk : of a trial, which processes
-    the response still allows if the load wanders as it did before the change; None where no load wandered.
+    elsewhere : what is due in a region where the loop is not, by its index. robust : of a trial, whether by all
+    samples the tried set is.
     book : what all samples have shown of the region by now, None for as before; all_samples : of the gains in force.
     """
 
@@ -98,7 +97,7 @@ class Outcome:
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, "Outcome"] = field(default_factory=dict)
-    beside_walk: StillAllowed | None = None
+    robust: bool = False
     book: Book | None = None
     all_samples: BookNumbers | None = None
 

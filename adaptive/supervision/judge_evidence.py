@@ -18,12 +18,11 @@ from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.question import OTHER_LOOP, ResponseRecord
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.adaptive.trial.judge import NOISE_RISES, JudgedResponse
+from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.load_variability import load_variability
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.prediction import Prediction, decay_seen, predict, predict_without_model
-from retuner.adaptive.trial.random_walk import beside_a_walk
 from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
@@ -33,8 +32,6 @@ from retuner.schedule.table import GainTable
 OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
 """Causes behind a response for which the gains on trial are not to blame."""
 NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
-WANDERS = 2.0
-"""Standard deviation of the error before a change over that of the noise, from which a load wanders."""
 AGREED = 2
 """Records that agree, from which on one that does not identify the process says nothing against what they show."""
 
@@ -125,20 +122,6 @@ def _both_sets(
     return replace(check_posterior(allowed, before, case.in_force, *more), settled=settled)
 
 
-def beside_walk(
-    case: ResponseRecord, against: Sequence[Plausible], trial: Trial, settings: RetunerSettings
-) -> StillAllowed | None:
-    """What the loop did lately leaves of its process beside a load that wanders (trial/random_walk.py). Asked where the
-    error was seen to wander before the change, else None.
-    """
-    prediction, noise = trial.prediction, case.response.band / NOISE_RISES
-    if prediction is None or prediction.wander <= WANDERS * noise:
-        return None
-    models = [found.model for found in sorted(against, key=lambda found: found.excess)]
-    limits = (settings.trial.harmless_ms, settings.trial.level)
-    return beside_a_walk(case.samples, models, case.in_force, settings.sample_time_s, settings.filter_s, *limits)
-
-
 def seen_of(case: ResponseRecord, outcome: Outcome, settings: RetunerSettings) -> JudgedResponse:
     """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
     what its own record says of the tried set and of the one before.
@@ -153,5 +136,5 @@ def seen_of(case: ResponseRecord, outcome: Outcome, settings: RetunerSettings) -
     if proof is not None and proof.accepted and outcome.basis is Basis.ALL_SAMPLES:
         sampled = (one.model.seen_by_controller(settings.sample_time_s).linear() for one in proof.allowed)
         next_due, due_on = True, StillAllowed(tuple(sampled), settings.filter_s, by_loads=True)
-    told = (outcome.posterior, case.crossed, next_due, outcome.beside_walk, due_on)
+    told = (outcome.posterior, case.crossed, next_due, outcome.robust, due_on)
     return JudgedResponse(case.response, window, limited, outside, *told)

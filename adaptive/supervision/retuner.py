@@ -519,7 +519,7 @@ class Retuner:
             return None
         if outcome.code in {Ground.SATURATED.name.lower(), NOT_EVALUATED}:
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
-            return self.trials.silent(case.region, silent, self.now_s, beside_walk=outcome.beside_walk)
+            return self.trials.silent(case.region, silent, self.now_s, robust=outcome.robust)
         ask = self._person_decides(case.region)
         return self.trials.judge(case.region, seen_of(case, outcome, self.settings), case.in_force, self.now_s, ask=ask)
 

@@ -10,7 +10,8 @@ inexactness can do, and is no improvement on the gains before either:
 them unstable without that having been seen says nothing of their IAE. See response_numbers.py; s from the noise of the
 peaks.) It is WORSE as well when the old gains were surely better on the models that are still allowed, whatever
 the upset was (posterior_check.py). It is not WORSE by its two numbers where a process that explains this and several
-records before it holds the new gains for robust: then more than one upset made the peaks. It is judged only if the
+records before it holds the new gains for robust: then more than one upset made the peaks; nor by anything where they
+are robust by all samples and have no less integral action than those before. It is judged only if the
 upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs time but rolls back nothing, unless
 it is known by then that the tried set is robust:
 
@@ -123,8 +124,8 @@ class JudgedResponse:
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
     say of both sets, None where there are none. next_due : a change is proved that must not wait: by this response the
     tried set swings, and this one is safer; or it follows from all samples, those of the trial among them. due_on :
-    the processes that these leave, else None. beside_walk : what the loop did lately leaves of its process beside a
-    load that wanders as before the change (random_walk.py); None where none did.
+    the processes that these leave, else None. robust : the tried set is, by all samples, those of its trial among
+    them: then a load that wanders explains what swings.
     """
 
     response: Response
@@ -134,13 +135,8 @@ class JudgedResponse:
     posterior: PosteriorCheck | None = None
     crossed: bool = False
     next_due: bool = False
-    beside_walk: StillAllowed | None = None
+    robust: bool = False
     due_on: StillAllowed | None = None
-
-    @property
-    def wandering(self) -> bool:
-        """Whether such a load explains it all, on a process on which the tried set is robust."""
-        return self.beside_walk is not None and not self.beside_walk.processes
 
 
 class _Swings(NamedTuple):
@@ -157,13 +153,16 @@ class _Costs(NamedTuple):
     numbers: UpsetNumbers | None = None
 
 
-def judge(seen: JudgedResponse, prediction: Prediction, gains: PidGains, settings: TrialSettings) -> Judgement:
-    """Judge a response that ran under `gains`."""
+def judge(
+    seen: JudgedResponse, prediction: Prediction, gains: PidGains, settings: TrialSettings, *, more: bool = False
+) -> Judgement:
+    """Judge a response that ran under `gains`. more : these have no less integral action than those before."""
     peaks = float(len(seen.response.peaks))
     nothing = _says_nothing(seen, prediction, settings)
     if nothing:
         return Judgement(TrialFinding.INCONCLUSIVE, nothing, TrialNumbers(peaks))
-    objection = against(seen.posterior, prediction, settings, seen.wandering) if seen.posterior else None
+    excused = seen.robust and more  # 1/ki is the integrated error of a load: it is no slower
+    objection = against(seen.posterior, prediction, settings, seen.robust) if seen.posterior and not excused else None
     worse, posterior = objection or ("", None)
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
@@ -187,7 +186,7 @@ def judge(seen: JudgedResponse, prediction: Prediction, gains: PidGains, setting
     costs = _costs(seen, gains, now, before, sigma, settings)
     numbers = TrialNumbers(peaks, posterior, swings.numbers, costs.numbers)
     told = "; ".join(filter(None, (swings.words, costs.words)))
-    by_loads = "" if worse else _by_loads(seen, told, costs, settings)
+    by_loads = "" if worse else _by_loads(seen, told, settings, robust=excused or (seen.robust and not costs.words))
     if by_loads:
         return _by_posterior(by_loads, seen.posterior, settings, numbers)
     if told or worse:
@@ -195,12 +194,15 @@ def judge(seen: JudgedResponse, prediction: Prediction, gains: PidGains, setting
     return _not_worse(seen, now, swings.numbers, numbers, settings)
 
 
-def _by_loads(seen: JudgedResponse, told: str, costs: _Costs, settings: TrialSettings) -> str:
-    """Which loads explain what the response by itself says against the set; empty where none do, or it says nothing."""
+def _by_loads(seen: JudgedResponse, told: str, settings: TrialSettings, *, robust: bool) -> str:
+    """Which loads explain what the response by itself says against the set; empty where none do, or it says nothing.
+
+    robust : all samples hold against that.
+    """
     if not told:
         return ""
     words = told.replace(WORSE_WORDS, "")
-    if seen.wandering and not costs.words:
+    if robust:
         return f"a wandering load explains this response equally well: {words}"
     if seen.posterior and seen.posterior.agreed and in_favour(seen.posterior, settings):
         return f"loads explain this response: {words}"

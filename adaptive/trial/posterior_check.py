@@ -119,16 +119,13 @@ class Objection(NamedTuple):
     numbers: PosteriorNumbers
 
 
-def against(
-    found: PosteriorCheck, prediction: Prediction, settings: TrialSettings, wandering: bool = False
-) -> Objection:
+def against(found: PosteriorCheck, prediction: Prediction, settings: TrialSettings, robust: bool = False) -> Objection:
     """What it says against the tried set, if anything.
 
-    wandering : a load that wanders explains the samples as well on a process on which the tried set is robust: then the
-    models, which know no such load, say nothing of its robustness.
+    robust : the tried set is, by all samples: then the models, which know no load that wanders, say nothing of that.
     """
     robustness = _robustness(found, prediction, settings)
-    words = "" if wandering else _less_robust(found, robustness.ms_limit)
+    words = "" if robust else _less_robust(found, robustness.ms_limit)
     if words:
         return Objection(words, PosteriorNumbers(robustness))
     # J of the new set over the old one as promised, on the best model; 0 where it is not known

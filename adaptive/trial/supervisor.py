@@ -259,7 +259,8 @@ class TrialSupervisor:
         trial = self.of(region)
         if trial.phase != P.TRIAL or trial.prediction is None:
             return None
-        found = judge(seen, trial.prediction, ran, self.settings)
+        more = trial.old is not None and abs(ran.ki) >= abs(trial.old.ki)
+        found = judge(seen, trial.prediction, ran, self.settings, more=more)
         event = FINDINGS[found.finding]
         if event in ROLLBACK_CAUSES:
             self._stay_or_roll_back(region, event, t_s)
@@ -270,27 +271,24 @@ class TrialSupervisor:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         else:
             enough = seen.next_due and not ask
-            return self.silent(region, found, t_s, enough=enough, beside_walk=seen.beside_walk, due_on=seen.due_on)
+            return self.silent(region, found, t_s, enough=enough, robust=seen.robust, due_on=seen.due_on)
         return found
 
     def silent(
         self, region: int, found: Judgement, t_s: float, *, enough: bool = False,
-        beside_walk: StillAllowed | None = None, due_on: StillAllowed | None = None,
+        robust: bool = False, due_on: StillAllowed | None = None,
     ) -> Judgement:  # fmt: skip
         """A response said nothing for or against: enough of them end the trial. found : why it did not; with that.
 
         enough : this one does, because a change is due that must not wait for others. due_on : the processes on which
-        it follows from all samples, which know more than the region's models. beside_walk : what is left of the process
-        beside a load that wanders; it stands for the models where there are none, and where it is nothing they say
-        nothing.
+        it follows from all samples, which know more than the region's models. robust : by these the tried set is, and
+        the models say nothing.
         """
         trial = self.of(region)
         if trial.phase != P.TRIAL:
             return found
         self._trials[region] = replace(trial, silent=trial.silent + 1)
-        known = due_on or (
-            None if beside_walk and beside_walk.processes and self._known(region).processes else beside_walk
-        )
+        known = due_on or (NOTHING_KNOWN if robust else None)
         few = trial.silent + 1 < self.settings.inconclusive and not enough
         if few or not self._stay_or_roll_back(region, E.TIMED_OUT, t_s, known):
             return found

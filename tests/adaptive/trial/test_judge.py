@@ -9,8 +9,11 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, judge
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import decay_seen, predict
 from retuner.adaptive.trial.response_numbers import swing
+from retuner.adaptive.trial.rollback import StillAllowed
+from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
@@ -245,3 +248,33 @@ def test_what_the_trial_gains_took_over_in_motion_is_not_judged_by_its_peaks() -
     found = judge(taken, PROMISE, GOOD, S)
     assert found.finding is TrialFinding.INCONCLUSIVE
     assert found.reason == "the response itself is not judged: it began under other gains"
+
+
+def test_where_all_samples_hold_a_set_for_robust_loads_explain_what_speaks_against_it() -> None:
+    """What swings, and what is slow where the change was no less integral action."""
+    strong = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
+    for gains, words in ((strong, "decay ratio"), (BAD["kc /4"], "IAE")):
+        seen = responses(Rig(gains, noise=0.025), 400, sp=5.0)[0]
+        assert judge(seen, PROMISE, gains, S).finding is TrialFinding.WORSE
+        found = judge(replace(seen, robust=True), PROMISE, gains, S, more=words == "IAE")
+        assert found.finding is TrialFinding.INCONCLUSIVE
+        assert "a wandering load explains this response equally well" in found.reason
+        assert words in found.reason
+    assert judge(replace(seen, robust=True), PROMISE, gains, S).finding is TrialFinding.WORSE
+
+
+@pytest.mark.parametrize(("robust", "stays"), [(True, True), (False, False)])
+def test_a_set_that_is_robust_by_all_samples_outlives_models_where_no_response_answers(
+    *, robust: bool, stays: bool
+) -> None:
+    weak, table = BAD["kc /4"], dict[int, PidGains]()
+    fiction = StillAllowed((replace(MODEL, k=3.0 * MODEL.k).linear(),))
+    trials = TrialSupervisor(S, 1.0, table.__setitem__, lambda _: fiction)
+    trials.begin(0, weak, GOOD, PROMISE, 0.0)
+    trials.written(0, GOOD, 1.0)
+    silent = judge(responses(Rig(GOOD, noise=0.025), 400, load=10.0)[0], replace(PROMISE, wander=100.0), GOOD, S)
+    assert silent.finding is TrialFinding.INCONCLUSIVE
+    for i in range(S.inconclusive):
+        trials.silent(0, silent, 10.0 + i, robust=robust)
+    assert trials.phase(0) is (TrialPhase.IDLE if stays else TrialPhase.RESTORING)
+    assert table == ({} if stays else {0: weak})
