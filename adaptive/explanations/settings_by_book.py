@@ -152,13 +152,15 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings, *, by_loads: bo
         less = (_times(gains, share, longer) for share in LESS for longer in (LONGER if gains.kp else (1.0,)))
         leans, best = -1, _best(drawn, gains, less, settings, more=False)
     leans = 0 if book.tone * (1.0 - book.by_setpoint) >= settings.tone else leans
-    sure = high >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
+    told = high if leans < 0 else 0.0 if by_loads else room
+    sure = told >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     if not leans or best is None or (leans != book.leans and not sure):
         return ByBook(numbers, leans)
     worth, new, peaks = best
     if leans < 0 and any(gain(book.drawn(settings.drawn, at), gains, new, settings)[1] < HALF for at in ORDERS):
         return ByBook(numbers, leans)
-    tuning, models = Tuning("simc", "series", new), _proved_on(book, drawn, peaks, settings)
+    asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (leans < 0))
+    tuning, models = Tuning("simc", "series", new), _proved_on(book, drawn, np.where(asked, peaks, np.nan), settings)
     return ByBook(replace(numbers, book_worth=worth), leans, tuning, models)
 
 
@@ -188,6 +190,19 @@ def lets_go(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: Book
 
 HELD = 1.5
 """Gain margin from which such a process has not too much gain: with a smaller one Ms is over 3 whatever the process."""
+
+
+def bears(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
+    """Whether more action costs less with the odds that it needs, and makes a bad loop on no more than it may."""
+    harmless = _harmless(drawn, drawn.peaks(now), drawn.peaks(new), settings)
+    return harmless and gain(drawn, now, new, settings)[1] >= settings.more_odds
+
+
+def _harmless(drawn: LikelyProcesses, now: FloatArray, new: FloatArray, settings: BookSettings) -> bool:
+    """Whether next to no process comes out badly by the change. now, new : Ms on each; one that is bad now does not."""
+    bad = float(drawn.weights @ ((new > settings.ms_bad) & (now <= settings.ms_bad)))
+    lost = float(drawn.weights @ (np.isinf(new) & ~np.isinf(now)))
+    return bad <= settings.bad_share and lost <= settings.unstable_share
 
 
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
@@ -227,11 +242,10 @@ def _best(
     drawn: LikelyProcesses, gains: PidGains, candidates: Iterator[PidGains], settings: BookSettings, *, more: bool
 ) -> tuple[float, PidGains, FloatArray] | None:
     """Worth, gains and Ms on each process of the best candidate; None where none is worth a change."""
-    now, best = expected_cost(drawn, gains, settings.cost)[0], None
+    (now, before), best = expected_cost(drawn, gains, settings.cost), None
     for new in candidates:
         cost, peaks = expected_cost(drawn, new, settings.cost)
-        bad, lost = float(drawn.weights @ (peaks > settings.ms_bad)), float(drawn.weights @ np.isinf(peaks))
-        if more and (bad > settings.bad_share or lost > settings.unstable_share):
+        if more and not _harmless(drawn, before, peaks, settings):
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
@@ -242,11 +256,13 @@ def _best(
 
 
 def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> tuple[Plausible, ...]:
-    """Processes spread over the odds by their Ms with the new gains, without the worst that may come out badly, and
-    without those that run away: the guard has no such model, `lets_go` has asked.
+    """Processes spread over the odds by their Ms with the new gains, without the worst that may come out badly.
+
+    peaks : that Ms, not a number for no answer: of those that run away the guard has no model, `lets_go` has asked; and
+    what is bad already, more action does not make so.
     """
     order = np.argsort(peaks, kind="stable")
-    order = order[~drawn.runs_away[order]]
+    order = order[~np.isnan(peaks[order])]
     whole = np.cumsum(drawn.weights[order])
     if not len(whole):
         return ()

@@ -25,7 +25,7 @@ from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, move, update
 from retuner.adaptive.explanations.likely_processes import cost_at
-from retuner.adaptive.explanations.settings_by_book import ByBook, by_book, gain, lets_go, shares
+from retuner.adaptive.explanations.settings_by_book import ByBook, bears, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
@@ -111,7 +111,8 @@ class AllSamples:
 
     look : those looked at now, None for none. book : the region's, with them; changed : whether it is another one than
     before. told : what the book says of the gains in force, None where it is not asked. shown : whether clear setpoint
-    steps have shown the process: without a look the book then says only what it is sure of.
+    steps have shown the process: without a look the book then says only what it is sure of. by_loads : whether loads
+    alone have moved the loop in all samples that are kept.
     """
 
     look: Look | None = None
@@ -119,6 +120,7 @@ class AllSamples:
     changed: bool = False
     told: ByBook | None = None
     shown: bool = False
+    by_loads: bool = False
 
     @property
     def silent(self) -> bool:
@@ -147,6 +149,7 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
     if book is not None and changed:
         book = doubted(book, settings.changed_odds)
     doubts = not shown or own.code in OPEN - {LOOKED} or found.question.trial.phase is TrialPhase.TRIAL
+    by_loads = all(sample.sp == record.samples[-1].sp for sample in record.samples)
     if look is not None and not ((look.due and doubts) or own.changes):
         look = None  # a look is dear
     if look is not None:
@@ -157,11 +160,10 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
     external = own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL  # else a swing of the loop's own
     if book is not None and (external or (found.foreign is not None and found.foreign < record.foreign)):
         book = heard(book, MOST[Cause.EXTERNAL], tone=external)
-    seen = AllSamples(look, book, book is not record.book, None, shown)
+    seen = AllSamples(look, book, book is not record.book, None, shown, by_loads)
     asked = book is not None and (own.changes or not seen.silent)
     if book is None or not asked:
         return seen
-    by_loads = all(sample.sp == record.samples[-1].sp for sample in record.samples)
     return replace(seen, told=by_book(book, gains, settings, by_loads=by_loads))
 
 
@@ -170,8 +172,9 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
 
     Less action is slower for certain, so it must be better on most of the book, and its cause at least as likely there
     as not, unless the change leads back: diagnose says the same of the same samples (cause_odds/). More action must do
-    no harm by models and book together, which weigh the same: loads may be steps, or one may wander. Where a loop whose
-    process was shown mostly rests, no load wanders, and the book must be sure. The book must hold a whole window, but
+    no harm by models and book together, which weigh the same: loads may be steps, or one may wander. Its cause is room,
+    or, where a setpoint step is among the samples, that they bear this change itself. Where a loop whose
+    process was shown mostly rests, no load wanders, and the book must be sure. It must hold half a whole window, but
     not where less action comes from a model that is not identifiable.
     """
     settings, book, told, proof = found.settings.book, seen.book, seen.told, own.proof
@@ -186,12 +189,13 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     if found.growth is not None and not away:
         return None
     rests = shown and (look is None or _rests(found, look))
-    told_of, needed = (told.numbers.book_high, HALF) if less else (told.numbers.book_room, settings.more_odds)
+    more = told.numbers.book_room >= settings.more_odds or (not seen.by_loads and bears(drawn, now, new, settings))
+    seen_so = told.numbers.book_high >= HALF if less else more
     asked = own.basis is not Basis.RAN and not seen.silent
-    if asked and told_of < needed and (doubt := _doubt(found, own, seen, less=less)):
+    if asked and not seen_so and (doubt := _doubt(found, own, seen, less=less)):
         return found.unconfirmed(own, replace(doubt, reason=f"{told.words}; {doubt.reason}"))
-    carries = book.records or (look is not None and less and found.in_use and not found.in_use.identifiable)
-    if not away and not carries:
+    half = look is not None and float(np.ptp(look.window.t_s)) >= LOOK * book.dt_s
+    if not (away or book.records or half or (less and look and found.in_use and not found.in_use.identifiable)):
         return None
     worth, better = gain(drawn, now, new, settings)
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
@@ -260,10 +264,11 @@ def _rests(found: Findings, look: Look) -> bool:
 NEARLY = 0.95  # share of an action down to which it is the same
 
 
-def _may_speak(found: Findings, own: Outcome, look: Look) -> bool:
-    """Whether the case is the book's."""
-    record = found.record
-    if own.code not in OPEN or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
+def _may_speak(found: Findings, own: Outcome, look: Look, seen: AllSamples) -> bool:
+    """Whether the case is the book's: the response cannot tell, or its model is one that all samples refute."""
+    record, models = found.record, found.in_use.plausible if found.in_use else ()
+    refuted = bool(models) and seen.told is not None and _refuted(found, models[0], seen)
+    if not (own.code in OPEN or refuted) or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
         return False
     stood = own.diagnosis is not None and own.diagnosis.cause is Cause.SATURATION  # before the look began, too
     if stood or look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
@@ -280,10 +285,11 @@ SPOILT = frozenset({
 
 def robust_by_all_samples(found: Findings, winner: Outcome) -> bool:
     """Whether the set on trial is robust on next to all processes by all samples, those of its trial among them: then a
-    load that wanders explains a response that swings.
+    load that wanders explains a response that swings. They are among them with a look, now or at a response before.
     """
-    numbers, settings = winner.all_samples, found.settings.book
-    return winner.book is not None and numbers is not None and numbers.book_high <= 1.0 - settings.less_odds
+    numbers, settings, trial = winner.all_samples, found.settings.book, found.question.trial
+    looked = winner.book is not None or trial.silent + trial.kept > 0
+    return looked and numbers is not None and numbers.book_high <= 1.0 - settings.less_odds
 
 
 MOST_LIMITED = 0.02  # share of samples with the output at a limit up to which they show the loop
@@ -303,35 +309,45 @@ def others_may_tell(
     return region not in own or shown_clearly(known.get(region), own[region], foreign.get(region, 0))
 
 
-def _by_responses(found: Findings, room: float, *, shown: bool) -> tuple[Plausible, ...] | None:
-    """Models of responses that more action must bear as well, the likeliest first: that loads are steps is one more
-    hypothesis of what moves the loop, and under each it must do no harm. None where several records identify nothing,
-    because co does nothing: a valve may stand. room : its odds by all samples.
+def _by_responses(found: Findings, seen: AllSamples, room: float) -> tuple[Plausible, ...] | None:
+    """Models of responses that more action must bear as well, the likeliest first: by loads alone, that these are steps
+    is one more hypothesis, under which it must do no harm. Samples with a setpoint step need none but what clear steps
+    have shown. None where several records identify nothing, because co does nothing: a valve may stand. room : its odds
+    by all samples.
 
-    Where no clear step and no two records identify the process, they are those only on which the gains in force may be
-    more at all, as all samples say: Ms is good. Where these are sure of room, none is asked.
+    Where no two records identify the process, they are those on which the gains in force may be more at all, as all
+    samples say: Ms is good. Where these are sure of room, none is asked.
     """
     record, settings = found.record, found.settings
     known, now = record.region_models.get(record.region), record.in_force
     if known is None:
         return ()
-    if known.identifiable and (shown or known.records >= AGREED):
+    agreed = known.records >= AGREED
+    if not known.identifiable and agreed and known.plausible:
+        much = PidGains(MOST_ROOM * now.kp, MOST_ROOM * now.ki, MOST_ROOM * now.kd)
+        if _ms(known.plausible[0], much, settings) <= MS_OF_ROOM:
+            return None
+    if known.identifiable and (seen.shown or (seen.by_loads and agreed)):
         return known.plausible
-    much = PidGains(MOST_ROOM * now.kp, MOST_ROOM * now.ki, MOST_ROOM * now.kd)
-    if known.records >= AGREED and known.plausible and _ms(known.plausible[0], much, settings) <= MS_OF_ROOM:
-        return None
+    if not seen.by_loads:
+        return ()
     asked = known.plausible if room < settings.book.sure_odds else ()
     return tuple(one for one in asked if _ms(one, now, settings) <= settings.book.ms_good)
 
 
+def _refuted(found: Findings, one: Plausible, seen: AllSamples) -> bool:
+    """Whether all samples, a setpoint step among them, leave next to no odds to an Ms as large as that of a model of
+    responses which no clear step has shown: steps of a load fit one that wanders with any process.
+    """
+    if seen.by_loads or seen.shown or seen.book is None:
+        return False
+    settings, now = found.settings.book, found.record.in_force
+    drawn = seen.book.drawn(settings.drawn)
+    return float(drawn.weights @ (drawn.peaks(now) >= _ms(one, now, found.settings))) <= settings.bad_share
+
+
 def _ms(one: Plausible, gains: PidGains, settings: RetunerSettings) -> float:
     return sensitivity_peak(one.model.seen_by_controller(settings.sample_time_s).linear(), gains, settings.filter_s)
-
-
-def _worth(one: Plausible, now: PidGains, new: PidGains, settings: RetunerSettings) -> float:
-    """How much less a set costs there than another, ln."""
-    each = (cost_at(np.array(_ms(one, gains, settings)), gains, settings.book.cost) for gains in (now, new))
-    return float(np.subtract(*each))
 
 
 def proposal_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
@@ -341,21 +357,21 @@ def proposal_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> 
     the likeliest of these what is proved is to be worth a change.
     """
     look = seen.look
-    if look is None or not _may_speak(found, own, look) or (seen.shown and _rests(found, look)):
+    if look is None or not _may_speak(found, own, look, seen) or (seen.shown and _rests(found, look)):
         return None
     return _proved_by_all_samples(found, own, seen)
 
 
 def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
     """The change, where there is one and it is proved."""
-    look, book, told, shown = seen.look, seen.book, seen.told, seen.shown
+    look, book, told = seen.look, seen.book, seen.told
     if look is None or book is None or told is None or told.tuning is None or not told.models:
         return None
     record, settings, region = found.record, found.settings, found.record.region
     less = told.leans < 0
     if valve_explains_more(look.window, book, MOST_VALVE if less else 0.0):
         return None
-    also = () if less else _by_responses(found, told.numbers.book_room, shown=shown)
+    also = () if less else _by_responses(found, seen, told.numbers.book_room)
     if also is None:
         return None
     known = KnownProcesses(record.table, record.region_models, float(record.window.t_s[-1]), settings)
@@ -368,8 +384,11 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
     proof = prove(request, settings.guard)
     if not proof.accepted or proof.gains is None:
         return None
-    if also and _worth(also[0], record.in_force, proof.gains, settings) < settings.book.worth:
-        return None
+    if also:  # on the likeliest of them, how much less does it cost, ln?
+        sets = record.in_force, proof.gains
+        stays, goes = (cost_at(np.array(_ms(also[0], one, settings)), one, settings.book.cost) for one in sets)
+        if stays - goes < settings.book.worth:
+            return None
     if less and lets_go(book.drawn(settings.book.drawn), record.in_force, proof.gains, settings.book):
         return None
     odds = told.numbers.book_high if less else told.numbers.book_room
