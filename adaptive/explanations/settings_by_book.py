@@ -143,14 +143,14 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings, *, by_loads: bo
     ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    leans, best = 0, _best(drawn, gains, _more(gains, _integral_times(book, drawn), settings), settings, more=True)
+    integral_times = _integral_times(book, drawn)
+    leans, best = 0, _best(drawn, gains, _more(gains, integral_times, settings), settings, more=True)
     needed = settings.more_odds if by_loads else settings.borne_out
     bears = max(room, high) >= needed  # also where Ms is too high, if more action makes it less
     if bears and best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:
-        less = (_times(gains, share, longer) for share in LESS for longer in (LONGER if gains.kp else (1.0,)))
-        leans, best = -1, _best(drawn, gains, less, settings, more=False)
+        leans, best = -1, _best(drawn, gains, _less(gains, integral_times, settings), settings, more=False)
     leans = 0 if book.tone * (1.0 - book.by_setpoint) >= settings.tone else leans
     told = high if leans < 0 else 0.0 if by_loads else room
     sure = told >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
@@ -214,12 +214,30 @@ def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGain
 def _more(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -> Iterator[PidGains]:
     """Candidates with more action. integral_times : of the rule, seconds, on each process as likely as the others."""
     for times in MORE:
-        for shorter in SHORTER if gains.kp and gains.ki else (1.0,):
-            shortest = shorter * gains.kp / gains.ki if gains.kp and gains.ki else math.inf
-            if shorter < 1.0 and float(np.mean(integral_times > SLACK * shortest)) > settings.bad_share:
-                continue
+        for shorter in _bearable(gains, SHORTER, integral_times, settings):
             if 1.0 < times / shorter <= AT_ONCE:
                 yield _times(gains, times, shorter)
+
+
+def _less(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -> Iterator[PidGains]:
+    """Candidates with less gain and no more integral action. A loop may have too much of the one and too little of the
+    other for it: then the integral time falls with the gain. integral_times : as in `_more`.
+    """
+    for times in LESS:
+        for other in _bearable(gains, (*LONGER, *SHORTER[1:]), integral_times, settings):
+            if times <= other:
+                yield _times(gains, times, other)
+
+
+def _bearable(
+    gains: PidGains, factors: tuple[float, ...], integral_times: FloatArray, settings: BookSettings
+) -> Iterator[float]:
+    """Factors on the integral time; of the shorter ones those that are not shorter than the rule's next to anywhere."""
+    both = bool(gains.kp and gains.ki)
+    for factor in factors if both else (1.0,):
+        least = factor * gains.kp / gains.ki if both else math.inf
+        if factor >= 1.0 or float(np.mean(integral_times > SLACK * least)) <= settings.bad_share:
+            yield factor
 
 
 HALF = 0.5  # odds of being better that less action needs under each order of load by itself
