@@ -199,10 +199,15 @@ def bears(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSe
 
 
 def _harmless(drawn: LikelyProcesses, now: FloatArray, new: FloatArray, settings: BookSettings) -> bool:
-    """Whether next to no process comes out badly by the change. now, new : Ms on each; one that is bad now does not."""
-    bad = float(drawn.weights @ ((new > settings.ms_bad) & (now <= settings.ms_bad)))
-    lost = float(drawn.weights @ (np.isinf(new) & ~np.isinf(now)))
-    return bad <= settings.bad_share and lost <= settings.unstable_share
+    """Whether next to no process comes out badly by the change: where as few more are bad already, those do not count.
+    now, new : Ms on each.
+    """
+    bad = new > settings.ms_bad
+    made, lost = (
+        float(drawn.weights @ one) for one in (bad & (now <= settings.ms_bad), np.isinf(new) & ~np.isinf(now))
+    )
+    in_all = float(drawn.weights @ bad)
+    return made <= settings.bad_share and in_all <= 2.0 * settings.bad_share and lost <= settings.unstable_share
 
 
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
