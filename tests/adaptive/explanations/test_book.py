@@ -93,6 +93,17 @@ def after(gains: PidGains, seed: int) -> Book:
     return book
 
 
+@pytest.mark.parametrize(("rule_s", "shortest_s"), [(1.0, 10.0), (12.5, 10.0), (17.0, 14.0), (60.0, 20.0)])
+def test_less_gain_may_go_with_a_shorter_integral_time_down_to_that_of_the_rule(
+    rule_s: float, shortest_s: float
+) -> None:
+    """Kc x 2 and tau_I x 4: with less of all actions alone, J went from 1.5 to 2.3; with a shorter tau_I, to 1.7."""
+    now = PidGains.from_ideal(1.0, 20.0)
+    sets = list(settings_by_book._less(now, np.array([rule_s]), SETTINGS))
+    assert min(one.kp / one.ki for one in sets) == pytest.approx(shortest_s)
+    assert all(one.kp < now.kp and one.ki <= now.ki * (1.0 + 1e-12) for one in sets)
+
+
 def test_too_much_gain_is_told_from_room_for_more() -> None:
     tight, weak = (by_book(after(scaled(times), 3), scaled(times), SETTINGS).numbers for times in (2.6, 0.2))
     assert tight.book_high > 0.9
@@ -615,6 +626,16 @@ def test_a_process_that_has_perhaps_changed_is_doubted_and_not_forgotten() -> No
     assert found.book.records == 2  # the window that grows is not entered yet
     assert found.book.whole == half.whole
     assert half.tone == pytest.approx(known.tone, abs=0.01)  # a tone stays where the process has changed
+
+
+@pytest.mark.parametrize(
+    ("bad", "made", "follows"), [(0.05, 0.05, True), (0.15, 0.04, True), (0.15, 0.11, False), (0.9, 0.0, False)]
+)
+def test_what_is_bad_already_does_not_count_while_that_is_little(bad: float, made: float, follows: bool) -> None:
+    """At 96 % probability that Ms is over its limit, a loop under a tone had got more action: it "made" nothing bad."""
+    drawn = SimpleNamespace(weights=np.array([1.0 - bad - made, bad, made]))
+    now, new = np.array([1.2, 2.5, 1.5]), np.array([1.4, 2.4, 2.0])
+    assert settings_by_book._harmless(drawn, now, new, SETTINGS) == follows  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("settings", [BookSettings, WorthSettings])
