@@ -144,21 +144,23 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings, *, by_loads: bo
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
     integral_times = _integral_times(book, drawn)
-    leans, best = 0, _best(drawn, gains, _more(gains, integral_times, settings), settings, more=True)
+    leans, worthwhile = 0, _worthwhile(drawn, gains, _more(gains, integral_times, settings), settings, more=True)
     needed = settings.more_odds if by_loads else settings.borne_out
     bears = max(room, high) >= needed  # also where Ms is too high, if more action makes it less
-    if bears and best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
+    if bears and worthwhile and gain(drawn, gains, worthwhile[0][1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:
-        leans, best = -1, _best(drawn, gains, _less(gains, integral_times, settings), settings, more=False)
+        less = _less(gains, integral_times, settings)
+        leans, worthwhile = -1, _worthwhile(drawn, gains, less, settings, more=False)
     leans = 0 if book.tone * (1.0 - book.by_setpoint) >= settings.tone else leans
     told = high if leans < 0 else 0.0 if by_loads else room
     sure = told >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
-    if not leans or best is None or (leans != book.leans and not sure):
+    if not leans or (leans != book.leans and not sure):
+        return ByBook(numbers, leans)
+    best = next((one for one in worthwhile if leans > 0 or _by_each_order(book, gains, one[1], settings)), None)
+    if best is None:
         return ByBook(numbers, leans)
     worth, new, peaks = best
-    if leans < 0 and any(gain(book.drawn(settings.drawn, at), gains, new, settings)[1] < HALF for at in ORDERS):
-        return ByBook(numbers, leans)
     asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (leans < 0))
     tuning, models = Tuning("simc", "series", new), _proved_on(book, drawn, np.where(asked, peaks, np.nan), settings)
     return ByBook(replace(numbers, book_worth=worth), leans, tuning, models)
@@ -261,21 +263,28 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
     return np.array(found)
 
 
-def _best(
+def _worthwhile(
     drawn: LikelyProcesses, gains: PidGains, candidates: Iterator[PidGains], settings: BookSettings, *, more: bool
-) -> tuple[float, PidGains, FloatArray] | None:
-    """Worth, gains and Ms on each process of the best candidate; None where none is worth a change."""
-    (now, before), best = expected_cost(drawn, gains, settings.cost), None
+) -> list[tuple[float, PidGains, FloatArray]]:
+    """Worth, gains and Ms on each process of the candidates that are worth a change, the best first."""
+    (now, before), found = expected_cost(drawn, gains, settings.cost), []
     for new in candidates:
         cost, peaks = expected_cost(drawn, new, settings.cost)
         if more and not _harmless(drawn, before, peaks, settings):
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
-        worth = now - cost
-        if worth >= settings.worth and (best is None or worth > best[0]):
-            best = worth, new, peaks
-    return best
+        if now - cost >= settings.worth:
+            found.append((now - cost, new, peaks))
+    return sorted(found, key=lambda one: -one[0])
+
+
+def _by_each_order(book: Book, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
+    """Whether less action is as likely better as not under each order of the walk by itself. Beside a tone the moves of
+    the setpoint tell the process, whatever the spectrum of the load.
+    """
+    told = book.tone * book.by_setpoint >= HALF
+    return told or all(gain(book.drawn(settings.drawn, at), now, new, settings)[1] >= HALF for at in ORDERS)
 
 
 def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> tuple[Plausible, ...]:

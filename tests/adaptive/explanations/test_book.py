@@ -21,6 +21,7 @@ from retuner.adaptive.explanations.book import BY_STEPS, ODD, PLANES, RUNAWAYS, 
 from retuner.adaptive.explanations.likely_processes import WorthSettings
 from retuner.adaptive.explanations.process_grid import shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, lets_go
+from retuner.adaptive.explanations.wandering_load import ORDERS
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
@@ -91,6 +92,33 @@ def after(gains: PidGains, seed: int) -> Book:
     for i in range(2):
         book = update(book, recorded(gains, seed + i))
     return book
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_beside_a_tone_that_the_setpoint_moves_no_order_of_the_load_is_asked(
+    told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There the spectrum of the load counts for nothing."""
+    orders: list[int | None] = []
+    book: Any = SimpleNamespace(
+        tone=0.9, by_setpoint=1.0 if told else 0.2, drawn=lambda _, order=None: orders.append(order)
+    )
+    for better, follows in ((0.6, True), (0.4, told)):
+        monkeypatch.setattr(settings_by_book, "gain", lambda *_, better=better: (1.0, better))
+        assert settings_by_book._by_each_order(book, GOOD, scaled(0.5), SETTINGS) == follows
+    assert orders == ([] if told else [*ORDERS, ORDERS[0]])
+
+
+def test_the_best_change_that_each_order_bears_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best of all was refused, and with it every other: a loop at Ms 2.5 under a tone got none."""
+    book, now = after(scaled(2.6), 9), scaled(2.6)
+    best = by_book(book, now, SETTINGS).tuning
+    assert best is not None
+    bears = settings_by_book._by_each_order
+    monkeypatch.setattr(settings_by_book, "_by_each_order", lambda *asked: asked[2] != best.gains and bears(*asked))
+    second = by_book(book, now, SETTINGS).tuning
+    assert second is not None
+    assert second.gains != best.gains
 
 
 @pytest.mark.parametrize(("rule_s", "shortest_s"), [(1.0, 10.0), (12.5, 10.0), (17.0, 14.0), (60.0, 20.0)])
