@@ -157,7 +157,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings, *, by_loads: bo
     sure = told >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     if not leans or (leans != book.leans and not sure):
         return ByBook(numbers, leans)
-    best = next((one for one in worthwhile if leans > 0 or _by_each_order(book, gains, one[1], settings)), None)
+    tried = worthwhile if book.by_setpoint >= HALF else worthwhile[:1]  # by loads alone, the best or none
+    best = next((one for one in tried if leans > 0 or _by_each_order(book, gains, one[1], settings)), None)
     if best is None:
         return ByBook(numbers, leans)
     worth, new, peaks = best

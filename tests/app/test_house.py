@@ -42,10 +42,10 @@ and "" is what `import retuner` gives. A package imports only from itself and fr
 # fmt: on
 # fmt: off
 CORE = {
-    "adaptive.supervision.retuner": (29_900, {
+    "adaptive.supervision.retuner": (29_650, {
         "adaptive.audit", "adaptive.controller_settings", "adaptive.experiments", "adaptive.schedule_choice",
     }),
-    "commands.run": (46_700, {
+    "commands.run": (46_450, {
         "adaptive.audit", "adaptive.controller_settings", "adaptive.schedule_choice", "api", "audit", "diagnosing",
         "doctor", "drivers.conformance", "drivers.canopen", "drivers.dbc", "drivers.historian",
         "drivers.plants.fmu_model", "experiment",

@@ -119,6 +119,8 @@ def test_the_best_change_that_each_order_bears_is_made(monkeypatch: pytest.Monke
     second = by_book(book, now, SETTINGS).tuning
     assert second is not None
     assert second.gains != best.gains
+    by_loads = replace(book, moved=0.0)
+    assert by_book(by_loads, now, SETTINGS).tuning is None, "by loads alone, the best or none: a good loop was cut"
 
 
 @pytest.mark.parametrize(("rule_s", "shortest_s"), [(1.0, 10.0), (12.5, 10.0), (17.0, 14.0), (60.0, 20.0)])
