@@ -84,10 +84,10 @@ class Book:
 
     direction : sign of its gain. unit, dt_s : what loop gains and times of the grid are counted in. t_s : time up to
     which samples are entered for good. records : windows entered. leans : what followed at the last look, -1
-    less action, 1 more, 0 nothing. moved : windows that the setpoint has moved, each counted as its share;
-    moved_before : the same without the window that still grows. levels : of each process of the grid on each of
-    PLANES, how many STEP its logarithm of the weight lies under the largest; whole : the same without the window that
-    still grows; prior : before any record. One byte each.
+    less action, 1 more, 0 nothing. moved : how far the moves of the setpoint tell the process, 0 to 1: the sum of
+    their shares of the windows, by themselves from one on; moved_before : the same without the window that still
+    grows. levels : of each process of the grid on each of PLANES, how many STEP its logarithm of the weight lies under
+    the largest; whole : the same without the window that still grows; prior : before any record. One byte each.
     """
 
     direction: int
@@ -123,14 +123,9 @@ class Book:
 
     def weights(self) -> FloatArray:
         """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
-        known, tone, told = _weights(self.levels), self.tone, self.by_setpoint
+        known, tone, told = _weights(self.levels), self.tone, self.moved
         alone, beside = (one / float(one.sum()) for one in known[:WEIGHED])
         return np.asarray((1.0 - tone) * alone + tone * ((1.0 - told) * beside + told * known[BY_STEPS]))
-
-    @property
-    def by_setpoint(self) -> float:
-        """How far the moves of the setpoint tell the process, 0 to 1: by themselves from one window of them on."""
-        return min(self.moved, 1.0)
 
     @property
     def tone(self) -> float:
@@ -170,7 +165,8 @@ class Book:
         levels, whole, prior = (_unpacked(str(body[name])) for name in ("levels", "whole", "prior"))
         unit, dt_s, t_s = (float(body[name]) for name in ("unit", "dt_s", "t_s"))
         moved, before = float(body["moved"]), float(body["moved_before"])
-        if not (0 < unit < math.inf and 0 < dt_s < math.inf and all(map(math.isfinite, (t_s, moved, before)))):
+        shares = 0.0 <= moved <= 1.0 and 0.0 <= before <= 1.0
+        if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s) and shares):
             raise ValueError(f"a book of unit {unit}, interval {dt_s} s, time {t_s} s, moved by {moved}, {before}")
         direction = 1 if int(body["direction"]) > 0 else -1
         records, leans = int(body["records"]), int(body["leans"])
@@ -178,7 +174,11 @@ class Book:
 
 
 def update(book: Book, window: Window, *, grows: bool = False) -> Book:
-    """Take in a window of all samples since the last one. grows : it will come again, with more samples."""
+    """Take in a window of all samples since the last one; none of its own intervals, and it says nothing. grows : it
+    will come again, with more samples.
+    """
+    if len(window.t_s) < round(book.dt_s / window.sample_time_s):
+        return book
     record, share = Prepared.at(window, book.dt_s), 0.0
     logs = -STEP * _array(book.whole)
     if len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
@@ -193,7 +193,7 @@ def update(book: Book, window: Window, *, grows: bool = False) -> Book:
             part = np.exp(found[one] - float(np.max(found[one])))
             logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part)))
     logs[_array(book.whole) == DEEPEST] = -math.inf
-    now = replace(book, levels=_levels(logs), moved=book.moved_before + share)
+    now = replace(book, levels=_levels(logs), moved=min(book.moved_before + share, 1.0))
     if grows:
         return now
     last_s, records = float(window.t_s[-1]), book.records + 1

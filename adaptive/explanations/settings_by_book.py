@@ -152,12 +152,12 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings, *, by_loads: bo
     elif high >= settings.less_odds:
         less = _less(gains, integral_times, settings)
         leans, worthwhile = -1, _worthwhile(drawn, gains, less, settings, more=False)
-    leans = 0 if book.tone * (1.0 - book.by_setpoint) >= settings.tone else leans
+    leans = 0 if book.tone * (1.0 - book.moved) >= settings.tone else leans
     told = high if leans < 0 else 0.0 if by_loads else room
     sure = told >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     if not leans or (leans != book.leans and not sure):
         return ByBook(numbers, leans)
-    tried = worthwhile if book.by_setpoint >= HALF else worthwhile[:1]  # by loads alone, the best or none
+    tried = worthwhile if book.moved >= HALF else worthwhile[:1]  # by loads alone, the best or none
     best = next((one for one in tried if leans > 0 or _by_each_order(book, gains, one[1], settings)), None)
     if best is None:
         return ByBook(numbers, leans)
@@ -284,7 +284,7 @@ def _by_each_order(book: Book, now: PidGains, new: PidGains, settings: BookSetti
     """Whether less action is as likely better as not under each order of the walk by itself. Beside a tone the moves of
     the setpoint tell the process, whatever the spectrum of the load.
     """
-    told = book.tone * book.by_setpoint >= HALF
+    told = book.tone * book.moved >= HALF
     return told or all(gain(book.drawn(settings.drawn, at), now, new, settings)[1] >= HALF for at in ORDERS)
 
 

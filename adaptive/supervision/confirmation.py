@@ -1,9 +1,10 @@
 """Whether a change that is proved and worth it is sure.
 
 The loop itself may refute the model (`refutation`), the process may run away by itself (`runaway`), and a case that is
-not clear is put to the whole diagnosis before gains change (`confirmation`). Whether a valve may stick is asked here
-alone: by how pv stands (`stands`), by the diagnosis (`doubt_of`; diagnosis/sticking_valve.py), and by all samples
-(`valve_explains_more`).
+not clear is put to the whole diagnosis before gains change (`confirmation`). Whether a valve may stick is asked once
+more before a change: by how pv stands (`stands`), by the diagnosis (`doubt_of`; diagnosis/sticking_valve.py), and by
+all samples (`valve_explains_more`, which by_all_samples.py asks as well). Before anything is learned, findings.py has
+asked.
 """
 
 import math

@@ -100,9 +100,7 @@ def test_beside_a_tone_that_the_setpoint_moves_no_order_of_the_load_is_asked(
 ) -> None:
     """There the spectrum of the load counts for nothing."""
     orders: list[int | None] = []
-    book: Any = SimpleNamespace(
-        tone=0.9, by_setpoint=1.0 if told else 0.2, drawn=lambda _, order=None: orders.append(order)
-    )
+    book: Any = SimpleNamespace(tone=0.9, moved=1.0 if told else 0.2, drawn=lambda _, order=None: orders.append(order))
     for better, follows in ((0.6, True), (0.4, told)):
         monkeypatch.setattr(settings_by_book, "gain", lambda *_, better=better: (1.0, better))
         assert settings_by_book._by_each_order(book, GOOD, scaled(0.5), SETTINGS) == follows
@@ -695,3 +693,11 @@ def test_a_set_on_trial_is_robust_by_all_samples_once_those_of_its_trial_are_amo
     told = by_book(book, scaled(times), SETTINGS).numbers
     winner = Outcome("unknown", "", book=book if looked else None, all_samples=told)
     assert by_all_samples.robust_by_all_samples(Findings(question), winner) is robust
+
+
+def test_a_window_shorter_than_the_interval_of_the_book_says_nothing() -> None:
+    """A set on trial is looked at after 50 samples, of which the book of a slow loop counts none: that was an error."""
+    slow = Book.begun(GOOD, 120.0, 0.0)
+    short = recorded(GOOD, 1, n=50)
+    assert update(slow, short, grows=True) == slow
+    assert update(slow, short) == slow

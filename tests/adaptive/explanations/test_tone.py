@@ -164,7 +164,7 @@ def test_under_a_tone_the_moves_of_the_setpoint_tell_the_process(step_at: int, l
     told = by_book(book, WEAK, SETTINGS)
     assert told.numbers.book_tone > SETTINGS.tone
     assert told.leans == leans
-    assert (book.by_setpoint > 0.9) == bool(leans)
+    assert (book.moved > 0.9) == bool(leans)
 
 
 def test_what_the_setpoint_has_told_counts_once_for_a_window_that_grows_and_fades_with_the_process() -> None:
@@ -175,8 +175,18 @@ def test_what_the_setpoint_has_told_counts_once_for_a_window_that_grows_and_fade
     assert doubted(whole, 0.5).moved == 0.5 * whole.moved == doubted(whole, 0.5).moved_before
     assert move(whole, math.log(2.0), 1.0).moved_before == pytest.approx(0.5 * whole.moved)
     assert Book.from_dict(whole.to_dict()) == whole
-    with pytest.raises(ValueError, match="moved by nan"):
-        Book.from_dict(whole.to_dict() | {"moved": math.nan})
+    for wrong in (math.nan, -0.1, 1.1):
+        with pytest.raises(ValueError, match=f"moved by {wrong}"):
+            Book.from_dict(whole.to_dict() | {"moved": wrong})
+
+
+def test_what_many_setpoint_steps_have_told_is_as_doubtful_as_what_one_has_once_the_process_has_changed() -> None:
+    """Their shares had been summed up without end, so that half of fifty was as good as all of one."""
+    book = Book.begun(WEAK, 1.0, 0.0)
+    for _ in range(3):
+        book = update(book, recorded(WEAK, 4.0 * cycle(60.0, 0.05), 300))
+    assert book.moved == 1.0
+    assert doubted(book, 0.5).moved == 0.5
 
 
 def test_a_window_that_the_setpoint_moves_says_more_than_one_of_loads() -> None:
