@@ -297,15 +297,17 @@ def gains_that_win(found: Findings, own: Outcome) -> Outcome:
     1. Those that follow from the response, with the models of its region.
     2. Where a tone goes on through the last change to less action: the set that ran before it.
     3. None, where the book of all samples speaks against these.
-    4. Those of the book, where there are none by now, and it is one to ask.
+    4. Those of the book, where there are none by now, and it is one to ask. More action is none of these where the
+       response by itself asked for less: what the book rules out it may still be wrong of.
 
     How far the model's gains go is weighed before, by `worth`.
     """
     winner = set_before(found, own) or own
     seen = all_samples(found, winner)
+    less = winner.changes and winner.asks_for_less(found.record.in_force)
     if winner.changes:
         winner = objection(found, winner, seen) or winner
-    if not winner.changes:
+    if not winner.changes and not (less and seen.told is not None and seen.told.leans > 0):
         winner = proposal_by_all_samples(found, winner, seen) or winner
     return seen.entered(winner)
 

@@ -106,6 +106,11 @@ class Outcome:
         """Whether it has gains that are proved."""
         return self.proof is not None and self.proof.accepted
 
+    def asks_for_less(self, now: PidGains) -> bool:
+        """Whether its proved gains have less gain or integral action than those in force."""
+        new = None if self.proof is None else self.proof.gains
+        return new is not None and (abs(new.kp) < abs(now.kp) or abs(new.ki) < abs(now.ki))
+
 
 class Delay(NamedTuple):
     """Numbers of two samples: of the one that raised the question, and of the later one at which it was decided."""

@@ -701,3 +701,22 @@ def test_a_window_shorter_than_the_interval_of_the_book_says_nothing() -> None:
     short = recorded(GOOD, 1, n=50)
     assert update(slow, short, grows=True) == slow
     assert update(slow, short) == slow
+
+
+@pytest.mark.parametrize(("kp", "leans", "asked"), [(0.5, 1, 0), (0.5, -1, 1), (1.5, 1, 1)])
+def test_a_response_that_asked_for_less_is_no_reason_for_more(
+    kp: float, leans: int, asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of pure dead time the book was wrong: clear responses asked for less, and it took Ms from 1.95 to 2.53."""
+    proof: Any = SimpleNamespace(accepted=True, gains=PidGains(kp, 0.05))
+    own: Any = SimpleNamespace(changes=True, asks_for_less=lambda now: Outcome.asks_for_less(own, now), proof=proof)
+    refused: Any = SimpleNamespace(changes=False)
+    seen: Any = SimpleNamespace(told=SimpleNamespace(leans=leans), entered=lambda winner: winner)
+    proposals: list[object] = []
+    monkeypatch.setattr(decide, "set_before", lambda *_: None)
+    monkeypatch.setattr(decide, "all_samples", lambda *_: seen)
+    monkeypatch.setattr(decide, "objection", lambda *_: refused)
+    monkeypatch.setattr(decide, "proposal_by_all_samples", lambda *_: proposals.append(1))
+    found: Any = SimpleNamespace(record=SimpleNamespace(in_force=PidGains(1.0, 0.05)))
+    assert decide.gains_that_win(found, own) is refused
+    assert len(proposals) == asked
