@@ -174,8 +174,9 @@ class Book:
 
 
 def update(book: Book, window: Window, *, grows: bool = False) -> Book:
-    """Take in a window of all samples since the last one; none of its own intervals, and it says nothing. grows : it
-    will come again, with more samples.
+    """Take in a window of all samples since the last one. A window shorter than the interval of the book says nothing.
+
+    grows : the window will come again, with more samples.
     """
     if len(window.t_s) < round(book.dt_s / window.sample_time_s):
         return book

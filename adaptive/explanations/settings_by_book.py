@@ -146,8 +146,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings, *, by_loads: bo
     integral_times = _integral_times(book, drawn)
     leans, worthwhile = 0, _worthwhile(drawn, gains, _more(gains, integral_times, settings), settings, more=True)
     needed = settings.more_odds if by_loads else settings.borne_out
-    bears = max(room, high) >= needed  # also where Ms is too high, if more action makes it less
-    if bears and worthwhile and gain(drawn, gains, worthwhile[0][1], settings)[1] >= settings.more_odds:
+    may_have_more = max(room, high) >= needed  # also where Ms is too high, if more action makes it less
+    if may_have_more and worthwhile and gain(drawn, gains, worthwhile[0][1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:
         less = _less(gains, integral_times, settings)
@@ -201,6 +201,9 @@ def bears(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSe
     return harmless and gain(drawn, now, new, settings)[1] >= settings.more_odds
 
 
+IN_ALL = 2.0  # times bad_share up to which processes may be bad with more action, those that are bad already included
+
+
 def _harmless(drawn: LikelyProcesses, now: FloatArray, new: FloatArray, settings: BookSettings) -> bool:
     """Whether next to no process comes out badly by the change: where as few more are bad already, those do not count.
     now, new : Ms on each.
@@ -210,7 +213,7 @@ def _harmless(drawn: LikelyProcesses, now: FloatArray, new: FloatArray, settings
         float(drawn.weights @ one) for one in (bad & (now <= settings.ms_bad), np.isinf(new) & ~np.isinf(now))
     )
     in_all = float(drawn.weights @ bad)
-    return made <= settings.bad_share and in_all <= 2.0 * settings.bad_share and lost <= settings.unstable_share
+    return made <= settings.bad_share and in_all <= IN_ALL * settings.bad_share and lost <= settings.unstable_share
 
 
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:

@@ -297,8 +297,8 @@ def gains_that_win(found: Findings, own: Outcome) -> Outcome:
     1. Those that follow from the response, with the models of its region.
     2. Where a tone goes on through the last change to less action: the set that ran before it.
     3. None, where the book of all samples speaks against these.
-    4. Those of the book, where there are none by now, and it is one to ask. More action is none of these where the
-       response by itself asked for less: what the book rules out it may still be wrong of.
+    4. Those of the book, where there are none by now, and it is one to ask. The book does not ask for more action where
+       the response by itself asked for less: it may be wrong in what it objects to.
 
     How far the model's gains go is weighed before, by `worth`.
     """

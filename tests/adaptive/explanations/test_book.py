@@ -661,9 +661,9 @@ def test_a_process_that_has_perhaps_changed_is_doubted_and_not_forgotten() -> No
 )
 def test_what_is_bad_already_does_not_count_while_that_is_little(bad: float, made: float, follows: bool) -> None:
     """At 96 % probability that Ms is over its limit, a loop under a tone had got more action: it "made" nothing bad."""
-    drawn = SimpleNamespace(weights=np.array([1.0 - bad - made, bad, made]))
+    drawn: Any = SimpleNamespace(weights=np.array([1.0 - bad - made, bad, made]))
     now, new = np.array([1.2, 2.5, 1.5]), np.array([1.4, 2.4, 2.0])
-    assert settings_by_book._harmless(drawn, now, new, SETTINGS) == follows  # type: ignore[arg-type]
+    assert settings_by_book._harmless(drawn, now, new, SETTINGS) == follows
 
 
 @pytest.mark.parametrize("settings", [BookSettings, WorthSettings])
