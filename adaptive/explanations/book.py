@@ -26,10 +26,10 @@ import base64
 import math
 import zlib
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from retuner.adaptive.explanations.likely_processes import LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
@@ -130,7 +130,7 @@ class Book:
     @property
     def tone(self) -> float:
         """Probability of a tone from outside; a window that still grows ends none that was found before it."""
-        now, before = (float(_weights(known)[1].sum()) for known in (self.levels, self.whole))
+        now, before = (_tone(known) for known in (self.levels, self.whole))
         return max(now, before) if before > TONE else now
 
     def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:
@@ -217,7 +217,7 @@ def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
     hazard_s : mean time after which the process has.
     """
     change, turn = (-math.expm1(-max(elapsed_s, 0.0) / lasts) for lasts in (hazard_s, TONE_LASTS * book.dt_s))
-    weights = _weights(book.whole)
+    weights = _weights(book.whole).copy()
     alone = weights[:WEIGHED].sum(axis=0)
     weights[:WEIGHED] += turn * (np.array([1.0 - TONE, TONE])[:, None, None, None] * alone - weights[:WEIGHED])
     return replace(book, moved_before=(1.0 - change) * book.moved_before, whole=_mixed(weights, book.prior, change))
@@ -251,29 +251,38 @@ def _with(known: bytes, more: FloatArray) -> bytes:
 
 def _mixed(weights: FloatArray, prior: bytes, change: float) -> bytes:
     """Where the process has become another one with this probability; a tone that is there stays."""
-    fresh = _weights(prior)
+    fresh = _weights(prior).copy()
     known, before = (np.sum(x[:WEIGHED], axis=(1, 2, 3), keepdims=True) for x in (weights, fresh))
     fresh[:WEIGHED] *= known / before
-    weights = (1.0 - change) * weights + change * fresh
-    return _levels(np.where(weights > 0.0, np.log(np.maximum(weights, 1e-300)), -math.inf))
+    with np.errstate(divide="ignore"):  # what was left out stays out
+        return _levels(np.log((1.0 - change) * weights + change * fresh))
 
 
 def _array(levels: bytes) -> FloatArray:
     return np.frombuffer(levels, dtype=np.uint8).reshape(PLANES).astype(np.float64)
 
 
+@lru_cache(maxsize=4)  # a decision asks the same ones many times
 def _weights(levels: bytes) -> FloatArray:
-    weights = WEIGHT_AT[np.frombuffer(levels, dtype=np.uint8)].reshape(PLANES)
+    weights: FloatArray = WEIGHT_AT[np.frombuffer(levels, dtype=np.uint8)].reshape(PLANES)
     for one in WHOLE:
         weights[one] /= float(weights[one].sum())
-    return np.asarray(weights, dtype=np.float64)
+    weights.flags.writeable = False
+    return weights
+
+
+@lru_cache(maxsize=16)
+def _tone(levels: bytes) -> float:
+    return float(_weights(levels)[1].sum())
 
 
 def _levels(logs: FloatArray) -> bytes:
     """Logarithms of weights as levels under the largest; only what was left out from the beginning stays out."""
-    top = np.concatenate([np.full_like(logs[one], np.max(logs[one])) for one in WHOLE])
-    under = np.round((top - np.maximum(logs, top - DEEPEST * STEP)) / STEP)
-    kept: npt.NDArray[np.uint8] = np.where(np.isneginf(logs), DEEPEST, np.minimum(under, DEEPEST - 1)).astype(np.uint8)
+    kept = np.empty(PLANES, dtype=np.uint8)
+    for one in WHOLE:
+        top = float(np.max(logs[one]))
+        under = np.round((top - np.maximum(logs[one], top - DEEPEST * STEP)) / STEP)
+        kept[one] = np.where(np.isneginf(logs[one]), DEEPEST, np.minimum(under, DEEPEST - 1))
     return kept.tobytes()
 
 
