@@ -4,6 +4,7 @@ VENV   ?= .venv
 PYTEST ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+TESTS  := $(VENV)/.installed-test
 DEV    := $(VENV)/.installed-dev
 unexport PYTHONDONTWRITEBYTECODE # every process would compile all that it imports: five seconds for `retuner run`
 PIP    := $(BIN)/python -m pip install --no-compile --disable-pip-version-check
@@ -13,7 +14,7 @@ PIP    := $(BIN)/python -m pip install --no-compile --disable-pip-version-check
 demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN, with a report
 	$(BIN)/retuner run examples/oven.toml --out runs/demo --serve
 
-test: $(DEV)  ## set up and pass the tests, on all cores; PYTEST='-k pid' and the like are handed on
+test: $(TESTS)  ## set up and pass the tests, on all cores; PYTEST='-k pid' and the like are handed on
 	$(BIN)/python scripts/link_typing.py
 	$(BIN)/python -P -m pytest -q -n auto --maxprocesses 4 --dist worksteal $(PYTEST)
 
@@ -50,18 +51,24 @@ nightly: $(DEV)  ## the long runs behind docs/developers/safety.md and docs/deve
 $(STAMP): pyproject.toml setup.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "retuner needs Python 3.11 or newer, and $(PYTHON) is " + sys.version.split()[0] + "; say which with: make PYTHON=python3.11")'
 	@test -f $@ && $(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-	@rm -f $@ $(DEV)
+	@rm -f $@ $(TESTS) $(DEV)
 	@echo "installing retuner and what it needs into $(VENV): a minute or two, once"
 	@$(PIP) -q --upgrade 'pip>=25.1'
 	@$(PIP) -e '.[all]'
 	@echo "installed"
 	@touch $@
 
+$(TESTS): $(STAMP)
+	@rm -f $(STAMP)
+	@echo "installing what tests need into $(VENV): half a minute, once"
+	@$(PIP) -q --group test
+	@touch $(STAMP) $@
+
 $(DEV): $(STAMP)
 	@rm -f $(STAMP)
 	@echo "installing what tests, lint and docs need into $(VENV): a minute or two, once"
 	@$(PIP) --group test --group lint --group bench --group docs build 'setuptools>=77'
-	@touch $(STAMP) $@
+	@touch $(STAMP) $(TESTS) $@
 
 clean:  ## take away everything that the commands above made
 	rm -rf $(VENV) .venv-lowest .typing build dist runs *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage

@@ -1,5 +1,6 @@
 """For all tests: one thread for linear algebra, how hard to try (support/effort.py), and the seed of the order told."""
 
+import gc
 import os
 import time
 from collections import Counter, deque
@@ -12,6 +13,7 @@ import pytest  # noqa: E402  the threads are counted when numpy is loaded
 from effort import EFFORT, VARIABLE, load_profile  # noqa: E402
 
 load_profile()
+gc.disable()  # thousands of modules and tests are there to stay: they are not looked through while they are collected
 
 COUNTED_S = 0.5
 """CPU time that the cases of one test may take in a process while their lines are counted (--cov). The tracer makes a
@@ -24,6 +26,12 @@ def pytest_configure(config: pytest.Config) -> None:
     whole_suite = config.args_source is not pytest.Config.ArgsSource.ARGS
     if whole_suite and not config.option.markexpr:
         config.option.markexpr = EFFORT.marks
+
+
+def pytest_collection_finish() -> None:
+    """And not after it, either."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(trylast=True)  # when their order is drawn
