@@ -78,5 +78,5 @@ def likelihood_swinging(record: Prepared, direction: int, gain_unit: float, w: f
             for second in range(len(second_lags(lag)))
         ]
         larger = (n - len(LOADS)) / (2.0 * TEMPER) * math.log(float(np.var(pv)) / float(np.var(record.pv)))
-        found.append(np.stack([fits.mixed(gains[i : i + 1])[0] for i, fits in enumerate(rows)]) - larger)
+        found.append(np.stack([fits.mixed(gains[i : i + 1])[0, 0] for i, fits in enumerate(rows)]) - larger)
     return np.asarray(np.logaddexp(*found) - math.log(len(NARROW)))

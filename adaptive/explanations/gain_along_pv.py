@@ -65,7 +65,7 @@ def gain_along_pv(records: Sequence[Prepared], direction: int, weights: Sequence
             found = []
             for one, rows, more in compared:
                 fits = under_loads(one, rows, lag, LOADS, DEAD_TIMES)
-                every = fits.mixed(np.tile(gains, (fits.gain.shape[1], 1, 1)))
+                every = fits.mixed(np.tile(gains, (fits.gain.shape[1], 1, 1)))[0]
                 found.append(every.reshape(-1, len(rows), *every.shape[1:]) + more)
             total[i] = total[i] + weight * np.concatenate(found, axis=1)
     ratios = (*RATIOS, *STEP_RATIOS, *RATIOS)

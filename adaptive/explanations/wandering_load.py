@@ -37,7 +37,6 @@ has it (tone.py), the odds of a record do not.
 import math
 from collections.abc import Sequence
 from functools import cache, lru_cache
-from itertools import accumulate
 
 import numpy as np
 
@@ -170,29 +169,25 @@ class UnderLoads:
     freedom: FloatArray
     size: float
 
-    def of(self, which: slice) -> "UnderLoads":
-        """Some of the loads."""
-        gain, information, left = (x[which].copy() for x in (self.gain, self.information, self.left))
-        return UnderLoads(gain, information, left, self.freedom[which], self.size)
-
     def tempered(self, gain: FloatArray) -> FloatArray:
         """Tempered log-likelihood of gains; shape (loads, inputs, dead times, gains). gain : along the last axis."""
         more = self.information[..., None] * (gain - self.gain[..., None]) ** 2
         half = self.freedom[:, None, None, None] / (2 * TEMPER)
         return np.asarray(-half * np.log((self.left[..., None] + more) / self.size))
 
-    def mixed(self, gains: FloatArray) -> FloatArray:
-        """ln of the mean over loads of exp(ln L / TEMPER), shape (inputs, dead times, gains).
+    def mixed(self, gains: FloatArray, groups: FloatArray | None = None) -> FloatArray:
+        """ln of the mean over loads of exp(ln L / TEMPER), shape (groups, inputs, dead times, gains).
 
-        gains : shape (inputs, 1, gains).
+        gains : shape (inputs, 1, gains). groups : 1 for the loads that are in each, shape (groups, loads); None: all.
         """
+        groups = np.ones((1, len(self.freedom))) if groups is None else groups
         if (engine := compiled()) is not None:
             half = self.freedom / (2 * TEMPER)
             fits = (self.gain, self.information, self.left)
-            return np.asarray(engine.walks_mixed(fits, half, gains[:, 0, :], self.size), dtype=np.float64)
-        every = self.tempered(gains)
-        top = every.max(axis=0)
-        return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)), dtype=np.float64)
+            return np.asarray(engine.walks_mixed(fits, half, gains[:, 0, :], groups, self.size), dtype=np.float64)
+        each = [self.tempered(gains)[group > 0] for group in groups]
+        tops = [every.max(axis=0) for every in each]
+        return np.array([top + np.log(np.mean(np.exp(x - top), axis=0)) for x, top in zip(each, tops, strict=True)])
 
 
 @lru_cache(maxsize=1024)
@@ -429,18 +424,19 @@ def log_likelihoods(
     Returns shape (ends, shapes, dead times, gains); and where it holds as many as the first of ends, with loads of each
     of ORDERS by themselves, shape (orders, shapes, dead times, gains).
     """
-    gains = direction * GAINS * units(lags) / gain_unit
+    gains, found = direction * GAINS * units(lags) / gain_unit, []
     each = ((lag, second) for lag in lags for second in range(len(second_lags(lag))))
-    found, by_order = [], []
     for at, (lag, second) in enumerate(each):
-        loads, of = LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS, gains[at : at + 1]
+        loads = LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS
         fits = under_loads(record, record.co[None], lag, loads, DEAD_TIMES, through=second, tones=tones, ends=ends)
-        counts = [n for order in ORDERS if (n := sum(order == one for _, one in loads))]
-        upto, e = accumulate(counts), len(ends)
-        spans = (slice((to - n) * e, to * e, e) for n, to in zip(counts, upto, strict=True))
-        apart = [fits.of(span).mixed(of)[0] for span in spans]
-        shares = np.log(np.array(counts) / len(loads))[:, None, None]
-        whole = np.logaddexp.reduce(np.array(apart) + shares, axis=0)
-        found.append([whole, *(fits.of(slice(i, None, e)).mixed(of)[0] for i in range(1, e))])
-        by_order.append([*apart, *[whole] * (len(ORDERS) - len(apart))])  # a process has no load of that order
-    return np.stack(found, axis=1), np.stack(by_order, axis=1)
+        found.append(fits.mixed(gains[at : at + 1], _groups(loads, len(ends)))[:, 0])
+    whole = np.stack(found, axis=1)
+    return whole[: len(ends)], whole[len(ends) :]
+
+
+@cache
+def _groups(loads: tuple[tuple[float, int], ...], ends: int) -> FloatArray:
+    """All loads with each number of tones, then those of each order with the first number: all, where it has none."""
+    first, orders = np.eye(ends)[0], np.array([order for _, order in loads])
+    of_order = [np.where(any(orders == one), orders == one, True) for one in ORDERS]
+    return np.vstack([np.tile(np.eye(ends), len(loads)), *(np.outer(one, first).ravel() for one in of_order)])

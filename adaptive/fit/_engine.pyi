@@ -122,6 +122,7 @@ def mix(
     left: Numbers,
     half: Numbers,
     gains: Numbers,
+    groups: Numbers,
     size: float,
     rows: int,
     out: Numbers,

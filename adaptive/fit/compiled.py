@@ -211,12 +211,16 @@ def walks(
 
 
 def walks_mixed(
-    fits: tuple[FloatArray, FloatArray, FloatArray], half: FloatArray, gains: FloatArray, size: float
+    fits: tuple[FloatArray, FloatArray, FloatArray],
+    half: FloatArray,
+    gains: FloatArray,
+    groups: FloatArray,
+    size: float,
 ) -> FloatArray:
     """UnderLoads.mixed. fits : gain, information and left. half : exponents of the loads. gains : (inputs, gains)."""
     _, rows, deads = fits[0].shape
-    out = np.empty((rows, deads, gains.shape[1]))
-    _engine.mix(*fits, half, np.ascontiguousarray(gains), size, rows, out)
+    out = np.empty((len(groups), rows, deads, gains.shape[1]))
+    _engine.mix(*fits, half, np.ascontiguousarray(gains), groups, size, rows, out)
     return out
 
 

@@ -5,13 +5,14 @@
 
 #include "misfit.h"
 
-enum { LANES = 8, STRETCH = 64, MOST_DEGREE = 3, MOST_FALLS = 4, MOST_TONES = 8, MOST_DEADS = 64, MOST_MIXED = 64 };
+enum { LANES = 8, STRETCH = 64, MOST_DEGREE = 3, MOST_FALLS = 4, MOST_TONES = 12, MOST_DEADS = 64, MOST_MIXED = 128 };
 enum { MOST_BASIS = 1 + MOST_DEGREE + MOST_FALLS + MOST_TONES };
 enum { DEGREE, ROOTS, BOTTOM = ROOTS + MOST_DEGREE, LOAD = BOTTOM + MOST_DEGREE };
 static const double SILENT = 1e-200;          /* what is left in a filter is nothing below this */
 static const double FADED = 1e-30;            /* what is left of a start is nothing below this: it began at 1 */
 static const double DEPENDENT_SHARE = 1e-10;  /* less of a column than this is round-off: the others have it already */
-static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHARE = -30;
+static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHARE = -40, LEAST_POWER = -700;
+static const double LN2_HIGH = 6.93147180369123816490e-01, LN2_LOW = 1.90821492927058770002e-10;
 
 #if defined(__GNUC__)
 typedef double Four __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
@@ -39,12 +40,15 @@ typedef struct {
  * reduced : through A, LANES abreast, (blocks, n, LANES): pv, the impulse, the `free` falls whose poles A lacks, inputs;
  * twice, for two loads at once, where they fill half a block. Whitened, a load each: the impulses (wide), the rows of the
  * inputs, each with `pad` zeros before it, and the bases, `base` numbers apart: columns of n and zeros (wide), pv first, so
- * many that LANES divides it. columns : of the basis without the tones; it is nothing after `reach` but in pv. starts : columns
- * that are not zero, without pv's. toned : pv along each tone. */
+ * many that LANES divides it. columns : of the basis; it is nothing after `reach` but in pv. starts : columns that are not
+ * zero, without pv's. tones : orthonormal among themselves (own : their squares, 1 or 0), whatever the load. What they add to
+ * its starts follows from their products with these and with each other (with), as Cholesky's factor does; scale : 1 over its
+ * diagonal, 0 where the others have a tone already. toned : pv along the starts, 0, and along what each tone adds. */
 typedef struct {
     Py_ssize_t pad, wide, base, inputs, columns, reach, starts, free;
     int at_once, fall[MOST_FALLS];
-    double *source, *reduced, *impulse, *rows, *basis, *spare, *sums, *memory, toned[MOST_TONES];
+    double *source, *reduced, *impulse, *rows, *basis, *tones, *spare, *sums, *memory;
+    double own[MOST_TONES], with[MOST_TONES][MOST_BASIS], scale[MOST_TONES], toned[MOST_BASIS];
 } Lanes;
 
 /* What held inputs do at gain one through the lags, for `many` rows from one on, in steps that do not wait for each other. */
@@ -183,9 +187,18 @@ static int made_orthonormal(double *columns, Py_ssize_t j, Py_ssize_t wide, Py_s
     return adds;
 }
 
+/* Products with the starts and then with the tones, as products with the starts and then with what each tone adds. */
+static void add_tones(const Walk *w, const Lanes *lanes, double *along) {
+    for (Py_ssize_t j = 0, before = lanes->columns - 1; j < w->tone_count; j++, before++) {
+        for (Py_ssize_t m = 0; m < before; m++)
+            along[before] -= lanes->with[j][m] * along[m];
+        along[before] *= lanes->scale[j];
+    }
+}
+
 /* What unknown starts and tones add, orthonormal, and pv free of the starts. Returns pv'pv. */
 static double put_starts(const Walk *w, Lanes *lanes, double *y, const double *impulse, int degree) {
-    Py_ssize_t n = w->n, k = degree + lanes->free, reach = w->tone_count ? n : 1, apart = lanes->wide;
+    Py_ssize_t n = w->n, k = degree + lanes->free, reach = 1, apart = lanes->wide;
     double *columns = y + apart;
     for (Py_ssize_t j = degree - 1; j < k; j++) /* the last sample that is something, of the impulse and each fall */
         for (Py_ssize_t i = n; i > reach; i--)
@@ -199,12 +212,20 @@ static double put_starts(const Walk *w, Lanes *lanes, double *y, const double *i
         lanes->starts += made_orthonormal(columns, j, apart, reach);
         add(y, -dot(column, y, reach), column, reach);
     }
+    memset(lanes->toned, 0, sizeof lanes->toned);
     for (Py_ssize_t j = 0; j < w->tone_count; j++) {
-        memcpy(columns + (k + j) * apart, w->tones + j * n, (size_t)n * sizeof *y);
-        made_orthonormal(columns, k + j, apart, n);
-        lanes->toned[j] = dot(columns + (k + j) * apart, y, n);
+        const double *tone = lanes->tones + j * apart;
+        double left = lanes->own[j], *with = lanes->with[j];
+        for (Py_ssize_t m = 0; m < k + j; left -= with[m] * with[m], m++) {
+            with[m] = m < k ? dot(tone, columns + m * apart, reach) : 0;
+            for (Py_ssize_t i = 0; m >= k && i < m; i++)
+                with[m] -= with[i] * lanes->with[m - k][i];
+            with[m] *= m < k ? 1 : lanes->scale[m - k];
+        }
+        lanes->scale[j] = left > DEPENDENT_SHARE ? 1 / sqrt(left) : 0;
+        lanes->toned[k + j] = dot(tone, y, n);
     }
-    k += w->tone_count;
+    add_tones(w, lanes, lanes->toned);
     for (Py_ssize_t j = 1 + k; j % 4 && k % 4; j++) /* the last four; one that is left goes by itself */
         memset(y + j * apart, 0, (size_t)lanes->reach * sizeof *y);
     return dot(y, y, n);
@@ -277,13 +298,16 @@ static void own_sums(const double *row, Py_ssize_t n, Py_ssize_t pad, double *su
 static void fit_row(const Walk *w, const Lanes *lanes, const double *basis, const double *row, const Py_ssize_t *late,
                     int count, const int *place, Py_ssize_t cells, double *gain, double *information) {
     double along[(2 * MOST_DEADS) * MOST_BASIS];
-    Py_ssize_t all = lanes->columns + w->tone_count, wide = lanes->wide, reach = lanes->reach;
+    Py_ssize_t all = lanes->columns, wide = lanes->wide, reach = lanes->reach;
     for (int k = 0; k < count; k++) {
         double *to = along + k * MOST_BASIS;
         for (Py_ssize_t j = 0; j + 1 < all; j += 4)
             four_dots(basis + j * wide, wide, row - late[k], reach, j ? reach : wide, to + j);
         if (all % 4 == 1)
             to[all - 1] = dot(basis + (all - 1) * wide, row - late[k], reach);
+        for (Py_ssize_t j = 0; j < w->tone_count; j += 4)
+            four_dots(lanes->tones + j * wide, wide, row - late[k], wide, wide, to + all + j);
+        add_tones(w, lanes, to + 1);
     }
     own_sums(row, w->n, lanes->pad, lanes->sums);
     for (Py_ssize_t d = 0; d < w->dead_count; d++) {
@@ -299,7 +323,7 @@ static void fit_row(const Walk *w, const Lanes *lanes, const double *basis, cons
             for (; j < lanes->columns + (Py_ssize_t)w->ends[e]; j++) {
                 double one = whole * at[j] + part * next[j];
                 most -= one * one;
-                both -= j < lanes->columns ? 0 : one * lanes->toned[j - lanes->columns];
+                both -= one * lanes->toned[j - 1];
             }
             gain[e * cells + d] = both, information[e * cells + d] = most;
         }
@@ -314,15 +338,16 @@ static int open_lanes(const Walk *w, Lanes *lanes) {
     size_t wide = (n + LANES - 1) / LANES * LANES, reduced = (signals + LANES - 1) / LANES * LANES * n;
     lanes->pad = (Py_ssize_t)latest + 2, lanes->wide = (Py_ssize_t)wide, lanes->inputs = (Py_ssize_t)rows;
     size_t twins = 2 * (2 + rows) <= LANES ? 2 : 1, long_rows = twins * rows * (wide + (size_t)lanes->pad);
-    lanes->base = (Py_ssize_t)((1 + MOST_DEGREE + (size_t)(w->fall_count + w->tone_count) + 3) / 4 * 4 * wide);
-    size_t bases = twins * (size_t)lanes->base;
-    lanes->memory = calloc((signals + 2 * LANES) * n + reduced + 2 * wide + long_rows + bases + 2 * (size_t)lanes->pad +
-                               2, sizeof(double));
+    lanes->base = (Py_ssize_t)((1 + MOST_DEGREE + (size_t)w->fall_count + 3) / 4 * 4 * wide);
+    size_t bases = twins * (size_t)lanes->base, tones = ((size_t)w->tone_count + 3) / 4 * 4 * wide;
+    lanes->memory = calloc((signals + 2 * LANES) * n + reduced + 2 * wide + long_rows + bases + tones +
+                               2 * (size_t)lanes->pad + 2, sizeof(double));
     if (!lanes->memory)
         return -1;
     lanes->source = lanes->memory, lanes->spare = lanes->source + signals * n;
     lanes->reduced = lanes->spare + 2 * LANES * n, lanes->impulse = lanes->reduced + reduced;
-    lanes->rows = lanes->impulse + 2 * wide, lanes->basis = lanes->rows + long_rows, lanes->sums = lanes->basis + bases;
+    lanes->rows = lanes->impulse + 2 * wide, lanes->basis = lanes->rows + long_rows, lanes->tones = lanes->basis + bases;
+    lanes->sums = lanes->tones + tones;
     return 0;
 }
 
@@ -352,7 +377,7 @@ static void fit_rows(const Walk *w, Lanes *lanes, Py_ssize_t which, Py_ssize_t l
         fit_row(w, lanes, basis, row, late, count, place, cells, gain + r * w->dead_count, information + r * w->dead_count);
     for (Py_ssize_t e = 0; e < w->end_count; e++, gain += cells, information += cells, left += cells) {
         for (; taken < (Py_ssize_t)w->ends[e]; taken++)
-            whole -= lanes->toned[taken] * lanes->toned[taken];
+            whole -= lanes->toned[lanes->columns - 1 + taken] * lanes->toned[lanes->columns - 1 + taken];
         put_left(gain, information, left, cells, fmax(whole, 0), (double)(w->n - lanes->starts - taken) * w->noise);
     }
 }
@@ -365,6 +390,10 @@ static int walk(const Walk *w) {
     if (open_lanes(w, &lanes))
         return -1;
     lay_sources(w, &lanes);
+    for (Py_ssize_t j = 0; j < w->tone_count; j++) {
+        memcpy(lanes.tones + j * lanes.wide, w->tones + j * w->n, (size_t)w->n * sizeof *w->tones);
+        lanes.own[j] = made_orthonormal(lanes.tones, j, lanes.wide, w->n);
+    }
     for (Py_ssize_t l = 0, many; l < w->load_count; l += many) {
         const double *load = w->loads + l * LOAD;
         if (!l || memcmp(load - LOAD, load, BOTTOM * sizeof *load))
@@ -378,40 +407,88 @@ static int walk(const Walk *w) {
     return 0;
 }
 
-/* ln of the mean over loads of exp(-half ln((left + information (K - gain)^2) / size)) at every gain K of a row's grid.
- * gain, information, left : (load_count, row_count, dead_count). gains : (row_count, gain_count). half : (load_count). */
+/* ln and exp of many numbers in place, within one unit of the last digit (fdlibm, Sun Microsystems 1993), without a branch, so
+ * that several are worked out at once. Of ln they are positive; TURNING lies at the root of a half. */
+WIDE static void logs(double *restrict x, Py_ssize_t n) {
+    const int64_t ONE = 0x3ff0000000000000, TURNING = 0x3fe6a09e00000000, PLACES = 0x000fffffffffffff;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        int64_t bits, whole;
+        double f, k;
+        memcpy(&bits, x + i, sizeof bits);
+        bits += ONE - TURNING, whole = (int64_t)((uint64_t)bits >> 52) | 0x4330000000000000;
+        bits = (bits & PLACES) + TURNING;
+        memcpy(&f, &bits, sizeof f), memcpy(&k, &whole, sizeof k);
+        k -= 4503599627370496.0 + 1023, f -= 1;
+        double s = f / (2 + f), z = s * s, w = z * z, half = 0.5 * f * f;
+        double even = w * (3.999999999940941908e-01 + w * (2.222219843214978396e-01 + w * 1.531383769920937332e-01));
+        double odd = w * (1.818357216161805012e-01 + w * 1.479819860511658591e-01);
+        odd = z * (6.666666666666735130e-01 + w * 2.857142874366239149e-01 + w * odd);
+        x[i] = s * (half + even + odd) + k * LN2_LOW - half + f + k * LN2_HIGH;
+    }
+}
+
+/* Adds exp(x - top), none of which is over one, to each sum, unless all are nothing. */
+WIDE static void add_exps(const double *restrict x, const double *restrict top, Py_ssize_t n, double *restrict sum) {
+    int counts = 0;
+    double off[STRETCH];
+    for (Py_ssize_t i = 0; i < n; i++)
+        counts |= x[i] > top[i] + SILENT_SHARE;
+    for (Py_ssize_t i = 0; i < n; i++)
+        off[i] = x[i] - top[i] > LEAST_POWER ? x[i] - top[i] : LEAST_POWER;
+    for (Py_ssize_t i = 0; i < (counts ? n : 0); i++) {
+        double from = off[i], turned = 1.44269504088896338700 * from + 6755399441055744.0, y;
+        double k = turned - 6755399441055744.0, high = from - k * LN2_HIGH, low = k * LN2_LOW, r = high - low, rr = r * r;
+        double c = 6.61375632143793436117e-05 + rr * (-1.65339022054652515390e-06 + rr * 4.13813679705723846039e-08);
+        c = r - rr * (1.66666666666666019037e-01 + rr * (-2.77777777770155933842e-03 + rr * c));
+        y = 1 + (r * c / (2 - c) - low + high);
+        int64_t bits, power;
+        memcpy(&bits, &y, sizeof bits), memcpy(&power, &turned, sizeof power);
+        bits += (int64_t)((uint64_t)power << 52);
+        memcpy(&y, &bits, sizeof bits);
+        sum[i] += y;
+    }
+}
+
+/* ln of the mean over some loads of exp(-half ln((left + information (K - gain)^2) / size)) at every gain K of a row's grid.
+ * gain, information, left : (load_count, row_count, dead_count). gains : (row_count, gain_count). half : (load_count).
+ * groups : (group_count, load_count), 1 for a load that is in one. out : (group_count, row_count, dead_count, gain_count). */
 typedef struct {
-    const double *gain, *information, *left, *half, *gains;
-    Py_ssize_t load_count, row_count, dead_count, gain_count;
+    const double *gain, *information, *left, *half, *gains, *groups;
+    Py_ssize_t load_count, row_count, dead_count, gain_count, group_count;
     double size, *out;
 } Mixture;
 
-static void mix(const Mixture *m) {
-    Py_ssize_t cells = m->row_count * m->dead_count;
-    double value[MOST_MIXED], most[MOST_MIXED];
-    Py_ssize_t order[MOST_MIXED];
-    for (Py_ssize_t cell = 0; cell < cells; cell++) {
-        for (Py_ssize_t l = 0; l < m->load_count; l++) { /* the likeliest first, each at its own gain */
-            double one = -m->half[l] * log(m->left[l * cells + cell] / m->size);
-            Py_ssize_t at = l;
-            for (; at > 0 && most[at - 1] < one; at--)
-                most[at] = most[at - 1], order[at] = order[at - 1];
-            most[at] = one, order[at] = l;
-        }
-        for (Py_ssize_t g = 0; g < m->gain_count; g++) {
-            double gain = m->gains[cell / m->dead_count * m->gain_count + g], top = -INFINITY, sum = 0;
-            Py_ssize_t count = 0;
-            for (; count < m->load_count && most[count] - top > SILENT_SHARE; count++) {
-                Py_ssize_t at = order[count] * cells + cell;
-                double off = gain - m->gain[at];
-                value[count] = -m->half[order[count]] * log((m->left[at] + m->information[at] * (off * off)) / m->size);
-                top = value[count] > top ? value[count] : top;
+WIDE static void mix(const Mixture *m) {
+    Py_ssize_t cells = m->row_count * m->dead_count, loads = m->load_count;
+    double value[MOST_MIXED][STRETCH], top[STRETCH], sum[STRETCH];
+    for (Py_ssize_t cell = 0; cell < cells; cell++)
+        for (Py_ssize_t start = 0, many; start < m->gain_count; start += many) {
+            const double *gains = m->gains + cell / m->dead_count * m->gain_count + start;
+            many = m->gain_count - start < STRETCH ? m->gain_count - start : STRETCH;
+            for (Py_ssize_t l = 0; l < loads; l++) {
+                double gain = m->gain[l * cells + cell], left = m->left[l * cells + cell];
+                double information = m->information[l * cells + cell];
+                for (Py_ssize_t g = 0; g < many; g++)
+                    value[l][g] = (left + information * ((gains[g] - gain) * (gains[g] - gain))) / m->size;
+                logs(value[l], many);
+                multiply(value[l], -m->half[l], many);
             }
-            for (Py_ssize_t l = 0; l < count; l++)
-                sum += value[l] - top > SILENT_SHARE ? exp(value[l] - top) : 0;
-            m->out[cell * m->gain_count + g] = top + log(sum / (double)m->load_count);
+            for (Py_ssize_t of = 0; of < m->group_count; of++) {
+                const double *group = m->groups + of * loads;
+                double *out = m->out + (of * cells + cell) * m->gain_count + start, count = 0;
+                for (Py_ssize_t g = 0; g < many; g++)
+                    top[g] = -INFINITY, sum[g] = 0;
+                for (Py_ssize_t l = 0; l < loads; l++)
+                    for (Py_ssize_t g = 0; group[l] > 0 && g < many; g++)
+                        top[g] = value[l][g] > top[g] ? value[l][g] : top[g];
+                for (Py_ssize_t l = 0; l < loads; l++)
+                    if (group[l] > 0)
+                        add_exps(value[l], top, many, sum), count++;
+                multiply(sum, 1 / count, many), logs(sum, many);
+                for (Py_ssize_t g = 0; g < many; g++)
+                    out[g] = top[g] + sum[g];
+            }
         }
-    }
 }
 
 #endif
