@@ -89,6 +89,8 @@ def test_a_still_record_says_nothing_against_settings() -> None:
     assert share_over(still, PidGains(1.0, 0.1), 2.0, OddsSettings()) == 0.0
 
 
+@pytest.mark.slow
+@pytest.mark.uncounted
 def test_where_no_process_is_identified_the_command_tells_what_diagnose_says(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

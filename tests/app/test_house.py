@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from syntax import nodes
 
 ROOT = Path(__file__).resolve().parents[2]
 TOP = {"schedule": "schedule", "adaptive": "adaptive", "drivers": "drivers", "app": "src/retuner"}
@@ -75,11 +76,6 @@ LONGEST_FUNCTION = 60  # lines of code without docstring, comments and blank lin
 # what these weigh are typed values (adaptive/decision_numbers.py)
 DECIDING = ("guard", "trial", "choice", "without_model", "supervision", "orders")
 EDGE = {"to_dict", "gains_dict", "_seen_out"}  # functions that write the plain form
-
-
-@cache  # several tests ask for the nodes of every file
-def nodes(source: str) -> tuple[ast.AST, ...]:
-    return tuple(ast.walk(ast.parse(source)))
 
 
 def files(*tops: str) -> list[Path]:

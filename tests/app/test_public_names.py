@@ -47,7 +47,7 @@ def test_no_import_of_a_module_takes_the_place_of_a_public_name() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", ["", "[::-1]"])
+@pytest.mark.parametrize("order", ["", pytest.param("[::-1]", marks=pytest.mark.nightly)])
 def test_after_every_import_the_names_are_what_they_were(order: str) -> None:
     script = f"""if True:
         from importlib import import_module

@@ -131,6 +131,7 @@ def test_the_bus_log_decodes_with_the_shipped_dbc(finished: Finished) -> None:
     assert {"TELEMETRY_PV", "TELEMETRY_SP", "STAGE", "COMMIT", "ACK", "SETPOINT", "HEARTBEAT"} <= seen
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_the_same_seed_gives_the_same_ledger_and_another_seed_another(quick: Path, finished: Finished) -> None:
     for seed in (3, 4):

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from syntax import nodes
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -47,26 +48,26 @@ CALLS = {"list", "dict", "set", "tuple", "sorted", "asdict", "gains_dict", "toli
 """What is shown as Python writes it when it stands in an f-string."""
 
 
-def docstrings(nodes: list[ast.AST]) -> set[int]:
+def docstrings(every: tuple[ast.AST, ...]) -> set[int]:
     """The nodes that are documentation: expressions that stand alone, but for the help of a command."""
     helps = {
         id(node.body[0])
-        for node in nodes
+        for node in every
         if isinstance(node, ast.FunctionDef) and any("command" in ast.unparse(one) for one in node.decorator_list)
     }
-    return {id(node.value) for node in nodes if isinstance(node, ast.Expr) and id(node) not in helps}
+    return {id(node.value) for node in every if isinstance(node, ast.Expr) and id(node) not in helps}
 
 
 def texts(source: str) -> Iterator[tuple[int, str]]:
     """Line and text of everything that may be shown, an X for each value in it; keys have no space and are left out."""
-    nodes = list(ast.walk(ast.parse(source)))
-    apart = docstrings(nodes)
-    for node in nodes:
+    every = nodes(source)
+    apart = docstrings(every)
+    for node in every:
         if isinstance(node, ast.JoinedStr):
             apart |= {id(inner) for inner in node.values if isinstance(inner, ast.Constant)}
             apart |= {id(inner.format_spec) for inner in node.values if isinstance(inner, ast.FormattedValue)}
-    beside = {id(one) for node in nodes for one in _listed(node)}
-    for node in nodes:
+    beside = {id(one) for node in every for one in _listed(node)}
+    for node in every:
         if id(node) in apart:
             continue
         text = ""
@@ -148,7 +149,7 @@ def paragraphs(page: str) -> Iterator[str]:
 def python_forms(source: str) -> list[str]:
     """Values in f-strings that would be shown as lists, dicts, or names of enum members."""
     found = []
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(source):
         if isinstance(node, ast.FormattedValue):
             value = node.value
             name = value.func if isinstance(value, ast.Call) else None

@@ -47,6 +47,7 @@ def test_the_course_of_the_lag_lies_inside_its_band_and_the_rest_is_constant() -
     assert curves.evidence > 10
 
 
+@pytest.mark.slow
 def test_every_place_of_the_true_process_is_in_spec_with_the_schedule() -> None:
     design = found()
     for place in design.places:
