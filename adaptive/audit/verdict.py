@@ -17,8 +17,8 @@ tells no settings. "Unknown" says nothing either way. A stretch in which nothing
 happens (noise) does not clear a valve that sticks when it moves: of what is no fault only "ok" speaks against.
 
 What a visit may bring is a share of the mean |error|. Where a process was identified, it is what other settings would
-have made of parts spread over the record (attainable.py). A limit's is the error that comes up there. Elsewhere the
-Harris index H of the variance stands in, of which the mean |error| feels 1 - sqrt(1 - H).
+have made of parts spread over the record (choice/foreseen.py). A limit's is the error that comes up there. Elsewhere
+the Harris index H of the variance stands in, of which the mean |error| feels 1 - sqrt(1 - H).
 """
 
 import math
@@ -26,8 +26,8 @@ from collections.abc import Sequence
 from enum import StrEnum
 from types import MappingProxyType
 
-from retuner.adaptive.audit.attainable import Foreseen
 from retuner.adaptive.audit.loop_screen import LoopScreen
+from retuner.adaptive.choice.foreseen import Foreseen
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.indexes.condition import SENTENCES, Condition
 from retuner.schedule.late_dataclass import dataclass, replace

@@ -50,16 +50,12 @@ LEAST_ROOM, MOST_ROOM, ROOMS = 0.1, 10.0, 41  # factors on the set in force that
 class Worthwhile:
     """Settings worth having.
 
-    models : the likeliest processes, which have most of the odds, the likeliest first. ms : of the settings on the
-    first. ms_worst : nine of ten processes have less. worth : expected gain, in logarithms of the integrated error.
+    models : the likeliest processes, which have most of the odds, the likeliest first.
     sure, likely : times all actions in force that keep Ms good on next to every process, and on half of the odds.
     """
 
     tuning: Tuning
     models: tuple[ProcessModel, ...]
-    ms: float
-    ms_worst: float
-    worth: float
     sure: float
     likely: float
 
@@ -105,7 +101,7 @@ def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
     known = models(odds, likely)
     before = expected_cost(likely, odds.gains, settings)[0]
     most: float = -math.inf
-    best: tuple[Tuning, FloatArray] | None = None
+    best: Tuning | None = None
     for tuning in _candidates(odds.gains, known, likely.weights, odds.sample_time_s, settings):
         cost, peaks = expected_cost(likely, tuning.gains, settings)
         bad = float(likely.weights @ (peaks > settings.ms_bad))
@@ -113,13 +109,8 @@ def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
             continue
         worth = before - cost
         if worth >= settings.worth and worth > most:
-            most, best = worth, (tuning, peaks)
-    if best is None:
-        return None
-    tuning, peaks = best
-    worst = quantile(peaks, likely.weights, 1.0 - settings.bad_share)
-    told = _told(known, likely)
-    return Worthwhile(tuning, told, float(peaks[0]), worst, most, *_room(odds, likely, settings))
+            most, best = worth, tuning
+    return None if best is None else Worthwhile(best, _told(known, likely), *_room(odds, likely, settings))
 
 
 def halved(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
@@ -138,9 +129,7 @@ def halved(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
     worse = float(likely.weights @ (peaks > np.maximum(peaks_before, settings.ms_bad)))
     if before - cost < settings.worth or worse > settings.bad_share:
         return None
-    worst = quantile(peaks, likely.weights, 1.0 - settings.bad_share)
-    known = _told(models(odds, likely), likely)
-    return Worthwhile(half, known, float(peaks[0]), worst, before - cost, *_room(odds, likely, settings))
+    return Worthwhile(half, _told(models(odds, likely), likely), *_room(odds, likely, settings))
 
 
 def _told(known: list[ProcessModel], likely: LikelyProcesses) -> tuple[ProcessModel, ...]:

@@ -1,11 +1,11 @@
 """A record replayed with other settings: what pv and co would have been under the same setpoint and the same loads.
 
-    pv = G co + v        v : everything that is not the controller's: loads, noise, where the process stood at first
+    pv' = pv + G (co' - co),    co' = C' (sp - pv')
 
-v follows from the record, v = pv - G co, and for a linear process it does not depend on the controller. So the loop
-with the new settings is stepped with v added to the answer of G, whatever the loads were and wherever they entered:
-steps, drifts and loads that wander alike. As far as G is wrong, v holds what G missed of the recorded co, which is why
-a replay is told over all models that the record allows.
+with pv, co on record, G the process and C' the other controller. What it does otherwise acts through the process alone
+and adds to what was recorded, whatever the loads were and wherever they entered: steps, drifts and loads that wander
+alike. As far as G is wrong, what it missed of the recorded co counts as a load, which is why a replay is told over all
+models that the record allows.
 """
 
 import math
@@ -89,25 +89,24 @@ def replayed(
     Raises ValueError: the process has more zeros than poles, or the limits leave no room.
     """
     dt_s = window.sample_time_s
-    other = window.pv - HeldInput(process, dt_s).over(window.co - window.co[0])
     # The limits of co; where none is given, so far that a replay never meets one
     room = 1e6 * max(float(np.ptp(window.co)), 1.0)
     low = float(np.min(window.co)) - room if co_limits[0] is None else co_limits[0]
     high = float(np.max(window.co)) + room if co_limits[1] is None else co_limits[1]
     filter_s = tau_f_s if tau_f_s is not None else (gains.kd / gains.kp / 10.0 if gains.kp else 0.0)
     pid = law(gains, tau_f_s=max(filter_s, 0.0), co_min=low, co_max=high)
-    sp, rest = window.sp.tolist(), other.tolist()
-    co0, far = float(window.co[0]), WILD * max(float(np.ptp(window.pv)), float(np.ptp(window.sp)), 1e-9)
-    plant = HeldInput(process, dt_s)
-    state: tuple[float, float, float, float, int] = start(pid, sp[0], rest[0], co0)
-    pv, co = np.full(len(sp), np.nan), np.full(len(sp), np.nan)
-    moved = 0.0
-    for i, (wanted, free) in enumerate(zip(sp, rest, strict=True)):
+    was = list(zip(window.sp.tolist(), window.pv.tolist(), window.co.tolist(), strict=True))
+    far = WILD * max(float(np.ptp(window.pv)), float(np.ptp(window.sp)), 1e-9)
+    plant, moved = HeldInput(process, dt_s), 0.0
+    state: tuple[float, float, float, float, int] = start(pid, *was[0])
+    pv, co = np.full(len(was), np.nan), np.full(len(was), np.nan)
+    for i, (wanted, free, before) in enumerate(was):
         if not abs(moved) < far:
             break
         pv[i] = moved + free
-        state, co[i] = step(pid, state, wanted, moved + free, dt_s)
-        moved = plant.step(float(co[i]) - co0)
+        state, out = step(pid, state, wanted, moved + free, dt_s)
+        co[i] = out
+        moved = plant.step(out - before)
     return ReplayedRecord(window.t_s, window.sp, pv, co)
 
 
@@ -130,20 +129,6 @@ class BeforeAfter:
         """Lowest and highest value of "pv" or "co" over the models, each of shape (n,)."""
         all_of = np.stack([getattr(one, name) for one in self.replays])
         return np.min(all_of, axis=0), np.max(all_of, axis=0)
-
-    @property
-    def error_ratios(self) -> tuple[float, float, float]:
-        """Mean |sp - pv| over the record's own: on the best model, and the least and the greatest of all."""
-        before = mean_error(self.record.sp, self.record.pv)
-        ratios = [one.error / before if before else math.inf for one in self.replays]
-        return ratios[0], min(ratios), max(ratios)
-
-    @property
-    def travel_ratios(self) -> tuple[float, float, float]:
-        """Way of co over the record's own, in the same order."""
-        before = way(self.record.co)
-        ratios = [one.travel / before if before else math.inf for one in self.replays]
-        return ratios[0], min(ratios), max(ratios)
 
 
 def before_after(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from retuner.adaptive import display_hook
+from retuner.adaptive.choice.foreseen import Foreseen, foreseen, weighed_models
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.one_tone import one_tone
@@ -59,6 +60,7 @@ class Identification(display_hook.Shown):
         (identification/first_step.py), and these are what they lead to.
     step_reason : why; empty where there is no aim.
     record : what it was found from, for the picture; None where it was not kept.
+    foreseen : share of the record's error that the settings would take away; None in manual and without settings.
     """
 
     estimate: ModelEstimate
@@ -67,6 +69,7 @@ class Identification(display_hook.Shown):
     aim: TuneResult | None = None
     step_reason: str = ""
     record: Window | None = field(default=None, compare=False)
+    foreseen: Foreseen | None = None
 
     def __repr__(self) -> str:
         if not self.estimate.identifiable:
@@ -112,6 +115,7 @@ class Identification(display_hook.Shown):
             "aim": self.aim.to_dict()["gains"] if self.aim else None,
             "step_reason": self.step_reason,
             "margins_in_force": in_force,
+            "foreseen": self.foreseen.to_dict() if self.foreseen is not None else None,
         }
 
 
@@ -321,9 +325,10 @@ def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, o
 
         if doubt := doubt_of_settings(window, settings.gains):
             return Identification(replace(estimate, identifiable=False, reason=doubt), None, None)
-    if gains is None:
-        return Identification(estimate, settings, None)
-    return _no_farther(Identification(estimate, settings, margins(estimate.log.model().linear(), gains)), window, gains)
+    told = Identification(estimate, settings, None)
+    if gains is not None:
+        told = _no_farther(replace(told, margins_in_force=margins(estimate.log.model().linear(), gains)), window, gains)
+    return told if open_loop else replace(told, foreseen=foreseen([window], weighed_models(estimate), told.recommended))
 
 
 def _unless_pv_stands(window: Window, gains: PidGains | None, estimate: ModelEstimate) -> ModelEstimate:

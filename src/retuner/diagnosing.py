@@ -7,9 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive import display_hook
-from retuner.adaptive.cause_odds.odds import diagnose_records
+from retuner.adaptive.cause_odds.odds import OddsFound, diagnose_records
+from retuner.adaptive.choice.foreseen import ASKED, Foreseen, foreseen, weighed_models
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.explanations.settings_by_odds import likely_processes, models
 from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.loop.margins import Margins
@@ -41,6 +43,8 @@ class RecordDiagnosis(display_hook.Shown):
     room : times all actions in force that stay robust on next to every process, and on half of the odds; None where
         settings do not come from odds.
     on : which of several records it is told of, from 0.
+    foreseen : what the settings, or where none are recommended the best of each likely process, would have made of that
+        record; None where the tuning is not in question.
     """
 
     diagnosis: Diagnosis
@@ -54,6 +58,7 @@ class RecordDiagnosis(display_hook.Shown):
     likely: tuple[ProcessModel, ...] = ()
     room: tuple[float, float] | None = None
     on: int = 0
+    foreseen: Foreseen | None = None
 
     def __repr__(self) -> str:
         told = self.diagnosis
@@ -93,7 +98,7 @@ class RecordDiagnosis(display_hook.Shown):
         return figure
 
     def to_dict(self) -> dict[str, object]:
-        """Keys cause, confidence, retune, evidence, reason, gains, form, margins, aim, rival."""
+        """Keys cause, confidence, retune, evidence, reason, gains, form, margins, aim, rival, foreseen."""
         found = self.settings.to_dict() if self.settings and self.diagnosis.retune else None
         rival = self.estimate.rival if self.estimate is not None else None
         return {
@@ -103,6 +108,7 @@ class RecordDiagnosis(display_hook.Shown):
             "gains": found["gains"] if found else None,
             "form": found["form"] if found else None,
             "margins": found["margins"] if found else None,
+            "foreseen": self.foreseen.to_dict() if self.foreseen is not None else None,
         }
 
 
@@ -182,8 +188,10 @@ def diagnose_windows(
     now, aim = (followed_settings(found.estimate, tuning) for tuning in (found.tuning, found.aim))
     if worth is not None:
         now = TuneResult.on(worth.tuning, worth.models[0])
+    settings = now.gains if now is not None and found.diagnosis.retune else None
+    saved = _saved(windows[told.record], told, settings, gains, (co_min, co_max))
     return RecordDiagnosis(
-        found.diagnosis,
+        replace(found.diagnosis, reason=found.diagnosis.reason + gain_words(found.diagnosis.cause, saved)),
         found.estimate,
         now,
         fits,
@@ -193,7 +201,37 @@ def diagnose_windows(
         likely=worth.models if worth is not None else (),
         room=(worth.sure, worth.likely) if worth is not None else None,
         on=told.record,
+        foreseen=saved,
     )
+
+
+def _saved(
+    window: Window,
+    told: OddsFound,
+    settings: PidGains | None,
+    active: PidGains | None,
+    co_limits: tuple[float | None, float | None],
+) -> Foreseen | None:
+    """What the settings save of a record's error, or the best for each process, over its odds."""
+    found = told.found
+    if found.diagnosis.cause not in {Cause.OK, *TUNING_CAUSES}:
+        return None
+    if told.tuning is not None and found.tuning is None:
+        likely = likely_processes(told.tuning, ASKED)
+        processes = list(zip(models(told.tuning, likely), likely.weights.tolist(), strict=True))
+    else:
+        processes = weighed_models(found.estimate)
+    return foreseen([window], processes, settings, active, co_limits)
+
+
+def gain_words(cause: Cause, saved: Foreseen | None) -> str:
+    """What tuning could gain, after a verdict without settings; a loop that is too tight is not calmed for its error."""
+    if saved is None or saved.given or cause not in {Cause.OK, Cause.SLUGGISH}:
+        return ""
+    told = f"; with the process known, better settings would take away {100.0 * saved.saved:.0f} % of the error"
+    if not saved.due and cause is Cause.SLUGGISH:
+        return f"{told} only: nothing is due"
+    return f"{told} ({100.0 * saved.least:.0f} to {100.0 * saved.most:.0f} %)"
 
 
 def _settings_shown(

@@ -45,6 +45,7 @@ KEYS = {
     "form",
     "margins",
     "reason",
+    "foreseen",
     "gains_in_force",
     "model",
     "std",
@@ -117,6 +118,8 @@ def test_the_whole_way_from_a_file_to_a_cause(tmp_path, capsys, kc, cause):
     if found["retune"]:
         assert 2.0 < found["gains"]["kc"] < 4.5
         assert found["margins"]["ms"] < 1.8
+        assert found["foreseen"]["given"] is True
+        assert found["foreseen"]["least"] <= found["foreseen"]["saved"] <= found["foreseen"]["most"]
     else:
         assert found["gains"] is None
 
@@ -129,6 +132,7 @@ def test_json_has_its_keys_and_gains_only_where_a_retune_is_right(tmp_path, caps
     assert found["gains"]["tau_i"] == pytest.approx(20.0)
     assert found["form"] == "series"
     assert found["margins"]["ms"] < 1.7
+    assert found["foreseen"] is None  # the double knows no process
     assert found["evidence"]["ms"] == 3.1
     assert found["evidence"]["gm"] is None  # infinite
     assert found["evidence"]["setpoint_steps"] == 3

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.audit.attainable import Foreseen, foreseen
 from retuner.adaptive.audit.loop_screen import DAY_S, LoopScreen, joined_screen, screen_loop
 from retuner.adaptive.audit.over_time import (
     MONDAY_S,
@@ -26,6 +25,7 @@ from retuner.adaptive.audit.over_time import (
 )
 from retuner.adaptive.audit.tracks import damped_track, swing_track, trend_track
 from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, asks, loop_verdict, with_foreseen
+from retuner.adaptive.choice.foreseen import Foreseen, foreseen, weighed_models
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.identification.robust_simc import RobustSettings, believed, robust_simc
 from retuner.adaptive.indexes.days import MOST_DAYS, days_of, off_in
@@ -37,7 +37,7 @@ from retuner.drivers.historian.parquet_tables import MOST_ROWS
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.report.what_if import of_diagnosis
-from retuner.schedule.late_dataclass import asdict, dataclass, field, replace
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 SCHEMA = 6  # version of a row's keys
 OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})  # causes by which a loop oscillates of itself
@@ -307,11 +307,10 @@ def _foreseen(cure: RecordDiagnosis, records: Sequence[Window]) -> Foreseen | No
     if estimate is None or not records:
         return None
     rule = RobustSettings()
-    models = [one.model for one in believed(estimate.plausible, rule.believed)] or [estimate.log.model()]
-    if cure.settings is not None:
-        return foreseen(records, models, cure.settings.gains)
     interval_s = min(record.sample_time_s for record in records)
-    return foreseen(records, models, robust_simc(estimate, interval_s, rule).tuning.gains)
+    gains = (cure.settings or robust_simc(estimate, interval_s, rule).tuning).gains
+    allowed = replace(estimate, plausible=tuple(believed(estimate.plausible, rule.believed)))
+    return foreseen(records, weighed_models(allowed) or [(estimate.log.model(), 1.0)], gains)
 
 
 def _settings(cure: RecordDiagnosis | None) -> Row | None:
@@ -328,8 +327,7 @@ def _process(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:
     """The process that was identified, and what settings for it would have made of the record."""
     if cure is None or cure.estimate is None:
         return None
-    brings = {name: value for name, value in asdict(then).items() if value != -math.inf} if then is not None else None
-    return {"model": cure.estimate.log.model().to_dict(), "foreseen": brings}
+    return {"model": cure.estimate.log.model().to_dict(), "foreseen": then.to_dict() if then is not None else None}
 
 
 def _stretch(window: Window, verdict: StretchVerdict, found: RecordDiagnosis) -> Row:

@@ -1,10 +1,10 @@
 """A recommended change of settings, tried on the record that it comes from: what the loop would have done with it."""
 
 import math
-from typing import Self
 
 import numpy as np
 
+from retuner.adaptive.choice.foreseen import Foreseen
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.estimate import STRUCTURE_STD, ModelEstimate
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -28,72 +28,65 @@ LONGER, SURE = (1.0, 4.0, 16.0), 0.9
 class ShownChange:
     """A change of settings as it is shown.
 
-    found : the record before and after. processes : of the band, the best first. seen : the best as the controller sees
-    it, with its hold. active, recommended : the settings; active is None where they are not known.
+    window : the record. foreseen : what the change would have made of it, None where nothing can be said of that.
+    processes : of the band, the best first. seen : the best as the controller sees it, with its hold. active,
+    recommended : the settings; active is None where they are not known. co_limits : lowest and highest co as given.
     """
 
-    found: BeforeAfter
+    window: Window
+    foreseen: Foreseen | None
     processes: tuple[LinearProcess, ...]
     seen: LinearProcess
     active: PidGains | None
     recommended: PidGains
+    co_limits: tuple[float | None, float | None]
+
+    @property
+    def found(self) -> BeforeAfter:
+        """The record before and after, on each process."""
+        return before_after(self.window, self.processes, self.recommended, self.co_limits)
 
 
-def change_words(found: BeforeAfter) -> str:
+def change_words(foreseen: Foreseen | None) -> str:
     """What the replay says."""
-    error, travel = found.error_ratios, found.travel_ratios
-    if not math.isfinite(error[2]):
-        return "on a plausible model the new settings would not hold the loop"
-    return f"mean error {_percent(error)} of before, co travel {_percent(travel)}"
+    if foreseen is None:
+        return "on the likeliest model the new settings would not hold the loop"
+    best, low, high = (100.0 * share for share in foreseen.left)
+    band = f" ({low:.0f} to {high:.0f} %)" if high - low > 1.0 else ""
+    return f"mean error {best:.0f} %{band} of before, co travel {100.0 * (1.0 - foreseen.calmer):.0f} %"
 
 
 def step_words(change: ShownChange) -> str:
     """What the change does to a setpoint step and to Ms, on the best model."""
     sets = [gains for gains in (change.active, change.recommended) if gains is not None]
     until_s = settling_s(change.seen, change.recommended)
-    each = [_StepFigures.of(change.seen, gains, until_s) for gains in sets]
-    names = (("overshoot", "overshoot"), ("settling", "settles in"), ("ms", "Ms"))
-    return ", ".join(f"{title} {' -> '.join(getattr(one, name) for one in each)}" for name, title in names)
+    figures = zip(*(_step_figures(change.seen, gains, until_s) for gains in sets), strict=True)
+    titles = ("overshoot", "settles in", "Ms")
+    return ", ".join(f"{title} {' -> '.join(each)}" for title, each in zip(titles, figures, strict=True))
 
 
-@dataclass(frozen=True, slots=True)
-class _StepFigures:
-    """Figures of a setpoint step in words: overshoot, settling time; and the loop's Ms."""
-
-    overshoot: str
-    settling: str
-    ms: str
-
-    @classmethod
-    def of(cls, process: LinearProcess, gains: PidGains, until_s: float) -> Self:
-        """The figures with these settings on a process."""
-        peak = sensitivity_peak(process, gains)
-        if math.isinf(peak):
-            return cls("without end", "never", "unstable")
-        filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
-        settling = f"over {LONGER[-1] * until_s:.2g} s"
-        over = 0.0
-        for times in LONGER:
-            found = step_response(process, gains, times * until_s, filter_s)
-            over = max(over, float(np.max(found.pv)) - 1.0)
-            away = np.flatnonzero(np.abs(found.pv - 1.0) > WITHIN)
-            if not len(away) or found.t[away[-1]] < SURE * times * until_s:
-                settling = f"{found.t[away[-1]] if len(away) else 0.0:.3g} s"
-                break
-        return cls(f"{100.0 * over:.0f} %", settling, f"{peak:.2f}")
+def _step_figures(process: LinearProcess, gains: PidGains, until_s: float) -> tuple[str, str, str]:
+    """A setpoint step in words: overshoot, settling time; and the loop's Ms."""
+    peak = sensitivity_peak(process, gains)
+    if math.isinf(peak):
+        return "without end", "never", "unstable"
+    filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
+    settling = f"over {LONGER[-1] * until_s:.2g} s"
+    over = 0.0
+    for times in LONGER:
+        found = step_response(process, gains, times * until_s, filter_s)
+        over = max(over, float(np.max(found.pv)) - 1.0)
+        away = np.flatnonzero(np.abs(found.pv - 1.0) > WITHIN)
+        if not len(away) or found.t[away[-1]] < SURE * times * until_s:
+            settling = f"{found.t[away[-1]] if len(away) else 0.0:.3g} s"
+            break
+    return f"{100.0 * over:.0f} %", settling, f"{peak:.2f}"
 
 
 def settling_s(process: LinearProcess, gains: PidGains) -> float:
     """How long a step response is looked at: until these settings have settled."""
     reset_s = gains.kp / gains.ki if gains.ki and gains.kp else sum(process.lags_s)
     return max(4.0 * abs(reset_s), SETTLED * process.theta_s, 1e-6) + 4.0 * process.theta_s
-
-
-def _percent(ratios: tuple[float, float, float]) -> str:
-    """The best model's share, and the band where it is wider than a per cent."""
-    best, low, high = (100.0 * ratio for ratio in ratios)
-    band = f" ({low:.0f} to {high:.0f} %)" if high - low > 1.0 else ""
-    return f"{best:.0f} %{band}"
 
 
 def change_of(window: Window, result: RecordDiagnosis) -> ShownChange | None:
@@ -104,8 +97,8 @@ def change_of(window: Window, result: RecordDiagnosis) -> ShownChange | None:
     if best is None or not processes:
         return None
     seen = best.seen_by_controller(window.sample_time_s).linear()
-    found = before_after(window, processes, result.recommended, result.co_limits)
-    return ShownChange(found, spread(processes, MOST_MODELS), seen, result.active, result.recommended)
+    shown = spread(processes, MOST_MODELS)
+    return ShownChange(window, result.foreseen, shown, seen, result.active, result.recommended, result.co_limits)
 
 
 def processes_of(result: RecordDiagnosis) -> tuple[LinearProcess, ...]:

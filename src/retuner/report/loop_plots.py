@@ -66,7 +66,8 @@ def change_into(figure: Figure, grid: "GridSpec", change: ShownChange) -> None:
         axes.plot(x, getattr(found.best, name), color=PV, lw=1.0, label="with the new settings")
         _keep_in_sight(axes, before, getattr(found.best, name))
     top.plot(x, found.record.sp, color=SP, lw=0.9, ls="--", label="sp")
-    top.set_title(f"the same record with the new settings: {change_words(found)}", fontsize=10, loc="left", pad=18)
+    what = f"the same record with the new settings: {change_words(change.foreseen)}"
+    top.set_title(what, fontsize=10, loc="left", pad=18)
     top.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.975), ncols=4, frameon=False, fontsize=8)
     floors(top, low, found.record.pv)
     _finished(top, low, unit)

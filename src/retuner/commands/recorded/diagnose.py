@@ -223,7 +223,7 @@ def _recommended_lines(found: DiagnosedRecord) -> list[str]:
         half = f", {likely:.2g} times on half of them" if likely > sure else ""
         lines[0] += f"; up to {sure:.2g} times the active gain is safe on every likely process{half}"
     if found.change is not None:
-        lines.append(f"{'with these':<{NAME}}{change_words(found.change.found)}; {step_words(found.change)}")
+        lines.append(f"{'with these':<{NAME}}{change_words(result.foreseen)}; {step_words(found.change)}")
     return lines
 
 
@@ -252,7 +252,9 @@ def _next(found: DiagnosedRecord) -> list[str]:
         return ["set these, then diagnose the next record together with this one"]
     if told.next is not None:
         return [f"{test_words(told.next)}; diagnose its record together with this one"]
-    cure = WHAT_TO_DO.get(told.cause)
+    saved = found.result.foreseen
+    nothing = told.cause is Cause.SLUGGISH and saved is not None and not saved.due
+    cure = WHAT_TO_DO.get(Cause.OK if nothing else told.cause)
     return _by_eye(found) or ([cure] if cure is not None else [])
 
 

@@ -13,6 +13,7 @@ from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
+from retuner.report.change_of_settings import change_words
 from retuner.tuning import tuning_lines
 from retuner.verbosity import busy
 
@@ -111,6 +112,8 @@ def described(found: Identification) -> list[str]:
         lines += [title, *tuning_lines(found.settings, chosen_units())]
     if found.aim is not None:
         lines += ["final settings, once the next record confirms:", *tuning_lines(found.aim, chosen_units())]
+    if found.foreseen is not None:
+        lines.append(f"with these: {change_words(found.foreseen)}")
     if found.margins_in_force is not None:
         m = found.margins_in_force
         lines.append(

@@ -1,16 +1,19 @@
 """What a loop could have had: foreseen from a record, beside the same loop simulated anew under the same loads."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from retuner.adaptive.audit.attainable import Foreseen, foreseen
 from retuner.adaptive.audit.over_time import spread_over
 from retuner.adaptive.audit.verdict import AuditAction, LoopVerdict, VerdictBasis, error_share, with_foreseen
+from retuner.adaptive.choice.foreseen import DOUBLED, Foreseen, foreseen
 from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
+from retuner.diagnosing import gain_words
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule import pid
 from retuner.schedule.gains import PidGains
@@ -23,6 +26,7 @@ MODELS = (
     ProcessModel(ProcessType.INTEGRATING, 0.03, theta_s=6.0),
     ProcessModel(ProcessType.INTEGRATING_LAG, 0.02, tau2_s=9.0, theta_s=4.0),
 )
+ONE = [(MODELS[0], 1.0)]
 
 
 def simulated(model: ProcessModel, gains: PidGains) -> Window:
@@ -48,7 +52,7 @@ def of(model: ProcessModel, gains: PidGains) -> PidGains:
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: str(m.type))
 def test_what_is_foreseen_is_what_the_other_controller_does(model: ProcessModel) -> None:
     before, after = (simulated(model, of(model, gains)) for gains in (SLOW, GOOD))
-    found = foreseen([before], [model], of(model, GOOD))
+    found = foreseen([before], [(model, 1.0)], of(model, GOOD))
     assert found is not None
     error, travel = (float(np.sum(np.abs(after.sp - after.pv))) * DT_S, float(np.sum(np.abs(np.diff(after.co)))))
     assert found.error[0] == pytest.approx(error, rel=1e-6)
@@ -59,25 +63,63 @@ def test_what_is_foreseen_is_what_the_other_controller_does(model: ProcessModel)
 
 def test_the_settings_in_force_change_nothing_and_uneven_times_little() -> None:
     record = simulated(MODELS[0], SLOW)
-    same = foreseen([record], MODELS[:1], SLOW)
+    same = foreseen([record], ONE, SLOW)
     assert same is not None
     assert same.saved == pytest.approx(0, abs=1e-9)
     kept = np.sort(np.random.default_rng(5).permutation(len(record.t_s))[:500])
-    some = foreseen([Window(record.t_s[kept], record.sp[kept], record.pv[kept], record.co[kept])], MODELS[:1], SLOW)
+    some = foreseen([Window(record.t_s[kept], record.sp[kept], record.pv[kept], record.co[kept])], ONE, SLOW)
     assert some is not None
     assert some.saved == pytest.approx(0, abs=0.1)
 
 
 def test_settings_that_no_model_holds_are_told_by_none_and_doubtful_ones_by_their_range() -> None:
     record = simulated(MODELS[0], SLOW)
-    assert foreseen([Window(record.t_s, record.pv, record.pv, record.co)], MODELS[:1], GOOD) is None
+    assert foreseen([Window(record.t_s, record.pv, record.pv, record.co)], ONE, GOOD) is None
     other = ProcessModel(ProcessType.FOPDT, 1.5, 30.0, theta_s=14.0)
-    found = foreseen([record, record], (MODELS[0], other), of(MODELS[0], GOOD))
+    found = foreseen([record, record], [(MODELS[0], 3.0), (other, 1.0)], of(MODELS[0], GOOD))
     assert found is not None
     assert found.least <= found.saved <= found.most
     assert found.most - found.least > 0.01
     assert found.span_s == pytest.approx(2 * 600 * DT_S)
     assert math.isfinite(found.least)
+    each = [foreseen([record], [one], of(MODELS[0], GOOD)) for one in ((MODELS[0], 1.0), (other, 1.0))]
+    alone = [one.saved for one in each if one is not None]
+    assert found.saved == pytest.approx(0.75 * alone[0] + 0.25 * alone[1])
+    wild = of(MODELS[0], PidGains.from_ideal(4.0, 30.0))
+    held, swings = foreseen([record], ONE, wild), replace(other, theta_s=40.0)
+    both = foreseen([record], [(MODELS[0], 1.0), (swings, 1.0)], wild)
+    assert held is not None
+    assert both is not None
+    assert both.least < 2.0 * DOUBLED
+    assert both.saved == pytest.approx(0.5 * held.saved + 0.5 * DOUBLED)
+    assert "least" not in replace(both, least=-math.inf).to_dict()
+
+
+def test_without_settings_it_is_what_the_best_save_and_never_less_than_nothing() -> None:
+    best = robust_simc_on(MODELS[0], (), DT_S, RobustSettings()).tuning.gains
+    slow, tight = simulated(MODELS[0], SLOW), simulated(MODELS[0], PidGains(1.2 * best.kp, 1.6 * best.ki))
+    found, expected = foreseen([slow], ONE, None, SLOW), foreseen([slow], ONE, best)
+    assert found is not None
+    assert expected is not None
+    assert found.saved == expected.saved
+    assert found.due
+    assert not found.given
+    nothing = foreseen([tight], ONE, None)
+    assert nothing is not None
+    assert nothing.saved == 0.0
+    assert not nothing.due
+    assert foreseen([slow], [], None) is None
+
+
+@pytest.mark.parametrize(("saved", "due"), [(0.04, False), (0.4, True)])
+def test_the_sentence_says_where_nothing_is_due(saved: float, due: bool) -> None:
+    found = replace(told(saved, 0.0, 0.0), given=False)
+    words = gain_words(Cause.SLUGGISH, found)
+    assert ("nothing is due" in words) is not due
+    assert f"{100 * saved:.0f} % of the error" in words
+    assert "nothing is due" not in gain_words(Cause.OK, found)
+    assert not gain_words(Cause.AGGRESSIVE, found)
+    assert not gain_words(Cause.SLUGGISH, told(saved, 0.0, 0.0))
 
 
 def test_parts_stand_for_the_whole_record_and_hold_no_gap() -> None:
