@@ -24,8 +24,7 @@ ASKED, MOST_SAMPLES = 5, 4_000
 """Processes that are asked at most, evenly chosen, and newest samples of each record."""
 PERCENT = (0.0, 100.0)  # limits of co where a record stays within them and none are known
 DOUBLED = -1.0  # an error that more than doubles counts as doubled where it is expected
-Weighed = tuple[ProcessModel, float]
-"""A process with its odds."""
+Weighed = tuple[ProcessModel, float]  # a process with its odds
 
 
 @dataclass(frozen=True, slots=True)

@@ -191,7 +191,7 @@ def diagnose_windows(
     settings = now.gains if now is not None and found.diagnosis.retune else None
     saved = _saved(windows[told.record], told, settings, gains, (co_min, co_max))
     return RecordDiagnosis(
-        replace(found.diagnosis, reason=found.diagnosis.reason + gain_words(found.diagnosis.cause, saved)),
+        with_gain(found.diagnosis, saved),
         found.estimate,
         now,
         fits,
@@ -224,14 +224,15 @@ def _saved(
     return foreseen([window], processes, settings, active, co_limits)
 
 
-def gain_words(cause: Cause, saved: Foreseen | None) -> str:
-    """What tuning could gain, after a verdict without settings; a loop that is too tight is not calmed for its error."""
-    if saved is None or saved.given or cause not in {Cause.OK, Cause.SLUGGISH}:
-        return ""
-    told = f"; with the process known, better settings would take away {100.0 * saved.saved:.0f} % of the error"
-    if not saved.due and cause is Cause.SLUGGISH:
-        return f"{told} only: nothing is due"
-    return f"{told} ({100.0 * saved.least:.0f} to {100.0 * saved.most:.0f} %)"
+def with_gain(told: Diagnosis, saved: Foreseen | None) -> Diagnosis:
+    """The verdict with what tuning could gain; a loop that is too tight is not calmed for its error."""
+    little = saved is not None and not saved.due and told.cause is Cause.SLUGGISH
+    if saved is None or told.cause not in {Cause.OK, Cause.SLUGGISH} or (saved.given and not little):
+        return told
+    which = "these" if saved.given else "with the process known, better"
+    band = " only: nothing is due" if little else f" ({100.0 * saved.least:.0f} to {100.0 * saved.most:.0f} %)"
+    reason = f"{told.reason}; {which} settings would take away {100.0 * saved.saved:.0f} % of the error{band}"
+    return replace(told, reason=reason, settled=told.settled and not little)
 
 
 def _settings_shown(

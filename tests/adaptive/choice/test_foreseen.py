@@ -9,11 +9,11 @@ import pytest
 from retuner.adaptive.audit.over_time import spread_over
 from retuner.adaptive.audit.verdict import AuditAction, LoopVerdict, VerdictBasis, error_share, with_foreseen
 from retuner.adaptive.choice.foreseen import DOUBLED, Foreseen, foreseen
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
-from retuner.diagnosing import gain_words
+from retuner.diagnosing import with_gain
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule import pid
 from retuner.schedule.gains import PidGains
@@ -114,12 +114,14 @@ def test_without_settings_it_is_what_the_best_save_and_never_less_than_nothing()
 @pytest.mark.parametrize(("saved", "due"), [(0.04, False), (0.4, True)])
 def test_the_sentence_says_where_nothing_is_due(saved: float, due: bool) -> None:
     found = replace(told(saved, 0.0, 0.0), given=False)
-    words = gain_words(Cause.SLUGGISH, found)
+    slow = Diagnosis(Cause.SLUGGISH, 0.9, {}, "slow")
+    words = with_gain(slow, found).reason
     assert ("nothing is due" in words) is not due
     assert f"{100 * saved:.0f} % of the error" in words
-    assert "nothing is due" not in gain_words(Cause.OK, found)
-    assert not gain_words(Cause.AGGRESSIVE, found)
-    assert not gain_words(Cause.SLUGGISH, told(saved, 0.0, 0.0))
+    assert "nothing is due" not in with_gain(replace(slow, cause=Cause.OK), found).reason
+    tight = replace(slow, cause=Cause.AGGRESSIVE)
+    assert with_gain(tight, found) == tight
+    assert with_gain(slow, told(saved, 0.0, 0.0)).retune is due  # and settings that gain next to nothing are not given
 
 
 def test_parts_stand_for_the_whole_record_and_hold_no_gap() -> None:
