@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from retuner.adaptive.choice.choice_settings import ChoiceSettings
-from retuner.adaptive.identification.estimate import ModelEstimate
+from retuner.adaptive.fit.structure import model_at
+from retuner.adaptive.identification.estimate import STRUCTURE_STD, ModelEstimate
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.loop.replayed import even, mean_error, replayed, way
 from retuner.adaptive.process.model import ProcessModel
@@ -20,8 +21,9 @@ from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import asdict, dataclass
 
-ASKED, MOST_SAMPLES = 5, 4_000
-"""Processes that are asked at most, evenly chosen, and newest samples of each record."""
+ASKED, MOST_SAMPLES = 7, 4_000
+"""Processes that stand for all odds, and newest samples of a record that are replayed."""
+OFF = 2.0  # how far a parameter's logarithm may be off, in standard deviations of what structures leave out
 PERCENT = (0.0, 100.0)  # limits of co where a record stays within them and none are known
 DOUBLED = -1.0  # an error that more than doubles counts as doubled where it is expected
 Weighed = tuple[ProcessModel, float]  # a process with its odds
@@ -62,8 +64,16 @@ class Foreseen:
 
 
 def weighed_models(estimate: ModelEstimate | None) -> list[Weighed]:
-    """The processes that a record allows, each with its likelihood."""
-    return [(one.model, math.exp(-one.excess / 2.0)) for one in (estimate.plausible if estimate is not None else ())]
+    """The best process, what a structure of few numbers leaves out (slope and dead time first, each off by OFF), and
+    some of those that a record allows, with their likelihood.
+    """
+    if estimate is None:
+        return []
+    log, some = estimate.log, estimate.plausible[:: max(len(estimate.plausible) // 2, 1)]
+    allowed = ((one.model, math.exp(-one.excess / 2.0)) for one in some)
+    corners = [way * axis for axis in OFF * STRUCTURE_STD * np.eye(len(log.x)) for way in (1, -1)]
+    rounded = ((model_at(log.type, log.x + corner, log.sign), math.exp(-(OFF**2) / 2.0)) for corner in corners)
+    return [(log.model(), 1.0), *rounded, *allowed]
 
 
 def foreseen(
@@ -87,9 +97,8 @@ def foreseen(
         return None
     low, high = min(float(np.min(one.co)) for one in whole), max(float(np.max(one.co)) for one in whole)
     limits = PERCENT if co_limits == (None, None) and PERCENT[0] <= low <= high <= PERCENT[1] else co_limits
-    chosen = [processes[i] for i in np.unique(np.linspace(0, len(processes) - 1, ASKED).astype(int)).tolist()]
     error, travel = [], []
-    for model, _ in chosen:
+    for model, _ in processes:
         rule = gains or robust_simc_on(model, (), whole[0].sample_time_s, RobustSettings(), active).tuning.gains
         then = [replayed(one, model.linear(), rule, limits) for one in whole]
         error.append(float(spans_s @ [one.error for one in then]))
@@ -97,7 +106,7 @@ def foreseen(
     if gains is not None and not math.isfinite(error[0]):
         return None
     each = np.maximum(1.0 - np.array(error) / was, -math.inf if gains is not None else 0.0)
-    saved = float(np.average(np.maximum(each, DOUBLED), weights=[odds for _, odds in chosen]))
+    saved = float(np.average(np.maximum(each, DOUBLED), weights=[odds for _, odds in processes]))
     calmer = 1.0 - travel[0] / went if went > 0.0 else 0.0
     ends = float(np.min(each)), float(np.max(each))
     return Foreseen(float(spans_s.sum()), (error[0], was), (travel[0], went), saved, *ends, calmer, gains is not None)

@@ -328,7 +328,12 @@ def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, o
     told = Identification(estimate, settings, None)
     if gains is not None:
         told = _no_farther(replace(told, margins_in_force=margins(estimate.log.model().linear(), gains)), window, gains)
-    return told if open_loop else replace(told, foreseen=foreseen([window], weighed_models(estimate), told.recommended))
+    if open_loop:
+        return told
+    return replace(told, foreseen=foreseen([window], weighed_models(estimate)[:FEW], told.recommended))
+
+
+FEW = 5  # processes of one that is known, on which its settings are tried
 
 
 def _unless_pv_stands(window: Window, gains: PidGains | None, estimate: ModelEstimate) -> ModelEstimate:

@@ -4,9 +4,7 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.choice.foreseen import Foreseen
-from retuner.adaptive.fit.structure import model_at
-from retuner.adaptive.identification.estimate import STRUCTURE_STD, ModelEstimate
+from retuner.adaptive.choice.foreseen import Foreseen, weighed_models
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.loop.replayed import MOST_MODELS, BeforeAfter, before_after, spread
 from retuner.adaptive.loop.simulate import step_response
@@ -16,8 +14,6 @@ from retuner.diagnosing import RecordDiagnosis
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 
-OFF = 2.0 * STRUCTURE_STD
-"""How far each parameter of a process is off in the band, as a logarithm, beside what the record by itself allows."""
 SETTLED = 12.0  # length of a step response in dead times, at the least
 WITHIN = 0.05  # A step response has settled where it stays this near to its end, as a share of the step
 LONGER, SURE = (1.0, 4.0, 16.0), 0.9
@@ -103,15 +99,5 @@ def change_of(window: Window, result: RecordDiagnosis) -> ShownChange | None:
 
 def processes_of(result: RecordDiagnosis) -> tuple[LinearProcess, ...]:
     """The processes that a diagnosis leaves possible, the best first; none where it knows none."""
-    if result.likely:
-        return tuple(dict.fromkeys(model.linear() for model in result.likely))
-    return _around(result.estimate) if result.estimate is not None else ()
-
-
-def _around(estimate: ModelEstimate) -> tuple[LinearProcess, ...]:
-    """The best process, those that the record allows, and what a structure of few numbers leaves out."""
-    log = estimate.log
-    corners = [way * axis for axis in OFF * np.eye(len(log.x)) for way in (1, -1)]
-    rounded = (model_at(log.type, log.x + corner, log.sign) for corner in corners)
-    models = (log.model(), *rounded, *(one.model for one in estimate.plausible))
+    models = result.likely or tuple(model for model, _ in weighed_models(result.estimate))
     return tuple(dict.fromkeys(model.linear() for model in models))
