@@ -247,18 +247,22 @@ DAY = Path(__file__).parents[2] / "examples" / "records" / "day.csv"
 @pytest.mark.slow
 def test_the_gain_table_of_records_names_their_unit_of_co(tmp_path: Path) -> None:
     """co of 4 to 20 mA: read as percent, the gains would be six times off."""
-    whole = np.genfromtxt(DAY, delimiter=",", names=True)
-    whole["co"] = 4.0 + 0.16 * whole["co"]
-    record = tmp_path / "day.csv"
-    np.savetxt(record, np.stack([whole[n] for n in whole.dtype.names], 1), delimiter=",",
-               header=",".join(whole.dtype.names), comments="")  # fmt: skip
-    assert main(["schedule", str(record), "--by", "pv", "--out", str(tmp_path / "out")]) == 0
-    told = f"in the unit of the records, where it runs from {whole['co'].min():g} to {whole['co'].max():g}"
+    columns = np.loadtxt(level(tmp_path / "level.csv"), delimiter=",", skiprows=1)
+    columns[:, 3] = 4.0 + 0.16 * columns[:, 3]
+    np.savetxt(tmp_path / "level.csv", columns, delimiter=",", header="t,sp,pv,co", comments="")
+    assert main(["schedule", str(tmp_path / "level.csv"), "--by", "pv", "--out", str(tmp_path / "out")]) == 0
+    told = f"in the unit of the records, where it runs from {columns[:, 3].min():g} to {columns[:, 3].max():g}"
     for name in ("gains.toml", "schedule.toml"):
-        text = (tmp_path / "out" / name).read_text(encoding="utf-8")
-        assert told in text.splitlines()[0]
-    assert "percent" not in (tmp_path / "out" / "gains.toml").read_text(encoding="utf-8")
+        assert told in (tmp_path / "out" / name).read_text(encoding="utf-8").splitlines()[0]
+    text = (tmp_path / "out" / "gains.toml").read_text(encoding="utf-8")
+    assert "percent" not in text
+    assert from_toml(text).gains
+    assert "The process does not change with it." in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.nightly
+def test_what_changes_along_the_variable_is_told(tmp_path: Path) -> None:
+    assert main(["schedule", str(DAY), "--by", "pv", "--out", str(tmp_path / "out")]) == 0
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "does not change with it" not in report
     assert "The process changes with pv: slope gain k/tau (from " in report
-    assert from_toml((tmp_path / "out" / "gains.toml").read_text(encoding="utf-8")).gains
