@@ -129,7 +129,6 @@ class TomlSection:
         return self._values[key]
 
     def _finite(self, key: str, value: object) -> float:
-        """A value that must be a finite number."""
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise self._kind(key, "a number")
         if not -sys.float_info.max <= value <= sys.float_info.max:
@@ -270,7 +269,6 @@ def from_toml(text: str) -> GainTable:
 
 
 def _regions(schedule: TomlSection, names: tuple[str, ...]) -> Regions:
-    """The regions of section [schedule] with the names of the sets."""
     axis = _axis(schedule, simple=True, names=names)
     try:
         return Regions.along(names, axis)
@@ -279,7 +277,6 @@ def _regions(schedule: TomlSection, names: tuple[str, ...]) -> Regions:
 
 
 def _axis(section: TomlSection, *, simple: bool, names: tuple[str, ...] = ()) -> Axis:
-    """The axis of section [schedule], or of one [[axis]]."""
     known = ["variable", "unit", "low", "bounds", "high", "hysteresis", "min_stay_s"]
     variable, unit = section.text("variable"), section.text("unit")
     of_can = [] if simple or variable != CAN else ["signal"]

@@ -415,7 +415,6 @@ def _by_dynamics(misfit: "Misfit", at: "Projection", dynamics: Dynamics, late: l
 
 
 def _columns_by_dynamics(misfit: "Misfit", p: FloatArray, dynamics: Dynamics, by: By) -> Iterator[Change]:
-    """All columns that the process has shaped."""
     t, theta, place = misfit.record.t_s, math.exp(p[THETA]), 0
     for at in misfit.starts:
         yield place, dynamics.step(t - at), step_slope(dynamics, t - at, by)

@@ -134,7 +134,6 @@ def _pairs(border: NeighbourBorder, own: Sequence[Plausible]) -> list[tuple[Proc
 
 
 def _between(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, share: float) -> ProcessModel | None:
-    """The process at a weight of the neighbour."""
     return _inside(pair, border, share) if border.beside else between_models(*pair, share)
 
 

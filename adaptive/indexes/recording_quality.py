@@ -183,7 +183,6 @@ def _holds(still: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _among(hold: tuple[int, int], others: list[tuple[int, int]]) -> bool:
-    """Whether a stretch is one of these."""
     return any(abs(hold[0] - first) <= END and abs(hold[1] - end) <= END for first, end in others)
 
 

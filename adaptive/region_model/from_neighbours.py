@@ -83,7 +83,6 @@ def borrowed(
 
 
 def _log(curve: RegionCurves, place: tuple[float, ...], sign: int, type_: ProcessType) -> LogModel:
-    """The process of one structure at a place."""
     x, p = curve.at(place)
     return LogModel(x, proper_covariance(p), sign, type_)
 

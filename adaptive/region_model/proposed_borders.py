@@ -221,7 +221,6 @@ def _known_places(
 
 
 def _largest_ms(table: GainTable, places: Mapping[int, Sequence[Place]]) -> float:
-    """The largest Ms at any known place, by the likeliest process."""
     return max(_ms_at(place, in_force(table, place.x)) for row in places.values() for place in row)
 
 
@@ -309,7 +308,6 @@ def _interpolated(table: GainTable, places: Mapping[int, Sequence[Place]], facto
 def _table_of(
     table: GainTable, names: tuple[str, ...], bounds: tuple[float, ...], sets: tuple[PidGains, ...], lookup: Lookup
 ) -> GainTable:
-    """The next revision of a table, with other regions."""
     axis = table.regions.axes[0]
     regions = Regions(
         axis.variable,
@@ -327,6 +325,5 @@ def _table_of(
 
 
 def _told(table: GainTable, region: int, row: Sequence[Place], served: float, kept: float) -> TooWide:
-    """What speaks for another schedule in one region."""
     asked = [abs(place.own.kp) for place in row]
     return TooWide(table.regions.names[region], max(asked) / min(asked), served / len(row), kept / len(row))

@@ -103,7 +103,6 @@ def curves(
 
 
 def _through(regions: Regions, places: list[Place], logs: list[LogModel]) -> RegionCurves:
-    """The curves through what is known at some places."""
     centre = np.mean([log.x for log in logs], axis=0)
     axes, d = _axes(regions), len(centre)
     rows = [_rows(axes, place, d) for place in places]

@@ -74,7 +74,6 @@ def _known(
     settings: TrackerSettings,
     at: tuple[float, float],
 ) -> RegionModel:
-    """All that is known now."""
     t_s = kept[-1].t_s
     point = RecordPoint(t_s, *at, estimate.log, 0.0)
     points = remembered(before.points if before is not None and len(kept) > 1 else (), point)

@@ -220,7 +220,6 @@ def _best_cut(points: Sequence[_Weighted], places: Sequence[float], least: int) 
 def _split(
     regions: Regions, region: int, points: Sequence[RecordPoint], sample_time_s: float, settings: AdviceSettings
 ) -> RegionAdvice | None:
-    """The proposal to split a region, if there is one."""
     placed = [p for p in points if math.isfinite(p.x) and math.isfinite(p.x2)]
     if len(placed) < 2 * settings.least_records:
         return None

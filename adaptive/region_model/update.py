@@ -284,7 +284,6 @@ def update_region_model(
 
 
 def _taken_in(region_model: RegionModel | None, record: NewRecord, in_force: PidGains) -> Learned:
-    """One record taken into what is known."""
     settings, fit, sign = record.settings, record.fit, in_force.direction
     if not teaches(record.alone, fit):
         kept = region_model if region_model is not None and region_model.records else None

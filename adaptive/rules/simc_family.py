@@ -177,8 +177,6 @@ def _with_notes(found: Tuning, model: ProcessModel, kind: ControllerKind) -> Tun
 
 
 def _plain(name: str, c: float) -> Callable[[ProcessModel, ControllerKind, Wishes], Tuning]:
-    """SIMC with this c under this name."""
-
     def work(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning:
         _checked(model, kind)
         factor = c if wishes.c is None else wishes.c

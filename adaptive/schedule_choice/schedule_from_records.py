@@ -227,7 +227,6 @@ def crossings_of(found: Design, windows: Sequence[Window]) -> tuple[RegionCrossi
 
 
 def _second_hysteresis(two: SchedulingVariable | None, layout: Layout | Cells) -> float:
-    """Hysteresis of the borders on a second variable."""
     if two is None or not isinstance(layout, Cells):
         return 0.0
     return _hysteresis(two, layout.lookup, layout.edges2)

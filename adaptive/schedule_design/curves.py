@@ -193,7 +193,6 @@ def _settled(joint: Joint, form: CurveForm, z: FloatArray, rounds: int) -> Fit:
 
 
 def _under(noise: Noise, joint: Joint, form: CurveForm, z: FloatArray) -> Fit:
-    """The curves under a noise that is given."""
     now = at(joint, form, z, noise, derivatives=False)
     joint = with_loads(joint, form, now, noise)
     return joint, form, noise, refined(joint, form, z, noise)

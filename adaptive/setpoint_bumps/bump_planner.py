@@ -250,7 +250,6 @@ class BumpPlanner:
         return BumpNews(BumpEvent.TOO_SMALL, self.phase, None, sample.sp, sample.sp, reason)
 
     def _is_free(self, sample: LoopSample, around: LoopAround) -> bool:
-        """Whether the loop is fit for a bump."""
         large = self.size >= self.settings.least_bands * around.band
         near = abs(sample.sp - sample.pv) <= max(CALM * self.size, around.band)
         calm = near and (around.at_rest or self.restless)
@@ -370,7 +369,6 @@ class BumpPlanner:
         return self._enter(cause, new, t_s, f"setpoint bump: {told}")
 
     def _enter(self, cause: BumpEvent, new: BumpPhase, t_s: float, reason: str) -> BumpNews:
-        """What entering a phase brings with it."""
         if cause is BumpEvent.NEXT:
             self._from, self._to, self._holds = self._to, 2 * self._before - self._to, self._holds[1:]
         self.phase, self._since_s = new, t_s

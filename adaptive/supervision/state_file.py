@@ -85,24 +85,20 @@ def region_model_in(body: Mapping[str, Any]) -> RegionModel:
 
 
 def _window_out(window: Window) -> dict[str, object]:
-    """A record as it is kept."""
     return {name: getattr(window, name).tolist() for name in SERIES} | {"noise_std": window.noise_std}
 
 
 def _window_in(body: Mapping[str, Any]) -> Window:
-    """A record from its plain form."""
     t_s, sp, pv, co = (np.array(body[name], dtype=np.float64) for name in SERIES)
     return Window(t_s, sp, pv, co, float(body["noise_std"]))
 
 
 def _steps_out(one: SetpointSteps) -> dict[str, object]:
-    """Setpoint steps to and fro."""
     gains, steps = [one.gains.kp, one.gains.ki, one.gains.kd], [list(step) for step in one.steps]
     return {"gains": gains, "dt_s": one.dt_s, "steps": steps, "pv": list(one.pv), "t_s": one.t_s}
 
 
 def _steps_in(body: Mapping[str, Any]) -> SetpointSteps:
-    """Setpoint steps from their plain form."""
     gains = PidGains(*(float(value) for value in body["gains"]))
     steps = tuple(SetpointMove(int(at), float(size)) for at, size in body["steps"])
     pv = tuple(float(value) for value in body["pv"])
@@ -115,7 +111,6 @@ def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:
 
 
 def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[StructureModel, ...]:
-    """The structures from their plain form."""
     return tuple(
         StructureModel(_log_in(body), float(body["evidence"]), _drift_in(body.get("drift"))) for body in bodies
     )
@@ -132,25 +127,21 @@ def _drift_in(body: Mapping[str, Any] | None) -> Drift | None:
 
 
 def _log_out(log: LogModel) -> dict[str, object]:
-    """An estimate in logarithms."""
     return {"type": str(log.type), "x": log.x.tolist(), "p": log.p.tolist(), "sign": log.sign}
 
 
 def _log_in(body: Mapping[str, Any]) -> LogModel:
-    """An estimate from its plain form."""
     x, p = (np.array(body[name], dtype=np.float64) for name in ("x", "p"))
     return LogModel(x, p, int(body["sign"]), ProcessType(body["type"]))
 
 
 def _point_in(body: Mapping[str, Any]) -> RecordPoint:
-    """One record by itself."""
     t_s, x, x2, innovation = (float(body[name]) for name in ("t_s", "x", "x2", "innovation"))
     curve = body.get("co_curve")
     return RecordPoint(t_s, x, x2, _log_in(body["log"]), innovation, None if curve is None else CoCurve(*curve))
 
 
 def _model_in(body: Mapping[str, Any]) -> ProcessModel:
-    """A model from its own keys."""
     k, tau1, tau2, theta = (float(body[name]) for name in ("k", "tau1", "tau2", "theta"))
     zeta, inverse, tau3 = float(body.get("zeta", 1.0)), float(body.get("inverse", 0.0)), float(body.get("tau3", 0.0))
     return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, zeta, inverse, tau3)
@@ -264,12 +255,10 @@ def _numbers_out(values: Sequence[Any] | None) -> list[Any] | None:
 
 
 def _numbers_in(values: Sequence[Any]) -> list[Any]:
-    """Numbers from their plain form."""
     return [float(v) if isinstance(v, str) else v for v in values]
 
 
 def _recogniser_in(values: Sequence[Any] | None) -> RecogniserState | None:
-    """A recogniser's state, if there was one."""
     if not values:
         return None
     state = _state_in(RecogniserState, values)

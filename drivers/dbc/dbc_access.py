@@ -176,14 +176,12 @@ class DbcAccess:
             raise ProfileError(str(error), ("gains",)) from None
 
     def _vendor_gain(self, gain: GainAt, place: SignalPlace, message: int, key: Key) -> VendorGain:
-        """One gain; what can be told of it."""
         try:
             return VendorGain(gain.quantity, gain.scale, place.holds(), message, gain.off)
         except ValueError as error:
             raise ProfileError(f"{self._file.source}: {place.text}: {error}", key) from None
 
     def _require_holds(self, place: SignalPlace, key: Key) -> None:
-        """Refuse a signal that can hold no number."""
         try:
             place.holds()
         except ValueError as error:
@@ -282,7 +280,6 @@ class DbcAccess:
             self._queue.append(self._frame(place, slot))
 
     def _frame(self, place: SignalPlace, slot: Slot) -> can.Message:
-        """The frame of a message as it stands."""
         values = dict(self._last[slot])
         guard = self._guards.get(place.frame_id)
         if guard is not None:

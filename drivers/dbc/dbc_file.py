@@ -223,7 +223,6 @@ def _page_of(layout: Layout, fixed: Mapping[str, float]) -> int | None:
 
 
 def _identifier(name: str) -> int | None:
-    """The identifier that a name is, if it is one."""
     try:
         return int(name, 16) if name.lower().startswith("0x") else None
     except ValueError:

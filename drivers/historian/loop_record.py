@@ -259,7 +259,6 @@ def _to_be_named(tables: Sequence[RawTable], role: str) -> str:
 
 
 def _only_signal(table: RawTable, form: RecordForm) -> str:
-    """The column of a file of one signal."""
     named_ones = set(form.columns.values())
     free = [name for name in table.names if name not in named_ones and named(name).role not in BESIDE]
     free = [name for name in free if named(name).role == "value"] or free

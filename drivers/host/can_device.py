@@ -396,7 +396,6 @@ class CanDevice:
         return seq
 
     def _refused(self, why: str) -> WriteRefusedError:
-        """A write or a command that is not begun."""
         return WriteRefusedError(f"{self._where}: {why}")
 
     def send_setpoint(self, sp: float, now_s: float) -> None:

@@ -144,7 +144,6 @@ def _missing(path: Path, line: str, name: str, header: list[str]) -> RecordingEr
 
 
 def _read_csv(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:
-    """Columns of a CSV file by their names in it."""
     rows = _rows(path)
     number, text = next(rows, (1, ""))
     delimiter = max(DELIMITERS, key=text.count)
@@ -215,7 +214,6 @@ def _number(path: Path, number: int, name: str, field: str) -> float:
 
 
 def _read_parquet(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:
-    """Columns of a Parquet file by their names in it."""
     with _parquet(path) as file:
         header = list(file.schema_arrow.names)
         for name in wanted:

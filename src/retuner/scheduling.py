@@ -229,7 +229,6 @@ def _second_dict(regions: Regions, i: int) -> dict[str, float]:
 
 
 def _regions_dict(table: GainTable) -> list[dict[str, object]]:
-    """Each region with its ends and its set."""
     regions = table.regions
     return [
         {
@@ -329,7 +328,6 @@ def windows_of(records: Window | Record | Sequence[Window | Record]) -> tuple[Wi
 
 
 def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequence[Numbers]]) -> SchedulingVariable:
-    """A variable at the samples of every record."""
     if name in values:
         arrays = [np.asarray(v, dtype=np.float64) for v in values[name]]
         if len(arrays) != len(windows):

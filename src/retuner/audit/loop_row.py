@@ -254,7 +254,6 @@ def _one_trend(trends: Sequence[tuple[float, Trend]]) -> Trend:
 
 
 def _told(tag: str, seen: _LoopRecords, screen: LoopScreen, verdict: LoopVerdict) -> Row:
-    """What a table shows of a loop."""
     begin_s, since = seen.begin_s, verdict.since_s
     named = verdict.cause != Cause.UNKNOWN
     avoidable = verdict.avoidable if named or 0 < verdict.avoidable < 1 else None

@@ -70,7 +70,6 @@ def _until_broken(left: list[Task], do: Work, jobs: int) -> Generator[tuple[Task
 
 
 def _by_itself(task: Task, do: Work) -> list[Row]:
-    """A task in a process of its own."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_quiet) as pool:
         try:
             return pool.submit(do, task).result()

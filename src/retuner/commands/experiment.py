@@ -120,7 +120,6 @@ def ultimate(options: UltimateOptions) -> int:
 
 
 def _test(kind: Experiment, options: OnDemandOptions, question: ExperimentQuestion, shape: ExperimentSignal) -> int:
-    """A recording, or a controller."""
     if options.file is not None and options.config is not None:
         raise UserError("give CONFIG to run the test, or --from FILE to evaluate a recording, not both")
     if options.file is not None:
@@ -279,7 +278,6 @@ def _valve_step(options: ValveOptions) -> float:
 
 
 def _valve_moves(options: ValveOptions) -> list[str]:
-    """What a person does at the controller."""
     step = _valve_step(options)
     told: list[tuple[int, float]] = []
     for move in SHORT if options.short else STAIRCASE:

@@ -265,7 +265,6 @@ def _csv(rows: list[Row]) -> str:
 
 
 def _json_line(row: Row) -> str:
-    """A row as it stands in the ledger, on one line."""
     document = {
         "seq": row.seq,
         "clock_s": row.clock_s,

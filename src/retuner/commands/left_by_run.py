@@ -149,7 +149,6 @@ def _leave_loop(
 
 
 def _index_lines(session: Session, left: Sequence[_Left]) -> list[LoopLine]:
-    """A line for each loop of the session."""
     reports = {one.loop.name: str(one.report) for one in left}
     scores = {one.loop.name: one.scores for one in left}
     return [

@@ -58,7 +58,6 @@ def replay(options: ReplayOptions) -> int:
 
 
 def _refuse_form(options: FormOptions, why: str) -> None:
-    """Refuse options for the form of a table where there is none."""
     for field_ in fields(FormOptions):
         if getattr(options, field_.name) != field_.default:
             name = field_.name.replace("_", "-")

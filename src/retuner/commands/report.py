@@ -132,7 +132,6 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
 
 
 def _changes(recorded: RecordedSession, names: tuple[str, ...]) -> list[Row]:
-    """The rows of changes of the table's gains."""
     changed = (row for row in recorded.rows if row.kind == "committed" and row.body.get("why") == "retune")
     return [row for row in changed if row.body.get("region") in names]
 

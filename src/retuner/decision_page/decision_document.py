@@ -224,7 +224,6 @@ def _learned(view: DecisionView) -> Sequence[Block]:
 
 
 def _cause(view: DecisionView) -> Sequence[Block]:
-    """The cause, how sure, and its evidence."""
     diagnosis = part(view.document, "diagnosis")
     if not diagnosis:
         return ()

@@ -76,7 +76,6 @@ class Panel:
         self._texts.append(_text(across + away[0], down + away[1], text, "start" if away[0] else "middle", style))
 
     def _at(self, x: ArrayLike, y: ArrayLike) -> np.ndarray:
-        """Points of the drawing."""
         left, top, width, height = self.place
         across = left + width * (np.asarray(x, float) - self.x[0]) / (self.x[1] - self.x[0])
         down = top + height * (self.y[1] - np.asarray(y, float)) / (self.y[1] - self.y[0])

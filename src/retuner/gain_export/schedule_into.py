@@ -84,7 +84,6 @@ def schedule_into(path: Path, table: GainTable, ran: Config, note: str, ended: G
 
 
 def _differences(config: Config, ran: Config) -> Iterator[str]:
-    """Differences of a configuration from that of the session."""
     for key in SAME:
         here, there = getattr(config.loop, key), getattr(ran.loop, key)
         if here != there:

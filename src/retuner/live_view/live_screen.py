@@ -134,7 +134,6 @@ def loop_lines(seen: LoopSeen, unit: str, pv: Iterable[float], width: int, *, as
 
 
 def _mode(seen: LoopSeen) -> Text:
-    """What may be done, and who has the output."""
     mode = seen.here.mode if seen.here else ""
     return Text(f"   mode {mode}{'   MANUAL' * seen.manual}" if mode else "", "yellow" if seen.manual else "dim")
 

@@ -135,7 +135,6 @@ class OnScreen(NobodyLooks):
         self._screen.sample(name, unit, sample.pv, loop.scenario.progress, lambda: self.observer(loop).look(sample))
 
     def _place(self, loop: LoopSession) -> int:
-        """Where a loop stands among those of the session."""
         return self._config.names.index(loop.name)
 
 

@@ -247,7 +247,6 @@ class Replay:
         self._result.difference = Difference(made.number, row.seq, key, then, now)
 
     def _log_trouble(self) -> str:
-        """What the ledger says of trouble with the log."""
         rows = [r.seq for r in self._session.rows if r.kind == "bus" and r.body.get("fault") == LinkFault.LOG]
         return f"; row {rows[0]} tells that the log could not be written" if rows else ""
 

@@ -44,8 +44,6 @@ def _bus(body: Document) -> str:
 
 
 def _regions(what: str) -> Callable[[Document], str]:
-    """What holds for the regions of a row."""
-
     def told(body: Document) -> str:
         found = body.get("regions")
         names = ", ".join(map(str, found)) if isinstance(found, list | tuple) else ""
@@ -66,7 +64,6 @@ def _restored(body: Document) -> str:
 
 
 def _request(body: Document) -> str:
-    """What an operator asked for, and whether it was accepted."""
     what = " ".join(filter(None, (words(body, "order") or "unreadable file", words(body, "mode"))))
     by = f" by {who}" if (who := words(body, "by")) else ""
     return _because(f"operator request {'accepted' if body.get('accepted') is True else 'refused'}: {what}{by}", body)

@@ -262,7 +262,6 @@ PASSING = {finding.name.lower() for finding in (TrialFinding.BETTER, TrialFindin
 
 
 def _session(body: Document) -> Words:
-    """What the run is made with."""
     made_with = ", ".join(f"{name} {version}" for name, version in part(body, "versions").items())
     config = part(body, "config")
     loops = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]

@@ -381,7 +381,6 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
 
 
 def _sets(table: GainTable) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """The sets."""
     units = chosen_units()
     rows = [
         (name, table.regions.text(i), *_dialled(gains, units), f"{gains.kp:.5g}, {gains.ki:.5g}, {gains.kd:.5g}")
@@ -392,7 +391,6 @@ def _sets(table: GainTable) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
 
 
 def _dialled(gains: PidGains, units: ControllerUnits | None) -> tuple[str, ...]:
-    """A set as it stands on the controller."""
     if units is not None:
         return (units.short(gains),)
     return f"{gains.kp:.4g}", f"{gains.kp / gains.ki:.4g}" if gains.ki else "none"

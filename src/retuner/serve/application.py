@@ -256,7 +256,6 @@ def _put(folder: Path, order: Order) -> str:
 
 
 def _order_of(body: dict[str, Any]) -> Order:
-    """The order in what a browser sent."""
     now = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     decision = body.get("decision", 0)
     if type(decision) is not int:

@@ -235,7 +235,6 @@ class GainWriter:
         self._in_table_now(write, gains)
 
     def _in_table_now(self, write: WantedSet, stored: PidGains) -> None:
-        """What was decided on is in the table, and on trial."""
         before = self.retuner.table
         if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being rolled back
             return

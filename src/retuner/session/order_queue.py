@@ -282,7 +282,6 @@ class OrderDesk:
         return {}, self._closed(order.region) or self._not_at(order.region, TrialPhase.LOCKED)
 
     def _change(self, number: int, before: Before | None) -> DecidedChange | None:
-        """What the decision of this number stood for."""
         if before is not None:
             return before.shown.changes.get(number)
         found = (DecidedChange(d.region, d.gains_before) for d in self._decisions if d.number == number)

@@ -186,7 +186,6 @@ class _RunningLoop:
             return None, str(why_not)
 
     def _say(self, text: str) -> None:
-        """Say a line, and of which loop."""
         self._run.observer.said(f"{self._name}: {text}" if self._name else text)
 
     def _sampled(self, sample: LoopSample) -> None:

@@ -128,7 +128,6 @@ def _course(name: str, given: Course) -> Callable[[float], float]:
 
 
 def _moves(process: Process, pv0: float, co0: float, dt_s: float) -> Callable[[float, float], float]:
-    """The process as a function of co and dt_s."""
     if not isinstance(process, ProcessModel | LinearProcess):
         return process
     plant = HeldInput(process.linear() if isinstance(process, ProcessModel) else process, dt_s)

@@ -108,7 +108,6 @@ def _done(left: Sequence[Task], settings: AuditSettings, options: AuditOptions) 
 
 
 def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
-    """The first of the list."""
     if options.as_json:
         sys.stdout.write((options.out / "audit.json").read_text(encoding="utf-8"))
         return

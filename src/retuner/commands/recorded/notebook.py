@@ -178,7 +178,6 @@ def _cause(result: RecordDiagnosis, *, reason: bool = True) -> str:
 
 
 def _cure(result: RecordDiagnosis) -> list[str]:
-    """The settings that follow, if any do."""
     if not result.diagnosis.retune or result.settings is None:
         return ["no change of settings recommended"]
     title = "recommended settings:" if result.aim is None else "recommended first step:"

@@ -95,7 +95,6 @@ def schedule(options: ScheduleOptions) -> int:
 def _active(
     options: ScheduleOptions, records: list[LoopRecord], gain_columns: list[str]
 ) -> GainTable | RecordedGains | None:
-    """The gains that were active, where options say so."""
     if gain_columns:
         columns = [np.concatenate([one.others[name] for one in records]) for name in gain_columns]
         kd = columns[2] if len(columns) > 2 else np.zeros(len(columns[0]))
@@ -183,7 +182,6 @@ def described(found: ScheduleDesign) -> list[str]:
 
 
 def _place_lines(found: ScheduleDesign) -> list[str]:
-    """Process and settings at some places."""
     units = chosen_units()
     heads = (("Kc", 10), ("tau_I", 8)) if units is None else ((units.heads, max(len(units.heads), 19)),)
     columns = (("k", 9), ("tau", 8), ("theta", 8), ("+- Kc", 8), *heads, ("Ms", 7), ("J", 5))

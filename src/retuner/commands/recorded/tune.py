@@ -62,7 +62,6 @@ def _model(options: TuneOptions) -> ProcessModel | None:
 
 
 def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
-    """Settings by the rule that is named."""
     with user_input("retuner tune"), busy("tuning"):
         result = tune_model(model, options.rule, kind=options.kind, form=options.form, **_wishes(options))
     if options.plot is not None:
@@ -109,7 +108,6 @@ def _draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> Non
 
 
 def _draw(model: ProcessModel, rows: tuple[RuleRow, ...], path: Path) -> None:
-    """The responses of rules in one figure."""
     from retuner.decision_page.svg import drawn
     from retuner.report.tuning_plots import responses_figure
 
