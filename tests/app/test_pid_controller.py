@@ -288,7 +288,8 @@ def test_a_memory_of_something_else_is_refused() -> None:
 
 def test_no_library_is_loaded_in_the_middle_of_the_loop() -> None:
     code = (
-        "import sys, test_pid_controller as t; pid = t.controller(); had = set(sys.modules); t.changed(pid, t.Tank())\n"
+        "import sys, test_pid_controller as t; pid, tank = t.controller(), t.Tank(); had = set(sys.modules)\n"
+        "t.changed(pid, tank); t.run(pid, tank, 600, 0.5); assert 'filterpy.kalman' in sys.modules\n"
         "assert not {name for name in set(sys.modules) - had if name.startswith(('scipy', 'filterpy'))}"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=__file__.rpartition("/")[0])
