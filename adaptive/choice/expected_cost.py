@@ -42,8 +42,8 @@ from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
-from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset
-from retuner.adaptive.trial.response_numbers import shapes, storable
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
+from retuner.adaptive.trial.response_numbers import iae_of, storable
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
@@ -146,7 +146,8 @@ def outlooks(
     rules = [(model.linear(), robust_simc_on(model, (), 0.0, robust).tuning.gains) for model in sampled]
     pairs = [(process, choosable.gains) for choosable in sets for process in processes]
     loops = [ClosedLoop(process, gains, loop.b, loop.tau_f_s) for process, gains in (*pairs, *rules)]
-    iae = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)]
+    each = zip(loops, traces(loops, UPSETS), strict=True)
+    iae = [[iae_of(trace, of.gains.ki) for trace in row] for of, row in each]
     of_rule = iae[-n:]
     rows = [[_j(iae[i * n + k], of_rule[k]) for k in range(n)] for i in range(len(sets))]
     peaks = [[sensitivity_peak(process, one.gains, loop.tau_f_s) for process in processes] for one in sets]

@@ -137,7 +137,7 @@ def _starts(fit: "_Fit") -> list[FloatArray]:
         for dead, strength, share, pole in product(DEAD, STRENGTHS, LAGS, POLES)
         for lag in [math.log(share * half_s)]
     ]
-    return sorted(guessed, key=lambda x: float(fit.left(x) @ fit.left(x)))[:STARTS]
+    return sorted(guessed, key=lambda x: float(np.sum(fit.left(x) ** 2)))[:STARTS]
 
 
 HALF = 0.5

@@ -70,17 +70,28 @@ def shape_of(trace: Trace, ki: float) -> ResponseNumbers:
 
     ki : of the loop; what the error's integral still has to do after the last point follows from it.
     """
-    size = np.abs(trace.e)
+    size, iae = np.abs(trace.e), iae_of(trace, ki)
     overshoot, damping, decay = swing(peaks_of(trace.e))
     travel = abs(float(trace.u[0])) + float(np.sum(np.abs(np.diff(trace.u))))
-    quarter = len(size) // TAIL
-    last, before = float(np.max(size[-quarter:])), float(np.max(size[: 2 * quarter]))
-    if last >= before * (1 - 1e-9):
-        return ResponseNumbers(overshoot, damping, max(decay, 1.0), math.inf, travel, math.inf)
-    rest = abs((trace.rest_u - float(trace.u[-1])) / ki) if ki else math.inf
-    moving = np.flatnonzero(size > AT_REST * before)
+    if not _comes_to_rest(size):
+        return ResponseNumbers(overshoot, damping, max(decay, 1.0), iae, travel, math.inf)
+    moving = np.flatnonzero(size > AT_REST * float(np.max(size[: 2 * (len(size) // TAIL)])))
     settle = trace.step_s * float(moving[-1] if moving.size else 0)
-    return ResponseNumbers(overshoot, damping, decay, trace.step_s * float(np.sum(size)) + rest, travel, settle)
+    return ResponseNumbers(overshoot, damping, decay, iae, travel, settle)
+
+
+def iae_of(trace: Trace, ki: float) -> float:
+    """IAE of a computed response, see `shape_of`."""
+    size = np.abs(trace.e)
+    if not _comes_to_rest(size):
+        return math.inf
+    rest = abs((trace.rest_u - float(trace.u[-1])) / ki) if ki else math.inf
+    return trace.step_s * float(np.sum(size)) + rest
+
+
+def _comes_to_rest(size: FloatArray) -> bool:
+    quarter = len(size) // TAIL
+    return not float(np.max(size[-quarter:])) >= float(np.max(size[: 2 * quarter])) * (1 - 1e-9)
 
 
 def shapes(loops: Sequence[ClosedLoop], upsets: Sequence[Upset]) -> list[list[ResponseNumbers]]:
