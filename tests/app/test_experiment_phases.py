@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import pytest
+from effort import pairs
 
 from retuner.adaptive.experiments.phases import TRANSITIONS, AbortCause, Happening, Phase, after
 from retuner.adaptive.experiments.plan import Experiment, Plan
@@ -147,8 +148,7 @@ def test_what_is_not_in_the_table_cannot_happen(phase: Phase, happening: Happeni
 
 
 @pytest.mark.parametrize("kind", Experiment)
-@pytest.mark.parametrize("cause", AbortCause)
-@pytest.mark.parametrize("phase", LIVING)
+@pytest.mark.parametrize(("phase", "cause"), pairs(LIVING, AbortCause))
 def test_every_cause_in_every_phase_ends_in_the_verified_old_state(
     phase: Phase, cause: AbortCause, kind: Experiment, lab: Callable[..., Lab]
 ) -> None:

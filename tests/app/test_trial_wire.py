@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import pytest
-from effort import examples
+from effort import examples, pairs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from wire import FOREIGN, GOOD, OTHER, PROMISE, Wire, is_telemetry, wires
@@ -102,8 +102,11 @@ EDITED = {"operator edit", "one after the other"}
 """Causes after which a person's set runs, and is held."""
 
 
-@pytest.mark.parametrize("phase", [p for p in TrialPhase if p not in {P.PAUSED, P.ENSURING}], ids=lambda p: p.name)
-@pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.parametrize(
+    ("phase", "cause"),
+    pairs([p for p in TrialPhase if p not in {P.PAUSED, P.ENSURING}], CAUSES),
+    ids=lambda one: getattr(one, "name", one),
+)
 def test_every_phase_under_every_abort_cause_ends_with_the_verified_set_running(
     make_wire: Callable[..., Wire], phase: TrialPhase, cause: str
 ) -> None:

@@ -10,12 +10,16 @@ Files and tests that are named on the command line are run whatever their mark.
 """
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import product
 from typing import TypeVar
 
 from hypothesis import HealthCheck, settings
 
 Size = TypeVar("Size")
+One = TypeVar("One")
+Other = TypeVar("Other")
 VARIABLE = "RETUNER_TESTS"
 
 
@@ -64,6 +68,12 @@ def sized(quick: Size, ci: Size, nightly: Size | None = None) -> Size:
     """A sample's size by effort; the nightly takes CI's where it has none of its own."""
     sizes = {"quick": quick, "ci": ci, "nightly": ci if nightly is None else nightly}
     return sizes[EFFORT.name]
+
+
+def pairs(first: Iterable[One], second: Iterable[Other]) -> list[tuple[One, Other]]:
+    """Each of the first with each of the second; quick: with every third of them, so that all of both are tried."""
+    each = product(enumerate(first), enumerate(second))
+    return [(one, other) for (i, one), (j, other) in each if (i + j) % sized(3, 1) == 0]
 
 
 def load_profile() -> None:
