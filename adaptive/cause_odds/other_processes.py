@@ -4,7 +4,8 @@
 
 A model with a few load steps and a filter for the rest may explain a record by a process that is not there: what a load
 that wanders does to pv is bought as lag, dead time or an inverse response. The exact likelihood of such a load
-(explanations/wandering_load.py) weighs every process on the same record.
+(explanations/wandering_load.py) weighs every process on the same record. Where the whole record identifies nothing and
+its parts do, the settings are held to what settings by odds are (likely_processes.py), for their model is less sure.
 """
 
 import math
@@ -18,14 +19,16 @@ from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
 
-def doubt_of_settings(window: Window, gains: PidGains, settings: OddsSettings | None = None) -> str:
+def doubt_of_settings(
+    window: Window, gains: PidGains, settings: OddsSettings | None = None, *, by_parts: bool = False
+) -> str:
     """Why settings that follow from one model do not hold under every load, in a sentence; empty where they do.
 
-    window, gains : see share_over.
+    window, gains : see share_over. by_parts : the model is that of parts of the record.
     """
     settings = settings or OddsSettings()
     share = share_over(window, gains, settings.identified_ms, settings)
-    if share <= settings.identified_most:
+    if share <= (settings.worth.bad_share if by_parts else settings.identified_most):
         return ""
     return (
         "under a load that wanders other processes explain the record; these settings have Ms over "
@@ -36,15 +39,9 @@ def doubt_of_settings(window: Window, gains: PidGains, settings: OddsSettings | 
 def share_over(window: Window, gains: PidGains, ms: float, settings: OddsSettings) -> float:
     """Share of the odds on which the gains have an Ms over this, 0 to 1; 0 where the record moves in nothing.
 
-    Parameters
-    ----------
-    window : the record in automatic. gains : the settings asked about; their sign is that of the process gain.
-    ms : largest sensitivity, above 1; an unstable loop is over every limit.
+    window : in automatic. gains : asked about; their sign is the process gain's. ms : over it is every unstable loop.
 
-    Raises
-    ------
-    ValueError
-        ms is no number above 1.
+    Raises ValueError: ms is no number above 1.
     """
     if not 1.0 < ms < math.inf:
         raise ValueError(f"ms = {ms} must be finite and over 1, where every loop begins")

@@ -249,7 +249,7 @@ def identify_record(
             return _followed(max(days, key=_length), told, gains, open_loop)
     found = _followed(window, identify_window(window, sign), gains, open_loop)
     joint = None if found.identifiable else identify_parts(window, sign)
-    return found if joint is None else _followed(window, joint, gains, open_loop)
+    return found if joint is None else _followed(window, joint, gains, open_loop, by_parts=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,7 +310,9 @@ def _length(window: Window) -> int:
     return len(window.t_s)
 
 
-def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, open_loop: bool) -> Identification:
+def _followed(
+    window: Window, estimate: ModelEstimate, gains: PidGains | None, open_loop: bool, *, by_parts: bool = False
+) -> Identification:
     """What was estimated, with the settings that may follow from it."""
     if open_loop or setpoint_changes(window):  # a load whose time is not known bounds no dead time
         estimate = bounded(window, estimate, FitSettings())
@@ -320,10 +322,10 @@ def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, o
         return Identification(estimate, None, None)
     found = robust_simc(estimate, window.sample_time_s, RobustSettings(), gains)
     settings = TuneResult.on(found.tuning, estimate.log.model())
-    if estimate.coloured and not open_loop:
+    if (estimate.coloured or by_parts) and not open_loop:
         from retuner.adaptive.cause_odds.other_processes import doubt_of_settings  # noqa: PLC0415  few records ask
 
-        if doubt := doubt_of_settings(window, settings.gains):
+        if doubt := doubt_of_settings(window, settings.gains, by_parts=by_parts):
             return Identification(replace(estimate, identifiable=False, reason=doubt), None, None)
     told = Identification(estimate, settings, None)
     if gains is not None:
