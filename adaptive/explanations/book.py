@@ -64,7 +64,7 @@ ODD, FEWEST_SAMPLES = 0.02, 30
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
 GRID = (len(shapes(EVERY_LAG)), len(DEAD_TIMES), len(GAINS))
-BY_STEPS = 2
+BY_STEPS, TOLD = 2, 0.5  # plane (see PLANES); share of the moves of the setpoint from which these tell the process
 PLANES, WEIGHED = (3 + len(ORDERS), *GRID), 2
 """Every process without a tone and with one, whose odds count; with one, as the setpoint's moves alone show it; then,
 without, under each order of load by itself."""
@@ -133,6 +133,17 @@ class Book:
         now, before = (_tone(known) for known in (self.levels, self.whole))
         return max(now, before) if before > TONE else now
 
+    @property
+    def told_by_setpoint(self) -> bool:
+        """Whether the moves of the setpoint have told the process, and not loads alone."""
+        return self.moved >= TOLD
+
+    def tells(self, most_tone: float) -> bool:
+        """Whether it holds a whole window, and loads alone under a tone are not all that moved the loop. most_tone :
+        odds of a tone from which they are.
+        """
+        return self.records > 0 and self.tone * (1.0 - self.moved) < most_tone
+
     def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:
         """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).
         order : of the loads, as in ORDERS, where the process is to be known under these alone.
@@ -185,9 +196,9 @@ def update(book: Book, window: Window, *, grows: bool = False) -> Book:
     if len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
         columns, taken, prices = likeliest_tone(Prepared.at(replace(window, pv=window.sp - window.pv), book.dt_s).pv)
         each, by_order = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG)
-        alone, line, drifting = (one - price / TEMPER for one, price in zip(each, prices, strict=True))
+        alone, *toned = (one - price / TEMPER for one, price in zip(each, prices, strict=True))
         share = _moved_by_setpoint(record, Prepared.at(replace(window, pv=window.sp), book.dt_s).pv, alone)
-        beside = np.logaddexp(line, drifting) - math.log(2.0)
+        beside = np.logaddexp.reduce(toned) - math.log(len(toned))
         power, by_steps = TEMPER / temper(share), share * TEMPER / T_SETPOINT
         found = np.array([power * alone, power * beside, by_steps * beside, *(power * by_order)])
         for one in WHOLE:

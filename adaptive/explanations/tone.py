@@ -2,12 +2,13 @@
 
 A loop near instability swings at a frequency of its own, but loads that wander move it: it forgets its size and phase
 within a few periods. A tone keeps its period. Without one among the hypotheses, a process on which the loop is just
-unstable at its frequency, G(jw) = -1/C(jw), explains any tone. Two kinds, likely alike:
+unstable at its frequency, G(jw) = -1/C(jw), explains any tone. Three kinds, likely alike:
 
     line      one frequency, one size, one phase                                                               2 columns
     drifting  besides, one with the phase that the error had over TRACKED periods, in a mean, and that times its own
               frequency's distance from the line, since a filter turns each by another angle                   6 columns
               (where a window has fewer periods: with a size that grows or falls evenly, 4 columns)
+    shaped    besides, its HARMONICS: pulses, saws and triangles                                     up to 12 columns
 
 The frequency is that of the error's line that is highest over those around it: a setpoint step, or a load that
 wanders, has the highest of all at the lowest frequencies. What was chosen by the record is paid for: the half of
@@ -24,14 +25,18 @@ FEWEST_PERIODS, FEWEST_SAMPLES = 1.5, 6
 """Fewest periods of a tone within a window, and samples to a period: others are how a load wanders, or noise."""
 TRACKED = 2.0
 """Periods over which the phase of a drifting tone is a mean; the periods of other loops' cycles are not all alike."""
+HARMONICS, FEWEST_OF_HARMONIC = 4, 4
+"""Up to which a tone has harmonics, and samples to a period of one."""
+STANDS_OUT = 1.0  # logarithm of a harmonic's height over the lines half way to its neighbours from which it is there
 FINER = 16  # times that lines are looked at closer than those of a Fourier series lie
 AROUND, LEAST = 4, 1e-9
 """Factor on both sides of a line's frequency within which it is compared; least share of the most that a line has."""
 
 
-def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, int, int], tuple[float, float, float]]:
-    """The columns of a window's tone, shape (number, n); how many of them no tone, a line and a drifting one take; and
-    the price of each, as a logarithm that is not tempered. error : setpoint less pv, shape (n,).
+def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, ...], tuple[float, ...]]:
+    """The columns of a window's tone, shape (number, n); how many of them no tone, a line, a drifting one and, where
+    its harmonics stand out, one with these take; and the price of each, as a logarithm that is not tempered. error :
+    setpoint less pv, shape (n,).
     """
     n, away = len(error), error - np.mean(error)
     length = FINER << (n - 1).bit_length()
@@ -50,6 +55,17 @@ def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, int, int],
         off = np.unwrap(np.angle(np.convolve(away * np.exp(-1j * turned), np.hanning(mean_over + 2), "same")))
         drifting, phases = np.array([np.cos(turned + off), np.sin(turned + off)]), 2.0 * n / mean_over
         besides = np.vstack([drifting, drifting * np.gradient(off)])
-    column, chosen, number = 0.5 * math.log(n / 2.0), math.log(n / FEWEST_SAMPLES), 2 + len(besides)
-    prices = (0.0, 2.0 * column + chosen, (number + phases) * column + chosen)
-    return np.vstack([line, besides]), (0, 2, number), prices
+    kept = turned + (off if phases else 0.0)
+    near = np.arange(-FINER, FINER)
+    higher = [
+        at
+        for at in range(2, HARMONICS + 1)
+        if at * top * FEWEST_OF_HARMONIC <= length
+        and np.max(size[at * top + near]) - np.max(size[[at * top + near + side * (top // 2) for side in (-1, 1)]])
+        > STANDS_OUT
+    ]
+    repeats = [wave(at * kept) for at in higher for wave in (np.cos, np.sin)]
+    column, chosen = 0.5 * math.log(n / 2.0), math.log(n / FEWEST_SAMPLES)
+    taken = (2 + len(besides), *((2 + len(besides) + len(repeats),) if repeats else ()))
+    prices = (0.0, 2.0 * column + chosen, *((number + phases) * column + chosen for number in taken))
+    return np.vstack([line, besides, *repeats]), (0, 2, *taken), prices

@@ -195,3 +195,20 @@ def test_a_window_that_the_setpoint_moves_says_more_than_one_of_loads() -> None:
     known = [update(Book.begun(GOOD, 1.0, 0.0), w) for w in (window, replace(window, sp=np.zeros(N)))]
     sizes = [1.0 / float(np.sum(book.weights() ** 2)) for book in known]
     assert sizes[0] < 0.5 * sizes[1]
+
+
+@pytest.mark.parametrize(("shape", "columns"), [("sine", 6), ("pulses", 12), ("saw", 12)])
+def test_the_harmonics_of_a_tone_of_another_shape_are_columns_as_well(shape: str, columns: int) -> None:
+    """A good loop at Ms 1.66 under pulses was 93 % over its limit: their harmonics were taken for the process."""
+    phase = np.arange(N) / 60.0 % 1.0
+    wave = {"sine": np.sin(2 * np.pi * phase), "pulses": np.where(phase < 0.2, 1.0, 0.0), "saw": phase}[shape]
+    error = wave + 0.02 * np.random.default_rng(4).normal(size=N)
+    found, taken, prices = likeliest_tone(error)
+    assert len(found) == columns == taken[-1]
+    assert list(prices) == sorted(prices)
+    left = [
+        float(np.std(error - q @ (q.T @ error)))
+        for end in (taken[2], taken[-1])
+        for q in [np.linalg.qr(np.column_stack([np.ones(N), found[:end].T]))[0]]
+    ]
+    assert left[1] < (0.7 * left[0] if columns > 6 else 1.01 * left[0])
