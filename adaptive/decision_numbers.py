@@ -45,5 +45,4 @@ class Basis(StrEnum):
     PATTERN = "pattern"
     BORROWED = "borrowed"
     PRETUNE = "pretune"
-    RAN = "ran_before"
     ALL_SAMPLES = "all_samples"

@@ -11,19 +11,15 @@ say. Cause before cure: what a rival explains teaches the model nothing.
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.diagnosis.sticking_valve import stiction_or_tone
-from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.structure_choice import too_few
 from retuner.adaptive.indexes.screening import screen
-from retuner.adaptive.signals.growth import half_waves
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import LoopSample, Window, median
+from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -149,55 +145,6 @@ def hidden_cause(
     if verdict is not None and verdict.cause == Cause.EXTERNAL and not seen.oscillates:
         return replace(verdict, reason=RANDOM.format(**verdict.evidence)), False
     return verdict, verdict is not None and verdict.cause != Cause.UNKNOWN
-
-
-def through_a_change(samples: Sequence[LoopSample], gains: PidGains, settings: DiagnosisSettings) -> float | None:
-    """Period, s, of a tone from outside that goes on through the last change of gains; None where none is shown.
-
-    Of a loop's own swing pv over co is the process at one frequency, whatever gains ran. Of a tone it is -1/C there,
-    another number under each set. So what one swing cannot tell, two sets do: the record of both is put to its rivals.
-    """
-    if samples[0].revision == samples[-1].revision:
-        return None
-    changed_s = next(s.t_s for s in samples if s.revision == samples[-1].revision)
-    window = Window.of(list(samples))
-    if too_few(window):
-        return None
-    found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
-    verdict = stiction_or_tone(
-        found[0], screen(window, gains, in_auto=settings.in_auto), settings, len(setpoint_changes(window))
-    ).verdict
-    if verdict is None or verdict.cause is not Cause.EXTERNAL:
-        return None
-    period_s = verdict.evidence["external_period_s"]
-    shorter_s = min(changed_s - samples[0].t_s, samples[-1].t_s - changed_s)
-    return period_s if shorter_s >= ON_EACH_SIDE * period_s else None
-
-
-def alike_on_both_sides(samples: Sequence[LoopSample], period_s: float, band: float) -> bool:
-    """Whether pv swings at one period before and after the last change of gains, and does not grow under the new ones.
-
-    A tone from outside has its own period and height. A swing that other gains have given another period, or that
-    grows, is the loop's own. band : noise band, pv units.
-    """
-    newest = samples[-1].revision
-    sides = [s for s in samples if s.revision != newest], [s for s in samples if s.revision == newest]
-    for side in sides:
-        waves = half_waves(side, band) if side else []
-        if len(waves) < FEWEST_WAVES:
-            return False
-        half_s = median(np.diff([wave.t_s for wave in waves]))
-        if max(2.0 * half_s, period_s) > SAME_PERIOD * min(2.0 * half_s, period_s):
-            return False
-    heights = [wave.height for wave in half_waves(sides[1], band)]
-    middle = len(heights) // 2
-    return median(heights[middle:]) <= STEADY * median(heights[:middle])
-
-
-FEWEST_WAVES = 3  # half waves on each side of which a period may be told
-SAME_PERIOD = 1.25  # ratio up to which two periods are one
-STEADY = 1.3  # ratio of later half waves to earlier ones from which a swing grows; noise is a quarter of the least
-ON_EACH_SIDE = 2.0  # periods of a tone that both sets of gains must have seen
 
 
 RANDOM = (

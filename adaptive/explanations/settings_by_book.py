@@ -16,7 +16,7 @@ Ljung 1999). So less action must be as likely better as not under each order of 
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class BookSettings:
     worth: float = setting(0.25, "How much cheaper a change must be expected to be", 0.1, 0.7)
     ms_high: float = setting(2.0, "Ms above which a loop has too little robustness", *_MS)
     ms_good: float = setting(1.7, "Ms up to which a loop may have more action", *_MS)
-    ms_bad: float = setting(1.9, "Ms that bad_share of the processes may exceed after more action", *_MS)
+    ms_bad: float = setting(1.8, "Ms that bad_share of the processes may exceed after more action", *_MS)
     bad_share: float = setting(0.1, "Share of the odds that may come out badly", 0.05, 0.4)
     unstable_share: float = setting(0.02, "Share of the odds that may be unstable", 0.0, 0.05)
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", 0.5, 0.9)
@@ -87,6 +87,7 @@ class BookSettings:
 LESS, LONGER = (0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25), (1.0, 1.5, 2.0, 4.0)
 """Times all actions, and times the integral time, that are tried for a loop with too little robustness."""
 MORE, SHORTER = (1.0, 1.25, 1.6, 2.0), (1.0, 0.7, 0.5)  # factors on gain and integral time for a loop that has room
+SHORTEST = (0.35, 0.25)  # factors on the integral time with less gain
 AT_ONCE, PROVED_ON = 2.5, 12
 """Times the integral action that a change may make of it; processes on which one is proved, spread over the odds."""
 
@@ -134,32 +135,38 @@ MS_SHOWN, TONE_SHOWN = 20.0, 0.2
 """A larger Ms, and an unstable loop, is told as this; a tone that is less likely is not told."""
 
 
-def by_book(book: Book, gains: PidGains, settings: BookSettings, *, by_loads: bool = False) -> ByBook:
+def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     """What the book says of the gains in force, and the settings that are worth most over it.
 
-    by_loads : whether loads alone have moved the loop: then more action needs as much to be sure of room as of worth.
+    By loads alone less action is the best or none, and more needs as much to be sure of room as of worth, as it does
+    under a tone. Once the setpoint has moved the loop, more gain with a longer integral time may be better as well; and
+    where Ms is too high, less gain with a shorter one.
     """
-    drawn = book.drawn(settings.drawn)
+    drawn, told = book.drawn(settings.drawn), book.told_by_setpoint
     ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    integral_times = _integral_times(book, drawn)
-    leans, worthwhile = 0, _worthwhile(drawn, gains, _more(gains, integral_times, settings), settings, more=True)
-    needed = settings.more_odds if by_loads else settings.borne_out
-    may_have_more = max(room, high) >= needed  # also where Ms is too high, if more action makes it less
-    if may_have_more and worthwhile and gain(drawn, gains, worthwhile[0][1], settings)[1] >= settings.more_odds:
+    integral_times, tried = _integral_times(book, drawn), list[PidGains]()
+    needed = settings.borne_out if told and book.tone < settings.tone else settings.more_odds
+    if max(room, high) >= needed:  # also where Ms is too high, if more action makes it less
+        tried += _more(gains, integral_times, settings)
+    if told:
+        tried += _other_ratios(gains, integral_times, settings, shorter=high >= settings.less_odds)
+    leans, worthwhile = 0, _worthwhile(drawn, gains, tried, settings, more=True)
+    if worthwhile and gain(drawn, gains, worthwhile[0][1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:
         less = _less(gains, integral_times, settings)
         leans, worthwhile = -1, _worthwhile(drawn, gains, less, settings, more=False)
     leans = 0 if book.tone * (1.0 - book.moved) >= settings.tone else leans
-    told = high if leans < 0 else 0.0 if by_loads else room
-    sure = told >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
+    odds = high if leans < 0 else room if told else 0.0
+    sure = odds >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     if not leans or (leans != book.leans and not sure):
         return ByBook(numbers, leans)
-    tried = worthwhile if book.moved >= HALF else worthwhile[:1]  # by loads alone, the best or none
-    best = next((one for one in tried if leans > 0 or _by_each_order(book, gains, one[1], settings)), None)
-    if best is None:
+    found = (
+        one for one in worthwhile[: None if told else 1] if leans > 0 or _by_each_order(book, gains, one[1], settings)
+    )
+    if (best := next(found, None)) is None:
         return ByBook(numbers, leans)
     worth, new, peaks = best
     asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (leans < 0))
@@ -240,6 +247,25 @@ def _less(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -
                 yield _times(gains, times, other)
 
 
+def _other_ratios(
+    gains: PidGains, integral_times: FloatArray, settings: BookSettings, *, shorter: bool
+) -> Iterator[PidGains]:
+    """Candidates with more gain and no more integral action: a loop may have too much of this for its gain. shorter :
+    and those with less gain and more integral action, whose shorter integral time rests on how long a lag is, which
+    loads that come back by themselves make look short. integral_times : as in `_more`.
+    """
+    if not (gains.kp and gains.ki):
+        return
+    for times in MORE[1:]:
+        for longer in LONGER[1:]:
+            if times <= longer:
+                yield _times(gains, times, longer)
+    for times in LESS if shorter else ():
+        for other in _bearable(gains, (*SHORTER[1:], *SHORTEST), integral_times, settings):
+            if 1.0 < times / other <= AT_ONCE:
+                yield _times(gains, times, other)
+
+
 def _bearable(
     gains: PidGains, factors: tuple[float, ...], integral_times: FloatArray, settings: BookSettings
 ) -> Iterator[float]:
@@ -268,7 +294,7 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
 
 
 def _worthwhile(
-    drawn: LikelyProcesses, gains: PidGains, candidates: Iterator[PidGains], settings: BookSettings, *, more: bool
+    drawn: LikelyProcesses, gains: PidGains, candidates: Iterable[PidGains], settings: BookSettings, *, more: bool
 ) -> list[tuple[float, PidGains, FloatArray]]:
     """Worth, gains and Ms on each process of the candidates that are worth a change, the best first."""
     (now, before), found = expected_cost(drawn, gains, settings.cost), []
@@ -284,11 +310,11 @@ def _worthwhile(
 
 
 def _by_each_order(book: Book, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
-    """Whether less action is as likely better as not under each order of the walk by itself. Beside a tone the moves of
-    the setpoint tell the process, whatever the spectrum of the load.
+    """Whether less action is as likely better as not under each order of the walk by itself. The moves of the setpoint
+    tell the process whatever the spectrum of the load.
     """
-    told = book.tone * book.moved >= HALF
-    return told or all(gain(book.drawn(settings.drawn, at), now, new, settings)[1] >= HALF for at in ORDERS)
+    orders = () if book.told_by_setpoint else ORDERS
+    return all(gain(book.drawn(settings.drawn, at), now, new, settings)[1] >= HALF for at in orders)
 
 
 def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> tuple[Plausible, ...]:
@@ -306,6 +332,15 @@ def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: 
     at = np.searchsorted(whole, np.array([0.5 * whole[-1], *at]))
     chosen = [int(order[min(int(i), len(order) - 1)]) for i in at]
     return tuple(Plausible(_model(book, drawn, i), 0.0) for i in dict.fromkeys(chosen))
+
+
+def spread(book: Book, gains: PidGains, settings: BookSettings) -> tuple[tuple[Plausible, ...], FloatArray, FloatArray]:
+    """Processes that stand for the book, spread over its odds by Ms with these gains, but for the share that may come
+    out badly; and Ms and weight of all that were drawn. Of those that run away by themselves there is no model.
+    """
+    drawn = book.drawn(settings.drawn)
+    ms = drawn.peaks(gains)
+    return _proved_on(book, drawn, np.where(drawn.runs_away, np.nan, ms), settings), ms, drawn.weights
 
 
 def _model(book: Book, drawn: LikelyProcesses, at: int) -> ProcessModel:

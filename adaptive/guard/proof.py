@@ -398,8 +398,7 @@ def _unproved(case: _Case, goal: Goal) -> Proof:
     """A small step where no model can prove one, the pattern's; the whole one where an oscillation asks for less."""
     request, s = case.request, case.settings
     way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
-    ran = request.evidence.support is Support.RAN
-    limit = math.inf if way_out or ran else s.pattern_step_max
+    limit = math.inf if way_out else s.pattern_step_max
     wanted = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
     gains = request.rounded(wanted)
     if gains is None:
@@ -410,7 +409,7 @@ def _unproved(case: _Case, goal: Goal) -> Proof:
     if case.outside is not None:
         return _refused(case, *_outside(case), goal.notes)
     step = _share(request.in_force, gains, goal)
-    ruling = Ruling.UNPROVED_BACK if ran else UNPROVED[way_out]
+    ruling = UNPROVED[way_out]
     return Proof(
         ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks, goal.notes, (), way_out
     )

@@ -18,7 +18,6 @@ class Support(StrEnum):
 
     MODEL = "model"
     PATTERN = "pattern"
-    RAN = "ran before"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +25,8 @@ class Evidence:
     """How much stands behind the models.
 
     records : behind the region's model. age_s : of the last one. innovation, gate : how far the last record lay from
-    what was known, and the limit. borrowed : the model comes from a neighbouring region. support : model,
-    pattern, or that the set ran before. settled : whether settings may follow from what is known of the process.
+    what was known, and the limit. borrowed : the model comes from a neighbouring region. support : model
+    or pattern. settled : whether settings may follow from what is known of the process.
 
     Raises ValueError: a number is negative or not a number.
     """

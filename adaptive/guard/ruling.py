@@ -23,7 +23,6 @@ class Ruling(StrEnum):
     )
     UNPROVED_STEP = "accepted without a model, a small step from the response pattern: factor {factor} (limit {limit})"
     UNPROVED_WAY_OUT = "accepted without a model because the loop oscillates: less action, by a factor of {factor}"
-    UNPROVED_BACK = "accepted without a model: these gains were active here before; change by a factor of {factor}"
     TOO_SMALL = "no change: the active settings are as good (new ones differ by {factor}x, changes start at {limit}x)"
     NOT_ROBUST = (
         "refused: not robust even at a quarter of the change: nominal Ms {ms_tried} (limit {ms_limit}), "

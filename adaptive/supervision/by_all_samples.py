@@ -25,7 +25,7 @@ from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, move, update
 from retuner.adaptive.explanations.likely_processes import cost_at
-from retuner.adaptive.explanations.settings_by_book import ByBook, bears, by_book, gain, lets_go, shares
+from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, bears, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
@@ -84,21 +84,25 @@ def look_of(
     samples: Sequence[LoopSample], book: Book | None, gains: PidGains, since_s: float, after_s: float, dt_s: float,
     on_trial: bool, due: bool = True,
 ) -> Look | None:  # fmt: skip
-    """What is to be looked at; None where it is too little. since_s : since when the loop is in its region. on_trial :
-    a set is judged, and what it did meanwhile must be among it, however little. due : see Look.
+    """What is to be looked at, of all samples that are kept; None where it is too little. since_s : since when the loop
+    is in its region. on_trial : a set is judged, and what it did meanwhile must be among it, however little. due : see
+    Look.
     """
     wanted = interval_s(gains, dt_s)
     if book is not None and (book.direction != gains.direction or not 1 / STRETCHED <= book.dt_s / wanted <= STRETCHED):
         book = None
     first_s = max(since_s, -math.inf if book is None else book.t_s)
     most = round(WHOLE / LOOK * after_s / dt_s)
-    rows = [sample for sample in samples if sample.t_s > first_s][-most:]
-    if len(rows) < FEWEST_SAMPLES_ON_TRIAL or (
-        not on_trial and (len(rows) < FEWEST_SAMPLES or len(rows) * dt_s < after_s)
-    ):
+    rows = [sample for sample in samples if sample.t_s > first_s]
+    fewest = FEWEST_SAMPLES_ON_TRIAL if on_trial else max(FEWEST_SAMPLES, math.ceil(after_s / dt_s))
+    if len(rows) < fewest:
         return None
+    whole, rest = divmod(len(rows), most)
+    rows = rows[: whole * most] if whole and rest < fewest else rows  # too few by themselves: they come with the next
+    *earlier, last = (rows[at : at + most] for at in range(0, len(rows), most))
     limited = sum(1 for sample in rows if sample.limited) / len(rows)
-    return Look(book, Window.of(rows), grows=len(rows) < ROUNDED * most, limited=limited, due=due)
+    windows = tuple(Window.of(part) for part in earlier)
+    return Look(book, Window.of(last), grows=len(last) < ROUNDED * most, limited=limited, due=due, earlier=windows)
 
 
 FEWEST_SAMPLES, FEWEST_SAMPLES_ON_TRIAL = 300, 50  # samples of a look
@@ -111,8 +115,7 @@ class AllSamples:
 
     look : those looked at now, None for none. book : the region's, with them; changed : whether it is another one than
     before. told : what the book says of the gains in force, None where it is not asked. shown : whether clear setpoint
-    steps have shown the process: without a look the book then says only what it is sure of. by_loads : whether loads
-    alone have moved the loop in all samples that are kept.
+    steps have shown the process: without a look the book then says only what it is sure of.
     """
 
     look: Look | None = None
@@ -120,7 +123,11 @@ class AllSamples:
     changed: bool = False
     told: ByBook | None = None
     shown: bool = False
-    by_loads: bool = False
+
+    @property
+    def by_loads(self) -> bool:
+        """Whether loads alone have moved the loop."""
+        return self.book is None or not self.book.told_by_setpoint
 
     @property
     def silent(self) -> bool:
@@ -149,22 +156,24 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
     if book is not None and changed:
         book = doubted(book, settings.changed_odds)
     doubts = not shown or own.code in OPEN - {LOOKED} or found.question.trial.phase is TrialPhase.TRIAL
-    by_loads = all(sample.sp == record.samples[-1].sp for sample in record.samples)
     if look is not None and not ((look.due and doubts) or own.changes):
         look = None  # a look is dear
     if look is not None:
-        now_s, first_s = float(look.window.t_s[-1]), float(look.window.t_s[0])
-        known = look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)
-        known = doubted(known, settings.changed_odds) if changed else move(known, now_s - first_s, settings.hazard_s)
-        book = update(known, look.window, grows=look.grows)
+        windows = (*look.earlier, look.window)
+        book = look.book or Book.begun(gains, interval_s(gains, dt_s), float(windows[0].t_s[0]))
+        book = doubted(book, settings.changed_odds) if changed else book
+        for at, window in enumerate(windows):
+            if at or not changed:
+                book = move(book, float(np.ptp(window.t_s)), settings.hazard_s)
+            book = update(book, window, grows=look.grows and window is look.window)
     external = own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL  # else a swing of the loop's own
     if book is not None and (external or (found.foreign is not None and found.foreign < record.foreign)):
         book = heard(book, MOST[Cause.EXTERNAL], tone=external)
-    seen = AllSamples(look, book, book is not record.book, None, shown, by_loads)
+    seen = AllSamples(look, book, book is not record.book, None, shown)
     asked = book is not None and (own.changes or not seen.silent)
     if book is None or not asked:
         return seen
-    return replace(seen, told=by_book(book, gains, settings, by_loads=by_loads))
+    return replace(seen, told=by_book(book, gains, settings))
 
 
 def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
@@ -191,8 +200,7 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     rests = shown and (look is None or _rests(found, look))
     more = told.numbers.book_room >= settings.more_odds or (not seen.by_loads and bears(drawn, now, new, settings))
     seen_so = told.numbers.book_high >= HALF if less else more
-    asked = own.basis is not Basis.RAN and not seen.silent
-    if asked and not seen_so and (doubt := _doubt(found, own, seen, less=less)):
+    if not seen.silent and not seen_so and (doubt := _doubt(found, own, seen, less=less)):
         return found.unconfirmed(own, replace(doubt, reason=f"{told.words}; {doubt.reason}"))
     half = look is not None and float(np.ptp(look.window.t_s)) >= LOOK * book.dt_s
     if not (away or book.records or half or (less and look and found.in_use and not found.in_use.identifiable)):
@@ -265,12 +273,15 @@ NEARLY = 0.95  # share of an action down to which it is the same
 
 
 def _may_speak(found: Findings, own: Outcome, look: Look, seen: AllSamples) -> bool:
-    """Whether the case is the book's: the response cannot tell, or its model is one that all samples refute."""
-    record, models = found.record, found.in_use.plausible if found.in_use else ()
-    refuted = bool(models) and seen.told is not None and _refuted(found, models[0], seen)
-    if not (own.code in OPEN or refuted) or record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
+    """Whether the case is the book's: the response cannot tell; or the setpoint has told the process, and no clear step
+    has shown a response's model of it.
+    """
+    record, cause = found.record, own.diagnosis.cause if own.diagnosis is not None else None
+    if record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
         return False
-    stood = own.diagnosis is not None and own.diagnosis.cause is Cause.SATURATION  # before the look began, too
+    if own.code not in OPEN and (seen.by_loads or seen.shown or cause in {Cause.STICTION, Cause.NOISE}):
+        return False
+    stood = cause is Cause.SATURATION  # before the look began, too
     if stood or look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
         return False
     return not (found.question.alone and record.admission(found.settings).ground in SPOILT)
@@ -285,11 +296,14 @@ SPOILT = frozenset({
 
 def robust_by_all_samples(found: Findings, winner: Outcome) -> bool:
     """Whether the set on trial is robust on next to all processes by all samples, those of its trial among them: then a
-    load that wanders explains a response that swings. They are among them with a look, now or at a response before.
+    load that wanders explains a response that swings. They are among them with a look, now or at a response before. A
+    tone that moved the loop before explains it as well, where the set is robust on most of them.
     """
     numbers, settings, trial = winner.all_samples, found.settings.book, found.question.trial
-    looked = winner.book is not None or trial.silent + trial.kept > 0
-    return looked and numbers is not None and numbers.book_high <= 1.0 - settings.less_odds
+    if numbers is None or (winner.book is None and trial.silent + trial.kept == 0):
+        return False
+    tone = numbers.book_tone >= settings.less_odds
+    return numbers.book_high <= (1.0 - HALF if tone else 1.0 - settings.less_odds)
 
 
 MOST_LIMITED = 0.02  # share of samples with the output at a limit up to which they show the loop
@@ -333,17 +347,6 @@ def _by_responses(found: Findings, seen: AllSamples, room: float) -> tuple[Plaus
         return ()
     asked = known.plausible if room < settings.book.sure_odds else ()
     return tuple(one for one in asked if _ms(one, now, settings) <= settings.book.ms_good)
-
-
-def _refuted(found: Findings, one: Plausible, seen: AllSamples) -> bool:
-    """Whether all samples, a setpoint step among them, leave next to no odds to an Ms as large as that of a model of
-    responses which no clear step has shown: steps of a load fit one that wanders with any process.
-    """
-    if seen.by_loads or seen.shown or seen.book is None:
-        return False
-    settings, now = found.settings.book, found.record.in_force
-    drawn = seen.book.drawn(settings.drawn)
-    return float(drawn.weights @ (drawn.peaks(now) >= _ms(one, now, found.settings))) <= settings.bad_share
 
 
 def _ms(one: Plausible, gains: PidGains, settings: RetunerSettings) -> float:
@@ -391,9 +394,8 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
             return None
     if less and lets_go(book.drawn(settings.book.drawn), record.in_force, proof.gains, settings.book):
         return None
-    odds = told.numbers.book_high if less else told.numbers.book_room
-    cause = Cause.AGGRESSIVE if less else Cause.SLUGGISH
-    words = f"{told.words}; {'less' if less else 'more'} action is expected to be worth {told.numbers.book_worth:.0%}"
+    cause, odds, what = _cause_of(told, book, record.in_force, proof.gains, settings.book)
+    words = f"{told.words}; {what} is expected to be worth {told.numbers.book_worth:.0%}"
     if own.code != LOOKED:
         words = f"{words} (this response by itself: {own.reason})"
     change = replace(
@@ -403,6 +405,21 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
     )  # fmt: skip
     doubt = runaway(found, proof)
     return change if doubt is None else found.unconfirmed(change, doubt)
+
+
+def _cause_of(
+    told: ByBook, book: Book, now: PidGains, new: PidGains, settings: BookSettings
+) -> tuple[Cause, float, str]:
+    """The cause that a change by all samples has, its odds, and what the change is in words."""
+    if told.leans < 0:
+        return Cause.AGGRESSIVE, told.numbers.book_high, "less action"
+    gain_up, integral_up = abs(new.kp) > NEARLY * abs(now.kp), abs(new.ki) > NEARLY * abs(now.ki)
+    if gain_up and integral_up:
+        return Cause.SLUGGISH, told.numbers.book_room, "more action"
+    better = gain(book.drawn(settings.drawn), now, new, settings)[1]
+    if gain_up:
+        return Cause.AGGRESSIVE, better, "more gain with less integral action"
+    return Cause.SLUGGISH, better, "more integral action with less gain"
 
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97

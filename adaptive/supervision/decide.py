@@ -4,8 +4,8 @@
                          settings follow from that?
     without_a_model,     what follows: are these settings proved (guard/proof.py), are they      here,
     by_model             worth their risk (choice/expected_cost.py), and is it sure?             confirmation.py
-    gains_that_win       of what follows from the model, the set before and all samples: which   here,
-                         gains win, and why?                                                     by_all_samples.py
+    gains_that_win       of what follows from the model and from all samples: which gains win,   here,
+                         and why?                                                                by_all_samples.py
     expectation,         what are these gains held to, what does a trial's record say of both    judge_evidence.py
     check_after_trial    sets?
     elsewhere            where nothing changes here: what is due in other regions?               other_regions.py
@@ -29,14 +29,12 @@ from retuner.adaptive.choice.expected_cost import (
     choose,
     outlooks,
 )
-from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
+from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.oscillation_online import alike_on_both_sides, through_a_change
 from retuner.adaptive.diagnosis.second_opinion import SWINGING
 from retuner.adaptive.guard import GuardSettings, Proof, prove
 from retuner.adaptive.guard.both_sides_of_border import worst_between
-from retuner.adaptive.guard.request import Support
-from retuner.adaptive.guard.step_size import along, less_of_everything
+from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
@@ -61,16 +59,13 @@ from retuner.adaptive.supervision.findings import (
     unambiguous,
 )
 from retuner.adaptive.supervision.judge_evidence import may_follow, posterior_of, prediction_of_proof
-from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, known_of, unproved_request
+from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, unproved_request
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.question import OTHER_LOOP, Question, ResponseRecord, not_evaluated
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import decay_seen
-from retuner.adaptive.trial.rollback import LOST_WORDS, less_stable
-from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.without_model.proposal_without_model import step_without_model
 from retuner.schedule.gains import PidGains
-from retuner.schedule.table import Lookup
 
 
 def decide(question: Question) -> Outcome:
@@ -295,85 +290,19 @@ def gains_that_win(found: Findings, own: Outcome) -> Outcome:
     """Which gains win, and why: the one place that chooses between the model's, the set before and all samples'.
 
     1. Those that follow from the response, with the models of its region.
-    2. Where a tone goes on through the last change to less action: the set that ran before it.
-    3. None, where the book of all samples speaks against these.
-    4. Those of the book, where there are none by now, and it is one to ask. The book does not ask for more action where
+    2. None, where the book of all samples speaks against these.
+    3. Those of the book, where there are none by now, and it is one to ask. The book does not ask for more action where
        the response by itself asked for less: it may be wrong in what it objects to.
 
     How far the model's gains go is weighed before, by `worth`.
     """
-    winner = set_before(found, own) or own
-    seen = all_samples(found, winner)
-    less = winner.changes and winner.asks_for_less(found.record.in_force)
+    seen, winner = all_samples(found, own), own
+    less = own.changes and own.asks_for_less(found.record.in_force)
     if winner.changes:
         winner = objection(found, winner, seen) or winner
     if not winner.changes and not (less and seen.told is not None and seen.told.leans > 0):
         winner = proposal_by_all_samples(found, winner, seen) or winner
     return seen.entered(winner)
-
-
-def set_before(found: Findings, own: Outcome) -> Outcome | None:
-    """The set that ran before, on trial, where less action was the answer to a tone from outside; else None.
-
-    own : what the response leads to by itself.
-
-    Less action was written because a model said that the loop swings by itself. A tone that goes on through that change
-    as it was before, and that no process explains under both sets, refutes the model: the swing was not the loop's own.
-    What a clear setpoint step has shown of the process is not refuted so. As for every way back
-    (trial/rollback.py): where the models that are still allowed call that set less stable, it stays out.
-    """
-    record, trial, cause = found.record, found.question.trial, own.diagnosis
-    if cause is None or cause.cause is not Cause.EXTERNAL or trial.phase is not TrialPhase.IDLE or record.crossed:
-        return None
-    before = _cut_from(trial, record.in_force, found.settings.trial.harmless_decay)
-    if before is None or record.excitation.clear or record.table.lookup is Lookup.INTERPOLATED:
-        return None
-    settings = found.settings
-    here = [sample for sample in record.samples if sample.t_s >= record.entered_s]
-    period_s = through_a_change(here, record.in_force, settings.diagnosis)
-    if period_s is None or found.growth is not None or not alike_on_both_sides(here, period_s, record.response.band):
-        return None
-    now_s = float(record.window.t_s[-1])
-    known = known_of(KnownProcesses(record.table, record.region_models, now_s, settings), record.region)
-    if known.processes:
-        kept_out = less_stable(before, record.in_force, known, settings.trial.harmless_ms)
-    else:
-        kept_out = LOST_WORDS if trial.sets.lost else ""
-    if kept_out:
-        return replace(own, code="tone_goes_on", reason=found.words(NOT_BACK.format(period=period_s, why=kept_out)))
-    tuning, tables = Tuning("set that ran before", "parallel", before), (record.table, record.commissioned)
-    request = unproved_request(tuning, record.region, tables, settings)
-    request = replace(request, evidence=replace(request.evidence, support=Support.RAN))
-    proof = prove(request, settings.guard)
-    reason = found.words(REFUTED.format(period=period_s, ruling=proof.sentence))
-    told = replace(own, code=proof.code, reason=reason, forget=True, region_model=None, excitation=None)
-    if not proof.accepted:
-        return told
-    return replace(told, proposal=tuning, proof=proof, basis=Basis.RAN, numbers=NO_NUMBERS)
-
-
-NOT_BACK = (
-    "the oscillation of {period:.3g} s goes on as before the last change, so it comes from outside. The previous gains "
-    "do not come back: {why}. A setpoint step would show the process"
-)
-"""The reason where a tone goes on, and the way back is closed."""
-REFUTED = (
-    "the oscillation of {period:.3g} s goes on as before the last change. No process explains it under both gain sets, "
-    "so it comes from outside and less action was no cure; {ruling}"
-)
-"""The reason where a cut is rolled back."""
-
-
-def _cut_from(trial: Trial, in_force: PidGains, harmless_decay: float) -> PidGains | None:
-    """The newest set that ran before and acted more, where the last change was less action against a swing."""
-    if trial.prediction is None or trial.new != in_force:
-        return None
-    said = trial.prediction
-    swung = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False), said.decay_seen or 0.0)
-    if said.models and swung <= harmless_decay:
-        return None
-    ran = (gains for gains in trial.earlier if gains != in_force and less_of_everything(gains, in_force))
-    return next(ran, None)
 
 
 def expectation(found: Findings, winner: Outcome) -> Outcome:

@@ -23,7 +23,6 @@ from retuner.adaptive.trial.load_variability import load_variability
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.prediction import Prediction, decay_seen, predict, predict_without_model
-from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import replace
@@ -122,7 +121,7 @@ def _both_sets(
     return replace(check_posterior(allowed, before, case.in_force, *more), settled=settled)
 
 
-def seen_of(case: ResponseRecord, outcome: Outcome, settings: RetunerSettings) -> JudgedResponse:
+def seen_of(case: ResponseRecord, outcome: Outcome) -> JudgedResponse:
     """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
     what its own record says of the tried set and of the one before.
     """
@@ -132,9 +131,8 @@ def seen_of(case: ResponseRecord, outcome: Outcome, settings: RetunerSettings) -
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
     proof = outcome.proof
-    next_due, due_on = proof is not None and proof.accepted and proof.urgent, None
-    if proof is not None and proof.accepted and outcome.basis is Basis.ALL_SAMPLES:
-        sampled = (one.model.seen_by_controller(settings.sample_time_s).linear() for one in proof.allowed)
-        next_due, due_on = True, StillAllowed(tuple(sampled), settings.filter_s, by_loads=True)
-    told = (outcome.posterior, case.crossed, next_due, outcome.robust, due_on)
-    return JudgedResponse(case.response, window, limited, outside, *told)
+    by_book = outcome.basis is Basis.ALL_SAMPLES
+    next_due = proof is not None and proof.accepted and (proof.urgent or by_book)
+    return JudgedResponse(
+        case.response, window, limited, outside, outcome.posterior, case.crossed, next_due, outcome.robust
+    )

@@ -3,14 +3,18 @@ is put to the guard.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property, partial
 
+from retuner.adaptive.explanations.book import ODD, Book
+from retuner.adaptive.explanations.settings_by_book import spread
 from retuner.adaptive.guard.both_sides_of_border import borders_of, likeliest_between, mixed
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBorder, Support
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.region_model.at_knots import at_knots
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.kalman import gate
@@ -74,29 +78,55 @@ class KnownProcesses:
         return predicted(self.where_gains_run[region], self.t_s, self.settings.tracker)
 
 
-def known_of(known: KnownProcesses, region: int) -> StillAllowed:
+def known_of(known: KnownProcesses, region: int, book: Book | None = None) -> StillAllowed:
     """What is known of a region's process now, as it is asked which of its sets is to run.
 
     In an interpolated table that is asked at the region's knot, and half way to its neighbours. Of a region without
-    records the others tell: its gains were proved on what they lend.
+    records the others tell: its gains were proved on what they lend. book : of all samples, where these may be asked.
     """
     own, settings = known.where_gains_run.get(region), known.settings
+    if book is not None:
+        return _beside_all_samples(known, region, book)
     if own is None:
         return NOTHING_KNOWN
-    dt_s, asked = settings.sample_time_s, still_allowed(own, known.t_s, settings)
-    alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in asked)
-    likely = tuple(math.exp(-found.excess / (2.0 * settings.choice.temper)) for found in asked)
+    alone, likely = _as_seen(still_allowed(own, known.t_s, settings), settings)
     if known.table.lookup is Lookup.HARD:
         return StillAllowed(alone, settings.filter_s, weights=likely)
     best = known.allowed[region][0].model
     halves = [
         (
-            likeliest_between(border, best, HALF).seen_by_controller(dt_s).linear(),
+            likeliest_between(border, best, HALF).seen_by_controller(settings.sample_time_s).linear(),
             partial(mixed, border=border, share=HALF),
         )
         for border in known.borders(region)
     ]
     return StillAllowed(alone, settings.filter_s, tuple(halves), likely)
+
+
+def _as_seen(
+    models: Iterable[Plausible], settings: RetunerSettings
+) -> tuple[tuple[LinearProcess, ...], tuple[float, ...]]:
+    """Models as a sampled controller sees them, and how likely each is beside the best."""
+    models = tuple(models)
+    alone = tuple(found.model.seen_by_controller(settings.sample_time_s).linear() for found in models)
+    return alone, tuple(math.exp(-found.excess / (2.0 * settings.choice.temper)) for found in models)
+
+
+def _beside_all_samples(known: KnownProcesses, region: int, book: Book) -> StillAllowed:
+    """The processes of the book, and beside them the models of responses, as witnesses: together a model has as much as
+    the book where its Ms is in the middle of the book's odds, and the less the further out it is.
+    """
+    settings, gains, own = known.settings, known.table.gains_of(region), known.where_gains_run.get(region)
+    processes, ms, odds = spread(book, gains, settings.book)
+    by_book, _ = _as_seen(processes, settings)
+    models, likely = _as_seen(() if own is None else still_allowed(own, known.t_s, settings), settings)
+    witness = []
+    for model, weight in zip(models, likely, strict=True):
+        there = sensitivity_peak(model, gains, settings.filter_s)
+        tail = min(float(odds @ (ms >= there)), float(odds @ (ms <= there)))
+        witness.append(weight / sum(likely) * max(min(2.0 * tail, 1.0), ODD))
+    weights = (*(1.0 / len(by_book) for _ in by_book), *witness)
+    return StillAllowed((*by_book, *models), settings.filter_s, weights=weights, by_loads=True)
 
 
 def allowed_models(

@@ -126,7 +126,7 @@ class Look(NamedTuple):
     """All samples of a region that are to be entered into its book. book : as it is, None to begin one.
 
     grows : the window comes again with more samples. limited : share of them with the output at a limit. due : else
-    it is looked at only before a change.
+    it is looked at only before a change. earlier : whole windows before it that are not in the book yet.
     """
 
     book: Book | None
@@ -134,6 +134,7 @@ class Look(NamedTuple):
     grows: bool
     limited: float
     due: bool = True
+    earlier: tuple[Window, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

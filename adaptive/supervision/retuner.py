@@ -353,7 +353,10 @@ class Retuner:
         book, trial, asked = self.books.get(region), self.trials.of(region), self.settings.book
         if book and trial.old and trial.new and lets_go(book.drawn(asked.drawn), trial.old, trial.new, asked):
             return NOTHING_KNOWN
-        return known_of(KnownProcesses(self.table, self.region_models, self.now_s, self.settings), region)
+        rests_on, foreign = self.excitation.get(region, Excitation()), self.foreign.get(region, 0)
+        shown = shown_clearly(self.region_models.get(region), rests_on, foreign)
+        known = KnownProcesses(self.table, self.region_models, self.now_s, self.settings)
+        return known_of(known, region, book if book and not shown and book.tells(asked.tone) else None)
 
     def _person_decides(self, region: int) -> bool:
         """Whether a person has the next word on what is tried in a region."""
@@ -521,7 +524,7 @@ class Retuner:
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
             return self.trials.silent(case.region, silent, self.now_s, robust=outcome.robust)
         ask = self._person_decides(case.region)
-        return self.trials.judge(case.region, seen_of(case, outcome, self.settings), case.in_force, self.now_s, ask=ask)
+        return self.trials.judge(case.region, seen_of(case, outcome), case.in_force, self.now_s, ask=ask)
 
     def _response_record(self, seen: Completed) -> ResponseRecord:
         """Everything that the decision depends on."""

@@ -37,7 +37,6 @@ from retuner.adaptive.signals.sample import FloatArray, Window, median, trapezoi
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, PosteriorNumbers, against, in_favour
 from retuner.adaptive.trial.prediction import Expected, Prediction
 from retuner.adaptive.trial.response_numbers import storable, swing, three
-from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -123,9 +122,8 @@ class JudgedResponse:
     tuning that was found behind the response, empty when none was. crossed : part of it ran in another region, under
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
     say of both sets, None where there are none. next_due : a change is proved that must not wait: by this response the
-    tried set swings, and this one is safer; or it follows from all samples, those of the trial among them. due_on :
-    the processes that these leave, else None. robust : the tried set is, by all samples, those of its trial among
-    them: then a load that wanders explains what swings.
+    tried set swings, and this one is safer; or it follows from all samples, those of the trial among them. robust :
+    the tried set is, by all samples, those of its trial among them: then a load that wanders explains what swings.
     """
 
     response: Response
@@ -136,7 +134,6 @@ class JudgedResponse:
     crossed: bool = False
     next_due: bool = False
     robust: bool = False
-    due_on: StillAllowed | None = None
 
 
 class _Swings(NamedTuple):

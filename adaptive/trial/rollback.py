@@ -18,10 +18,10 @@ The commissioned set has no privilege. After evidence against the tried set the 
 is no model; after a cause that says nothing of it the tried one stays. Another set takes their place where it is
 expected to lose less by more than the price of a change.
 
-Whatever evidence leads back, `less_stable` is asked: no set comes back that is less stable by Ms on the models that
-are still allowed than the one that runs. Where a person orders it, only a set that is unstable on more models stays
-out. Evidence may be a tone, a load or a wrong model; an unstable loop is none. Where no model is left, the ones on
-which the tried set was proved keep the door: what they called unstable stays out.
+Whatever evidence leads back, `less_stable` is asked: no set comes back that is expected to lose more than the one that
+runs on the models that are still allowed, before that evidence weighs them. Where a person orders it, only a set that
+is unstable on more models stays out. Evidence may be a tone, a load or a wrong model; an unstable loop is none. Where
+no model is left, the ones on which the tried set was proved keep the door: what they called unstable stays out.
 """
 
 import math
@@ -177,17 +177,19 @@ def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
 def less_stable(to: PidGains, present: PidGains, known: StillAllowed, harmless_ms: float) -> str:
     """Why a set does not come back in place of the present one, by Ms on the allowed models; empty where it may.
 
-    It is unstable on more of them, or over harmless_ms and worse than the present one by more than the price of a
-    change. Where both are unstable on all of them Ms does not tell: then it must not act more in everything.
+    Its expected loss is greater by more than the price of a change. Where both are unstable on all of them Ms does not
+    tell: then it must not act more in everything.
     """
-    there, here = Robustness.of(known.ms(to)), Robustness.of(known.ms(present))
     models = len(known.processes) + len(known.between)
     if not models or to == present:
         return ""
-    worse = loss_of(there.ms, harmless_ms) > loss_of(here.ms, harmless_ms) + PRICE
-    less = there.unstable > here.unstable or (there.unstable == here.unstable and worse)
+    each = [known.ms(gains) for gains in (to, present)]
+    there, here = (Robustness.of(ms) for ms in each)
+    goes, stays = (
+        sum(weight * loss_of(one, harmless_ms) for weight, one in zip(known.likely(), ms, strict=True)) for ms in each
+    )
     lost = there.unstable == here.unstable == models and less_of_everything(to, present)
-    if not (less or lost):
+    if not (goes > stays + PRICE or lost):
         return ""
     return (
         f"they are less stable on {models_words(models)}: {robustness_words(there.ms, there.unstable, models)}, "

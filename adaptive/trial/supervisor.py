@@ -271,24 +271,22 @@ class TrialSupervisor:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         else:
             enough = seen.next_due and not ask
-            return self.silent(region, found, t_s, enough=enough, robust=seen.robust, due_on=seen.due_on)
+            return self.silent(region, found, t_s, enough=enough, robust=seen.robust)
         return found
 
     def silent(
-        self, region: int, found: Judgement, t_s: float, *, enough: bool = False,
-        robust: bool = False, due_on: StillAllowed | None = None,
-    ) -> Judgement:  # fmt: skip
+        self, region: int, found: Judgement, t_s: float, *, enough: bool = False, robust: bool = False
+    ) -> Judgement:
         """A response said nothing for or against: enough of them end the trial. found : why it did not; with that.
 
-        enough : this one does, because a change is due that must not wait for others. due_on : the processes on which
-        it follows from all samples, which know more than the region's models. robust : by these the tried set is, and
-        the models say nothing.
+        enough : this one does, because a change is due that must not wait for others. robust : by all samples the tried
+        set is, and the models say nothing.
         """
         trial = self.of(region)
         if trial.phase != P.TRIAL:
             return found
         self._trials[region] = replace(trial, silent=trial.silent + 1)
-        known = due_on or (NOTHING_KNOWN if robust else None)
+        known = NOTHING_KNOWN if robust else None
         few = trial.silent + 1 < self.settings.inconclusive and not enough
         if few or not self._stay_or_roll_back(region, E.TIMED_OUT, t_s, known):
             return found

@@ -16,24 +16,27 @@ from retuner.adaptive.decision_numbers import NO_NUMBERS
 from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.explanations import book as book_of_samples
 from retuner.adaptive.explanations import settings_by_book
 from retuner.adaptive.explanations.book import BY_STEPS, ODD, PLANES, RUNAWAYS, Book, doubted, move, update
 from retuner.adaptive.explanations.likely_processes import WorthSettings
 from retuner.adaptive.explanations.process_grid import shapes
-from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, by_book, gain, lets_go
+from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
 from retuner.adaptive.explanations.wandering_load import ORDERS
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
-from retuner.adaptive.supervision import by_all_samples, decide, retuner
+from retuner.adaptive.supervision import by_all_samples, decide, known_processes, retuner
 from retuner.adaptive.supervision.by_all_samples import KEPT_LOOKS, LOOKED, AllSamples, look_of
 from retuner.adaptive.supervision.decision import Action, Outcome
 from retuner.adaptive.supervision.findings import Findings
+from retuner.adaptive.supervision.known_processes import known_of
 from retuner.adaptive.supervision.question import Look, Question
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings, demanded
-from retuner.adaptive.trial.rollback import NOTHING_KNOWN
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner.adaptive.trial.rollback import NOTHING_KNOWN, SetsThatRan, rollback
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.pid import law, start, step
 from retuner.schedule.regions import Regions
@@ -95,12 +98,10 @@ def after(gains: PidGains, seed: int) -> Book:
 
 
 @pytest.mark.parametrize("told", [False, True])
-def test_beside_a_tone_that_the_setpoint_moves_no_order_of_the_load_is_asked(
-    told: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_setpoint_has_told_no_order_of_the_load_is_asked(told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """There the spectrum of the load counts for nothing."""
     orders: list[int | None] = []
-    book: Any = SimpleNamespace(tone=0.9, moved=1.0 if told else 0.2, drawn=lambda _, order=None: orders.append(order))
+    book: Any = SimpleNamespace(told_by_setpoint=told, drawn=lambda _, order=None: orders.append(order))
     for better, follows in ((0.6, True), (0.4, told)):
         monkeypatch.setattr(settings_by_book, "gain", lambda *_, better=better: (1.0, better))
         assert settings_by_book._by_each_order(book, GOOD, scaled(0.5), SETTINGS) == follows
@@ -149,10 +150,11 @@ def test_less_action_follows_at_once_and_more_at_the_second_look_or_where_steps_
     book = after(scaled(0.2), 3)
     assert by_book(book, scaled(0.2), SETTINGS).tuning
     assert by_book(replace(book, records=0), scaled(0.2), SETTINGS).tuning is None, "a part of a window"
-    first = by_book(book, scaled(0.2), SETTINGS, by_loads=True)
+    book = replace(book, moved=0.0)
+    first = by_book(book, scaled(0.2), SETTINGS)
     assert first.leans == 1
     assert first.tuning is None
-    second = by_book(replace(book, leans=first.leans), scaled(0.2), SETTINGS, by_loads=True)
+    second = by_book(replace(book, leans=first.leans), scaled(0.2), SETTINGS)
     assert second.tuning is not None
     monkeypatch.setattr(settings_by_book, "shares", lambda *_: (0.0, 0.9))
     assert by_book(book, scaled(0.2), SETTINGS).tuning is None, "not sure"
@@ -173,7 +175,7 @@ def test_less_action_must_not_be_worse_under_any_order_of_the_load(plane: int) -
     tight = scaled(2.6)
     planes = np.frombuffer(after(tight, 9).levels, dtype=np.uint8).reshape(PLANES).copy()
     planes[plane] = np.roll(planes[plane], -10, axis=-1)  # a seventh of the gain
-    told = by_book(replace(after(tight, 9), levels=planes.tobytes()), tight, SETTINGS)
+    told = by_book(replace(after(tight, 9), levels=planes.tobytes(), moved=0.0), tight, SETTINGS)
     assert (told.leans, told.tuning) == (-1, None)
 
 
@@ -326,6 +328,89 @@ def test_what_a_loop_did_on_trial_is_looked_at_however_little(count: int, on_tri
 
 
 @pytest.mark.parametrize(
+    ("count", "on_trial", "windows", "grows"),
+    [(1000, False, [1000], False), (2600, False, [1000, 1000, 600], True), (2300, False, [1000, 1000], False),
+     (2300, True, [1000, 1000, 300], True), (2030, True, [1000, 1000], False)],
+)  # fmt: skip
+def test_no_sample_since_the_last_look_is_left_out(
+    count: int, on_trial: bool, windows: list[int], *, grows: bool
+) -> None:
+    """Of a long wait the last 1,000 samples were taken: the setpoint step before them, which tells most, was lost."""
+    rows = [LoopSample(float(i), 0.0, float(i % 7), float(i % 5)) for i in range(count)]
+    found = look_of(rows, None, GOOD, -math.inf, 500.0, 1.0, on_trial)
+    assert found is not None
+    taken = [*found.earlier, found.window]
+    assert [len(one.t_s) for one in taken] == windows
+    assert np.concatenate([one.t_s for one in taken]).tolist() == list(range(sum(windows)))
+    assert found.grows is grows
+
+
+def test_the_windows_of_a_look_are_entered_one_after_the_other() -> None:
+    book, first, second = begun(), recorded(GOOD, 5), recorded(GOOD, 6)
+    moved_on = replace_times(second, 1000.0)
+    question = asked_of(book, Look(book, moved_on, grows=False, limited=0.0, earlier=(first,)))
+    found = by_all_samples.all_samples(Findings(question), Outcome("unknown", "")).book
+    assert found is not None
+    assert found.records == 2
+    one_by_one = book
+    for window in (first, moved_on):
+        one_by_one = update(move(one_by_one, 999.0, SETTINGS.hazard_s), window)
+    assert found.levels == one_by_one.levels
+
+
+def replace_times(window: Window, more_s: float) -> Window:
+    return Window(window.t_s + more_s, window.sp, window.pv, window.co)
+
+
+def asked_of(book: Book, look: Look) -> Question:
+    record: Any = SimpleNamespace(
+        region=0, region_models={}, excitation=Excitation(), foreign=0, in_force=GOOD, book=book, crossed=True,
+        table=SimpleNamespace(lookup=Lookup.HARD),
+    )  # fmt: skip
+    asked: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0), look=look, trial=Trial())
+    return cast("Question", asked)
+
+
+@pytest.mark.parametrize(("moved", "follows"), [(1.0, True), (0.0, False)])
+def test_a_loop_with_too_much_integral_action_for_its_gain_gets_more_gain(moved: float, follows: bool) -> None:
+    """Kc and tau_I a quarter of SIMC's: with less of everything the loop stays as it is, and more of it is too much."""
+    now = PidGains(0.25 * GOOD.kp, GOOD.ki)
+    book = replace(after(now, 3), leans=1, moved=moved)
+    told = by_book(book, now, SETTINGS)
+    assert told.numbers.book_room < 0.1
+    assert (told.tuning is not None) is follows
+    if told.tuning is not None:
+        assert told.tuning.gains.kp > 1.2 * now.kp
+        assert told.tuning.gains.ki <= 1.001 * now.ki
+
+
+@pytest.mark.parametrize("shorter", [False, True])
+def test_a_shorter_integral_time_with_less_gain_is_for_loops_with_too_high_an_ms(shorter: bool) -> None:
+    now = PidGains.from_ideal(1.0, 20.0)
+    sets = list(settings_by_book._other_ratios(now, np.array([1.0]), SETTINGS, shorter=shorter))
+    assert all(one.kp > now.kp and one.ki <= 1.001 * now.ki for one in sets if one.kp >= now.kp)
+    less = [one for one in sets if one.kp < now.kp]
+    assert bool(less) is shorter
+    assert all(one.ki > now.ki for one in less)
+    assert not list(settings_by_book._other_ratios(PidGains(0.0, 1.0), np.array([1.0]), SETTINGS, shorter=True))
+
+
+@pytest.mark.parametrize(
+    ("new", "cause", "words"),
+    [((1.5, 1.5), Cause.SLUGGISH, "more action"), ((2.0, 0.5), Cause.AGGRESSIVE, "more gain"),
+     ((0.5, 1.5), Cause.SLUGGISH, "more integral action with")],
+)  # fmt: skip
+def test_a_change_of_the_ratio_is_told_as_one(new: tuple[float, float], cause: Cause, words: str) -> None:
+    book = after(GOOD, 3)
+    gains = PidGains(new[0] * GOOD.kp, new[1] * GOOD.ki)
+    told = replace(by_book(book, GOOD, SETTINGS), leans=1)
+    found = by_all_samples._cause_of(told, book, GOOD, gains, SETTINGS)
+    assert found[0] is cause
+    assert 0.0 <= found[1] <= 1.0
+    assert found[2].startswith(words)
+
+
+@pytest.mark.parametrize(
     ("times", "to", "better"), [(1.0, 0.3, False), (2.6, 0.3, True), (1.0, 2.6, False), (0.25, 4.0, True)]
 )
 def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to: float, better: bool) -> None:
@@ -340,19 +425,19 @@ def test_the_book_expects_a_change_to_be_for_the_better_or_not(times: float, to:
 def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
     at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None, settled: bool = True,
-    grows: bool = True, leans: int = 0, diagnosis: Diagnosis | None = None, setpoints: tuple[float, ...] = (),
-    due: bool = True, n: int = 1000,
+    grows: bool = True, leans: int = 0, diagnosis: Diagnosis | None = None, moved: float = 0.0, due: bool = True,
+    n: int = 1000,
 ) -> Outcome:  # fmt: skip
     """A change that follows from a response, or with a code none, put to the book. times : of the good gains, in force.
 
-    expected : benefit by the models. setpoints : of the samples that are kept. n : those that are looked at.
+    expected : benefit by the models. moved : of the book, by the setpoint. n : samples that are looked at.
     """
     now = scaled(times)
     window = recorded(now, 5, n)
-    book = replace(begun(now) if first else after(now, 3), leans=leans)
+    book = replace(begun(now) if first else after(now, 3), leans=leans, moved=moved, moved_before=moved)
     record: Any = SimpleNamespace(
         region=0, region_models={0: SimpleNamespace(identifiable=True)}, excitation=Excitation(clear=int(shown)),
-        foreign=0, in_force=now, book=book, crossed=True, samples=[SimpleNamespace(sp=one) for one in setpoints],
+        foreign=0, in_force=now, book=book, crossed=True, samples=[],
         table=SimpleNamespace(lookup=Lookup.HARD), response=SimpleNamespace(band=100.0 if at_rest else 0.1),
     )  # fmt: skip
     look = Look(book, window, grows=grows, limited=0.0, due=due)
@@ -385,15 +470,16 @@ def test_a_change_whose_cause_the_book_does_not_see_needs_the_whole_diagnosis(
 
 
 @pytest.mark.parametrize(
-    ("setpoints", "bears", "asked"),
-    [((50.0, 55.0), True, False), ((50.0, 55.0), False, True), ((50.0, 50.0), True, True)],
+    ("moved", "bears", "asked"),
+    [(1.0, True, False), (1.0, False, True), (0.0, True, True)],
 )
 def test_more_action_that_samples_with_a_setpoint_step_bear_needs_no_whole_diagnosis(
-    monkeypatch: pytest.MonkeyPatch, setpoints: tuple[float, ...], *, bears: bool, asked: bool
+    monkeypatch: pytest.MonkeyPatch, moved: float, *, bears: bool, asked: bool
 ) -> None:
     monkeypatch.setattr(by_all_samples, "bears", lambda *_: bears)
+    monkeypatch.setattr(book_of_samples, "_moved_by_setpoint", lambda *_: 0.0)
     doubt = Diagnosis(Cause.STICTION, 0.9, {}, "a valve sticks")
-    found = put_to_the_book(1.0, 1.9, 0.8, doubt=doubt, first=True, setpoints=setpoints)
+    found = put_to_the_book(1.0, 1.9, 0.8, doubt=doubt, first=True, moved=moved)
     assert (found.proof is None) is asked
 
 
@@ -494,6 +580,32 @@ def test_no_model_without_that_pole_keeps_out_the_gain_that_held_it(monkeypatch:
         assert one._still_allowed(0) == expected
 
 
+def test_the_way_back_asks_all_samples_and_the_models_of_responses_as_witnesses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Under a tone a right cut was taken back to Ms 4.6: models of single responses called both sets unstable."""
+    before, tried = scaled(2.6), scaled(1.0)
+    fiction = Plausible(ProcessModel("fopdt", 12.0 * K, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
+    monkeypatch.setattr(known_processes, "still_allowed", lambda *_: (fiction,))
+    table = GainTable("loop", Regions("pv", "-", ("whole",), -1e6, (), 1e6, 1.0, 0.0), (tried,))
+    settings = RetunerSettings(1.0, 100.0)
+    known: Any = SimpleNamespace(settings=settings, table=table, where_gains_run={0: object()}, t_s=0.0)
+    found = known_of(known, 0, after(before, 3))
+    assert found.by_loads
+    assert found.likely()[-1] < 0.1, "a model whose Ms is far out in the book"
+    ran = SetsThatRan(before, tried, swings=0.1)
+    assert rollback(TrialEvent.RUNAWAY, ran, found, settings.trial).gains == tried
+
+
+@pytest.mark.parametrize(("records", "tone", "moved", "tells"), [(0, 0.0, 1.0, False), (2, 0.0, 0.0, True),
+                                                               (2, 0.9, 0.0, False), (2, 0.9, 1.0, True)])  # fmt: skip
+def test_the_book_tells_the_way_back_once_it_holds_a_window_that_a_tone_alone_did_not_move(
+    monkeypatch: pytest.MonkeyPatch, records: int, tone: float, moved: float, tells: bool
+) -> None:
+    monkeypatch.setattr(Book, "tone", tone)
+    assert replace(begun(), records=records, moved=moved).tells(SETTINGS.tone) is tells
+
+
 def test_more_action_that_would_take_robustness_is_not_taken_where_no_step_has_shown_the_process() -> None:
     assert put_to_the_book(1.0, 2.6, 2.0).proof
     assert put_to_the_book(1.0, 2.6, 2.0, shown=False, at_rest=True).proof is None
@@ -544,21 +656,23 @@ def test_samples_with_a_setpoint_step_ask_no_model_but_a_shown_one_and_of_a_valv
 
 
 @pytest.mark.parametrize(
-    ("by_loads", "shown", "times", "speaks"),
-    [(False, False, 0.4, True), (False, True, 0.4, False), (False, False, 1.0, False), (True, False, 0.4, False)],
-)
-def test_a_model_that_samples_with_a_setpoint_step_refute_does_not_say_that_all_is_well(
-    by_loads: bool, shown: bool, times: float, speaks: bool
+    ("by_loads", "shown", "code", "cause", "speaks"),
+    [(False, False, "ok", None, True), (False, False, "external", Cause.EXTERNAL, True),
+     (False, True, "ok", None, False), (True, False, "ok", None, False),
+     (True, False, "external", Cause.EXTERNAL, False), (False, False, "stiction", Cause.STICTION, False),
+     (True, False, "unknown", Cause.UNKNOWN, True)],
+)  # fmt: skip
+def test_what_the_setpoint_has_told_speaks_beside_any_model_that_no_clear_step_has_shown(
+    monkeypatch: pytest.MonkeyPatch, code: str, cause: Cause | None, *, by_loads: bool, shown: bool, speaks: bool
 ) -> None:
-    """With so many times the good gains, Ms of the process is 1.2 and 1.6, and that of the model 1.6."""
-    model = Plausible(ProcessModel("fopdt", K / times, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
-    record = SimpleNamespace(crossed=False, table=SimpleNamespace(lookup=Lookup.HARD), in_force=scaled(times))
-    question: Any = SimpleNamespace(record=record, trial=Trial(), settings=RetunerSettings(1.0, 100.0), alone=False)
-    known: Any = SimpleNamespace(plausible=(model,))
-    told: Any = SimpleNamespace()
-    seen = AllSamples(book=after(scaled(times), 3), told=told, shown=shown, by_loads=by_loads)
+    """Under a tone every response is one: nine disturbances left a loop at J 2.5, of which the book knew all."""
+    monkeypatch.setattr(by_all_samples, "may_follow", lambda *_: True)
+    record = SimpleNamespace(crossed=False, table=SimpleNamespace(lookup=Lookup.HARD))
+    question: Any = SimpleNamespace(record=record, trial=None, settings=None, alone=False)
+    own = Outcome(code, "", diagnosis=None if cause is None else Diagnosis(cause, 0.9, {}, ""))
+    seen = AllSamples(book=replace(begun(), moved=0.0 if by_loads else 1.0), shown=shown)
     look: Any = SimpleNamespace(limited=0.0)
-    assert by_all_samples._may_speak(Findings(question, in_use=known), Outcome("ok", ""), look, seen) is speaks
+    assert by_all_samples._may_speak(Findings(question), own, look, seen) is speaks
 
 
 def _follows(
@@ -568,7 +682,7 @@ def _follows(
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1)
     told = by_book(book, now, SETTINGS)
-    told = replace(told, numbers=replace(told.numbers, book_room=room))
+    told, book = replace(told, numbers=replace(told.numbers, book_room=room)), replace(book, moved=1.0 - by_loads)
     assert told.leans == 1
     model = Plausible(ProcessModel("fopdt", times * K, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
     table = GainTable("loop", Regions("pv", "-", ("whole",), -1e6, (), 1e6, 1.0, 0.0), (now,))
@@ -584,7 +698,7 @@ def _follows(
         dropped: Any = SimpleNamespace()
         own = Outcome("unconfirmed", "", numbers=ChoiceNumbers(0.5, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8), prediction=dropped)
         outcome = by_all_samples._proved_by_all_samples(
-            Findings(question), own, AllSamples(look, book, told=told, shown=shown, by_loads=by_loads)
+            Findings(question), own, AllSamples(look, book, told=told, shown=shown)
         )
     assert outcome is None or (outcome.numbers, outcome.prediction) == (NO_NUMBERS, None), "of the dropped change"
     return outcome is not None
@@ -602,29 +716,21 @@ def test_a_tone_that_a_response_is_diagnosed_as_counts_in_the_book(cause: Cause,
     assert (tones[1] > 1.2 * tones[0]) is more
 
 
-def test_more_action_needs_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = scaled(0.25)
-    book = replace(after(now, 3), leans=1)
-    assert by_book(book, now, SETTINGS).tuning
-    for room, by_loads, enough in ((0.6, False, False), (0.8, False, True), (0.8, True, False), (0.9, True, True)):
-        monkeypatch.setattr(settings_by_book, "shares", lambda *_, room=room: (0.1, room))
-        told = by_book(book, now, SETTINGS, by_loads=by_loads)
-        assert (told.leans == 1, told.tuning is not None) == (enough, enough)
-
-
-@pytest.mark.parametrize(("setpoints", "alone"), [((50.0, 50.0, 50.0), True), ((50.0, 55.0, 55.0), False)])
-def test_loads_alone_have_moved_a_loop_whose_setpoint_stood_in_all_that_is_kept(
-    monkeypatch: pytest.MonkeyPatch, setpoints: tuple[float, ...], *, alone: bool
+@pytest.mark.parametrize(
+    ("room", "moved", "tone", "enough"),
+    [(0.6, 1.0, 0.0, False), (0.8, 1.0, 0.0, True), (0.8, 0.0, 0.0, False), (0.9, 0.0, 0.0, True),
+     (0.8, 1.0, 0.9, False), (0.9, 1.0, 0.9, True)],
+)  # fmt: skip
+def test_more_action_needs_room_and_more_of_it_by_loads_alone_and_under_a_tone(
+    monkeypatch: pytest.MonkeyPatch, room: float, moved: float, tone: float, *, enough: bool
 ) -> None:
-    asked: list[bool] = []
-
-    def noted(*given: Any, by_loads: bool) -> ByBook:
-        asked.append(by_loads)
-        return by_book(*given, by_loads=by_loads)
-
-    monkeypatch.setattr(by_all_samples, "by_book", noted)
-    put_to_the_book(1.0, 0.7, 0.7, setpoints=setpoints)
-    assert asked == [alone]
+    now = scaled(0.25)
+    book = replace(after(now, 3), leans=1, moved=moved)
+    monkeypatch.setattr(settings_by_book, "shares", lambda *_: (0.1, room))
+    monkeypatch.setattr(settings_by_book, "_other_ratios", lambda *_, **__: ())
+    monkeypatch.setattr(Book, "tone", tone)
+    told = by_book(book, now, SETTINGS)
+    assert (told.leans == 1, told.tuning is not None) == (enough, enough)
 
 
 @pytest.mark.parametrize(("grows", "before", "kept"), [(True, 0, 0), (False, 0, -1)])
@@ -693,6 +799,12 @@ def test_a_set_on_trial_is_robust_by_all_samples_once_those_of_its_trial_are_amo
     told = by_book(book, scaled(times), SETTINGS).numbers
     winner = Outcome("unknown", "", book=book if looked else None, all_samples=told)
     assert by_all_samples.robust_by_all_samples(Findings(question), winner) is robust
+    high = replace(winner, all_samples=replace(told, book_high=0.3))
+    for tone in (0.1, 0.9):  # a tone that moved the loop before explains that it swings
+        under = replace(high, all_samples=replace(told, book_high=0.3, book_tone=tone))
+        assert by_all_samples.robust_by_all_samples(Findings(question), under) is (
+            (looked or silent > 0) and tone > 0.5
+        )
 
 
 def test_a_window_shorter_than_the_interval_of_the_book_says_nothing() -> None:
@@ -713,7 +825,6 @@ def test_a_response_that_asked_for_less_is_no_reason_for_more(
     refused: Any = SimpleNamespace(changes=False)
     seen: Any = SimpleNamespace(told=SimpleNamespace(leans=leans), entered=lambda winner: winner)
     proposals: list[object] = []
-    monkeypatch.setattr(decide, "set_before", lambda *_: None)
     monkeypatch.setattr(decide, "all_samples", lambda *_: seen)
     monkeypatch.setattr(decide, "objection", lambda *_: refused)
     monkeypatch.setattr(decide, "proposal_by_all_samples", lambda *_: proposals.append(1))

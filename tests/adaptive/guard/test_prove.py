@@ -221,10 +221,6 @@ REACHED: dict[Ruling, tuple[ChangeRequest, GuardSettings]] = {
         replace(request(times(3, 3), models=()), evidence=Evidence(support=Support.PATTERN), urgent=True),
         SETTINGS,
     ),
-    Ruling.UNPROVED_BACK: (
-        replace(request(times(0.5, 0.5), models=()), evidence=Evidence(support=Support.RAN)),
-        SETTINGS,
-    ),
     Ruling.TOO_SMALL: (request(times(0.97, 0.98)), SETTINGS),
     Ruling.NOT_ROBUST: (request(times(0.9, 0.5), models=known(0.45)), SETTINGS),
     Ruling.NOT_ROBUST_AT_BORDER: (replace(request(times(0.8, 0.8)), borders=(neighbour(FASTER),)), SETTINGS),
@@ -247,7 +243,6 @@ ACCEPTING = {
     Ruling.SAFER,
     Ruling.UNPROVED_STEP,
     Ruling.UNPROVED_WAY_OUT,
-    Ruling.UNPROVED_BACK,
 }
 """Rulings that let gains through."""
 

@@ -25,6 +25,7 @@ from retuner.adaptive.trial.rollback import (
     SetsThatRan,
     StillAllowed,
     expected_losses,
+    less_stable,
     loss_of,
     rollback,
 )
@@ -202,6 +203,14 @@ def test_an_unlikely_model_counts_for_as_much_as_it_is_likely() -> None:
     for weights, stays in (((1.0, 0.02), True), ((1.0, 1.0), False)):
         known = StillAllowed((calm, PROCESS), weights=weights)
         assert rollback(E.STOPPED, SetsThatRan(old, tried, swings=0.1), known, TrialSettings()).stays is stays
+
+
+@pytest.mark.parametrize(("weight", "back"), [(0.02, True), (0.5, False)])
+def test_a_door_is_closed_by_models_that_are_likely(weight: float, back: bool) -> None:
+    """One model of a hundred that calls the set before unstable kept it out, however unlikely it was."""
+    calm = LinearProcess(0.3, (50.0,), (), 5.5)
+    known = StillAllowed((calm, PROCESS), weights=(1.0, weight))
+    assert (less_stable(SETS["unstable"], SETS["right"], known, HARMLESS) == "") is back
 
 
 def test_without_a_model_what_was_seen_decides() -> None:

@@ -18,7 +18,6 @@ from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import seen_of
 from retuner.adaptive.supervision.question import OTHER_LOOP, Question
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.decider import Answer
 from retuner.one_plant import deciding
@@ -236,7 +235,7 @@ def test_a_response_of_a_trial_that_another_loop_moved_says_nothing_and_all_samp
     found = decide.decide(asked)
     assert (found.code, found.reason) == (OTHER_LOOP, "more action")
     record = cast("Any", SimpleNamespace(window=SimpleNamespace(t_s=[199.0]), samples=[], response=None, crossed=False))
-    seen = seen_of(record, found, RetunerSettings(DT_S, 100.0))
+    seen = seen_of(record, found)
     assert seen.outside  # so the judge finds it inconclusive
     assert seen.next_due  # and the trial makes room
     monkeypatch.setattr(decide, "gains_that_win", lambda _, own: own)
