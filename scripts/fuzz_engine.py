@@ -203,7 +203,7 @@ def call_walk(random: Random) -> list[Any]:
         walks.extend((degree, *(random.choice((1.0, random.random())) for _ in range(3)), -0.9, 0.2, 0.0))
     poles = [array("d", [random.random() for _ in range(random.randint(low, 4))]) for low in (1, 0)]
     late = array("d", [random.choice((0.0, 0.5, 3.0, 70.0, random.uniform(0, 90))) for _ in range(deads)])
-    tones = random.randint(0, 8)
+    tones = random.randint(0, 12)
     ends = array("d", sorted(random.randint(0, tones) for _ in range(random.randint(1, 4))))
     cells = loads * len(ends) * len(poles[0]) * inputs * deads
     return [numbers(random, n), numbers(random, inputs * n), walks, *poles, late, array("d", (0.9, 0.1, 1e-4)),
@@ -215,8 +215,9 @@ def call_mix(random: Random) -> list[Any]:
     loads, rows, deads, many = random.randint(1, 4), random.randint(1, 3), random.randint(1, 3), random.randint(0, 5)
     cells = loads * rows * deads
     positive = [array("d", (10 ** random.uniform(-9, 3) for _ in range(cells))) for _ in range(2)]
-    return [numbers(random, cells), *positive, array("d", [60.0] * loads), numbers(random, rows * many), 1.0, rows,
-            zeros(rows * deads * many)]  # fmt: skip
+    groups = array("d", (float(random.random() < 0.5) for _ in range(loads * random.randint(0, 3))))
+    return [numbers(random, cells), *positive, array("d", [60.0] * loads), numbers(random, rows * many), groups, 1.0,
+            rows, zeros(len(groups) // loads * rows * deads * many)]  # fmt: skip
 
 
 def stepped(random: Random) -> list[Any]:

@@ -441,9 +441,9 @@ WIDE static void add_exps(const double *restrict x, const double *restrict top, 
         double c = 6.61375632143793436117e-05 + rr * (-1.65339022054652515390e-06 + rr * 4.13813679705723846039e-08);
         c = r - rr * (1.66666666666666019037e-01 + rr * (-2.77777777770155933842e-03 + rr * c));
         y = 1 + (r * c / (2 - c) - low + high);
-        int64_t bits, power;
+        uint64_t bits, power;
         memcpy(&bits, &y, sizeof bits), memcpy(&power, &turned, sizeof power);
-        bits += (int64_t)((uint64_t)power << 52);
+        bits += power << 52;
         memcpy(&y, &bits, sizeof bits);
         sum[i] += y;
     }
@@ -451,7 +451,8 @@ WIDE static void add_exps(const double *restrict x, const double *restrict top, 
 
 /* ln of the mean over some loads of exp(-half ln((left + information (K - gain)^2) / size)) at every gain K of a row's grid.
  * gain, information, left : (load_count, row_count, dead_count). gains : (row_count, gain_count). half : (load_count).
- * groups : (group_count, load_count), 1 for a load that is in one. out : (group_count, row_count, dead_count, gain_count). */
+ * groups : (group_count, load_count), 1 for a load that is in one; one of none has no answer (NaN). out : (group_count,
+ * row_count, dead_count, gain_count). */
 typedef struct {
     const double *gain, *information, *left, *half, *gains, *groups;
     Py_ssize_t load_count, row_count, dead_count, gain_count, group_count;
