@@ -4,7 +4,7 @@ without a tone from outside and with one (tone.py).
     L         the likelihood of a window of samples, whatever the gains were while it was recorded: co is the input
     1/T       its power: what the setpoint makes co do is trusted more than what loads do (wandering_load.py)
     update    ln w  <-  ln w + ln((1 - ODD) L / max L + ODD mean L / max L)
-    move      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard);      a tone begins and ends likewise
+    fade      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard);      a tone begins and ends likewise
 
 A tone lasts, so that it is kept with each process whether there is one: a single window of it may look like a loop near
 instability, and several of them would make that sure. Under a tone and by loads alone, next to nothing tells a process
@@ -19,7 +19,8 @@ those that run away by themselves have RUNAWAYS of the odds together, shared by 
 or shares of them: the first gains may be too large.
 
 A window that still grows is weighed anew each time: `whole` is what was known before it. The weights are kept in levels
-of STEP, so that a book that was stored is the same as one that was not.
+of STEP, so that a book that was stored is the same as one that was not. A fade of less than a level would be lost to
+rounding: it waits until it is more, by the clock, whatever is looked at meanwhile.
 """
 
 import base64
@@ -31,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from retuner.adaptive.explanations.likely_processes import LikelyProcesses
+from retuner.adaptive.explanations.likely_processes import BoolArray, LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     EVERY_LAG,
@@ -83,8 +84,9 @@ class Book:
     """What is known of a process.
 
     direction : sign of its gain. unit, dt_s : what loop gains and times of the grid are counted in. t_s : time up to
-    which samples are entered for good. records : windows entered. leans : what followed at the last look, -1
-    less action, 1 more, 0 nothing. moved : how far the moves of the setpoint tell the process, 0 to 1: the sum of
+    which samples are entered for good. faded_s : up to which what is known has faded, of the process and of a tone.
+    records : windows entered that said something. leans : what followed at the last look, -1 less action, 1 more,
+    0 nothing. moved : how far the moves of the setpoint tell the process, 0 to 1: the sum of
     their shares of the windows, by themselves from one on; moved_before : the same without the window that still
     grows. levels : of each process of the grid on each of PLANES, how many STEP its logarithm of the weight lies under
     the largest; whole : the same without the window that still grows; prior : before any record. One byte each.
@@ -94,6 +96,7 @@ class Book:
     unit: float
     dt_s: float
     t_s: float
+    faded_s: tuple[float, float]
     records: int
     leans: int
     moved: float
@@ -105,21 +108,27 @@ class Book:
     @classmethod
     def begun(cls, gains: PidGains, dt_s: float, t_s: float) -> "Book":
         """The book before any record. gains : in force. dt_s : interval of the condensed samples."""
-        known = robustness(gains, dt_s)
-        possible = (known.ultimate * BEYOND >= GAINS) & (known.room(MS_OF_ROOM) <= MOST_ROOM)
-        unit, count = gain_unit(gains, dt_s), len(shapes())
-        rows, dead, gain = np.indices((len(shapes(EVERY_LAG)) - count, *GRID[1:])).reshape(3, -1)
-        rows = rows + count
-        answers: ComplexArray = responses_of(rows, dead) * (GAINS[gain] / unit)[:, None]
-        places = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))
-        away, g = LikelyProcesses(places, np.ones(len(places)), answers, dt_s), gains
-        under = [away.stable(PidGains(x * g.kp, x * g.ki, x * g.kd)) for x in SHARES]
-        held = np.any(under, axis=0).reshape(-1, *GRID[1:])
-        rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
-        logs = np.concatenate([np.where(possible, 0.0, -math.inf), np.where(held, rare, -math.inf)])
-        tones = logs + np.log([1.0 - TONE, TONE])[:, None, None, None]
-        levels = _levels(np.concatenate([tones, np.tile(logs, (PLANES[0] - WEIGHED, 1, 1, 1))]))
-        return cls(gains.direction, unit, dt_s, t_s, 0, 0, 0.0, 0.0, levels, levels, levels)
+        unit = gain_unit(gains, dt_s)
+        levels = _levels(_prior(*_possible(gains, dt_s, unit)))
+        return cls(gains.direction, unit, dt_s, t_s, (t_s, t_s), 0, 0, 0.0, 0.0, levels, levels, levels)
+
+    def under(self, gains: PidGains) -> "Book":
+        """The book while these gains are in force: a process that they make possible is no longer left out. Where they
+        act more than the first ones did, it is as likely as before any record; where less, it comes with a change of
+        the process, since under the first ones the loop would have been unstable.
+        """
+        before = _array(self.prior)[0] != DEEPEST
+        now = np.concatenate(_possible(gains, self.dt_s, self.unit))
+        if not np.any(now & ~before):
+            return self
+        prior = _levels(_prior(*np.split(now | before, [len(shapes())])))
+        book, fresh = replace(self, prior=prior), _weights(prior).copy()
+        if gain_unit(gains, self.dt_s) <= self.unit:
+            return book
+        fresh[:, before] = 0.0
+        enters = float(fresh[:WEIGHED].sum())
+        levels, whole = (_mixed(_weights(known), fresh, enters) for known in (self.levels, self.whole))
+        return replace(book, levels=levels, whole=whole)
 
     def weights(self) -> FloatArray:
         """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
@@ -162,7 +171,7 @@ class Book:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        numbers = ("direction", "unit", "dt_s", "t_s", "records", "leans", "moved", "moved_before")
+        numbers = ("direction", "unit", "dt_s", "t_s", "faded_s", "records", "leans", "moved", "moved_before")
         kept = {name: getattr(self, name) for name in numbers}
         arrays = {name: zlib.compress(getattr(self, name)) for name in ("levels", "whole", "prior")}
         return kept | {name: base64.b64encode(packed).decode("ascii") for name, packed in arrays.items()}
@@ -174,42 +183,70 @@ class Book:
         Raises KeyError, TypeError, ValueError: something is missing, of the wrong kind, or of another grid.
         """
         levels, whole, prior = (_unpacked(str(body[name])) for name in ("levels", "whole", "prior"))
+        process_s, tone_s = (float(at) for at in body["faded_s"])
         unit, dt_s, t_s = (float(body[name]) for name in ("unit", "dt_s", "t_s"))
         moved, before = float(body["moved"]), float(body["moved_before"])
         shares = 0.0 <= moved <= 1.0 and 0.0 <= before <= 1.0
-        if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s) and shares):
+        if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s + process_s + tone_s) and shares):
             raise ValueError(f"a book of unit {unit}, interval {dt_s} s, time {t_s} s, moved by {moved}, {before}")
         direction = 1 if int(body["direction"]) > 0 else -1
-        records, leans = int(body["records"]), int(body["leans"])
-        return cls(direction, unit, dt_s, t_s, records, leans, moved, before, levels, whole, prior)
+        records, leans, faded_s = int(body["records"]), int(body["leans"]), (process_s, tone_s)
+        return cls(direction, unit, dt_s, t_s, faded_s, records, leans, moved, before, levels, whole, prior)
 
 
-def update(book: Book, window: Window, *, grows: bool = False) -> Book:
+@lru_cache(maxsize=64)
+def _possible(gains: PidGains, dt_s: float, unit: float) -> tuple[BoolArray, BoolArray]:
+    """Processes on which a loop at work may be (head of this file), and those that run away and may be held."""
+    known = robustness(gains, dt_s, unit)
+    possible = (known.ultimate * BEYOND >= GAINS * known.scale) & (known.room(MS_OF_ROOM) <= MOST_ROOM)
+    count = len(shapes())
+    rows, dead, gain = np.indices((len(shapes(EVERY_LAG)) - count, *GRID[1:])).reshape(3, -1)
+    rows = rows + count
+    answers: ComplexArray = responses_of(rows, dead) * (GAINS[gain] / unit)[:, None]
+    places = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))
+    away, g = LikelyProcesses(places, np.ones(len(places)), answers, dt_s), gains
+    under = [away.stable(PidGains(x * g.kp, x * g.ki, x * g.kd)) for x in SHARES]
+    return np.asarray(possible), np.asarray(np.any(under, axis=0).reshape(-1, *GRID[1:]))
+
+
+def _prior(possible: BoolArray, held: BoolArray) -> FloatArray:
+    """Logarithms of the weights before any record, shape PLANES."""
+    rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
+    logs = np.concatenate([np.where(possible, 0.0, -math.inf), np.where(held, rare, -math.inf)])
+    tones = logs + np.log([1.0 - TONE, TONE])[:, None, None, None]
+    return np.concatenate([tones, np.tile(logs, (PLANES[0] - WEIGHED, 1, 1, 1))])
+
+
+def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: bool = False) -> Book:
     """Take in a window of all samples since the last one. A window shorter than the interval of the book says nothing.
 
-    grows : the window will come again, with more samples.
+    hazard_s : mean time after which the process is another one. grows : the window will come again, with more samples.
     """
     if len(window.t_s) < round(book.dt_s / window.sample_time_s):
         return book
-    record, share = Prepared.at(window, book.dt_s), 0.0
-    logs = -STEP * _array(book.whole)
-    if len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0:  # else it says nothing
+    last_s = float(window.t_s[-1])
+    record, share, known = Prepared.at(window, book.dt_s), 0.0, faded(book, last_s, hazard_s)
+    logs = _logs(known.whole)
+    says = len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
+    if says:
         columns, taken, prices = likeliest_tone(Prepared.at(replace(window, pv=window.sp - window.pv), book.dt_s).pv)
         each, by_order = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG)
         alone, *toned = (one - price / TEMPER for one, price in zip(each, prices, strict=True))
-        share = _moved_by_setpoint(record, Prepared.at(replace(window, pv=window.sp), book.dt_s).pv, alone)
         beside = np.logaddexp.reduce(toned) - math.log(len(toned))
+        either = np.maximum(alone + math.log(1.0 - TONE), beside + math.log(TONE))
+        likeliest = np.where(np.isneginf(logs[0]), -math.inf, either)
+        share = _moved_by_setpoint(record, Prepared.at(replace(window, pv=window.sp), book.dt_s).pv, likeliest)
         power, by_steps = TEMPER / temper(share), share * TEMPER / T_SETPOINT
         found = np.array([power * alone, power * beside, by_steps * beside, *(power * by_order)])
         for one in WHOLE:
-            part = np.exp(found[one] - float(np.max(found[one])))
-            logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part)))
-    logs[_array(book.whole) == DEEPEST] = -math.inf
-    now = replace(book, levels=_levels(logs), moved=min(book.moved_before + share, 1.0))
+            kept = ~np.isneginf(logs[one])
+            part = np.exp(found[one] - float(np.max(found[one][kept])))
+            logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part[kept])))
+    levels, moved = _levels(logs), min(known.moved_before + share, 1.0)
     if grows:
-        return now
-    last_s, records = float(window.t_s[-1]), book.records + 1
-    return replace(now, whole=now.levels, moved_before=now.moved, t_s=last_s, records=records)
+        return replace(book, levels=levels, moved=moved)
+    records = book.records + bool(says)
+    return replace(known, levels=levels, whole=levels, moved=moved, moved_before=moved, t_s=last_s, records=records)
 
 
 def _moved_by_setpoint(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> float:
@@ -222,21 +259,26 @@ def _moved_by_setpoint(record: Prepared, setpoint: FloatArray, likelihood: Float
     return setpoint_share(record, np.concatenate([np.zeros(late), setpoint])[:n], abs(shape.lag))[1]
 
 
-def move(book: Book, elapsed_s: float, hazard_s: float) -> Book:
-    """Let a time pass in which the process may have become another one, and a tone may have begun or ended.
-
-    hazard_s : mean time after which the process has.
+def faded(book: Book, now_s: float, hazard_s: float) -> Book:
+    """What is known by now of the windows before: the process may have become another one, and a tone may have begun or
+    ended. What is less than a level waits (head of this file).
     """
-    change, turn = (-math.expm1(-max(elapsed_s, 0.0) / lasts) for lasts in (hazard_s, TONE_LASTS * book.dt_s))
-    weights = _weights(book.whole).copy()
+    lasts = hazard_s, TONE_LASTS * book.dt_s
+    shares = [-math.expm1(-max(now_s - at, 0.0) / one) for at, one in zip(book.faded_s, lasts, strict=True)]
+    change, turn = (share if share >= STEP else 0.0 for share in shares)
+    if not (change or turn):
+        return book
+    weights, (process_s, tone_s) = _weights(book.whole).copy(), book.faded_s
     alone = weights[:WEIGHED].sum(axis=0)
     weights[:WEIGHED] += turn * (np.array([1.0 - TONE, TONE])[:, None, None, None] * alone - weights[:WEIGHED])
-    return replace(book, moved_before=(1.0 - change) * book.moved_before, whole=_mixed(weights, book.prior, change))
+    faded_s = now_s if change else process_s, now_s if turn else tone_s
+    whole, moved = _mixed(weights, _weights(book.prior), change), (1.0 - change) * book.moved_before
+    return replace(book, whole=whole, moved_before=moved, faded_s=faded_s)
 
 
 def doubted(book: Book, change: float) -> Book:
     """Where the process has become another one with this probability."""
-    levels, whole = (_mixed(_weights(known), book.prior, change) for known in (book.levels, book.whole))
+    levels, whole = (_mixed(_weights(known), _weights(book.prior), change) for known in (book.levels, book.whole))
     moved, before = ((1.0 - change) * known for known in (book.moved, book.moved_before))
     return replace(book, moved=moved, moved_before=before, levels=levels, whole=whole)
 
@@ -255,22 +297,25 @@ def heard(book: Book, sure: float, *, tone: bool) -> Book:
 
 
 def _with(known: bytes, more: FloatArray) -> bytes:
-    logs = np.where(_array(known) == DEEPEST, -math.inf, -STEP * _array(known))
+    logs = _logs(known)
     logs[:WEIGHED] += more
     return _levels(logs)
 
 
-def _mixed(weights: FloatArray, prior: bytes, change: float) -> bytes:
-    """Where the process has become another one with this probability; a tone that is there stays."""
-    fresh = _weights(prior).copy()
+def _mixed(weights: FloatArray, fresh: FloatArray, change: float) -> bytes:
+    """Where the process is another one with this probability, of these weights; a tone that is there stays."""
     known, before = (np.sum(x[:WEIGHED], axis=(1, 2, 3), keepdims=True) for x in (weights, fresh))
-    fresh[:WEIGHED] *= known / before
+    fresh = np.concatenate([fresh[:WEIGHED] * known / before, fresh[WEIGHED:]])
     with np.errstate(divide="ignore"):  # what was left out stays out
         return _levels(np.log((1.0 - change) * weights + change * fresh))
 
 
 def _array(levels: bytes) -> FloatArray:
     return np.frombuffer(levels, dtype=np.uint8).reshape(PLANES).astype(np.float64)
+
+
+def _logs(levels: bytes) -> FloatArray:
+    return np.where(_array(levels) == DEEPEST, -math.inf, -STEP * _array(levels))
 
 
 @lru_cache(maxsize=4)  # a decision asks the same ones many times

@@ -114,12 +114,14 @@ class ByBook:
     """numbers : of the gains in force. leans : see Book. tuning : settings worth having, None for none.
 
     models : on which they are to be proved, the one in the middle first; without the share that may come out badly.
+    tells_tone : whether a tone is likely enough to be told.
     """
 
     numbers: BookNumbers
     leans: int = 0
     tuning: Tuning | None = None
     models: tuple[Plausible, ...] = ()
+    tells_tone: bool = False
 
     @property
     def words(self) -> str:
@@ -127,12 +129,11 @@ class ByBook:
         n = self.numbers
         most = "or more" if n.book_ms_high >= MS_SHOWN else f"to {n.book_ms_high:.2f}"
         odds = f"{n.book_high:.0%} probability that Ms is over its limit, {n.book_room:.0%} that there is room for more"
-        tone = f", {n.book_tone:.0%} that an external oscillation moves the loop" if n.book_tone >= TONE_SHOWN else ""
+        tone = f", {n.book_tone:.0%} that an external oscillation moves the loop" if self.tells_tone else ""
         return f"from all samples, Ms {n.book_ms:.2f} ({n.book_ms_low:.2f} {most}); {odds}{tone}"
 
 
-MS_SHOWN, TONE_SHOWN = 20.0, 0.2
-"""A larger Ms, and an unstable loop, is told as this; a tone that is less likely is not told."""
+MS_SHOWN = 20.0  # a larger Ms, and an unstable loop, is told as this
 
 
 def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
@@ -161,17 +162,18 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     leans = 0 if book.tone * (1.0 - book.moved) >= settings.tone else leans
     odds = high if leans < 0 else room if told else 0.0
     sure = odds >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
+    said = ByBook(numbers, leans, tells_tone=book.tone >= settings.tone)
     if not leans or (leans != book.leans and not sure):
-        return ByBook(numbers, leans)
+        return said
     found = (
         one for one in worthwhile[: None if told else 1] if leans > 0 or _by_each_order(book, gains, one[1], settings)
     )
     if (best := next(found, None)) is None:
-        return ByBook(numbers, leans)
+        return said
     worth, new, peaks = best
     asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (leans < 0))
     tuning, models = Tuning("simc", "series", new), _proved_on(book, drawn, np.where(asked, peaks, np.nan), settings)
-    return ByBook(replace(numbers, book_worth=worth), leans, tuning, models)
+    return replace(said, numbers=replace(numbers, book_worth=worth), tuning=tuning, models=models)
 
 
 def shares(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> tuple[float, float]:

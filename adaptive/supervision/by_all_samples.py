@@ -23,7 +23,7 @@ from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, move, update
+from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, update
 from retuner.adaptive.explanations.likely_processes import cost_at
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, bears, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
@@ -160,12 +160,10 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
         look = None  # a look is dear
     if look is not None:
         windows = (*look.earlier, look.window)
-        book = look.book or Book.begun(gains, interval_s(gains, dt_s), float(windows[0].t_s[0]))
+        book = (look.book or Book.begun(gains, interval_s(gains, dt_s), float(windows[0].t_s[0]))).under(gains)
         book = doubted(book, settings.changed_odds) if changed else book
-        for at, window in enumerate(windows):
-            if at or not changed:
-                book = move(book, float(np.ptp(window.t_s)), settings.hazard_s)
-            book = update(book, window, grows=look.grows and window is look.window)
+        for window in windows:
+            book = update(book, window, hazard_s=settings.hazard_s, grows=look.grows and window is look.window)
     external = own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL  # else a swing of the loop's own
     if book is not None and (external or (found.foreign is not None and found.foreign < record.foreign)):
         book = heard(book, MOST[Cause.EXTERNAL], tone=external)

@@ -18,7 +18,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations import book as book_of_samples
 from retuner.adaptive.explanations import settings_by_book
-from retuner.adaptive.explanations.book import BY_STEPS, ODD, PLANES, RUNAWAYS, Book, doubted, move, update
+from retuner.adaptive.explanations.book import BY_STEPS, ODD, PLANES, RUNAWAYS, Book, doubted, faded, update
 from retuner.adaptive.explanations.likely_processes import WorthSettings
 from retuner.adaptive.explanations.process_grid import shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
@@ -218,12 +218,13 @@ def test_what_stands_still_says_nothing() -> None:
     window, book = recorded(GOOD, 9, 200), begun()
     still = Window(window.t_s, window.sp, np.zeros(200), np.zeros(200))
     assert update(book, still).levels == book.levels
+    assert update(book, still).records == 0
 
 
 def test_what_is_known_fades() -> None:
     book = after(GOOD, 10)
-    assert move(book, 0.0, SETTINGS.hazard_s).whole == book.whole
-    assert move(book, 1e3 * SETTINGS.hazard_s, SETTINGS.hazard_s).whole == book.prior
+    assert faded(book, 0.0, SETTINGS.hazard_s).whole == book.whole
+    assert faded(book, 1e3 * SETTINGS.hazard_s, SETTINGS.hazard_s).whole == book.prior
 
 
 def test_a_stored_book_is_the_same() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retuner.adaptive.explanations.book import TONE, TONE_LASTS, Book, doubted, heard, move, update
+from retuner.adaptive.explanations.book import TONE, TONE_LASTS, Book, doubted, faded, heard, update
 from retuner.adaptive.explanations.process_grid import robustness
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book
 from retuner.adaptive.explanations.tone import likeliest_tone
@@ -90,6 +90,8 @@ def test_a_tone_is_not_taken_for_a_loop_near_instability(period: float, jitter: 
     assert told.numbers.book_high < SETTINGS.less_odds
     assert told.tuning is None
     assert "that an external oscillation moves the loop" in told.words
+    deaf = replace(SETTINGS, tone=0.9)
+    assert ("that an external" in by_book(book, GOOD, deaf).words) == (book.tone >= 0.9), "as the setting has it"
 
 
 def test_without_it_that_record_would_have_been_a_loop_near_instability() -> None:
@@ -112,7 +114,7 @@ def test_the_swing_of_a_loop_near_instability_is_no_tone() -> None:
 
 def test_a_tone_ends_as_time_goes_by() -> None:
     book = update(Book.begun(GOOD, 1.0, 0.0), recorded(GOOD, cycle(60.0, 0.0)))
-    later, much_later = (replace(b, levels=b.whole) for b in (move(book, t, 1e12) for t in (1000.0, 9.0 * TONE_LASTS)))
+    later, much_later = (replace(b, levels=b.whole) for b in (faded(book, t, 1e12) for t in (2000.0, 9.0 * TONE_LASTS)))
     assert TONE + 0.5 < later.tone < book.tone
     assert much_later.tone == pytest.approx(TONE, abs=0.02)
     assert np.allclose(much_later.weights(), book.weights(), atol=1e-4)  # of the process nothing was forgotten
@@ -128,7 +130,7 @@ def test_what_diagnoses_of_responses_find_counts_in_the_book() -> None:
         said = heard(said, 0.76, tone=True)
     assert begun.tone < 0.5
     assert said.tone > 0.9
-    assert move(said, 0.0, 1e9).tone == pytest.approx(said.tone, abs=0.01), "also where a window is weighed anew"
+    assert faded(said, 0.0, 1e9).tone == pytest.approx(said.tone, abs=0.01), "also where a window is weighed anew"
     for _ in range(10):
         said = heard(said, 0.76, tone=False)
     assert said.tone == pytest.approx(begun.tone, abs=0.03)
@@ -173,7 +175,7 @@ def test_what_the_setpoint_has_told_counts_once_for_a_window_that_grows_and_fade
     assert (grown.moved, grown.moved_before) == (update(Book.begun(WEAK, 1.0, 0.0), window).moved, 0.0)
     whole = update(grown, window)
     assert doubted(whole, 0.5).moved == 0.5 * whole.moved == doubted(whole, 0.5).moved_before
-    assert move(whole, math.log(2.0), 1.0).moved_before == pytest.approx(0.5 * whole.moved)
+    assert faded(whole, math.log(2.0) * 1e4, 1e4).moved_before == pytest.approx(0.5 * whole.moved)
     assert Book.from_dict(whole.to_dict()) == whole
     for wrong in (math.nan, -0.1, 1.1):
         with pytest.raises(ValueError, match=f"moved by {wrong}"):
