@@ -12,11 +12,12 @@ No less where a process that runs away by itself is alive and would be held wors
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
 How the spectrum of a load falls is assumed, and in closed loop much of what a record says rests on that (Forssell &
-Ljung 1999). So less action must be as likely better as not under each order of the walk by itself.
+Ljung 1999). So less action must be as likely better as not under each order of the walk by itself, and an integral time
+that is made shorter no shorter than the rule's.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -147,7 +148,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
     middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    integral_times, tried = _integral_times(book, drawn), list[PidGains]()
+    by_orders, tried = _by_orders(book, settings), list[PidGains]()
+    integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
     needed = settings.borne_out if told and book.tone < settings.tone else settings.more_odds
     if max(room, high) >= needed:  # also where Ms is too high, if more action makes it less
         tried += _more(gains, integral_times, settings)
@@ -165,10 +167,10 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     said = ByBook(numbers, leans, tells_tone=book.tone >= settings.tone)
     if not leans or (leans != book.leans and not sure):
         return said
-    found = (
-        one for one in worthwhile[: None if told else 1] if leans > 0 or _by_each_order(book, gains, one[1], settings)
-    )
-    if (best := next(found, None)) is None:
+    best = worthwhile[0] if worthwhile else None  # by loads alone less action is the best or none
+    if leans < 0 and not told and best is not None and not _by_each(by_orders, gains, best[1], settings):
+        best = None
+    if best is None:
         return said
     worth, new, peaks = best
     asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (leans < 0))
@@ -231,15 +233,17 @@ def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGain
     return series_kept(PidGains(*times), gains)
 
 
-def _more(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -> Iterator[PidGains]:
-    """Candidates with more action. integral_times : of the rule, seconds, on each process as likely as the others."""
+def _more(gains: PidGains, integral_times: Sequence[FloatArray], settings: BookSettings) -> Iterator[PidGains]:
+    """Candidates with more action. integral_times : of the rule, seconds, on each process as likely as the others; by
+    the whole, then under each order of load by itself.
+    """
     for times in MORE:
         for shorter in _bearable(gains, SHORTER, integral_times, settings):
             if 1.0 < times / shorter <= AT_ONCE:
                 yield _times(gains, times, shorter)
 
 
-def _less(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -> Iterator[PidGains]:
+def _less(gains: PidGains, integral_times: Sequence[FloatArray], settings: BookSettings) -> Iterator[PidGains]:
     """Candidates with less gain and no more integral action. A loop may have too much of the one and too little of the
     other for it: then the integral time falls with the gain. integral_times : as in `_more`.
     """
@@ -250,7 +254,7 @@ def _less(gains: PidGains, integral_times: FloatArray, settings: BookSettings) -
 
 
 def _other_ratios(
-    gains: PidGains, integral_times: FloatArray, settings: BookSettings, *, shorter: bool
+    gains: PidGains, integral_times: Sequence[FloatArray], settings: BookSettings, *, shorter: bool
 ) -> Iterator[PidGains]:
     """Candidates with more gain and no more integral action: a loop may have too much of this for its gain. shorter :
     and those with less gain and more integral action, whose shorter integral time rests on how long a lag is, which
@@ -269,17 +273,20 @@ def _other_ratios(
 
 
 def _bearable(
-    gains: PidGains, factors: tuple[float, ...], integral_times: FloatArray, settings: BookSettings
+    gains: PidGains, factors: tuple[float, ...], integral_times: Sequence[FloatArray], settings: BookSettings
 ) -> Iterator[float]:
-    """Factors on the integral time; of the shorter ones those that are not shorter than the rule's next to anywhere."""
+    """Factors on the integral time; of the shorter ones those that are not shorter than the rule's next to anywhere,
+    nor probably under one order of load: a real one makes too short a lag as good as sure.
+    """
     both = bool(gains.kp and gains.ki)
     for factor in factors if both else (1.0,):
         least = factor * gains.kp / gains.ki if both else math.inf
-        if factor >= 1.0 or float(np.mean(integral_times > SLACK * least)) <= settings.bad_share:
+        short = [float(np.mean(one > SLACK * least)) for one in integral_times]
+        if factor >= 1.0 or (short[0] <= settings.bad_share and max(short) <= HALF):
             yield factor
 
 
-HALF = 0.5  # odds of being better that less action needs under each order of load by itself
+HALF = 0.5  # odds of being better that less action, or a shorter integral time, needs under each order of load
 SLACK, PER_PROCESS = 1.25, 300
 """The rule's integral time over one that is too short for it; times that a process with all of the weight counts."""
 
@@ -311,12 +318,19 @@ def _worthwhile(
     return sorted(found, key=lambda one: -one[0])
 
 
-def _by_each_order(book: Book, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
-    """Whether less action is as likely better as not under each order of the walk by itself. The moves of the setpoint
-    tell the process whatever the spectrum of the load.
+def _by_orders(book: Book, settings: BookSettings) -> tuple[LikelyProcesses, ...]:
+    """Processes under each order of load by itself. None where the setpoint moves a loop beside a tone: its moves tell
+    the process, whatever the spectrum of the load.
     """
-    orders = () if book.told_by_setpoint else ORDERS
-    return all(gain(book.drawn(settings.drawn, at), now, new, settings)[1] >= HALF for at in orders)
+    told = book.tone * book.moved >= HALF
+    return () if told else tuple(book.drawn(settings.drawn, at) for at in ORDERS)
+
+
+def _by_each(by_orders: tuple[LikelyProcesses, ...], now: PidGains, new: PidGains, settings: BookSettings) -> bool:
+    """Whether less action is as likely better as not under each order of the walk by itself. Not asked once the setpoint
+    has told the process.
+    """
+    return all(gain(one, now, new, settings)[1] >= HALF for one in by_orders)
 
 
 def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> tuple[Plausible, ...]:

@@ -104,8 +104,9 @@ def test_what_the_setpoint_has_told_no_order_of_the_load_is_asked(told: bool, mo
     book: Any = SimpleNamespace(told_by_setpoint=told, drawn=lambda _, order=None: orders.append(order))
     for better, follows in ((0.6, True), (0.4, told)):
         monkeypatch.setattr(settings_by_book, "gain", lambda *_, better=better: (1.0, better))
-        assert settings_by_book._by_each_order(book, GOOD, scaled(0.5), SETTINGS) == follows
-    assert orders == ([] if told else [*ORDERS, ORDERS[0]])
+        by_orders = settings_by_book._by_orders(book, SETTINGS)
+        assert settings_by_book._by_each(by_orders, GOOD, scaled(0.5), SETTINGS) == follows
+    assert orders == ([] if told else [*ORDERS, *ORDERS])
 
 
 def test_the_best_change_that_each_order_bears_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,8 +114,8 @@ def test_the_best_change_that_each_order_bears_is_made(monkeypatch: pytest.Monke
     book, now = after(scaled(2.6), 9), scaled(2.6)
     best = by_book(book, now, SETTINGS).tuning
     assert best is not None
-    bears = settings_by_book._by_each_order
-    monkeypatch.setattr(settings_by_book, "_by_each_order", lambda *asked: asked[2] != best.gains and bears(*asked))
+    bears = settings_by_book._by_each
+    monkeypatch.setattr(settings_by_book, "_by_each", lambda *asked: asked[2] != best.gains and bears(*asked))
     second = by_book(book, now, SETTINGS).tuning
     assert second is not None
     assert second.gains != best.gains
@@ -128,9 +129,20 @@ def test_less_gain_may_go_with_a_shorter_integral_time_down_to_that_of_the_rule(
 ) -> None:
     """Kc x 2 and tau_I x 4: with less of all actions alone, J went from 1.5 to 2.3; with a shorter tau_I, to 1.7."""
     now = PidGains.from_ideal(1.0, 20.0)
-    sets = list(settings_by_book._less(now, np.array([rule_s]), SETTINGS))
+    sets = list(settings_by_book._less(now, [np.array([rule_s])], SETTINGS))
     assert min(one.kp / one.ki for one in sets) == pytest.approx(shortest_s)
     assert all(one.kp < now.kp and one.ki <= now.ki * (1.0 + 1e-12) for one in sets)
+
+
+@pytest.mark.parametrize(("by_order", "shortest"), [((1.0,), 10.0), ((1.0, 1.0, 60.0), 20.0), ((1.0, 15.0), 14.0)])
+def test_no_shorter_integral_time_where_one_order_of_the_load_has_the_rules_longer(
+    by_order: tuple[float, ...], shortest: float
+) -> None:
+    """Under real loads the whole was as good as sure of a lag of a third, and tau_I was halved though it was right."""
+    now = PidGains.from_ideal(1.0, 20.0)
+    times = [np.array([1.0]), *(np.array([one]) for one in by_order)]
+    for candidates in (settings_by_book._more, settings_by_book._less):
+        assert min(one.kp / one.ki for one in candidates(now, times, SETTINGS)) == pytest.approx(shortest)
 
 
 def test_too_much_gain_is_told_from_room_for_more() -> None:
@@ -164,7 +176,7 @@ def test_less_action_follows_at_once_and_more_at_the_second_look_or_where_steps_
 @pytest.mark.parametrize(("tau_d_s", "ratio"), [(3.0, 0.25), (9.0, 0.45)])
 def test_more_integral_action_keeps_a_set_that_a_series_controller_can_hold(tau_d_s: float, ratio: float) -> None:
     now = PidGains.from_ideal(1.0, 20.0, tau_d_s)  # the second has no series form, and its ratio gets no larger
-    sets = list(settings_by_book._more(now, np.array([1.0]), SETTINGS))
+    sets = list(settings_by_book._more(now, [np.array([1.0])], SETTINGS))
     assert min(one.kp / one.ki for one in sets) == 10.0
     assert all(one.kd * one.ki / one.kp**2 <= ratio + 1e-12 for one in sets)
     assert any(one.kd / one.kp == pytest.approx(tau_d_s) for one in sets if one.kp / one.ki == pytest.approx(20.0))
@@ -198,6 +210,27 @@ def test_the_gain_of_a_process_that_runs_away_is_not_cut(kc: float, cut: float) 
 def test_a_record_under_other_gains_counts_for_the_same_process() -> None:
     book = update(update(begun(scaled(0.5)), recorded(scaled(0.5), 5)), recorded(GOOD, 6))
     assert by_book(book, scaled(2.6), SETTINGS).numbers.book_high > 0.8  # under gains that never ran
+
+
+@pytest.mark.parametrize(("kc", "tight"), [(0.25, False), (0.6, True)])
+def test_a_dead_time_of_many_samples_is_told(kc: float, *, tight: bool) -> None:
+    """Lag 37, dead time 75, sampled each second: of a loop at Ms 5.0 it was said that it has room with 50 %."""
+    gains = PidGains(kc, kc / 37.0)
+    book, noise = begun(gains), np.random.default_rng(2).normal(size=(2, 2000)) * 0.05
+    load, rules = np.cumsum(noise[0]) / 2.0, law(gains, co_min=-1e6, co_max=1e6)
+    state, plant, rows, pv = start(rules, 0.0, 0.0, 0.0), Plant(37.0), [], 0.0
+    plant.late = [0.0] * 75
+    for i in range(2000):
+        sp, seen = 2.0 * (i % 1000 >= 333), pv + float(noise[1, i])
+        state, co = step(rules, state, sp, seen, 1.0)
+        rows.append((float(i), sp, seen, co))
+        pv = plant.move((co + float(load[i])) / K)
+    for half in (rows[:1000], rows[1000:]):
+        book = update(book, Window(*np.array(half).T))
+    told = by_book(book, gains, SETTINGS).numbers
+    assert (told.book_high > SETTINGS.less_odds) is tight
+    assert told.book_room < 0.3
+    assert tight or told.book_high < 0.1
 
 
 def test_no_window_makes_a_process_impossible() -> None:
