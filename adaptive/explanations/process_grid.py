@@ -29,8 +29,8 @@ RUNAWAY_LAGS = (-8.0, -16.0, -33.0, -66.0, -130.0)
 SECOND_SHARES = (0.0, 0.15, 0.4, 0.8)  # second lag as a share of the first
 SECOND_OF_INTEGRATING = 40.0  # the lag of which the same shares are a second lag where the process integrates, samples
 LEAST_SECOND = 0.6  # A second lag that is shorter (in samples) cannot be seen
-DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 17.0, 25.0, 40.0)
-"""Dead times of the grid, in samples."""
+DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 17.0, 25.0, 40.0, 63.0, 100.0, 160.0)
+"""Dead times of the grid, in samples. A loop that is sampled finely may have one far longer than its integral time."""
 GAINS = np.logspace(-2.5, 2.5, 61)
 """Loop gains kc K of the grid, a fifth apart; of an integrating process kc K' times INTEGRATING samples."""
 INTEGRATING = 20.0
