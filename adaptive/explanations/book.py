@@ -6,21 +6,18 @@ without a tone from outside and with one (tone.py).
     update    ln w  <-  ln w + ln((1 - ODD) L / max L + ODD mean L / max L)
     fade      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard);      a tone begins and ends likewise
 
-A tone lasts, so that it is kept with each process whether there is one: a single window of it may look like a loop near
-instability, and several of them would make that sure. Under a tone and by loads alone, next to nothing tells a process
-from the inverse of its controller, which explains pv by co as well: such windows say how likely a tone is. Which
-process is there, the moves of the setpoint say by themselves, once there are some: L to the power of their share.
+A tone lasts, so it is kept with each process whether there is one: a single window of it may look like a loop near
+instability, and several would make that sure. Under a tone and by loads alone, next to nothing tells a process from the
+inverse of its controller, which explains pv by co as well: such windows say how likely a tone is. Which process is
+there, the moves of the setpoint say by themselves, once there are some: L to the power of their share.
 
-No window makes anything sure: it may be an odd one, that says nothing. A process may change, so what is known fades to
-what was known before any record. Windows add up point by point on one grid (process_grid.py), because gains are counted
-in a unit, and time in an interval, that stay: those of the loop when its book was begun. Before any record each process
-of the grid is as likely as the others on which a loop at work is neither far beyond its limit of stability nor idle;
-those that run away by themselves have RUNAWAYS of the odds together, shared by the ones that the gains in force hold,
-or shares of them: the first gains may be too large.
+No window makes anything sure: it may be an odd one, that says nothing. Windows add up on one grid (process_grid.py),
+because gains are counted in a unit, and time in an interval, that stay: those of the loop when its book was begun.
+Before any record each process is as likely as the others on which a loop at work is neither far beyond its limit of
+stability nor idle; those that run away have RUNAWAYS of the odds, shared by the ones that shares of the gains hold.
 
 A window that still grows is weighed anew each time: `whole` is what was known before it. The weights are kept in levels
-of STEP, so that a book that was stored is the same as one that was not. A fade of less than a level would be lost to
-rounding: it waits until it is more, by the clock, whatever is looked at meanwhile.
+of STEP, so a stored book is the same as one that was not. A fade of less than a level waits, by the clock, until it is.
 """
 
 import base64
@@ -31,6 +28,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.explanations.likely_processes import BoolArray, LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
@@ -77,6 +75,7 @@ keep Ms under this. A loop at work comes from neither: one that does next to not
 SHARES = (1.0, 0.5, 0.25)  # shares of the gains in force, one of which must hold a process that runs away
 RUNAWAYS = 0.02
 """Odds that a process runs away by itself, before any record: exothermic reactors, some tanks and vehicles."""
+NUMBERS = ("unit", "dt_s", "t_s", "moved", "moved_before")  # of a book, kept as they are
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +84,10 @@ class Book:
 
     direction : sign of its gain. unit, dt_s : what loop gains and times of the grid are counted in. t_s : time up to
     which samples are entered for good. faded_s : up to which what is known has faded, of the process and of a tone.
-    records : windows entered that said something. leans : what followed at the last look, -1 less action, 1 more,
-    0 nothing. moved : how far the moves of the setpoint tell the process, 0 to 1: the sum of
-    their shares of the windows, by themselves from one on; moved_before : the same without the window that still
-    grows. levels : of each process of the grid on each of PLANES, how many STEP its logarithm of the weight lies under
-    the largest; whole : the same without the window that still grows; prior : before any record. One byte each.
+    records : windows that said something. leans : what followed at the last look, -1 less action, 1 more, 0 nothing.
+    moved : how far the moves of the setpoint tell the process, 0 to 1: the sum of their shares of the windows;
+    moved_before : without the window that still grows. levels : of each process on each of PLANES, how many STEP its
+    logarithm of the weight lies under the largest; whole : without the window that still grows; prior : before any.
     """
 
     direction: int
@@ -113,9 +111,8 @@ class Book:
         return cls(gains.direction, unit, dt_s, t_s, (t_s, t_s), 0, 0, 0.0, 0.0, levels, levels, levels)
 
     def under(self, gains: PidGains) -> "Book":
-        """The book while these gains are in force: a process that they make possible is no longer left out. Where they
-        act more than the first ones did, it is as likely as before any record; where less, it comes with a change of
-        the process, since under the first ones the loop would have been unstable.
+        """The book under these gains: a process that they make possible is no longer left out. Where they act more than
+        the first ones, it is as likely as before any record; where less, it comes with a change of the process.
         """
         before = _array(self.prior)[0] != DEEPEST
         now = np.concatenate(_possible(gains, self.dt_s, self.unit))
@@ -147,12 +144,6 @@ class Book:
         """Whether the moves of the setpoint have told the process, and not loads alone."""
         return self.moved >= TOLD
 
-    def tells(self, most_tone: float) -> bool:
-        """Whether it holds a whole window, and loads alone under a tone are not all that moved the loop. most_tone :
-        odds of a tone from which they are.
-        """
-        return self.records > 0 and self.tone * (1.0 - self.moved) < most_tone
-
     def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:
         """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).
         order : of the loads, as in ORDERS, where the process is to be known under these alone.
@@ -164,15 +155,11 @@ class Book:
         at = np.searchsorted(whole, (np.arange(count) + 0.5) / count * whole[-1])
         times = np.bincount(np.minimum(at, len(whole) - 1))
         index, counts = np.flatnonzero(times), times[times > 0]
-        rows, dead, gain = np.unravel_index(index, GRID)
-        responses: ComplexArray = responses_of(rows, dead) * (GAINS[gain] / self.unit)[:, None]
-        places = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))
-        return LikelyProcesses(places, counts / count, responses, self.dt_s)
+        return _those(np.unravel_index(index, GRID), counts / count, self.unit, self.dt_s)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        numbers = ("direction", "unit", "dt_s", "t_s", "faded_s", "records", "leans", "moved", "moved_before")
-        kept = {name: getattr(self, name) for name in numbers}
+        kept = {name: getattr(self, name) for name in (*NUMBERS, "direction", "faded_s", "records", "leans")}
         arrays = {name: zlib.compress(getattr(self, name)) for name in ("levels", "whole", "prior")}
         return kept | {name: base64.b64encode(packed).decode("ascii") for name, packed in arrays.items()}
 
@@ -184,14 +171,12 @@ class Book:
         """
         levels, whole, prior = (_unpacked(str(body[name])) for name in ("levels", "whole", "prior"))
         process_s, tone_s = (float(at) for at in body["faded_s"])
-        unit, dt_s, t_s = (float(body[name]) for name in ("unit", "dt_s", "t_s"))
-        moved, before = float(body["moved"]), float(body["moved_before"])
+        unit, dt_s, t_s, moved, before = (float(body[name]) for name in NUMBERS)
         shares = 0.0 <= moved <= 1.0 and 0.0 <= before <= 1.0
         if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s + process_s + tone_s) and shares):
             raise ValueError(f"a book of unit {unit}, interval {dt_s} s, time {t_s} s, moved by {moved}, {before}")
-        direction = 1 if int(body["direction"]) > 0 else -1
-        records, leans, faded_s = int(body["records"]), int(body["leans"]), (process_s, tone_s)
-        return cls(direction, unit, dt_s, t_s, faded_s, records, leans, moved, before, levels, whole, prior)
+        sign, records, leans = 1 if int(body["direction"]) > 0 else -1, int(body["records"]), int(body["leans"])
+        return cls(sign, unit, dt_s, t_s, (process_s, tone_s), records, leans, moved, before, levels, whole, prior)
 
 
 @lru_cache(maxsize=64)
@@ -199,14 +184,16 @@ def _possible(gains: PidGains, dt_s: float, unit: float) -> tuple[BoolArray, Boo
     """Processes on which a loop at work may be (head of this file), and those that run away and may be held."""
     known = robustness(gains, dt_s, unit)
     possible = (known.ultimate * BEYOND >= GAINS * known.scale) & (known.room(MS_OF_ROOM) <= MOST_ROOM)
-    count = len(shapes())
-    rows, dead, gain = np.indices((len(shapes(EVERY_LAG)) - count, *GRID[1:])).reshape(3, -1)
-    rows = rows + count
-    answers: ComplexArray = responses_of(rows, dead) * (GAINS[gain] / unit)[:, None]
-    places = tuple(zip(rows.tolist(), dead.tolist(), gain.tolist(), strict=True))
-    away, g = LikelyProcesses(places, np.ones(len(places)), answers, dt_s), gains
+    places, g = np.indices(GRID)[:, len(shapes()) :].reshape(3, -1), gains
+    away = _those(tuple(places), np.ones(places.shape[1]), unit, dt_s)
     under = [away.stable(PidGains(x * g.kp, x * g.ki, x * g.kd)) for x in SHARES]
     return np.asarray(possible), np.asarray(np.any(under, axis=0).reshape(-1, *GRID[1:]))
+
+
+def _those(at: tuple[npt.NDArray[np.intp], ...], weights: FloatArray, unit: float, dt_s: float) -> LikelyProcesses:
+    """Processes of the grid. at : shapes, dead times and gains."""
+    responses: ComplexArray = responses_of(at[0], at[1]) * (GAINS[at[2]] / unit)[:, None]
+    return LikelyProcesses(tuple(zip(*(one.tolist() for one in at), strict=True)), weights, responses, dt_s)
 
 
 def _prior(possible: BoolArray, held: BoolArray) -> FloatArray:
@@ -245,14 +232,12 @@ def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: boo
     levels, moved = _levels(logs), min(known.moved_before + share, 1.0)
     if grows:
         return replace(book, levels=levels, moved=moved)
-    records = book.records + bool(says)
-    return replace(known, levels=levels, whole=levels, moved=moved, moved_before=moved, t_s=last_s, records=records)
+    entered = replace(known, t_s=last_s, records=book.records + bool(says))
+    return replace(entered, levels=levels, whole=levels, moved=moved, moved_before=moved)
 
 
 def _moved_by_setpoint(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> float:
-    """How much of what moves a window is the setpoint's (setpoint_share), as far as the likeliest process has answered:
-    a step within the last dead time says nothing. setpoint : from its first value, shape (n,).
-    """
+    """The setpoint's share in what moves a window (setpoint_share), as far as the likeliest process has answered."""
     row, dead, _ = np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)
     shape, n = shapes(EVERY_LAG)[row], len(setpoint)
     late = math.ceil(DEAD_TIMES[dead] + shape.second + 1.0)
@@ -260,9 +245,7 @@ def _moved_by_setpoint(record: Prepared, setpoint: FloatArray, likelihood: Float
 
 
 def faded(book: Book, now_s: float, hazard_s: float) -> Book:
-    """What is known by now of the windows before: the process may have become another one, and a tone may have begun or
-    ended. What is less than a level waits (head of this file).
-    """
+    """What is known by now: the process may have become another one, and a tone may have begun or ended."""
     lasts = hazard_s, TONE_LASTS * book.dt_s
     shares = [-math.expm1(-max(now_s - at, 0.0) / one) for at, one in zip(book.faded_s, lasts, strict=True)]
     change, turn = (share if share >= STEP else 0.0 for share in shares)
@@ -284,22 +267,13 @@ def doubted(book: Book, change: float) -> Book:
 
 
 def heard(book: Book, sure: float, *, tone: bool) -> Book:
-    """Where the diagnosis of a response has found a tone, or a swing of the loop's own. sure : share of the first
-    answers that are right.
-
-    It compares them under loads that are steps, by samples that stand in the windows and in the next response's
-    diagnosis as well: so its likelihood ratio is tempered as theirs are.
+    """Where the diagnosis of a response has found a tone, or a swing of the loop's own, under loads that are steps.
+    sure : share of first answers that are right; tempered, for the samples stand in windows as well.
     """
     lead = (math.log(sure / (1.0 - sure)) - math.log(TONE / (1.0 - TONE))) / TEMPER
-    more = np.array([0.0, lead if tone else -lead])[:, None, None, None]
-    levels, whole = (_with(known, more) for known in (book.levels, book.whole))
+    more = np.array([0.0, lead if tone else -lead, *[0.0] * (PLANES[0] - WEIGHED)])[:, None, None, None]
+    levels, whole = (_levels(_logs(known) + more) for known in (book.levels, book.whole))
     return replace(book, levels=levels, whole=whole)
-
-
-def _with(known: bytes, more: FloatArray) -> bytes:
-    logs = _logs(known)
-    logs[:WEIGHED] += more
-    return _levels(logs)
 
 
 def _mixed(weights: FloatArray, fresh: FloatArray, change: float) -> bytes:

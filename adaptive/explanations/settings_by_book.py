@@ -155,22 +155,19 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
         tried += _more(gains, integral_times, settings)
     if told:
         tried += _other_ratios(gains, integral_times, settings, shorter=high >= settings.less_odds)
-    leans, worthwhile = 0, _worthwhile(drawn, gains, tried, settings, more=True)
-    if worthwhile and gain(drawn, gains, worthwhile[0][1], settings)[1] >= settings.more_odds:
+    leans, best = 0, _best(drawn, gains, tried, settings, more=True)
+    if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:
         less = _less(gains, integral_times, settings)
-        leans, worthwhile = -1, _worthwhile(drawn, gains, less, settings, more=False)
+        leans, best = -1, _best(drawn, gains, less, settings, more=False)
     leans = 0 if book.tone * (1.0 - book.moved) >= settings.tone else leans
     odds = high if leans < 0 else room if told else 0.0
     sure = odds >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     said = ByBook(numbers, leans, tells_tone=book.tone >= settings.tone)
-    if not leans or (leans != book.leans and not sure):
+    if best is None or not leans or (leans != book.leans and not sure):
         return said
-    best = worthwhile[0] if worthwhile else None  # by loads alone less action is the best or none
-    if leans < 0 and not told and best is not None and not _by_each(by_orders, gains, best[1], settings):
-        best = None
-    if best is None:
+    if leans < 0 and not told and any(gain(one, gains, best[1], settings)[1] < HALF for one in by_orders):
         return said
     worth, new, peaks = best
     asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (leans < 0))
@@ -294,18 +291,17 @@ SLACK, PER_PROCESS = 1.25, 300
 def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
     """SIMC's integral time on each process, seconds: min(tau1, 8 theta) by the half rule, tau_c = theta."""
     found = []
-    for (i, j, _), weight in zip(drawn.index, drawn.weights, strict=True):
+    for i, j, _ in drawn.index:
         shape, dead = shapes(EVERY_LAG)[i], DEAD_TIMES[j] + 0.5
         second = shape.second if shape.integrates else shape.second / 2
-        own = min(shape.lag + second if shape.lag > 0 else math.inf, 8.0 * (dead + second))
-        found += [own * book.dt_s] * max(round(float(weight) * PER_PROCESS), 1)
-    return np.array(found)
+        found.append(min(shape.lag + second if shape.lag > 0 else math.inf, 8.0 * (dead + second)))
+    return np.repeat(np.array(found) * book.dt_s, np.maximum(np.round(drawn.weights * PER_PROCESS), 1).astype(int))
 
 
-def _worthwhile(
+def _best(
     drawn: LikelyProcesses, gains: PidGains, candidates: Iterable[PidGains], settings: BookSettings, *, more: bool
-) -> list[tuple[float, PidGains, FloatArray]]:
-    """Worth, gains and Ms on each process of the candidates that are worth a change, the best first."""
+) -> tuple[float, PidGains, FloatArray] | None:
+    """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""
     (now, before), found = expected_cost(drawn, gains, settings.cost), []
     for new in candidates:
         cost, peaks = expected_cost(drawn, new, settings.cost)
@@ -315,7 +311,7 @@ def _worthwhile(
             continue
         if now - cost >= settings.worth:
             found.append((now - cost, new, peaks))
-    return sorted(found, key=lambda one: -one[0])
+    return max(found, key=lambda one: one[0], default=None)
 
 
 def _by_orders(book: Book, settings: BookSettings) -> tuple[LikelyProcesses, ...]:
@@ -324,13 +320,6 @@ def _by_orders(book: Book, settings: BookSettings) -> tuple[LikelyProcesses, ...
     """
     told = book.tone * book.moved >= HALF
     return () if told else tuple(book.drawn(settings.drawn, at) for at in ORDERS)
-
-
-def _by_each(by_orders: tuple[LikelyProcesses, ...], now: PidGains, new: PidGains, settings: BookSettings) -> bool:
-    """Whether less action is as likely better as not under each order of the walk by itself. Not asked once the setpoint
-    has told the process.
-    """
-    return all(gain(one, now, new, settings)[1] >= HALF for one in by_orders)
 
 
 def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> tuple[Plausible, ...]:

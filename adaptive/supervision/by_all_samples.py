@@ -414,10 +414,10 @@ def _cause_of(
     gain_up, integral_up = abs(new.kp) > NEARLY * abs(now.kp), abs(new.ki) > NEARLY * abs(now.ki)
     if gain_up and integral_up:
         return Cause.SLUGGISH, told.numbers.book_room, "more action"
-    better = gain(book.drawn(settings.drawn), now, new, settings)[1]
-    if gain_up:
-        return Cause.AGGRESSIVE, better, "more gain with less integral action"
-    return Cause.SLUGGISH, better, "more integral action with less gain"
+    cause, up, down = (
+        (Cause.AGGRESSIVE, "gain", "integral action") if gain_up else (Cause.SLUGGISH, "integral action", "gain")
+    )
+    return cause, gain(book.drawn(settings.drawn), now, new, settings)[1], f"more {up} with less {down}"
 
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97

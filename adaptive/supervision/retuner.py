@@ -356,7 +356,8 @@ class Retuner:
         rests_on, foreign = self.excitation.get(region, Excitation()), self.foreign.get(region, 0)
         shown = shown_clearly(self.region_models.get(region), rests_on, foreign)
         known = KnownProcesses(self.table, self.region_models, self.now_s, self.settings)
-        return known_of(known, region, book if book and not shown and book.tells(asked.tone) else None)
+        tells = book and book.records and not shown and book.tone * (1.0 - book.moved) < asked.tone
+        return known_of(known, region, book if tells else None)
 
     def _person_decides(self, region: int) -> bool:
         """Whether a person has the next word on what is tried in a region."""
