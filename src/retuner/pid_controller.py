@@ -11,7 +11,6 @@ Nothing of that is left to the caller. `close` decides what runs on when nobody 
 import logging
 import math
 from collections.abc import Mapping
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from retuner.adaptive import display_hook
@@ -60,8 +59,7 @@ class _Place:
 class PidController(display_hook.Drawn, Closes):
     """A PID controller with scheduled gains, and the retuner that watches it.
 
-    Not thread-safe: guard calls with your own lock. The first one takes half a second to make: it loads what a decision
-    needs.
+    Not thread-safe: guard calls with your own lock.
 
     Parameters
     ----------
@@ -123,7 +121,6 @@ class PidController(display_hook.Drawn, Closes):
         watched = settings or RetunerSettings(
             dt_s, high - low, _mode(mode), setpoint_weight=b, filter_s=tau_f_s, pv_range=(low, high)
         )
-        import_module("filterpy.kalman")  # with scipy: else a first decision waits for them in the middle of the loop
         self._retuner = Retuner(table, watched) if memory is None else _remembered(memory, table, watched)
         self._dt_s = dt_s
         self._law = law(
