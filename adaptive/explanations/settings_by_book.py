@@ -12,8 +12,8 @@ No less where a process that runs away by itself is alive and would be held wors
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
 How the spectrum of a load falls is assumed, and in closed loop much of what a record says rests on that (Forssell &
-Ljung 1999). So less action must be as likely better as not under each order of the walk by itself, and an integral time
-that is made shorter no shorter than the rule's.
+Ljung 1999). So under each order of the walk by itself a shorter integral time must not be shorter than the rule's, and
+by loads alone less action must be as likely better as not.
 """
 
 import math

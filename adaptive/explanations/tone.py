@@ -8,7 +8,7 @@ unstable at its frequency, G(jw) = -1/C(jw), explains any tone. Three kinds, lik
     drifting  besides, one with the phase that the error had over TRACKED periods, in a mean, and that times its own
               frequency's distance from the line, since a filter turns each by another angle                   6 columns
               (where a window has fewer periods: with a size that grows or falls evenly, 4 columns)
-    shaped    besides, its HARMONICS: pulses, saws and triangles                                     up to 12 columns
+    shaped    besides, where they stand out, its HARMONICS: pulses, saws and triangles               up to 12 columns
 
 The frequency is that of the error's line that is highest over those around it: a setpoint step, or a load that
 wanders, has the highest of all at the lowest frequencies. What was chosen by the record is paid for: the half of

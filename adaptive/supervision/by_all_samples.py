@@ -7,8 +7,8 @@
                              the book, proved, on trial, with a sentence; more action is proved on what responses have
                              shown as well
     objection                where gains are to change, and the book speaks against it; then it may propose itself
-    robust_by_all_samples    a trial's response that swings under a load that wanders, on processes on which the tried
-                             set is robust
+    robust_by_all_samples    a trial's response that swings under a load that wanders or a tone, on processes on which
+                             the tried set is robust
 
 The book proposes nothing where the output stands at a limit, and where a valve may not follow: such a case is not the
 book's. Nor where clear steps have shown the process and the loop mostly rests.
@@ -258,7 +258,8 @@ def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Di
 
 NOT_SHOWN = "no clear setpoint response has shown that"
 HALF, FEWEST_ROWS = 0.5, 16
-"""Odds of too high an Ms under which less action is doubted; intervals of a response that a walk can be fitted to."""
+"""Odds of too high an Ms under which less action is doubted, and up to which a tone excuses a set on trial; intervals
+of a response that a walk can be fitted to."""
 
 
 def _rests(found: Findings, look: Look) -> bool:
@@ -301,7 +302,7 @@ def robust_by_all_samples(found: Findings, winner: Outcome) -> bool:
     if numbers is None or (winner.book is None and trial.silent + trial.kept == 0):
         return False
     tone = numbers.book_tone >= settings.less_odds
-    return numbers.book_high <= (1.0 - HALF if tone else 1.0 - settings.less_odds)
+    return numbers.book_high <= (HALF if tone else 1.0 - settings.less_odds)
 
 
 MOST_LIMITED = 0.02  # share of samples with the output at a limit up to which they show the loop

@@ -143,10 +143,12 @@ def test_a_tone_may_be_likelier_where_the_setpoint_has_moved(
     planes = np.tile(likely, (3, 1, 1, 1))
     planes[0][alone], planes[1][beside] = 50.0, 200.0
     monkeypatch.setattr(room, "log_likelihoods", lambda *_: (planes, np.array([likely] * (PLANES[0] - 3))))
-    monkeypatch.setattr(
-        room, "_moved_by_setpoint",
-        lambda _, __, found: (asked.append(np.unravel_index(int(np.argmax(found)), GRID)), 0.0)[1],  # type: ignore[func-returns-value,arg-type]
-    )  # fmt: skip
+
+    def noted(_record: object, _setpoint: object, found: FloatArray) -> float:
+        asked.append(tuple(int(x) for x in np.unravel_index(int(np.argmax(found)), GRID)))
+        return 0.0
+
+    monkeypatch.setattr(room, "_moved_by_setpoint", noted)
     update(begun, window(0.0))
-    assert [tuple(int(x) for x in one) for one in asked] == [beside]
+    assert asked == [beside]
     assert WEIGHED == 2
