@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from online.judge import Judge
 from plants_of_others import columns, eastman, session, temperature_lab, wastewater
-from plants_of_others.answered import MS_BEST, Answered
+from plants_of_others.answered import Answered
 from plants_of_others.columns import Distillation
-from plants_of_others.loop import Card, Control, Controlled, Stepped, Tripped
+from plants_of_others.loop import Card, Control, Stepped
 from plants_of_others.truth import StepTest, fitted, step_answer, truth
 
 from retuner import PidGains
@@ -37,18 +37,6 @@ def test_an_answer_judges_as_the_process_behind_it(factor: float) -> None:
     found, true = by_answer.of(gains), judge.of(gains)
     assert found.ms == pytest.approx(true.ms, rel=0.05)
     assert found.j == pytest.approx(true.j, rel=0.05)
-
-
-def test_the_best_pi_has_its_ms_and_is_about_as_good_as_simc() -> None:
-    found = Answered(step_answer(LAG, 1.0, 300), 1.0)
-    judged = Judge(LAG, 1.0).of(found.best)
-    assert judged.ms == pytest.approx(MS_BEST, abs=0.06)
-    assert judged.j < 1.1
-
-
-def test_an_output_is_held_and_then_stepped() -> None:
-    held = Stepped(lambda sp, pv: sp - pv, settle=2, hold=1, step=3.0)
-    assert [held(1.0, pv) for pv in (0.5, 0.2, 0.0, 0.0)] == [0.5, 0.8, 0.8, 3.8]
 
 
 class Quick:
@@ -92,12 +80,6 @@ def test_a_session_is_told_with_its_replays() -> None:
     assert row["replays"]["end"]["iae"] <= row["replays"]["start"]["iae"]
     assert "quick y" in session.line(row)
     assert session.table([row])[1].startswith("quick low")
-
-
-def test_a_lost_loop_is_told() -> None:
-    control = Controlled(CARD, CARD.published, 50.0, watched=False)
-    with pytest.raises(Tripped, match="y is lost"):
-        control(50.0, 900.0)
 
 
 def test_the_steady_state_of_a_published_column_is_that_of_its_gains() -> None:

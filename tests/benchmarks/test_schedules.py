@@ -5,13 +5,8 @@ import pytest
 from cases.plant import HeldPlant
 from online.runner import collect
 from schedules import measure, physics, records, rivals
-from schedules.lookups import Curve
-from schedules.ode import transfer
 from schedules.tables import table
 from schedules.truth import Truth, counts
-
-from retuner.adaptive.process.model import LinearProcess
-from retuner.schedule.gains import PidGains
 
 
 def small_step(subject, place, size, n):
@@ -31,42 +26,11 @@ def test_small_steps_of_a_plant_show_its_linearisation(name):
         assert found == pytest.approx(exact, abs=0.03 * np.max(np.abs(exact)))
 
 
-def test_a_lead_on_a_swinging_pair_is_held_exactly():
-    pair = LinearProcess(2.0, (), (3.0,), 0.0, 0, ((1.0, 4.0),))
-    plant, h = HeldPlant(pair, 0.01), 0.01
-    found = np.array([plant.move(1.0) for _ in range(3000)])
-    t = h * np.arange(1, 3001)
-    sigma, w = 0.125, np.sqrt(0.25 - 0.125**2)
-    rest = np.exp(-sigma * t) * (np.cos(w * t) + (sigma - 0.25 * 3.0) / w * np.sin(w * t))
-    assert found == pytest.approx(2.0 * (1 - rest), abs=1e-9)
-
-
-def test_poles_zeros_and_gain_of_state_equations():
-    a = np.array([[-0.5, 0.0, 0.0], [0.5, -0.1, 0.0], [0.0, 0.1, -2.0]])
-    found = transfer(a, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), 0.7)
-    assert (found.k, found.theta_s) == pytest.approx((10.0, 0.7))
-    assert sorted(found.lags_s) == pytest.approx([2.0, 10.0])
-    assert found.leads_s == ()
-
-
-@pytest.mark.parametrize("kind", ["smooth", "kink"])
-def test_rest_of_a_drawn_process_is_the_integral_of_one_over_its_gain(kind):
-    subject = records.draw(np.random.default_rng(3), kind, 10.0)
-    for y in (7.0, 31.0, 64.0, 93.0):
-        slope = (subject.rest(y + 0.3) - subject.rest(y - 0.3)) / 0.6
-        assert slope == pytest.approx(1 / subject.local(y).k, rel=0.02)
-
-
 def test_a_place_from_outside_changes_the_process_and_not_its_rest():
     subject = records.draw(np.random.default_rng(4), "smooth", 4.0, by="flow")
     live = subject.live(10.0)
     assert {live.move(0.0, place) for place in (10.0, 40.0, 90.0)} == {subject.sp0}
     assert small_step(subject, 80.0, 1e-3, 400)[-1] == pytest.approx(subject.local(80.0).k, rel=0.02)
-
-
-def test_a_curve_is_straight_between_its_points_and_level_outside():
-    curve = Curve([0.0, 10.0], [PidGains(1.0, 0.1), PidGains(3.0, 0.5)])
-    assert [curve.frozen(x).kp for x in (-5.0, 0.0, 2.5, 10.0, 40.0)] == pytest.approx([1.0, 1.0, 1.5, 3.0, 3.0])
 
 
 def test_one_set_suffices_for_a_constant_process_and_not_for_one_that_changes_by_ten():

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 from unlike_ours.live import PlantLive
-from unlike_ours.process import Flow, Linear, LinearLive, exothermic, poly, tank
+from unlike_ours.process import Flow, Linear, exothermic, tank
 from unlike_ours.run import oddities, promised, run, staying, table, tasks
 from unlike_ours.story import EVENTS, draw
 from unlike_ours.truth import Truth, Tuned
@@ -30,12 +30,6 @@ def test_simc_on_a_lag_has_the_ms_that_is_known_and_the_reference_is_near_it(lag
     assert 0.8 < lag.of(simc).j < 1.1
     assert lag.ms_best == pytest.approx(1.55, abs=0.06)
     assert not lag.in_spec(Tuned(simc.kp / 3, simc.ki / 3))
-
-
-def test_a_linear_process_rests_where_its_gain_says() -> None:
-    live = LinearLive(Linear((3.0,), poly((1.0, 2.0), (1.0, 1.0)), 0.5), 0.1)
-    assert [live.move(1.0) for _ in range(5)] == [0.0] * 5
-    assert [live.move(1.0) for _ in range(400)][-1] == pytest.approx(3.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(("plant", "pv"), [(tank(10.0), 30.0), (exothermic(10.0), 325.0)])
