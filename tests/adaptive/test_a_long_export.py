@@ -55,7 +55,6 @@ def test_counts_of_a_converter_make_no_derivative_of_a_slow_filter() -> None:
     per = 276.48
     counts = Window(RECORD.t_s, *(np.round(per * x) for x in (RECORD.sp, RECORD.pv, RECORD.co)))
     found = settings_in_force(counts)
-    assert found.gains is not None
     assert found.gains.kd == 0.0
     assert found.gains.kp == pytest.approx(KC, rel=0.05)
 
@@ -70,18 +69,15 @@ def test_lines_of_a_historian_are_seen_though_they_were_printed_with_three_decim
     kept = np.unique(np.random.default_rng(5).choice(6000, 60, replace=False))
     drawn = np.interp(np.arange(6000.0), kept, RECORD.pv[kept])
     quality = recording_quality(np.round(drawn, 3))
-    assert quality is not None
     assert quality.compression > 5.0
     assert hidden_sigma(np.round(drawn, 3)) > 0.005
     smooth = np.round(50 + 8 * np.exp(-np.arange(200) / 60.0), 3)
     for honest in (np.round(RECORD.pv, 3), smooth):
         told = recording_quality(honest)
-        assert told is not None
         assert told.compression < 2.0
 
 
 def test_straight_lines_of_co_under_a_coarse_sensor_are_integral_action_and_no_compression() -> None:
     coarse = made(step=0.5)
     found = settings_in_force(coarse)
-    assert found.gains is not None
     assert found.gains.ki == pytest.approx(KC / TAU_I, rel=0.05)

@@ -127,7 +127,6 @@ def test_it_teaches_the_region_where_it_ends_and_those_on_its_way(record: Window
     assert set(beside) <= {0, 1}
     assert 1 in beside
     assert beside[1].log.model().k == pytest.approx(steep(50.0), rel=0.2)
-    assert learned.region_model is not None
     assert (learned.region_model.records, learned.region_model.points[0].x) == (1, 80.0)
 
 
@@ -138,7 +137,6 @@ def test_a_second_one_agrees_and_makes_it_surer(record: Window, shown: FittedCro
     again = replace(crossing(back, {1: first}), start_s=650.0)
     learned = update_across(again, fitted_crossing(again), 1, first)
     assert learned.agreement is Agreement.AGREES
-    assert learned.region_model is not None
     assert learned.region_model.records == 2
     assert learned.region_model.log.gain_uncertainty() < first.log.gain_uncertainty()
 

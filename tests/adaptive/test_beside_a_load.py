@@ -104,7 +104,6 @@ def test_a_load_at_a_wrong_place_is_moved(record: Window) -> None:
     p = at_truth(2)
     p[4:] = AT, 330.0
     moved = _load_elsewhere(judged(refine(made(twice, 2), p, evaluations=0)), 1)
-    assert moved is not None
     assert moved[1][-1] == pytest.approx(200.0, abs=15.0)
     assert _load_elsewhere(judged(refine(made(twice, 1), at_truth(1))), 0) is None
 

@@ -38,9 +38,7 @@ def record(k: float = 1.0, std: float = 0.02) -> SimpleNamespace:
         ([record(), record(1.5), record()], 0, 3, False),
     ],
 )
-def test_independent_records_that_agree_bear_a_change_out(
-    points: list[SimpleNamespace], setpoints: int, rested: int, *, borne: bool
-) -> None:
+def test_independent_records_that_agree_bear_a_change_out(points, setpoints, rested, *, borne):
     model: Any = SimpleNamespace(log=record().log, points=tuple(points))
     rests_on = Excitation(setpoints=setpoints, loads=max(rested, 1), rested=rested)
     assert records_agree(model, rests_on, RetunerSettings(1.0, 100.0)) is borne
@@ -77,7 +75,6 @@ def test_a_load_response_leads_from_rest_to_rest(error: Callable[[float], float]
 def test_a_short_record_takes_nothing_from_what_is_known(loop: Callable[..., Any]) -> None:
     gains, settings, fit = PidGains(2.0, 0.05), TrackerSettings(), FitSettings()
     known = update_region_model(None, loop(noise=0.02, sp=1.0).run(seed=0), gains, settings, fit).region_model
-    assert known is not None
     assert known.identifiable
     whole: Window = loop(noise=0.02, sp=1.0).run(seed=1, t0=400.0)
     step = int(np.argmax(whole.sp > 0.5))

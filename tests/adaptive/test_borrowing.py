@@ -34,7 +34,6 @@ def ask(region_models: dict[int, RegionModel], region: int = 1, tracker: Tracker
 
 def test_one_neighbour_lends_its_model_as_uncertain_as_a_curve_through_it() -> None:
     found = ask({0: known(2.0)})
-    assert found is not None
     assert found.records == 0
     assert "low" in found.reason
     np.testing.assert_allclose(found.log.x, known(2.0).log.x)
@@ -48,7 +47,6 @@ def test_one_neighbour_lends_its_model_as_uncertain_as_a_curve_through_it() -> N
 
 def test_two_neighbours_that_differ_leave_the_region_between_them_open() -> None:
     found, same = ask({0: known(1.0), 2: known(4.0)}), ask({0: known(2.0), 2: known(2.0)})
-    assert found is not None
     assert same is not None
     assert found.log.model().k == pytest.approx(2.0)
     between = found.log.p[0, 0]
@@ -60,7 +58,6 @@ def test_what_is_beyond_follows_the_trend_of_the_others() -> None:
     regions = replace(REGIONS, names=("a", "b", "c", "d"), bounds=(25.0, 50.0, 75.0))
     rising = {i: known(k) for i, k in enumerate((1.0, 1.5, 2.25))}
     found = borrowed(rising, 3, regions, 0.0, 1, LENDING, STILL)
-    assert found is not None
     assert 2.25 * 1.2 < found.log.model().k < 2.25 * 1.6
 
 
@@ -77,8 +74,6 @@ def test_records_of_its_own_that_settle_nothing_narrow_what_is_lent() -> None:
     alone = borrowed(lent, 1, REGIONS, 0.0, 1, LENDING, STILL)
     own = replace(known(3.0, 0.1), identifiable=False)
     together = borrowed(lent, 1, REGIONS, 0.0, 1, LENDING, STILL, own)
-    assert alone is not None
-    assert together is not None
     assert alone.log.model().k < together.log.model().k < 3.0
     assert together.log.p[0, 0] < min(alone.log.p[0, 0], 0.1)
 
@@ -87,8 +82,6 @@ def test_age_opens_what_is_lent() -> None:
     walk = replace(STILL, walk_per_day=0.1)
     fresh = borrowed({0: known(2.0)}, 1, REGIONS, 0.0, 1, LENDING, walk)
     old = borrowed({0: known(2.0)}, 1, REGIONS, 86400.0, 1, LENDING, walk)
-    assert fresh is not None
-    assert old is not None
     more = np.diag(old.log.p) - np.diag(fresh.log.p)
     assert np.all((more > 0.005) & (more < 0.0101))
 
@@ -106,12 +99,10 @@ def test_the_first_record_of_the_region_agrees_or_stands_alone(loop: Callable) -
     window = loop(noise=0.02, sp=1.0, kc=2.0).run(seed=1)
     agreed = update_region_model(prior, window, GAINS, STILL, FitSettings())
     assert agreed.agreement == Agreement.AGREES
-    assert agreed.region_model is not None
     assert agreed.region_model.records == 1
     assert agreed.region_model.log.model().k == pytest.approx(1.0, rel=0.05)
     alone = update_region_model(ask({0: known(200.0, 1e-6)}), window, GAINS, STILL, FitSettings())
     assert alone.agreement == Agreement.FIRST
-    assert alone.region_model is not None
     assert alone.region_model.log.model().k == pytest.approx(1.0, rel=0.05)
 
 

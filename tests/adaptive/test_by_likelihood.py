@@ -95,6 +95,5 @@ def test_what_no_record_tells_is_as_wide_as_of_any_process() -> None:
     likelihood = Likelihood([quiet], 1, *LAW)
     p = np.array([-12.0, *START[1:], math.log(WALK), math.log(0.001), 4.0])
     curved = likelihood.curvature(p)
-    assert curved is not None
     own = np.linalg.inv(curved[1])[:4, :4]
     assert np.max(np.linalg.eigvalsh(own)) <= 1.0001 * by_likelihood.WIDEST**2

@@ -35,7 +35,6 @@ def test_each_region_has_its_own_gain() -> None:
     window = level()
     low, high = identify_by_region(window, window.pv, [BORDER])
     for region, gain in ((low, LOW), (high, HIGH)):
-        assert region.found is not None
         assert region.found.estimate.identifiable, region.found.estimate.reason
         model = region.found.estimate.log.model()
         assert model.slope == pytest.approx(gain, rel=0.05)
@@ -101,7 +100,6 @@ def test_in_manual_no_load_is_bought_in_any_region() -> None:
     window = tank()
     found = identify_by_region(window, window.pv, [40.0, 80.0], open_loop=True)
     for region in found:
-        assert region.found is not None
         assert region.found.estimate.load_times_s == ()
     gains = [region.found.estimate.log.model().k for region in found if region.found is not None]
     assert gains == sorted(gains)

@@ -73,7 +73,6 @@ def test_a_healthy_flow_loop_does_not_become_a_fiction():
     assert isinstance(told, dict)
     assert told["apart"] > 3
     assert told["at"] == pytest.approx(1370.0, abs=20.0)
-    assert found.estimate.rival is not None
     assert found.estimate.rival.model.theta_s < 0.2 * found.estimate.log.model().theta_s
     diagnosed = diagnosing.diagnose(*record)
     assert not diagnosed.diagnosis.retune
@@ -87,9 +86,7 @@ def test_a_healthy_flow_loop_does_not_become_a_fiction():
 
 
 @pytest.mark.parametrize("contested", [False, True])
-def test_a_setpoint_response_that_load_steps_explain_in_two_ways_is_not_as_good_as_a_clear_one(
-    monkeypatch: pytest.MonkeyPatch, contested: bool
-):
+def test_a_setpoint_response_that_load_steps_explain_in_two_ways_is_not_as_good_as_a_clear_one(monkeypatch, contested):
     for name in ("is_known", "exempt_from_confirmation", "stands"):
         monkeypatch.setattr(confirmation, name, lambda *_: False)
     monkeypatch.setattr(confirmation, "doubt_of", lambda *_: None)

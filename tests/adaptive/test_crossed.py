@@ -66,9 +66,7 @@ def test_how_far_it_went_is_a_share_of_the_axis_and_nothing_where_there_is_one_r
         (Agreement.SILENT, True, "linear"),
     ],
 )
-def test_where_the_fit_in_motion_does_not_agree_it_is_judged_as_any_other(
-    monkeypatch: pytest.MonkeyPatch, agreement: Agreement, settles: bool, expected: str
-) -> None:
+def test_where_the_fit_in_motion_does_not_agree_it_is_judged_as_any_other(monkeypatch, agreement, settles, expected):
     known: Any = SimpleNamespace(identifiable=settles)
     in_motion: Any = SimpleNamespace(region_model=known, agreement=agreement)
     monkeypatch.setattr(learning, "_from_neighbours", lambda *_: None)

@@ -78,7 +78,6 @@ def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: floa
     due = asked(there=times(right(1.0), factor))
     assert list(due) == [2]
     verdict = due[2].proof
-    assert verdict is not None
     assert verdict.gains is not None
     assert "estimated from other regions: a, b" in due[2].reason
     process = known(1.0).log.model().seen_by_controller(1.0).linear()
@@ -116,9 +115,7 @@ def test_what_is_nearly_right_or_not_known_stays(about: dict[str, Any]) -> None:
         (Excitation(setpoints=2, clear=1), 1, False),  # something else was behind them
     ],
 )
-def test_a_region_whose_own_responses_leave_doubt_waits_for_more_of_these(
-    own: Excitation | None, foreign: int, *, told: bool
-) -> None:
+def test_a_region_whose_own_responses_leave_doubt_waits_for_more_of_these(own, foreign, *, told):
     excitation = {} if own is None else {2: own}
     assert others_may_tell(2, {2: known(1.0)}, excitation, {2: foreign}) is told
 
@@ -131,8 +128,6 @@ def test_a_set_that_is_too_much_at_its_border_is_eased_though_it_is_right_in_the
         assert list(due) == [2]
         assert "on the way to region b" in due[2].reason
         verdict = due[2].proof
-        assert verdict is not None
-        assert verdict.gains is not None
         assert verdict.gains.kp < 0.9 * right(1.0).kp
     alike = {region: known(1.0) for region in range(3)}
     assert asked(there=right(1.0), models=alike) == {}
@@ -145,12 +140,10 @@ def test_a_trial_that_waits_for_the_loop_ends_before_a_safer_change_there() -> N
     retuner, samples = bench.retuner, bench.samples(2000, 1.0, 0.0, 10.0)
     question = next(step.question for step in map(retuner.step, samples) if step.question is not None)
     found = decide(question)
-    assert found.proof is not None
     assert found.proof.gains is not None
     calm = replace(found, proof=None, prediction=None, code="ok", elsewhere={1: found})
     retuner.enter(question, calm, retuner.sample_number)
     first = retuner.step(next(samples)).decision
-    assert first is not None
     assert first.gains_after is not None
     retuner.committed(1, first.gains_after)
     retuner.step(next(samples))
@@ -158,7 +151,6 @@ def test_a_trial_that_waits_for_the_loop_ends_before_a_safer_change_there() -> N
     safer = replace(found, proof=replace(found.proof, gains=times(first.gains_after, 0.8)))
     retuner._due = {1: safer}
     second = retuner.step(next(samples)).decision
-    assert second is not None
     assert second.action is Action.WRITE
     assert second.gains_after == times(first.gains_after, 0.8)
     assert retuner.trials.of(1).old == first.gains_after
@@ -212,8 +204,6 @@ def test_what_is_due_and_was_not_made_before_a_restart_is_found_again() -> None:
     after = {region: region_model_in(json.loads(json.dumps(region_model_out(m)))) for region, m in before.items()}
     there = times(right(1.0), 0.25)
     one, other = (asked(there=there, models=models)[2] for models in (before, after))
-    assert one.proof is not None
-    assert other.proof is not None
     assert one.proof.gains == other.proof.gains
 
 
@@ -233,12 +223,10 @@ def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -
     retuner, samples = bench.retuner, bench.samples(1000, 1.0, 0.0, 10.0)
     question = next(step.question for step in map(retuner.step, samples) if step.question is not None)
     found = decide(question)
-    assert found.proof is not None
     assert found.proof.accepted
     calm = replace(found, proof=None, prediction=None, code="ok", elsewhere={1: found})
     assert retuner.enter(question, calm, retuner.sample_number).action is Action.NONE
     decision, under_way = retuner.step(next(samples)).decision, retuner.recogniser
-    assert decision is not None
     assert (decision.action, decision.region) == (Action.WRITE, retuner.table.regions.names[1])
     assert decision.gains_after is not None
     assert decision.later

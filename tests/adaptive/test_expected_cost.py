@@ -160,9 +160,7 @@ def test_a_change_is_made_where_it_brings_its_price(gain: float, goes: bool) -> 
 
 
 @pytest.mark.parametrize(("gain", "spread", "goes"), [(0.3, 0.1, True), (0.3, 0.25, False), (0.17, 0.11, False)])
-def test_a_gain_of_which_the_models_say_too_different_things_waits_for_another_record(
-    gain: float, spread: float, goes: bool
-) -> None:
+def test_a_gain_of_which_the_models_say_too_different_things_waits_for_another_record(gain, spread, goes):
     found = choose([look(0.0), replace(look(gain), spread=spread)], None, ModelEvidence(1, 1), SETTINGS)
     assert (found.index > 0, found.waits) == (goes, not goes)
     assert (" +- " in found.reason) is not goes

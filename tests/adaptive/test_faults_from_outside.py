@@ -61,7 +61,6 @@ def test_a_covariance_with_a_row_of_zeros_is_a_covariance() -> None:
         LogModel(np.zeros(3), np.diag([1.0, -0.01, 1.0]), 1, ProcessType.FOPDT)
     _, record = heated(PidGains(0.5, 0.5 / 120), "off", 3000, (30.0, 36.0), 400)
     found = retuner.identify(*record)
-    assert found.model is not None
     assert found.model.k == pytest.approx(1.2, rel=0.05)
     assert found.model.tau1_s + found.model.theta_s == pytest.approx(40.5, rel=0.1)
 
@@ -71,7 +70,6 @@ def test_a_process_without_dead_time_is_tuned_from_its_record() -> None:
     _, record = heated(PidGains(0.5, 0.5 / 120), "off", 3000, (30.0, 36.0), 400)
     found = retuner.diagnose(*record)
     assert found.cause is Cause.SLUGGISH
-    assert found.recommended is not None
     assert found.recommended.kp > 0.5
     assert sensitivity_peak(LinearProcess(1.2, (40.0,), (), 0.5), found.recommended) < 1.7
 
@@ -117,8 +115,6 @@ def test_a_setpoint_step_that_a_historian_has_ramped_is_one_step(rows: int) -> N
     for first, low, high in ((80, 0.0, 1.0), (380, 1.0, 0.0)):
         sp[first : first + rows] = low + (high - low) * np.arange(1, rows + 1) / rows
     whole, ramped = (setpoint_responses(one, record.pv) for one in (record.sp, sp))
-    assert whole is not None
-    assert ramped is not None
     assert ramped.steps == whole.steps == 2
     assert ramped.overshoot == pytest.approx(whole.overshoot, abs=0.05)
     assert ramped.size == pytest.approx(1.0)
@@ -186,7 +182,6 @@ def test_no_record_carries_gain_or_integral_action_without_end(events: float, mo
     aim = RobustTuning(tuning, 1.6, 1.6)
     weak = PidGains(tuning.gains.kp / 6.7, tuning.gains.ki / 194.0)
     step = first_step(aim, weak, events, SLOW, 0.1)
-    assert step is not None
     gains = step.now.tuning.gains
     assert gains.kp <= most * weak.kp * (1 + 1e-9)
     assert gains.ki == pytest.approx(most * weak.ki)
@@ -200,13 +195,11 @@ def test_beside_pure_integral_action_p_is_capped_with_it_and_no_rule_goes_round_
     aim = RobustTuning(tuning, 1.6, 1.6)
     integral = PidGains(0.0, tuning.gains.ki / 40.0)
     step = first_step(aim, integral, 1.0, SLOW, 0.1)
-    assert step is not None
     gains = step.now.tuning.gains
     assert gains.ki == pytest.approx(3.0 * integral.ki)
     assert gains.kp == pytest.approx(tuning.gains.kp * 3.0 / 40.0)
     bold = replace(tuning, gains=PidGains(8.0 * tuning.gains.kp, 8.0 * tuning.gains.ki))
     now = PidGains(tuning.gains.kp, tuning.gains.ki)
     step = first_step(RobustTuning(bold, 2.5, 2.5), now, 1.0, SLOW, 0.1)
-    assert step is not None
     assert step.now.tuning.gains.kp == pytest.approx(3.0 * now.kp)
     assert step.now.tuning.gains.ki <= 3.0 * now.ki * (1 + 1e-9)

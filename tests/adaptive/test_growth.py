@@ -27,7 +27,6 @@ def swing(t_s: float) -> float:
 @given(rate=st.floats(0.08, 0.5), start=st.floats(0.3, 5.0), seed=st.integers(0, 10))
 def test_growth_is_found_with_its_factor_and_period(rate: float, start: float, seed: int) -> None:
     found = grows(heard(lambda t: start * math.exp(2 * rate * t / PERIOD) * swing(t), seed=seed), BAND, S)
-    assert found is not None
     assert found.factor == pytest.approx(math.exp(rate), rel=0.05)
     assert found.period_s == pytest.approx(PERIOD, rel=0.1)
     assert f"{found.factor:.2f}" in found.sentence

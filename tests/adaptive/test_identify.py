@@ -30,9 +30,7 @@ HEATER = Path(__file__).parent.parent / "data" / "heater" / "open_loop_step.csv"
 
 @pytest.mark.parametrize("upset", ["setpoint", "load"])
 @pytest.mark.parametrize(("k", "tau", "theta"), [(1.0, 50.0, 5.0), (-2.0, 10.0, 7.3), (0.01, 400.0, 11.1)])
-def test_without_noise_the_process_is_found_exactly(
-    loop: Callable, k: float, tau: float, theta: float, upset: str
-) -> None:
+def test_without_noise_the_process_is_found_exactly(loop, k, tau, theta, upset):
     kc, tau_i, dt = 0.5 * tau / theta / k, min(tau, 8 * theta), theta / 7
     shape = {"sp": 1.0} if upset == "setpoint" else {"load": 1.0 / k}
     window = loop(k=k, tau=tau, theta=theta, kc=kc, tau_i=tau_i, dt=dt, at=40.2 * dt, **shape).run()

@@ -30,7 +30,6 @@ def test_a_long_trend_of_a_plain_tank_is_identified_as_its_first_part_is(theta_s
     record = tank(theta_s, gap_s)
     found = identify(record.t_s, record.sp, record.pv, record.co, gains=GAINS)
     assert found.identifiable
-    assert found.model is not None
     assert found.model.k == pytest.approx(1.2, rel=0.02)
     assert found.model.tau1_s == pytest.approx(40.0, rel=0.03)
     assert found.model.theta_s == pytest.approx(max(theta_s, 1.0), abs=0.3)
@@ -65,9 +64,7 @@ def test_a_record_is_not_condensed_until_its_dead_time_is_shorter_than_a_row() -
     assert short.log.model() == found.log.model()
 
 
-def test_a_record_of_too_many_rows_is_told_its_own_interval_and_not_that_of_the_fit(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_record_of_too_many_rows_is_told_its_own_interval_and_not_that_of_the_fit(monkeypatch):
     model = ProcessModel("fopdt", k=1.2, tau1_s=60.0, theta_s=4.0)
     record = simulate(model, GAINS, setpoint=[(0.0, 50.0), (100.0, 56.0)], until_s=6_000.0, dt_s=2.0, noise=0.05).window
     monkeypatch.setattr(identify_module, "MOST_ROWS", 300)

@@ -121,7 +121,6 @@ def test_on_line_no_lead_is_looked_for() -> None:
 def test_a_lead_is_no_sticking_valve_and_no_gain_that_changes() -> None:
     kc, tau_i = 0.5, 17.0
     found = diagnose_window(record(2, sp=1.0, n=600, zero=LEAD, lags=LONG), PidGains(kc, kc / tau_i))
-    assert found.estimate is not None
     assert found.estimate.log.type == ProcessType.SOPDT_LEAD
     assert found.diagnosis.cause in {Cause.OK, Cause.SLUGGISH}
 

@@ -58,7 +58,6 @@ def at(models: dict[int, RegionModel], tab: GainTable, low: int, share: float) -
     """Ms of what runs between two knots on the process between their models."""
     one, two = models[low].log.model(), models[low + 1].log.model()
     between = between_models(one, two, share)
-    assert between is not None
     x = KNOTS[low] + share * (KNOTS[low + 1] - KNOTS[low])
     return sensitivity_peak(between.seen_by_controller(ASKED.sample_time_s).linear(), tab.at(low, x))
 
@@ -182,7 +181,6 @@ def test_a_step_is_eased_where_its_border_bears_less() -> None:
     assert found.diagnosis.cause == Cause.AGGRESSIVE
     assert "on the way to region middle" in found.diagnosis.reason
     verdict = prove(change_request(found.tuning, 0, now, KnownProcesses(now, told, 0.0, ASKED), None), ASKED.guard)
-    assert verdict.gains is not None
     assert verdict.gains.kp < 0.8 * now.gains[0].kp
     middle = tuning_of(KnownProcesses(now, told, 0.0, ASKED), 1, now.gains[1])  # towards less gain its set is calmer
     assert middle.diagnosis.cause == Cause.OK

@@ -84,7 +84,6 @@ def test_a_step_that_stands_out_of_the_setpoints_noise_is_still_seen() -> None:
     retuner = made(again_s=0.0)
     late = [d for d in told(retuner, samples(sp)) if d.t_s > 600]
     assert late
-    assert late[0].response is not None
     assert late[0].response.t_start_s == 600.0
 
 
@@ -189,5 +188,4 @@ def test_a_setpoint_that_is_led_at_even_times_does_not_go_to_and_fro() -> None:
 def test_two_series_of_steps_one_after_the_other_are_both_seen() -> None:
     series = [0.0, 1.0, -1.0, 1.0, -1.0, 1.0, 0.0]
     found = step_sequence(moved([*series, *series], 20))
-    assert found is not None
     assert found.opened == 20 * (len(series) + 1)

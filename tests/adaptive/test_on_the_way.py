@@ -30,7 +30,6 @@ def test_records_scatter_by_the_curves_prior_between_the_ends_of_the_way(share: 
 
 def test_what_is_learned_is_allowed_as_far_out_as_its_covariance_says() -> None:
     found = as_wide_as_known(learned(Agreement.FIRST)).region_model
-    assert found is not None
     farthest = max(abs(math.log(one.model.theta_s / LOG.model().theta_s)) for one in found.plausible)
     assert farthest == pytest.approx(OUT * math.sqrt(1e-4 + 0.06**2), rel=1e-3)
     assert found.plausible[0] == Plausible(LOG.model(), 0.0)

@@ -56,7 +56,6 @@ def test_what_the_record_refutes_is_not_put_to_a_second_opinion(ms: float, asked
     verdict = Diagnosis(Cause.AGGRESSIVE, 1.0, evidence, "by the fit")
     of = JudgedLoop(window, GOOD, [], Fits(window, (1,), FitSettings()), DiagnosisSettings())
     doubt = _doubt(verdict, of, oscillates=False)
-    assert doubt is not None
     assert doubt.may_be_asked is asked
 
 
@@ -69,9 +68,7 @@ def test_what_the_record_refutes_is_not_put_to_a_second_opinion(ms: float, asked
         (97.0, 1.0, Cause.EXTERNAL, True),  # a setpoint step shows where it stands
     ],
 )
-def test_that_a_loop_stands_at_its_border_is_a_coincidence(
-    ms: float, setpoint_steps: float, cause: Cause, *, may_be_asked: bool
-) -> None:
+def test_that_a_loop_stands_at_its_border_is_a_coincidence(ms, setpoint_steps, cause, *, may_be_asked):
     settings = DiagnosisSettings()
     fit = SimpleNamespace(p=[math.log(2 * math.pi / 10.0)], misfit=SimpleNamespace(record=SimpleNamespace(span_s=40.0)))
     loop: Any = SimpleNamespace(settings=settings, tone=SimpleNamespace(fit=fit))
@@ -79,5 +76,4 @@ def test_that_a_loop_stands_at_its_border_is_a_coincidence(
     if setpoint_steps:
         evidence |= {"setpoint_steps": setpoint_steps}
     doubt = _tone_doubt(loop, evidence, explained=True)
-    assert doubt is not None
     assert (doubt.cause, doubt.may_be_asked) == (cause, may_be_asked)

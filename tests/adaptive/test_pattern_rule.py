@@ -80,7 +80,6 @@ def advised(
 
 def factor(advice: PatternAdvice, gains: PidGains = PI) -> tuple[float, float]:
     """On Kc and tau_I."""
-    assert advice.tuning is not None
     new = advice.tuning.gains
     return new.kp / gains.kp, (new.kp / new.ki) / (gains.kp / gains.ki)
 
@@ -209,14 +208,12 @@ def test_a_long_return_after_a_load_shortens_the_integral_time_even_when_cut_sho
 def test_derivative_keeps_its_ratio_to_the_integral_time() -> None:
     pid = PidGains(2.0, 2.0 / 5, 2.0)
     new = advised(made(decay(0.5)), pid).tuning
-    assert new is not None
     assert new.gains.kd * new.gains.ki / new.gains.kp**2 == pytest.approx(pid.kd * pid.ki / pid.kp**2)
 
 
 @pytest.mark.parametrize("gains", [PidGains(0.0, 0.1), PidGains(2.0, 0.0), PidGains(-2.0, -0.1)])
 def test_controllers_without_one_of_the_actions_are_moved_in_what_they_have(gains: PidGains) -> None:
     calmer = advised(made(decay(0.5)), gains).tuning
-    assert calmer is not None
     assert calmer.gains.direction == gains.direction
     assert abs(calmer.gains.kp) <= abs(gains.kp)
     assert abs(calmer.gains.ki) <= abs(gains.ki)

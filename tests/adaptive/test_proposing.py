@@ -49,8 +49,6 @@ def test_the_slow_oscillation_rule_has_its_range_and_the_pattern_the_rest() -> N
     slow, pattern = proposed(0.372, INTEGRATING), proposed(0.372, LONG)
     assert (slow.basis, slow.code) == (Basis.SLOW_OSCILLATION, "applies")
     assert (pattern.basis, pattern.code) == (Basis.PATTERN, "lively")
-    assert slow.tuning is not None
-    assert pattern.tuning is not None
     assert slow.tuning.gains.kp > INTEGRATING.kp
     assert pattern.tuning.gains.kp < LONG.kp
     assert "slow-oscillation" in slow.sentence
@@ -71,7 +69,6 @@ def test_nothing_is_proposed_for_other_causes_near_the_targets_or_when_not_allow
 
 def test_locks_hold_and_a_proposal_of_nothing_but_the_locked_is_none() -> None:
     kc_only = proposed(0.372, INTEGRATING, locks=KC_ONLY).tuning
-    assert kc_only is not None
     assert kc_only.gains.kp / kc_only.gains.ki == pytest.approx(INTEGRATING.kp / INTEGRATING.ki)
     assert kc_only.gains.kp == pytest.approx(INTEGRATING.kp / 0.09, rel=0.02)
     nothing = proposed(0.372, LONG, locks=Locks(kc=True))

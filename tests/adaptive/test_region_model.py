@@ -77,13 +77,11 @@ def test_one_odd_record_is_not_believed_and_a_second_one_is(loop: Callable) -> N
     contradicting, confirming = records(loop, 2, k=2.0, first=3)
     doubted = update_region_model(region_model, contradicting, UP, STILL, FIT)
     assert doubted.agreement == Agreement.CONTRADICTS
-    assert doubted.region_model is not None
     np.testing.assert_array_equal(doubted.region_model.log.x, region_model.log.x)
     back = update_region_model(doubted.region_model, records(loop, 1, first=6)[0], UP, STILL, FIT)
     assert back.agreement == Agreement.AGREES
     changed = update_region_model(doubted.region_model, confirming, UP, STILL, FIT)
     assert changed.agreement == Agreement.CHANGED
-    assert changed.region_model is not None
     assert changed.region_model.log.model().k == pytest.approx(2.0, rel=0.1)
 
 
@@ -95,7 +93,6 @@ def with_alternative(loop: Callable, theta_s: float) -> RegionModel:
         region_model, loop(theta=theta_s, noise=0.02, sp=1.0).run(seed=9, t0=1200.0), UP, SCATTERED, FIT
     )
     assert contradicting.agreement == Agreement.CONTRADICTS
-    assert contradicting.region_model is not None
     assert contradicting.region_model.alternative is not None
     return contradicting.region_model
 
@@ -108,7 +105,6 @@ def test_a_record_that_fits_both_but_the_rival_better_confirms_it(loop: Callable
     )
     changed = update_region_model(doubted, load, UP, SCATTERED, FIT)
     assert changed.agreement == Agreement.CHANGED
-    assert changed.region_model is not None
     assert changed.region_model.alternative is None
     assert changed.region_model.log.model().theta_s == pytest.approx(2.5, rel=0.2)
 
@@ -117,7 +113,6 @@ def test_a_record_that_cannot_tell_leaves_the_rival_until_one_can(loop: Callable
     half_way = loop(theta=3.7, noise=0.08, load=3.0).run(seed=10, t0=1600.0)
     undecided = update_region_model(with_alternative(loop, 2.5), half_way, UP, SCATTERED, FIT)
     assert undecided.agreement == Agreement.AGREES
-    assert undecided.region_model is not None
     assert undecided.region_model.alternative is not None
     step = loop(theta=2.5, noise=0.02, sp=1.0).run(seed=11, t0=2000.0)
     changed = update_region_model(undecided.region_model, step, UP, SCATTERED, FIT)
@@ -128,7 +123,6 @@ def test_a_record_that_speaks_clearly_against_the_rival_forgets_it(loop: Callabl
     same = loop(noise=0.02, sp=-1.0).run(seed=12, t0=1600.0)
     back = update_region_model(with_alternative(loop, 2.5), same, UP, SCATTERED, FIT)
     assert back.agreement == Agreement.AGREES
-    assert back.region_model is not None
     assert back.region_model.alternative is None
 
 
@@ -192,7 +186,6 @@ def test_records_that_do_not_settle_the_process_alone_settle_it_together(loop: C
         if region_model is not None and region_model.identifiable:
             break
     assert not any(alone)
-    assert region_model is not None
     assert region_model.identifiable
     assert region_model.records > 1
     truth = np.log([1 / 50.0, 5.0])
@@ -205,11 +198,9 @@ def test_an_odd_record_that_means_danger_is_believed_at_once_and_taken_back(loop
     contradicting, same = records(loop, 1, k=2.0, first=4)[0], records(loop, 1, first=6)[0]
     opened = update_region_model(region_model, contradicting, tight, STILL, FIT)
     assert opened.agreement == Agreement.OPENED
-    assert opened.region_model is not None
     assert opened.region_model.log.model().k == pytest.approx(2.0, rel=0.15)
     back = update_region_model(opened.region_model, same, tight, STILL, FIT)
     assert back.agreement == Agreement.CHANGED
-    assert back.region_model is not None
     assert back.region_model.log.model().k == pytest.approx(1.0, rel=0.15)
 
 
@@ -221,7 +212,6 @@ def test_a_wrong_first_record_does_not_lock_the_region(loop: Callable) -> None:
         region_model = learned.region_model
         said.append(learned.agreement)
     assert said == [Agreement.CONTRADICTS, Agreement.CHANGED]
-    assert region_model is not None
     assert region_model.log.model().k == pytest.approx(1.0, rel=0.1)
 
 
@@ -230,19 +220,16 @@ def test_what_settled_nothing_gives_way_at_once_to_a_record_that_does(loop: Call
     assert wrong is not None
     learned = update_region_model(replace(wrong, identifiable=False), records(loop, 1, first=2)[0], UP, STILL, FIT)
     assert learned.agreement == Agreement.FIRST
-    assert learned.region_model is not None
     assert learned.region_model.records == 1
     assert learned.region_model.log.model().k == pytest.approx(1.0, rel=0.1)
 
 
 def test_a_single_record_gives_way_to_one_that_knows_far_better(loop: Callable) -> None:
     vague = update_region_model(None, loop(k=3.0, noise=0.1, sp=0.3).run(seed=1), UP, SCATTERED, FIT).region_model
-    assert vague is not None
     assert vague.identifiable
     clear = loop(noise=0.01, sp=1.0).run(seed=2, t0=400.0)
     found = update_region_model(vague, clear, UP, SCATTERED, FIT)
     assert found.agreement == Agreement.FIRST
-    assert found.region_model is not None
     assert found.region_model.log.model().k == pytest.approx(1.0, rel=0.05)
     assert found.region_model.alternative == vague.known
     contradicting = replace(
@@ -268,7 +255,6 @@ def test_slow_fouling_is_followed(loop: Callable) -> None:
         learned = update_region_model(region_model, window, UP, TrackerSettings(), FIT)
         assert learned.agreement in {Agreement.FIRST, Agreement.AGREES}
         region_model = learned.region_model
-    assert region_model is not None
     assert abs(region_model.log.x[0] - np.log(k / 50.0)) < 0.2
 
 
@@ -276,7 +262,6 @@ def test_the_last_records_are_remembered_by_what_they_said_alone(loop: Callable)
     region_model = None
     for window in records(loop, 2):
         region_model = update_region_model(region_model, window, UP, STILL, FIT, (1.5, 2.5)).region_model
-    assert region_model is not None
     assert [(p.x, p.x2) for p in region_model.points] == [(1.5, 2.5)] * 2
     assert region_model.points[1].t_s > region_model.points[0].t_s
     assert all(p.log.model().k == pytest.approx(1.0, rel=0.2) for p in region_model.points)
@@ -298,7 +283,6 @@ def test_a_small_load_does_not_move_what_is_known(loop: Callable, size: float, l
     window = Window(whole.t_s[own], whole.sp[own], whole.pv[own], whole.co[own])
     learned = update_region_model(learned_from(loop, 5, SCATTERED)[-1], window, UP, SCATTERED, FIT)
     assert learned.agreement is Agreement.AGREES
-    assert learned.region_model is not None
     assert learned.region_model.log.model().k == pytest.approx(1.0, rel=0.06)
     assert [round(at_s) for at_s in learned.estimate.load_times_s] == pytest.approx([4040], abs=6)
 
@@ -344,7 +328,6 @@ def test_a_dead_time_too_short_to_be_seen_stays_at_its_bound_and_is_no_prior() -
             x += (1.0 - np.exp(-3.0 / 49.0)) * (1.73 * rows[-1][3] - x)
         window = Window(*np.array(rows).T)
         region_model = update_region_model(region_model, window, gains, SCATTERED, FIT).region_model
-        assert region_model is not None
         assert region_model.identifiable
         assert region_model.log.model().theta_s == pytest.approx(region_model.bound_s) == 3.0
         assert region_model.known[0].log.model().theta_s < 0.3

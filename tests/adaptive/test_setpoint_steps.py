@@ -91,7 +91,6 @@ def test_a_load_as_large_as_the_steps_leaves_the_process_and_how_surely_is_told(
     held = []
     for seed in range(1, 6):
         found = process_behind(sequences(2, WALK, seed=seed), 1, FitSettings(gain_std_limit=0.3))
-        assert found is not None
         log = found.log
         error = float(log.x[0] - TRUE[0])
         held.append(abs(error) <= 2 * log.p[0, 0] ** 0.5)
@@ -144,7 +143,6 @@ def test_the_filter_of_a_sinusoid_foretells_it() -> None:
 def test_a_loop_that_would_run_away_explains_no_record() -> None:
     (one,) = sequences(1, WALK)
     found = process_behind([one], 1, FitSettings())
-    assert found is not None
     fitting = Fitting([one], 1, *LAW)
     assert math.isfinite(fitting.deviance(found.log.type, found.log.x))
     for slope in (0.1, 1.0):  # one runs away slowly, the other from sample to sample
@@ -156,11 +154,8 @@ def test_more_sequences_say_more_and_are_kept_with_the_model() -> None:
     every = sequences(4, WALK)
     few, many = (update_by_sequences(None, tuple(part), 1, TrackerSettings(), FitSettings(), LAW)
                  for part in (every[:1], every))  # fmt: skip
-    assert few is not None
-    assert many is not None
     assert many.agreement is Agreement.AGREES
     assert many.estimate.log.p[0, 0] < few.estimate.log.p[0, 0]
-    assert many.region_model is not None
     again = region_model_in(json.loads(json.dumps(region_model_out(many.region_model), allow_nan=False)))
     assert again.sequences == many.region_model.sequences == tuple(every)
 
@@ -169,7 +164,6 @@ def test_more_sequences_say_more_and_are_kept_with_the_model() -> None:
 def test_sequences_under_other_gains_are_fitted_with_the_rest() -> None:
     both = (*sequences(2, WALK, scaled(0.5, 0.5)), *sequences(2, WALK))
     found = process_behind(both, 1, FitSettings())
-    assert found is not None
     assert found.log.x[0] == pytest.approx(TRUE[0], abs=0.5)
 
 
@@ -180,16 +174,11 @@ def test_what_was_known_is_given_up_when_two_sequences_contradict_it() -> None:
     held = dynamics_at(ProcessType.FOPDT, TRUE).step(np.arange(new[0].reach, dtype=np.float64) - 5.0) / 20
     odd = [replace(one, pv=tuple(one.said(setpoint_response(held, law)).tolist())) for one in new]
     known = update_by_sequences(None, tuple(old), 1, TrackerSettings(), FitSettings(), LAW)
-    assert known is not None
     assert known.region_model is not None
     once = update_by_sequences(known.region_model, (*old, odd[0]), 1, TrackerSettings(), FitSettings(), LAW)
-    assert once is not None
-    assert once.region_model is not None
     assert once.agreement is Agreement.CONTRADICTS
     assert once.region_model.log.x == pytest.approx(known.region_model.log.x)
     twice = update_by_sequences(once.region_model, (*old, *odd), 1, TrackerSettings(), FitSettings(), LAW)
-    assert twice is not None
-    assert twice.region_model is not None
     assert twice.region_model.sequences == tuple(odd)
     assert twice.region_model.log.x[0] == pytest.approx(np.log(1 / 20), abs=0.1)
 
@@ -198,8 +187,6 @@ def test_no_more_are_kept_than_a_process_lasts(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(of_region, "MOST_SEQUENCES", 2)
     (one,) = sequences(1, 0.01)
     found = update_by_sequences(None, (one,) * 4, 1, TrackerSettings(), FitSettings(), LAW)
-    assert found is not None
-    assert found.region_model is not None
     assert len(found.region_model.sequences) == 2
 
 

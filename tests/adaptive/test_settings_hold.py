@@ -53,7 +53,6 @@ def test_a_drift_that_looks_like_next_to_no_dead_time_bounds_none() -> None:
 
 def test_the_process_has_the_sign_of_the_controller_that_the_record_shows() -> None:
     found = identify_record(record("four_lags_negative_fit"))
-    assert found.model is not None
     assert found.model.k > 0.0
     assert true_ms(settings_of(found), 0.455, 32.42, 4, 3.24) < 1.8
 
@@ -72,9 +71,7 @@ def test_a_model_with_a_drift_is_held_against_all_processes_under_a_load_that_wa
 
 
 @pytest.mark.parametrize(("share", "holds"), [(0.05, True), (0.2, False)])
-def test_a_model_of_parts_is_held_to_what_settings_by_odds_are(
-    share: float, holds: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_of_parts_is_held_to_what_settings_by_odds_are(share, holds, monkeypatch):
     """Of four of some 250 drawn records that only parts identify, two had Ms 2.0 and 2.3 on 22 and 29 % of the odds."""
     monkeypatch.setattr(other_processes, "share_over", lambda *_: share)
     assert identify_record(record("four_lags_negative_fit")).identifiable is holds  # only its parts identify it
@@ -101,9 +98,7 @@ def test_a_still_record_says_nothing_against_settings() -> None:
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_where_no_process_is_identified_the_command_tells_what_diagnose_says(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_no_process_is_identified_the_command_tells_what_diagnose_says(tmp_path, capsys):
     window, path = record("inverse_three_thousand_rows"), tmp_path / "loop.csv"
     columns = np.column_stack([window.t_s, window.sp, window.pv, window.co])
     np.savetxt(path, columns, delimiter=",", header="t,sp,pv,co", comments="")

@@ -65,7 +65,6 @@ def test_the_slips_of_an_irregular_valve_are_found() -> None:
     window = irregular_record(7)
     best = linear(window, (1,), SETTINGS.fit.choice, SETTINGS.fit.most_samples)[0]
     found = slipping(best, 2)
-    assert found is not None
     noise = best.fit.misfit.record.noise_std
     assert found.fit.colour.std < 2 * noise
     assert found.fit.colour.std < 0.5 * best.colour.std

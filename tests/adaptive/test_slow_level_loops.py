@@ -43,7 +43,6 @@ def test_after_a_load_the_swing_is_named_and_cured_whatever_the_dead_time(produc
     found = diagnose(*record, gains=gains)
     assert "too little k' Kc tau_I" in found.diagnosis.reason
     assert product_after(found) == pytest.approx(4.0, abs=0.2)
-    assert found.recommended is not None
     assert found.recommended.kp >= gains.kp
 
 
@@ -58,7 +57,5 @@ def test_under_more_loads_than_are_looked_for_parts_of_the_record_show_it() -> N
 def test_after_a_setpoint_step_diagnose_has_settings_as_identify_has() -> None:
     record, gains = swinging(0.3, setpoint=True)
     told, identified = diagnose(*record, gains=gains), identify(*record, gains=gains)
-    assert identified.recommended is not None
     assert product_after(told) == pytest.approx(4.0, abs=0.25)
-    assert told.recommended is not None
     assert told.recommended.kp == pytest.approx(identified.recommended.kp, rel=0.25)

@@ -166,9 +166,7 @@ def settled(gain: float, std: float = STD, n: int = 8) -> RegionModel:
         ((1.0, 1.0), STD, 2, False),
     ],
 )
-def test_neighbours_are_merged_when_they_are_known_to_be_equal(
-    gains: tuple[float, float], std: float, records: int, merged: bool
-) -> None:
+def test_neighbours_are_merged_when_they_are_known_to_be_equal(gains, std, records, merged):
     known = {i: settled(gain, std, records) for i, gain in enumerate(gains)}
     found = region_advice(ROW, known, DT_S, SETTINGS)
     assert [a.kind for a in found] == [AdviceKind.MERGE] * merged

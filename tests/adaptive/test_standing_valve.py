@@ -72,7 +72,6 @@ def test_pv_as_steps():
 def test_a_valve_that_stands_and_slips_is_named():
     sp = np.repeat([0.0, 6.0, -4.0], 200)
     found = stand_still(flow_loop([4.0, 2.4, -3.0, -1.4, 0.5], sp, np.zeros(600)), GAINS, SETTINGS)
-    assert found is not None
     assert found.stands
     assert found.sticks
     assert found.idle > 1
@@ -85,7 +84,6 @@ def test_a_valve_that_follows_is_not(seed):
     load = np.cumsum(rng.standard_normal(600)) * 0.05
     sp = np.repeat(rng.uniform(-5, 5, 6), 100)
     found = stand_still(flow_loop(None, sp, load, seed), GAINS, SETTINGS)
-    assert found is not None
     assert not found.stands
     assert not found.dead
 
@@ -93,7 +91,6 @@ def test_a_valve_that_follows_is_not(seed):
 def test_pv_that_does_not_answer_at_all():
     sp = np.concatenate([np.zeros(100), np.full(400, 1.0)])
     found = stand_still(flow_loop([0.0] * 500, sp, np.zeros(500)), GAINS, SETTINGS)
-    assert found is not None
     assert found.dead
     assert not found.stands
 
@@ -115,7 +112,6 @@ def test_a_real_sticking_valve():
 
 def test_a_real_healthy_flow_loop():
     found = _by_itself("FIC46002_1102_1.csv")
-    assert found is not None
     assert not found.stands
 
 
@@ -139,7 +135,6 @@ def cropped(name: str, share: slice) -> StandStill | None:
 def test_a_step_goes_where_co_has_gone_whatever_little_steps_lie_between():
     """Without its last slip little steps of a load showed, and took co's long way away from the one slip after them."""
     found = cropped("FIC31102_0628_1.csv", slice(None, 676))
-    assert found is not None
     assert found.agreed == 1
     assert found.degree == 1.0
 
@@ -168,7 +163,6 @@ def test_a_setpoint_step_that_pv_has_not_answered_is_as_good_as_a_slip(free: boo
     sp = np.repeat([0.0, 4.0], [240, 60])
     gains = PidGains(0.2, 0.04)
     found = stand_still(flow_loop(None if free else [], sp, np.full(300, 0.15)), gains, SETTINGS)
-    assert found is not None
     assert found.degree == degree
     assert not found.ends_s
 
@@ -180,8 +174,6 @@ def test_a_setpoint_that_returns_at_the_next_sample_is_no_step() -> None:
     returned[120] = 4.0
     loops = (flow_loop([], one, np.full(300, 0.15)) for one in (returned, sp))
     found, plain = (stand_still(loop, PidGains(0.2, 0.04), SETTINGS) for loop in loops)
-    assert found is not None
-    assert plain is not None
     assert found.silent_s == plain.silent_s
 
 
@@ -195,14 +187,12 @@ def test_a_slow_swing_is_no_pv_that_stands(lag: float, degree: float) -> None:
     pv += 0.02 * rng.standard_normal(n)
     co = np.cumsum(-0.04 * pv)
     found = stand_still(Window(np.arange(float(n)), np.zeros(n), pv, co), PidGains(0.2, 0.04), SETTINGS)
-    assert found is not None
     assert found.degree == pytest.approx(degree, abs=0.1)
 
 
 def test_only_steps_that_end_a_stand_are_told_after_it():
     """At 5160 s pv goes a little the other way."""
     found = _by_itself("FIC31102_0628_1.csv")
-    assert found is not None
     assert len(found.slips_s) == 3
     assert "then follows in steps (at 5480, 7350 s)" in pv_stands_verdict(found, {}).reason
     assert _ends([5.0, 30.0, 40.0], [Leg(10.0, 25.0, 0.5, 9.0), Leg(45.0, 60.0, 0.5, 9.0)]) == [30.0]
@@ -254,16 +244,12 @@ def test_how_far_a_valve_stands_is_alike_in_every_second_row_and_in_most_of_them
     sp = np.repeat([0.0, 6.0, -4.0], 200)
     window = flow_loop([4.0, 2.4, -3.0, -1.4, 0.5], sp, np.zeros(600))
     whole, some = (stand_still(one, GAINS, SETTINGS) for one in (window, window.part(part)))
-    assert whole is not None
-    assert some is not None
     assert whole.degree == 1.0
     assert some.degree > 0.6
 
 
 @pytest.mark.parametrize(("lead", "degree", "stands"), [(0.75, 1.0, True), (1.0, 0.5, True), (1.2, 0.1, False)])
-def test_a_likelier_linear_explanation_takes_the_degree_away_by_and_by(
-    monkeypatch: pytest.MonkeyPatch, lead: float, degree: float, *, stands: bool
-) -> None:
+def test_a_likelier_linear_explanation_takes_the_degree_away_by_and_by(monkeypatch, lead, degree, *, stands):
     """lead : of the linear explanation, in times the one that counts."""
     settings = DiagnosisSettings()
     monkeypatch.setattr(StandStill, "lead_of", lambda *_: lead * settings.standing.likelier)
@@ -271,7 +257,6 @@ def test_a_likelier_linear_explanation_takes_the_degree_away_by_and_by(
     misfit = SimpleNamespace(record=SimpleNamespace(pv=window.pv), loads=0)
     best: Any = SimpleNamespace(fit=SimpleNamespace(misfit=misfit, at=SimpleNamespace(explained=window.sp)))
     found = pv_stands(window, GAINS, best, settings)
-    assert found is not None
     assert found.degree == pytest.approx(degree)
     assert found.stands is stands
 

@@ -35,7 +35,6 @@ def quiet(load: float = 0.0, noise: float = 0.0) -> list[LoopSample]:
 
 def test_the_steps_are_found_with_their_ends() -> None:
     found = step_sequence(quiet())
-    assert found is not None
     assert (found.base, found.opened, found.closed) == (0.0, REST, REST + HOLD * len(LEVELS))
     assert found.whole == tuple(REST + HOLD * i for i in range(1, WHOLE_STEPS + 1))
 
@@ -49,7 +48,6 @@ def test_other_moves_are_no_steps_to_and_fro(levels: tuple[float, ...]) -> None:
 def test_steps_at_uneven_times_are_as_good() -> None:
     samples = quiet()
     found = step_sequence(samples[: REST + HOLD + 30] + samples[REST + 2 * HOLD :])
-    assert found is not None
     assert len(found.whole) == WHOLE_STEPS
 
 
@@ -86,7 +84,6 @@ def test_under_a_load_that_walks_they_are_judged_once_and_together() -> None:
     decisions = [d for d in decided(0.03) if d.t_s > REST]  # what the load did before them stands by itself
     assert [d.reason for d in decisions if d.records] == [d.reason for d in decisions if "joined:" in d.reason]
     (whole,) = [d for d in decisions if "6 setpoint steps to and fro, joined: " in d.reason]
-    assert whole.known is not None
     model = whole.known.model()
     assert model.k / model.tau1_s == pytest.approx(1 / 50, rel=0.3)
 

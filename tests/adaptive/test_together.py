@@ -88,14 +88,11 @@ def test_a_record_that_settles_nothing_alone_is_fitted_with_the_first(loop: Call
     first, second = two(loop, load=1.0)
     strict = FitSettings(gain_std_limit=0.03)
     begun = update_region_model(None, first, UP, TrackerSettings(), strict).region_model
-    assert begun is not None
     assert len(begun.windows) == 1
     alone = identify_window(second, 1, None, strict)
     assert not alone.identifiable
     kept = region_model_in(json.loads(json.dumps(region_model_out(begun))))
     learned, again = (update_region_model(known, second, UP, TrackerSettings(), strict) for known in (begun, kept))
     assert learned.agreement is again.agreement is Agreement.AGREES
-    assert learned.region_model is not None
-    assert again.region_model is not None
     np.testing.assert_array_equal(learned.region_model.log.x, again.region_model.log.x)
     assert len(learned.region_model.windows) == 2  # fitted as one, not folded into the other

@@ -32,7 +32,6 @@ def test_a_leap_from_one_event_is_a_first_step():
     aim = RobustTuning(simc(INTEGRATING, 3.0), 1.7, 1.8)
     slow = PidGains(aim.tuning.gains.kp / 10, aim.tuning.gains.ki / 10)
     step = first_step(aim, slow, 1.0, INTEGRATING, 0.1)
-    assert step is not None
     assert step.now.tuning.gains.kp == pytest.approx(MOST_AT_ONCE * slow.kp)
     gains = step.now.tuning.gains
     assert INTEGRATING.k * gains.kp * gains.kp / gains.ki == pytest.approx(4.0)  # and no slow oscillation on the way
@@ -46,7 +45,6 @@ def test_a_first_step_of_a_loop_with_derivative_action_keeps_the_aims_times():
     aim = RobustTuning(simc(process, kind=ControllerKind.PID), 1.6, 1.7)
     wanted = aim.tuning.gains
     step = first_step(aim, PidGains(wanted.kp / 30, wanted.ki / 30, wanted.kd / 30), 1.0, process, 0.5)
-    assert step is not None
     gains, share = step.now.tuning.gains, MOST_AT_ONCE / 30
     assert (gains.kp, gains.ki, gains.kd) == pytest.approx((share * wanted.kp, share * wanted.ki, share * wanted.kd))
 
@@ -65,7 +63,6 @@ def test_a_sluggish_loop_seen_once_is_told_the_first_step():
     window = loop(times(0.1, 0.1), lambda i: 1.0 if i >= 80 else 0.0, n=1400)
     found = diagnose_window(window, times(0.1, 0.1))
     assert found.diagnosis.cause == Cause.SLUGGISH
-    assert found.tuning is not None
     assert found.aim is not None
     assert found.tuning.tuning.gains.kp == pytest.approx(MOST_AT_ONCE * 0.1 * GOOD.kp, rel=1e-6)
     assert "first step" in found.diagnosis.reason

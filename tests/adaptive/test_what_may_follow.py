@@ -24,8 +24,6 @@ PLANT = Path(__file__).parent.parent / "data" / "plant"
 def test_far_more_gain_from_one_event_is_a_first_step_with_the_aim_behind_it(loop: Callable) -> None:
     window = loop(sp=1.0, kc=0.8, tau_i=40.0, noise=0.005, n=1500).run(1)
     found = identify_record(window, gains=SeriesGains(0.8, 40.0).to_parallel())
-    assert found.settings is not None
-    assert found.aim is not None
     assert found.settings.tuning.gains.kp == pytest.approx(3 * 0.8, rel=0.01)
     assert found.aim.tuning.gains.kp == pytest.approx(5.0, rel=0.1)
     assert "first step" in found.step_reason
@@ -82,10 +80,8 @@ def test_a_lag_without_visible_dead_time_gets_settings_from_the_bound(loop: Call
     found = identify_record(window)
     assert found.estimate.identifiable, found.estimate.reason
     assert "one sampling interval" in found.estimate.reason
-    assert found.settings is not None
     gains = found.settings.tuning.gains
     assert gains.kp == pytest.approx(30.0 / (2 * 6.0), rel=0.05)  # SIMC with a dead time of 4 s, and half a sample
-    assert found.settings.margins is not None
     assert found.settings.margins.ms < 1.8
 
 

@@ -84,9 +84,7 @@ def with_person(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     return run
 
 
-def test_an_approved_proposal_is_written_by_the_running_session_and_replayed(
-    with_person: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_approved_proposal_is_written_by_the_running_session_and_replayed(with_person, capsys):
     folder, person = with_person([("approve", advised)])
     assert person.statuses == [0]
     assert "the running session acts on it" in capsys.readouterr().out
@@ -129,9 +127,7 @@ def in_manual(session: LoopSession, sample: LoopSample) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_an_approval_and_its_trial_that_manual_mode_interrupts_are_replayed(
-    with_person: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_approval_and_its_trial_that_manual_mode_interrupts_are_replayed(with_person, capsys):
     folder, _ = with_person([("approve", advised), ("manual", on_trial), ("auto", in_manual)])
     decisions = bodies(folder, "decision")
     codes = [d["code"] for d in decisions]
@@ -167,9 +163,7 @@ def test_a_change_that_was_tried_waits_for_a_person(with_person: Any, capsys: py
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(
-    with_person: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(with_person, tmp_path, capsys):
     folder, _ = with_person([])
     capsys.readouterr()
     assert main(["approve", str(folder), "--json"]) == 0
@@ -214,9 +208,7 @@ def copy(advice: Path, tmp_path: Path) -> Path:
         (["--by", "x\ny", "--unlock", "all"], "by must be"),
     ],
 )
-def test_what_cannot_be_approved_is_one_line(
-    copy: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_approved_is_one_line(copy, arguments, told, capsys):
     assert main(["approve", str(copy), *arguments]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
@@ -258,9 +250,7 @@ def test_a_revert_names_a_decision_that_is_there(copy: Path, capsys: pytest.Capt
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_what_is_no_order_is_refused_with_a_row_and_nothing_else_happens(
-    with_person: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_order_is_refused_with_a_row_and_nothing_else_happens(with_person, tmp_path, capsys):
     def litter(session: LoopSession, sample: LoopSample) -> bool:
         del session
         if sample.t_s > 20.0 and not (tmp_path / "run" / "orders").exists():

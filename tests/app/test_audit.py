@@ -260,9 +260,7 @@ def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFix
         (["--diagnose", "101"], "--diagnose 101: give 0 to 100 percent"),
     ],
 )
-def test_wrong_options_end_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
-) -> None:
+def test_wrong_options_end_in_one_line(tmp_path, capsys, arguments, message):
     table(tmp_path / "A.csv", "t,sp,pv,co", 3)
     assert main(["audit", str(tmp_path), "--out", str(tmp_path / "out"), *arguments]) == 2
     told = capsys.readouterr().err
@@ -277,9 +275,7 @@ def test_a_wrong_name_is_told_as_one_of_its_file(tmp_path: Path, capsys: pytest.
     assert capsys.readouterr().err.startswith(f"{names}: [record] signals")
 
 
-def test_a_folder_without_a_loop_and_an_audit_of_another_version_are_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_without_a_loop_and_an_audit_of_another_version_are_told(tmp_path, capsys):
     (tmp_path / "x.csv").write_text("nothing here\n", encoding="utf-8")
     assert main(["audit", str(tmp_path)]) == 2
     assert "no loop found, none in its 1 file" in capsys.readouterr().err
@@ -332,9 +328,7 @@ def test_a_cluster_does_the_same_work() -> None:
 
 
 @pytest.mark.slow
-def test_a_share_of_the_loops_is_diagnosed_those_that_the_screening_shows_worst(
-    plant: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_share_of_the_loops_is_diagnosed_those_that_the_screening_shows_worst(plant, tmp_path, capsys):
     shutil.copy(VALVE, plant / "valve.csv")
     arguments = ["audit", str(plant), "--out", str(tmp_path / "out"), "--jobs", "1", "--stretches", "1", "--json"]
 

@@ -32,9 +32,7 @@ def audited(
     return {row["tag"]: row for row in document["rows"]}, document["refused"]
 
 
-def test_two_broken_files_of_a_hundred_cost_two_rows_or_lines(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_broken_files_of_a_hundred_cost_two_rows_or_lines(tmp_path, capsys):
     plant = tmp_path / "plant"
     whole = [record(plant / f"FIC{i:03d}.csv") for i in range(100)]
     whole[17].write_bytes(RNG.bytes(3000))
@@ -47,9 +45,7 @@ def test_two_broken_files_of_a_hundred_cost_two_rows_or_lines(
     assert all("FIC" in str(row["failed"]) for row in rows.values() if "failed" in row)
 
 
-def test_a_file_that_was_cut_in_half_is_used_as_far_as_it_goes_or_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_was_cut_in_half_is_used_as_far_as_it_goes_or_told(tmp_path, capsys):
     plant = tmp_path / "plant"
     record(plant / "whole.csv")
     text = record(plant / "half.csv").read_bytes()
@@ -97,9 +93,7 @@ def test_an_empty_folder_is_told_in_a_line(tmp_path: Path, capsys: pytest.Captur
     assert told.count("\n") == 1
 
 
-def test_an_audit_that_is_stopped_keeps_what_is_done_and_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_audit_that_is_stopped_keeps_what_is_done_and_goes_on(tmp_path, capsys, monkeypatch):
     plant, out, done = tmp_path / "plant", tmp_path / "out", list[str]()
     for i in range(5):
         record(plant / f"FIC{i}.csv")

@@ -171,9 +171,7 @@ def failing(error: BaseException) -> object:
         (RecordingError("a.csv:3: text"), 2, "a.csv:3: text\n"),
     ],
 )
-def test_errors_on_the_way_become_a_line_and_a_status(
-    monkeypatch: pytest.MonkeyPatch, error: BaseException, status: int, told: str
-) -> None:
+def test_errors_on_the_way_become_a_line_and_a_status(monkeypatch, error, status, told):
     monkeypatch.setattr(loading, "read_text", failing(error))
     assert run("check", "x") == (status, "", told)
 
@@ -200,9 +198,7 @@ def test_a_value_error_of_the_pure_rooms_is_told_with_its_place() -> None:
         raise ValueError("must be positive")
 
 
-def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(tmp_path, monkeypatch):
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 

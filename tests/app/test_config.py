@@ -81,7 +81,6 @@ def test_a_small_file_is_complete_with_its_defaults() -> None:
 
 def test_a_run_has_plant_and_scenario() -> None:
     config = parse_config(GOOD + RUN)
-    assert config.device is not None
     assert config.scenario is not None
     assert config.device.plant.kind == "linear"
     assert [(s.at_s, s.sp, s.load) for s in config.scenario.steps] == [(0.0, 2.0, None), (50.0, None, -5.0)]

@@ -65,9 +65,7 @@ step_up = 1.1
         ("[adaptation]\npretune_step_pct = 80.0\n", "pretune_step_pct"),
     ],
 )
-def test_what_is_out_of_range_is_one_line_with_its_place(
-    text: str, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_out_of_range_is_one_line_with_its_place(text, named, tmp_path, capsys):
     assert main(["check", str(written(tmp_path, text))]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1

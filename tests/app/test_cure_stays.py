@@ -116,9 +116,7 @@ def test_it_stays_while_another_region_is_in_force(make_wire: Callable[..., Wire
     assert to_wire(wire.session.table.gains_of(0)) == to_wire(GOOD)
 
 
-def test_samples_that_stay_away_are_told_once_and_do_not_bring_the_unstable_set_back(
-    make_wire: Callable[..., Wire],
-) -> None:
+def test_samples_that_stay_away_are_told_once_and_do_not_bring_the_unstable_set_back(make_wire):
     wire = cured(make_wire())
     wire.heard = lambda message: not is_telemetry(message)
     wire.run(60)
@@ -129,7 +127,6 @@ def test_samples_that_stay_away_are_told_once_and_do_not_bring_the_unstable_set_
 def test_a_person_who_orders_it_back_is_told_why_not(make_wire: Callable[..., Wire]) -> None:
     wire = cured(make_wire())
     decision = revert(wire.session.retuner, 0, UNSTABLE, wire.clock.now_s())
-    assert decision is not None
     assert decision.code == "revert_refused"
     assert "unstable" in decision.reason
     assert wire.trials.phase(0) is P.TRIAL

@@ -59,9 +59,7 @@ def asked(session: Path) -> tuple[Retuner, Question]:
     raise AssertionError("nothing was asked")
 
 
-def test_a_later_decision_is_entered_at_its_sample_and_replayed_byte_for_byte(
-    session: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_later_decision_is_entered_at_its_sample_and_replayed_byte_for_byte(session, capsys):
     questions, answers = bodies(session, "question"), bodies(session, "answer")
     assert len(questions) == len(answers) >= 2
     for question, answer in zip(questions, answers, strict=True):
@@ -136,7 +134,6 @@ def test_a_worker_that_is_killed_costs_this_decision_and_not_the_next(asked: tup
 def test_a_worker_is_warm_when_it_has_imported_and_one_that_is_gone_holds_nobody_up() -> None:
     with DecideInWorker(60.0) as decider:
         worker = decider._worker
-        assert worker is not None
         assert not worker.warm.is_set()  # it has a second of imports before it
         decider.wait_until_warm(60.0)
         assert worker.warm.is_set()
@@ -145,7 +142,6 @@ def test_a_worker_is_warm_when_it_has_imported_and_one_that_is_gone_holds_nobody
         assert decider.pid is not None
         os.kill(decider.pid, signal.SIGKILL)
         worker = decider._worker
-        assert worker is not None
         decider.wait_until_warm(60.0)
         assert worker.warm.is_set()
 
@@ -177,7 +173,6 @@ def test_a_worker_that_hangs_is_ended_at_the_deadline_and_nothing_waits_for_it(a
         assert worker.answer(1) is None
         clock.advance(0.2)
         late = worker.answer(2)
-        assert late is not None
         assert late.result.code == LATE
         assert "no decision within 60 s" in late.trouble
         assert worker.pid not in {None, first}
@@ -205,7 +200,6 @@ def test_what_is_entered_without_a_decision_changes_nothing(asked: tuple[Retuner
         worker.ask(question)
         clock.advance(2.0)
         late = worker.answer(1)
-    assert late is not None
     before = retuner.table
     decision = retuner.enter(question, late.result, retuner.sample_number)
     assert decision.gains_after is None

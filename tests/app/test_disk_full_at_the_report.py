@@ -43,9 +43,7 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, full: Callable[.
 
 @pytest.mark.slow
 @pytest.mark.parametrize("missing", [*[(name,) for name in LEFT], LEFT], ids=lambda names: names[0] * (len(names) < 2))
-def test_what_is_missing_is_named_and_the_rest_is_written(
-    missing: tuple[str, ...], tmp_path: Path, full: Callable[..., None], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_missing_is_named_and_the_rest_is_written(missing, tmp_path, full, capsys):
     config, out = tmp_path / "loop.toml", tmp_path / "out"
     config.write_text(SHORT)
     full(out, *missing)

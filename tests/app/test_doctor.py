@@ -62,9 +62,7 @@ def test_a_folder_that_takes_no_file_is_broken_and_ends_with_1(tmp_path: Path, m
     assert "No space left on device" in done.stdout
 
 
-def test_a_missing_package_of_the_base_is_broken_and_of_an_extra_is_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_package_of_the_base_is_broken_and_of_an_extra_is_not(tmp_path, monkeypatch):
     real = doctor.version
 
     def without(name: str) -> str:

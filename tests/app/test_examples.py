@@ -37,9 +37,7 @@ def test_every_example_configuration_is_sound(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("name", OF_OTHERS)
-def test_an_example_on_a_plant_of_others_is_sound_or_says_which_package_it_needs(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_example_on_a_plant_of_others_is_sound_or_says_which_package_it_needs(name, monkeypatch, capsys):
     monkeypatch.chdir(EXAMPLES.parent)
     status = main(["check", f"examples/{name}.toml"])
     if importlib.util.find_spec(OF_OTHERS[name]):

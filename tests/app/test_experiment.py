@@ -101,9 +101,7 @@ def rows(folder: Path) -> list[tuple[str, dict[str, object]]]:
         ("setpoint", ["--amplitude", "0.3", "--kc0", "70"]),
     ],
 )
-def test_an_experiment_finds_the_process_and_writes_nothing_unasked(
-    kind: str, options: list[str], loop: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_experiment_finds_the_process_and_writes_nothing_unasked(kind, options, loop, capsys):
     assert main(["experiment", kind, str(loop), *options, "--json"]) == 0
     found = said(capsys)
     assert found["experiment"] == kind
@@ -165,9 +163,7 @@ def test_confirmed_settings_are_written_read_back_and_recorded(loop: Path, capsy
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("answer", "applied"), [(True, True), (False, False)])
-def test_at_a_terminal_the_person_is_asked(
-    answer: bool, applied: bool, loop: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_at_a_terminal_the_person_is_asked(answer, applied, loop, monkeypatch, capsys):
     asked = []
 
     def confirm(text: str, default: bool) -> bool:
@@ -186,9 +182,7 @@ def test_at_a_terminal_the_person_is_asked(
     assert ("written, read back and running" in capsys.readouterr().out) is applied
 
 
-def test_settings_beyond_the_configured_limits_are_not_written_even_when_confirmed(
-    loop: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_beyond_the_configured_limits_are_not_written_even_when_confirmed(loop, capsys):
     loop.write_text(LOOP + "[adaptation]\nkc_max = 10.0\n", encoding="utf-8")
     assert main(["experiment", "step", str(loop), "--amplitude", "10", "--yes", "--json"]) == 1
     found = said(capsys)
@@ -199,13 +193,7 @@ def test_settings_beyond_the_configured_limits_are_not_written_even_when_confirm
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", [Phase.RESTING, Phase.PREPARING, Phase.EXCITING, Phase.RESTORING])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_restores_and_says_so(
-    phase: Phase,
-    number: signal.Signals,
-    loop: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_ctrl_c_restores_and_says_so(phase, number, loop, monkeypatch, capsys):
     told = OnDemandExperiment._on_sample
     sent = []
 
@@ -234,9 +222,7 @@ def test_an_abort_is_the_answer_no(loop: Path, capsys: pytest.CaptureFixture[str
     assert said(capsys)["restored"] is True
 
 
-def test_a_controller_that_dies_is_told_with_the_state_to_bring_back(
-    loop: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_controller_that_dies_is_told_with_the_state_to_bring_back(loop, monkeypatch, capsys):
     told, sample_of = OnDemandExperiment._on_sample, DeviceOnBus.sample
     dead = []
 
@@ -263,9 +249,7 @@ def test_a_controller_that_dies_is_told_with_the_state_to_bring_back(
 
 
 @pytest.mark.parametrize("rows_kept", [0, 1, 2, 5])
-def test_a_ledger_that_fails_is_one_line_and_the_loop_is_as_before(
-    rows_kept: int, loop: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_ledger_that_fails_is_one_line_and_the_loop_is_as_before(rows_kept, loop, monkeypatch, capsys):
     kept = []
     append = Ledger.append
 
@@ -309,9 +293,7 @@ ON_DEMAND_REFUSED = [
 
 
 @pytest.mark.parametrize(("arguments", "words"), ON_DEMAND_REFUSED)
-def test_bad_options_are_one_line_status_2_and_leave_nothing_behind(
-    arguments: list[str], words: str, loop: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_options_are_one_line_status_2_and_leave_nothing_behind(arguments, words, loop, capsys):
     assert main(["experiment", arguments[0], str(loop), *arguments[1:], "--json"]) == 2
     shown = capsys.readouterr()
     assert shown.out == ""
@@ -370,7 +352,6 @@ def test_a_live_bus_is_experimented_with_and_restored(loop: Path, monkeypatch: p
     assert machine.sp == pytest.approx(4.0, abs=0.1)
     found = evaluate(Window.of(conductor.excited), ExperimentQuestion(Experiment.RELAY))
     assert found.ultimate is not None
-    assert found.fit is not None
     model = found.fit.estimate.log.model()
     assert model.slope == pytest.approx(0.02, rel=0.2)
     assert 2.0 < found.ultimate[1] < 5.0  # 2.2 s without noise, hysteresis and the delay of a host in real time
@@ -384,7 +365,6 @@ def connected(loop: Path) -> Iterator[tuple[Bench, PidGains]]:
     with simulated(load_config(loop), lambda _: None) as bench:
         for _ in range(20):
             bench.device.poll(bench.turn())
-        assert bench.device.running is not None
         yield bench, bench.device.running.gains
 
 
@@ -402,7 +382,6 @@ def test_a_write_on_another_base_than_shown_is_refused(connected: tuple[Bench, P
     reason = writer.write(PidGains(5.0, 1.0), PidGains(base.kp * 2, base.ki))
     assert "have changed since these settings were shown" in reason
     assert kept == ["refused"]
-    assert bench.device.running is not None
     assert bench.device.running.gains == base
 
 
@@ -411,7 +390,6 @@ def test_a_set_outside_the_box_is_refused_by_the_controller_and_told(connected: 
     writer = SettingsWriter(bench, 0.1, kept)
     assert writer.write(PidGains(-5.0, -1.0), base)
     assert kept == ["intent", "refused"]
-    assert bench.device.running is not None
     assert bench.device.running.gains == base
 
 
@@ -428,7 +406,6 @@ def test_ctrl_c_during_a_write_is_heard_after_its_end(connected: tuple[Bench, Pi
     with pytest.raises(KeyboardInterrupt):
         writer.write(PidGains(5.0, 1.0), base)
     assert kept == ["intent", "committed"]
-    assert bench.device.running is not None
     assert bench.device.running.gains == PidGains(5.0, 1.0)
 
 
@@ -443,9 +420,7 @@ def test_the_heater_step_is_identified_and_drawn(tmp_path: Path, capsys: pytest.
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_an_export_with_units_and_stamps_is_the_same_experiment(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_export_with_units_and_stamps_is_the_same_experiment(tmp_path, capsys):
     assert main(["experiment", "step", "--from", str(HEATER), "--json"]) == 0
     model = dict(json.loads(capsys.readouterr().out)["model"])
     names, *rows = [line.split(",") for line in HEATER.read_text().splitlines()]
@@ -513,9 +488,7 @@ def test_a_sustained_swing_gives_the_ultimate_gain(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.parametrize(("kc", "words"), [(0.7, "raise the gain"), (1.1, "lower the gain")])
-def test_a_swing_that_is_not_sustained_says_where_to_go(
-    kc: float, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_swing_that_is_not_sustained_says_where_to_go(kc, words, tmp_path, capsys):
     file = swing_file(tmp_path / "swing.csv", kc)
     assert main(["experiment", "ultimate", "--from", str(file), "--kc", str(kc)]) == 1
     assert words in capsys.readouterr().out
@@ -530,9 +503,7 @@ def test_a_swing_that_is_not_sustained_says_where_to_go(
         ("step", "t,pv,co\n0,1,1\n1,2,x\n2,3,1\n", ":3: co"),
     ],
 )
-def test_recordings_that_cannot_be_used_are_one_line(
-    kind: str, text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recordings_that_cannot_be_used_are_one_line(kind, text, words, tmp_path, capsys):
     file = tmp_path / "bad.csv"
     file.write_text(text, encoding="utf-8")
     assert main(["experiment", kind, "--from", str(file), "--json"]) == 2

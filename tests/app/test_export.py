@@ -292,7 +292,6 @@ def test_a_drive_of_whole_numbers_gets_the_shortest_number_that_rounds_to_its_ow
     path.write_text((Path(__file__).parents[2] / "examples" / "cia402.toml").read_text())
     config = load_config(path)
     units = vendor_units(config)
-    assert units is not None
     held = units.rounded(PidGains(0.98765, 0.7123456))
     gains.write_text(to_toml(config.gain_table().with_gains("all", held)))
     assert main(["export", str(gains), "--into", str(path)]) == 0
@@ -300,9 +299,7 @@ def test_a_drive_of_whole_numbers_gets_the_shortest_number_that_rounds_to_its_ow
     assert len(re.findall(r"\ntau_i_s = ([0-9.]+)", path.read_text())[0]) <= 6
 
 
-def test_tuned_gains_against_the_action_are_refused_by_their_key(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tuned_gains_against_the_action_are_refused_by_their_key(tmp_path, capsys):
     path, gains = tmp_path / "loop.toml", tmp_path / "gains.toml"
     path.write_text(CONFIG)
     gains.write_text(to_toml(load_config(path).gain_table()))
@@ -333,9 +330,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("arguments", "told"), WRONG)
-def test_what_is_wrong_is_one_line(
-    arguments: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_wrong_is_one_line(arguments, told, tmp_path, capsys):
     gains = tmp_path / "gains.toml"
     gains.write_text(to_toml(TABLES["hard"]))
     assert main(["export", str(gains), *arguments]) == 2
@@ -364,9 +359,7 @@ def test_a_table_of_other_regions_changes_nothing(tmp_path: Path, capsys: pytest
     assert path.read_text() == CONFIG
 
 
-def test_regions_of_the_same_names_at_other_places_change_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_regions_of_the_same_names_at_other_places_change_nothing(tmp_path, capsys):
     path, gains = tmp_path / "loop.toml", tmp_path / "gains.toml"
     path.write_text(CONFIG)
     table = load_session(path)[0].loops[0].gain_table()
@@ -379,9 +372,7 @@ def test_regions_of_the_same_names_at_other_places_change_nothing(
     assert path.read_text() == CONFIG
 
 
-def test_of_several_loops_the_one_that_the_table_names_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_of_several_loops_the_one_that_the_table_names_is_written(tmp_path, capsys):
     schedule = CONFIG[CONFIG.index("[schedule]") :].replace("schedule", "loop.schedule")
     one = CONFIG[CONFIG.index("[loop]") : CONFIG.index("[schedule]")].replace("[loop]", "[[loop]]") + schedule
     path, gains = tmp_path / "loops.toml", tmp_path / "gains.toml"

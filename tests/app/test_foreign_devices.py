@@ -43,9 +43,7 @@ def test_the_examples_are_short_and_those_that_init_writes(profile: str, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(tmp_path, capsys):
     text = (EXAMPLES / "cia404.toml").read_text().replace("duration_s = 6000.0", "duration_s = 900.0")
     text = text.replace("kc = 2.0", "kc = 3.2").replace("tau_i_s = 120.0", "tau_i_s = 50.0")
     config = tmp_path / "loop.toml"
@@ -75,9 +73,7 @@ def test_a_log_without_notes_of_samples_says_so(tmp_path: Path, capsys: pytest.C
 
 
 @pytest.mark.slow
-def test_without_read_back_and_without_the_users_word_it_is_advice(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_read_back_and_without_the_users_word_it_is_advice(tmp_path, capsys):
     text = (EXAMPLES / "odrive.toml").read_text().replace('accept = ["no_read_back"]', "")
     config = tmp_path / "loop.toml"
     config.write_text(
@@ -112,9 +108,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("before", "after", "told"), BAD)
-def test_what_is_wrong_is_one_line_with_the_key(
-    before: str, after: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_wrong_is_one_line_with_the_key(before, after, told, tmp_path, capsys):
     text = (EXAMPLES / "odrive.toml").read_text()
     assert before in text
     path = tmp_path / "loop.toml"
@@ -137,27 +131,21 @@ BAD_OBJECTS = [
 
 
 @pytest.mark.parametrize(("before", "after", "told"), BAD_OBJECTS)
-def test_what_is_wrong_with_objects_is_told_too(
-    before: str, after: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_wrong_with_objects_is_told_too(before, after, told, tmp_path, capsys):
     path = tmp_path / "loop.toml"
     path.write_text((EXAMPLES / "cia404.toml").read_text().replace(before, after))
     assert main(["check", str(path)]) == 2
     assert told in capsys.readouterr().err
 
 
-def test_gains_that_the_device_cannot_hold_are_refused_before_anything_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_gains_that_the_device_cannot_hold_are_refused_before_anything_runs(tmp_path, capsys):
     path = tmp_path / "loop.toml"
     path.write_text((EXAMPLES / "cia402.toml").read_text().replace("kc = 1.5", "kc = -1.5"))
     assert main(["check", str(path)]) == 2
     assert "cannot hold the gains of region all: kp: -15000 is outside 0 to" in capsys.readouterr().err
 
 
-def test_a_controller_that_runs_what_no_region_has_is_not_written_over(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_controller_that_runs_what_no_region_has_is_not_written_over(tmp_path, capsys, monkeypatch):
     made = BenchLoop.__init__
 
     def otherwise(loop: BenchLoop, settings: VirtualDeviceSettings, plant: Plant) -> None:
@@ -178,9 +166,7 @@ def test_another_number_for_an_action_replaces_that_of_the_profile(tmp_path: Pat
     assert [str(gain.quantity) for gain in device.gains.gains()] == ["kp", "tn", "tv"]
 
 
-def test_without_the_package_the_line_says_what_to_install(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_package_the_line_says_what_to_install(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "retuner.drivers.canopen.canopen_access", None)
     assert main(["check", str(EXAMPLES / "cia404.toml")]) == 2
     assert 'pip install "retuner[canopen]"' in capsys.readouterr().err

@@ -59,7 +59,6 @@ def test_the_loop_of_a_record_runs_on_its_own_process(tmp_path: Path) -> None:
     file = tmp_path / "a.toml"
     assert main(["init", str(file), "--from", str(record(tmp_path / "r.csv"))]) == 0
     config = load_config(file)
-    assert config.device is not None
     assert isinstance(config.device.plant, IdentifiedPlantConfig)
     assert config.scenario is not None
     assert [step.sp for step in config.scenario.steps] == [50.0, 53.0]

@@ -156,9 +156,7 @@ def test_the_file_itself_refuses_changes(tmp_path: Path, statement: str) -> None
         ("DELETE FROM ledger", 1, "cut off"),
     ],
 )
-def test_verify_names_the_first_row_that_was_tampered_with(
-    tmp_path: Path, statement: str, broken: int, reason: str
-) -> None:
+def test_verify_names_the_first_row_that_was_tampered_with(tmp_path, statement, broken, reason):
     path = tmp_path / "l.sqlite"
     written(path)
     tamper(path, statement)
@@ -170,9 +168,7 @@ def test_verify_names_the_first_row_that_was_tampered_with(
         Ledger(path)
 
 
-def test_rows_cut_off_together_with_the_head_show_against_a_hash_noted_elsewhere(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rows_cut_off_together_with_the_head_show_against_a_hash_noted_elsewhere(tmp_path, capsys):
     path = tmp_path / "l.sqlite"
     head = written(path, 5)
     with LedgerReader(path) as ledger:
@@ -281,7 +277,6 @@ def test_readers_here_and_elsewhere_do_not_take_the_writers_rows_away(tmp_path: 
     path = tmp_path / "l.sqlite"
     command = [sys.executable, "-P", "-c", READ_TWICE, str(path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
-        assert writer.stdout is not None
         assert writer.stdout.read(1) == b"."
         connection = sqlite3.connect(path)
         connection.execute("SELECT count(*) FROM ledger").fetchone()

@@ -59,9 +59,7 @@ def test_text_names_both_settings_and_the_chain(session: Path, capsys: pytest.Ca
     assert "the chain holds" in shown
 
 
-def test_a_wide_terminal_gets_a_table(
-    session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wide_terminal_gets_a_table(session, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "220")
     assert main(["ledger", "show", str(session)]) == 0
     head = capsys.readouterr().out.splitlines()[0]
@@ -87,9 +85,7 @@ def test_rows_are_selected(session: Path, capsys: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize(
     ("arguments", "told"), [(["--decision", "99"], "no such decision"), (["--kind", "rumour"], "there are ")]
 )
-def test_what_is_not_there_is_one_line(
-    session: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_not_there_is_one_line(session, arguments, told, capsys):
     assert main(["ledger", "show", str(session), *arguments]) == 2
     assert told in capsys.readouterr().err
 
@@ -119,9 +115,7 @@ def test_an_export_has_everything(session: Path, tmp_path: Path, capsys: pytest.
         assert told in capsys.readouterr().err
 
 
-def test_a_broken_chain_is_found_and_named_and_what_is_before_it_is_shown(
-    broken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_chain_is_found_and_named_and_what_is_before_it_is_shown(broken, tmp_path, capsys):
     assert main(["ledger", "verify", str(broken)]) == 1
     assert "broken: row 4 was changed after it was written; 3 rows before it hold" in capsys.readouterr().out
     assert main(["ledger", "show", str(broken), "--json"]) == 1

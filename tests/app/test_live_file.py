@@ -54,9 +54,7 @@ def test_who_sleeps_too_long_is_told_that_samples_are_missed(tmp_path: Path, mon
     assert 90 <= len(fresh.table) <= 100
 
 
-def test_coarser_rings_reach_further_back_and_keep_what_stands_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_coarser_rings_reach_further_back_and_keep_what_stands_out(tmp_path, monkeypatch):
     monkeypatch.setattr(live_file, "RING", 100)
     writer, reader = LiveWriter(tmp_path / "live", {}), None
     for i in range(3000):

@@ -65,7 +65,6 @@ def decision(region: str = "middle", reason: str = "the swing grows " * 20) -> D
 
 def test_what_is_seen_of_a_loop_is_where_it_is_and_what_it_waits_for() -> None:
     seen = seen_oven()
-    assert seen.here is not None
     assert seen.here.name == "middle"
     assert seen.running == GAINS
     assert seen.waits_for == "the loop to settle"
@@ -165,9 +164,7 @@ def test_a_word_that_is_too_long_stays_whole() -> None:
     assert folded("give /a/very/long/path/to/something/that/nobody/breaks now", 20)[1].startswith("/a/very")
 
 
-def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(tmp_path, capsys):
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
         made = decision()
         ledger.append("decision", {**made.to_dict(), "samples": 1}, 1830.0)

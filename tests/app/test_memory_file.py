@@ -101,7 +101,6 @@ def recalled(folder: Path, config: Config) -> Retuner:
 
 
 def test_what_a_finished_session_has_learned_is_what_the_next_one_begins_with(whole: Life, config: Config) -> None:
-    assert whole.session is not None
     again = recalled(whole.folder, config)
     assert models(again) == whole.known[-1]
     assert again.table == whole.session.table
@@ -110,9 +109,7 @@ def test_what_a_finished_session_has_learned_is_what_the_next_one_begins_with(wh
 
 
 @pytest.mark.slow
-def test_killed_at_any_row_or_file_the_next_session_knows_what_the_ledger_knows(
-    tmp_path: Path, config: Config, whole: Life
-) -> None:
+def test_killed_at_any_row_or_file_the_next_session_knows_what_the_ledger_knows(tmp_path, config, whole):
     points = len(believed_rows(whole.folder / LEDGER)) + len(whole.known)
     without: list[tuple[int, str]] = []
     for fuse in range(1, points + 1, sized(6, 3, 1)):
@@ -174,9 +171,7 @@ def forged(change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
         (lambda folder: (folder / LEDGER).write_bytes(b"no ledger"), "ledger.sqlite"),
     ],
 )
-def test_a_memory_that_cannot_be_trusted_is_named_in_one_line(
-    tmp_path: Path, whole: Life, config: Config, harm: Callable[[Path], None], line: str
-) -> None:
+def test_a_memory_that_cannot_be_trusted_is_named_in_one_line(tmp_path, whole, config, harm, line):
     folder = copied(whole, tmp_path / "copy")
     harm(folder)
     with pytest.raises(NoMemoryError) as told:
@@ -208,9 +203,7 @@ def test_a_memory_of_an_earlier_release_is_still_of_the_same_configuration(confi
         assert about(same) == "e5fd10ca53cb758b960070e781576992142aebe2d142c56e594b6f106a430434"
 
 
-def test_the_session_that_goes_on_is_replayed_from_what_it_began_with(
-    tmp_path: Path, whole: Life, config: Config
-) -> None:
+def test_the_session_that_goes_on_is_replayed_from_what_it_began_with(tmp_path, whole, config):
     settings = retuner_settings(config, Mode.AUTO)
     remembered = recall(whole.folder, config, settings)
     next_one = Life(tmp_path / "next", config)
@@ -218,16 +211,13 @@ def test_the_session_that_goes_on_is_replayed_from_what_it_began_with(
     next_one.ledger.close()
     rows = believed_rows(next_one.folder / LEDGER)
     begun = started_with(next_one.folder, rows, config, settings)
-    assert begun is not None
     assert models(begun.retuner) == models(remembered.retuner)
     assert begun.last_s == remembered.last_s
     sample = LoopSample((begun.last_s or 0.0) + 1.0, 2.0, 2.0, 30.0, 1, 0, 2.0)
     assert begun.retuner.observe(sample) == remembered.retuner.observe(sample)
 
 
-def test_a_disk_that_refuses_is_told_in_a_row_and_the_session_goes_on(
-    tmp_path: Path, config: Config, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_refuses_is_told_in_a_row_and_the_session_goes_on(tmp_path, config, monkeypatch):
     def refuse(path: Path, content: str) -> None:
         raise OSError(28, f"No space left on device for {len(content)} characters", str(path))
 

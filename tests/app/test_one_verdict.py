@@ -68,9 +68,7 @@ def online(window: Window, gains: PidGains) -> Cause | None:
         ("FIC10201_1110_2.csv", 249, 0.192, 21.7, "not_identifiable", "the dead time (about 0.4 s) is shorter than"),
     ],
 )
-def test_on_line_no_gains_change_where_diagnose_names_a_valve_or_nothing(
-    name: str, rows: int, kp: float, tau_i_s: float, code: str, why: str
-) -> None:
+def test_on_line_no_gains_change_where_diagnose_names_a_valve_or_nothing(name, rows, kp, tau_i_s, code, why):
     made = list(decisions(window_of(PLANT / name), PidGains(kp, kp / tau_i_s), rows))
     assert made[-1].code == code
     assert made[-1].reason.startswith(why)

@@ -21,8 +21,6 @@ PERSONS = PidGains(kp=0.7, ki=0.25)
 @pytest.fixture(scope="module")
 def example() -> ModuleType:
     spec = importlib.util.spec_from_file_location("own_loop", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -34,9 +32,7 @@ def here(retuner: Retuner) -> BackgroundRetuner:
 
 
 @pytest.mark.slow
-def test_it_retunes_respects_the_person_goes_on_and_takes_back(
-    example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_retunes_respects_the_person_goes_on_and_takes_back(example, tmp_path, capsys):
     memory, rig = tmp_path / "rig.json", example.Rig(example.COMMISSIONED.gains_of(0), float("inf"))
     asyncio.run(example.session(rig, memory, 95.0, None, here))
     assert 1.0 < rig.gains.kp < 1.6  # SIMC for 2 e^-0.55s / (3 s + 1): 1.36
@@ -56,9 +52,7 @@ def test_it_retunes_respects_the_person_goes_on_and_takes_back(
 
 
 @pytest.mark.slow
-def test_gains_for_a_region_where_the_loop_is_not_are_not_written(
-    example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_gains_for_a_region_where_the_loop_is_not_are_not_written(example, tmp_path, capsys, monkeypatch):
     """High has a tenth of the right gain; low and mid, where the loop is, tell what high needs."""
     steps = (30.0, 40.0, 30.0, 40.0, 50.0, 60.0)
     setpoint = property(lambda rig: steps[min(int(rig.t_s // 30.0), 5)])
@@ -75,9 +69,7 @@ def test_gains_for_a_region_where_the_loop_is_not_are_not_written(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("written", [False, True])
-def test_a_process_that_dies_in_a_write_leaves_gains_that_the_next_one_knows(
-    example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], *, written: bool
-) -> None:
+def test_a_process_that_dies_in_a_write_leaves_gains_that_the_next_one_knows(example, tmp_path, capsys, *, written):
     memory, rig = tmp_path / "rig.json", example.Rig(example.COMMISSIONED.gains_of(0), float("inf"))
     write, at_death = rig.write, tmp_path / "at_death.json"
 

@@ -77,9 +77,7 @@ def ran(path: Path, *options: str) -> tuple[int, Path]:
     return main(["run", str(path), "--pretune", "--no-compare", "--out", str(folder), "--json", *options]), folder
 
 
-def test_the_first_settings_come_from_the_step_and_a_replay_decides_them_again(
-    loop: Made, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_first_settings_come_from_the_step_and_a_replay_decides_them_again(loop, capsys):
     status, folder = ran(loop(), "--mode", "auto")
     assert status == 0
     document = json.loads(capsys.readouterr().out)
@@ -103,9 +101,7 @@ def test_the_first_settings_come_from_the_step_and_a_replay_decides_them_again(
     assert replayed["decisions"][0]["basis"] == "pretune"
 
 
-def test_in_advise_the_settings_are_a_proposal_and_nothing_is_written(
-    loop: Made, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_in_advise_the_settings_are_a_proposal_and_nothing_is_written(loop, capsys):
     status, folder = ran(loop())
     assert status == 0
     first = json.loads(capsys.readouterr().out)["decisions"][0]
@@ -123,9 +119,7 @@ def test_where_nothing_but_watching_is_allowed_nothing_is_moved(loop: Made, caps
     assert not folder.exists()
 
 
-def test_an_aborted_step_is_taken_back_and_the_run_goes_on_without_it(
-    loop: Made, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_aborted_step_is_taken_back_and_the_run_goes_on_without_it(loop, capsys, monkeypatch):
     poll_of = ExperimentRunner.poll
 
     def poll(self: ExperimentRunner, now_s: float) -> None:
@@ -144,9 +138,7 @@ def test_an_aborted_step_is_taken_back_and_the_run_goes_on_without_it(
     assert bodies(folder, "end")[0]["interrupted"] is False
 
 
-def test_a_loop_without_room_for_the_step_is_one_line_and_untouched(
-    loop: Made, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_loop_without_room_for_the_step_is_one_line_and_untouched(loop, capsys):
     status, _ = ran(loop(start_co=97.0))
     assert status == 2
     error = capsys.readouterr().err
@@ -155,9 +147,7 @@ def test_a_loop_without_room_for_the_step_is_one_line_and_untouched(
     assert "97" in error
 
 
-def test_a_controller_that_never_comes_back_does_not_begin_a_run(
-    loop: Made, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_controller_that_never_comes_back_does_not_begin_a_run(loop, capsys, monkeypatch):
     sample_of, note_of = DeviceOnBus.sample, Pretuning._note
     dead: list[bool] = []
 
@@ -238,7 +228,6 @@ def test_what_follows_is_the_modes_affair(mode: Mode) -> None:
     retuner.observe(LoopSample(500.0, 50.0, 50.0, 50.0))
     body = json.loads(json.dumps(row("all", stepped())))
     decision = feed(retuner, "pretune", body, 500.0)
-    assert decision is not None
     assert 0 in retuner.region_models
     wanted = {Mode.OFF: Action.NONE, Mode.ADVISE: Action.ADVISE, Mode.TRIAL: Action.WRITE, Mode.AUTO: Action.WRITE}
     assert decision.action is wanted[mode]
@@ -252,7 +241,6 @@ def test_a_record_that_shows_nothing_changes_nothing() -> None:
     retuner.observe(LoopSample(500.0, 50.0, 50.0, 50.0))
     flat = [s._replace(pv=50.0 + 0.02 * ((i * 7919) % 13 - 6)) for i, s in enumerate(stepped())]
     decision = feed(retuner, "pretune", row("all", flat), 500.0)
-    assert decision is not None
     assert decision.action is Action.NONE
     assert decision.gains_after is None
     assert decision.reason.startswith("pretune")

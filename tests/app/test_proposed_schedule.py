@@ -77,9 +77,7 @@ def test_the_ledger_ends_with_the_command_that_takes_it_up(session: Path, capsys
 
 
 @pytest.mark.slow
-def test_a_replay_asks_again(
-    session: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_replay_asks_again(session, monkeypatch, capsys):
     asking_for(monkeypatch, proposal())
     assert main(["replay", str(session)]) == 0
     assert "identical" in capsys.readouterr().out
@@ -90,9 +88,7 @@ def test_a_replay_asks_again(
     assert main(["replay", str(session)]) == 1
 
 
-def test_a_person_takes_it_up_and_the_next_run_says_so(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_person_takes_it_up_and_the_next_run_says_so(session, tmp_path, capsys):
     digest, config = digest_of(OTHER)[:8], tmp_path / "short.toml"
     shutil.copy(session.parent / "short.toml", config)
     assert main(["approve", str(session)]) == 0
@@ -272,9 +268,7 @@ def test_an_unlock_takes_up_nothing(session: Path, capsys: pytest.CaptureFixture
     assert not [*session.glob("orders/*")]
 
 
-def test_a_file_keeps_its_permissions_and_a_protected_one_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_keeps_its_permissions_and_a_protected_one_stays(tmp_path, monkeypatch):
     file = tmp_path / "loop.toml"
     file.write_text("old")
     file.chmod(0o640)

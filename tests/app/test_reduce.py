@@ -57,9 +57,7 @@ def test_integrating_type_names_the_unit_of_its_gain(capsys: pytest.CaptureFixtu
         (["--den-t", "1", "--leads", "some"], "--leads some"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line_and_status_2(arguments, words, capsys):
     assert main(["reduce", *arguments]) == 2
     shown = capsys.readouterr()
     assert shown.out == ""

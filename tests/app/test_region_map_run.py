@@ -284,9 +284,7 @@ def test_a_question_about_one_of_several_loops_names_it(session: Path, capsys: p
     assert [row["loop"] for row in rows] == [FAST]
 
 
-def test_a_proposal_is_approved_by_its_hash_whose_loop_it_is_of(
-    session: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_proposal_is_approved_by_its_hash_whose_loop_it_is_of(session, capsys):
     capsys.readouterr()
     assert main(["approve", str(session), "--json"]) == 0
     slow, fast = json.loads(capsys.readouterr().out)["loops"]

@@ -78,9 +78,7 @@ def test_the_session_of_the_kept_configuration_is_the_same_again(session: Path, 
     assert bodies(tmp_path / "run", "end") == bodies(session, "end")
 
 
-def test_another_decision_is_named_with_key_and_both_values(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_decision_is_named_with_key_and_both_values(session, tmp_path, capsys):
     def worse(row: Row) -> dict[str, Any]:
         body = row.body
         if row.kind == "decision":
@@ -95,9 +93,7 @@ def test_another_decision_is_named_with_key_and_both_values(
     )
 
 
-def test_a_decision_too_few_or_too_many_is_a_difference(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_decision_too_few_or_too_many_is_a_difference(session, tmp_path, capsys):
     few = rewritten(session, tmp_path / "few", lambda r: None if r.kind == "decision" else r.body)
     status, found = replayed(few, capsys)
     assert status == 1
@@ -114,9 +110,7 @@ def test_an_event_that_was_taken_away_shows(session: Path, tmp_path: Path, capsy
     assert found["first_difference"]["decision"] == 2
 
 
-def test_other_versions_are_named_where_the_decisions_differ(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_versions_are_named_where_the_decisions_differ(session, tmp_path, capsys):
     def older(row: Row) -> dict[str, Any]:
         body = row.body
         if row.kind == "session":
@@ -155,9 +149,7 @@ def in_parts(folder: Path, frames_a_look: int) -> Path:
 
 
 @pytest.mark.slow
-def test_a_bus_log_in_parts_is_one_log_until_its_beginning_is_gone(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bus_log_in_parts_is_one_log_until_its_beginning_is_gone(session, tmp_path, capsys):
     frames = len(list(read_frames(session / "bus.blf")))
     whole = in_parts(tmp_path / "whole", frames * 2 // 3)
     assert len(list(whole.glob("bus*.blf"))) == 2
@@ -177,9 +169,7 @@ def test_a_bus_log_in_parts_is_one_log_until_its_beginning_is_gone(
     assert "is not the log of this session" in replayed(whole, capsys)[1]["reason"]
 
 
-def test_a_bus_log_that_is_not_there_is_bad_input(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bus_log_that_is_not_there_is_bad_input(session, tmp_path, capsys):
     copy = tmp_path / "no log"
     shutil.copytree(session, copy)
     (copy / "bus.blf").unlink()
@@ -188,9 +178,7 @@ def test_a_bus_log_that_is_not_there_is_bad_input(
 
 
 @pytest.mark.slow
-def test_missing_frames_are_found_where_they_are_missing(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_frames_are_found_where_they_are_missing(session, tmp_path, capsys):
     """A killed session has no hash of its log: the places of the rows say what is missing."""
     copy = rewritten(session, tmp_path / "copy", without_end)
     frames = list(read_frames(copy / "bus.blf"))
@@ -204,9 +192,7 @@ def test_missing_frames_are_found_where_they_are_missing(
         assert found["identical"] is False
 
 
-def test_a_killed_session_is_replayed_as_far_as_it_went(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_killed_session_is_replayed_as_far_as_it_went(session, tmp_path, capsys):
     killed = rewritten(session, tmp_path / "killed", without_end)
     capsys.readouterr()
     assert main(["replay", str(killed)]) == 0
@@ -216,9 +202,7 @@ def test_a_killed_session_is_replayed_as_far_as_it_went(
     assert shown.count("\n") == 1
 
 
-def test_a_changed_row_or_configuration_is_one_line(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_changed_row_or_configuration_is_one_line(session, tmp_path, capsys):
     copy = tmp_path / "copy"
     shutil.copytree(session, copy)
     with (copy / "config.toml").open("a") as stream:
@@ -236,9 +220,7 @@ def test_a_changed_row_or_configuration_is_one_line(
 @pytest.mark.parametrize(
     ("name", "told"), [("none", "no such folder"), ("empty", "holds no ledger.sqlite"), ("log.blf", "give --config")]
 )
-def test_what_is_no_session_is_one_line(
-    tmp_path: Path, name: str, told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_session_is_one_line(tmp_path, name, told, capsys):
     (tmp_path / "empty").mkdir()
     (tmp_path / "log.blf").write_bytes(b"")
     assert main(["replay", str(tmp_path / name)]) == 2
@@ -247,9 +229,7 @@ def test_what_is_no_session_is_one_line(
     assert told in error
 
 
-def test_the_folder_of_one_of_several_loops_leads_to_the_ledger_of_all(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_folder_of_one_of_several_loops_leads_to_the_ledger_of_all(tmp_path, capsys):
     loop = tmp_path / "run" / "loops" / "level"
     loop.mkdir(parents=True)
     (tmp_path / "run" / "ledger.sqlite").write_bytes(b"")
@@ -273,9 +253,7 @@ def test_the_first_difference_is_found(then: object, now: object, found: str) ->
     assert first_difference(then, now)[0] == found
 
 
-def test_rows_that_no_session_writes_are_one_line(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rows_that_no_session_writes_are_one_line(session, tmp_path, capsys):
     for kind, missing in (("committed", "gains"), ("link", "state")):
 
         def alien(row: Row, kind: str = kind, missing: str = missing) -> dict[str, Any] | None:
@@ -316,9 +294,7 @@ def by_another_engine(session: Path, to: Path, change: Callable[[dict[str, Any]]
 
 
 @pytest.mark.slow
-def test_another_engine_is_asked_for_the_same_verdicts_and_not_for_the_same_bytes(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_engine_is_asked_for_the_same_verdicts_and_not_for_the_same_bytes(session, tmp_path, capsys):
     def rounded(body: dict[str, Any]) -> None:
         body["numbers"] = {**body["numbers"], "rounded": 1e-9}
 
@@ -333,9 +309,7 @@ def test_another_engine_is_asked_for_the_same_verdicts_and_not_for_the_same_byte
 
 
 @pytest.mark.slow
-def test_another_engine_that_decides_otherwise_is_found(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_engine_that_decides_otherwise_is_found(session, tmp_path, capsys):
     def other(body: dict[str, Any]) -> None:
         if body["gains_after"]:
             body["gains_after"]["kp"] *= 1.05

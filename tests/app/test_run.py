@@ -192,9 +192,7 @@ def test_an_earlier_run_is_moved_aside_and_foreign_folders_are_left_alone(tmp_pa
         (["-i", "nosuchbus", "--speed", "1"], "nosuchbus"),
     ],
 )
-def test_wrong_use_is_one_line_and_status_2_and_leaves_nothing(
-    quick: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
-) -> None:
+def test_wrong_use_is_one_line_and_status_2_and_leaves_nothing(quick, capsys, arguments, message):
     assert main(["run", str(quick), *arguments]) == 2
     error = capsys.readouterr().err
     assert message in error
@@ -212,9 +210,7 @@ def test_a_failed_start_leaves_no_folder_that_was_not_there(quick: Path, capsys:
     assert list((quick.parent / "deep").iterdir()) == []
 
 
-def test_a_second_run_in_the_folder_of_a_living_one_is_refused_and_takes_nothing_away(
-    quick: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_second_run_in_the_folder_of_a_living_one_is_refused_and_takes_nothing_away(quick, capsys):
     folder = quick.parent / "out"
     folder.mkdir()
     with Ledger(folder / "ledger.sqlite") as ledger:
@@ -225,9 +221,7 @@ def test_a_second_run_in_the_folder_of_a_living_one_is_refused_and_takes_nothing
         assert ledger.append("k", {}, 1.0).seq == 2
 
 
-def test_parquet_without_pyarrow_is_refused_before_the_run(
-    quick: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parquet_without_pyarrow_is_refused_before_the_run(quick, capsys, monkeypatch):
     quick.write_text(QUICK + 'trend = "parquet"\n', encoding="utf-8")
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     assert main(["run", str(quick)]) == 2
@@ -332,9 +326,7 @@ def test_ctrl_c_in_the_comparison_run_keeps_the_run_that_is_over(quick: Path, mo
 
 
 @pytest.mark.slow
-def test_a_signal_in_the_middle_of_a_row_waits_until_what_the_row_tells_of_is_done(
-    quick: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_signal_in_the_middle_of_a_row_waits_until_what_the_row_tells_of_is_done(quick, monkeypatch):
     write = Ledger.append
 
     def append(self: Ledger, kind: str, body: Mapping[str, object], clock_s: float) -> Row:
@@ -365,14 +357,12 @@ OVEN = Path(__file__).parents[2] / "examples" / "oven.toml"
 @pytest.mark.parametrize("seed", range(101, 107))
 def test_every_region_ends_robust_and_better_than_fixed_gains(seed: int) -> None:
     config = load_config(OVEN)
-    assert config.device is not None
     config = config.model_copy(update={"device": config.device.model_copy(update={"seed": seed})})
     retuned = Run(config, nothing).simulated().loops[0]
     fixed = Run(config, nothing, mode=Mode.OFF).simulated().loops[0]
     run, still = retuned.trend.columns(), fixed.trend.columns()
     table = config.gain_table()
     plant = known_plant(config)
-    assert plant is not None
     scores = region_scores(table, retuned.table, retuned.changes, run, still, plant.linearise, 2.0)
     assert len(scores) == 3
     for score in scores:

@@ -131,9 +131,7 @@ def test_where_the_records_never_were_nothing_is_known(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_in_python_a_path_is_a_record_and_the_design_shows_itself_as_the_command_does(
-    tmp_path: Path, capsys: Capture
-) -> None:
+def test_in_python_a_path_is_a_record_and_the_design_shows_itself_as_the_command_does(tmp_path, capsys):
     record = level(tmp_path / "level.csv")
     assert main(["schedule", str(record), "--by", "pv", "-q"]) == 0
 
@@ -151,7 +149,6 @@ def test_a_schedule_over_two_variables_is_taken_by_check(tmp_path: Path, capsys:
     found = SimpleNamespace(layout=layout, variable="pv", second="co", hysteresis=1.0, second_hysteresis=2.0)
     found.min_stay_s = 4.0
     table = table_of(cast("Design", found), "level", "%")
-    assert table is not None
     assert table.regions.shape == (2, 3)
     assert table.at(5, 70.0, 80.0) == layout.gains_at(70.0, 80.0) == sets[5]
     config = tmp_path / "loop.toml"
@@ -217,7 +214,6 @@ def test_gains_in_force_are_those_of_the_samples_nearest_to_a_place() -> None:
     kp = np.where(visited < 50, 1.0, 2.0)
     active = RecordedGains(kp, kp / 10, np.zeros(400))
     near = active.near(80.0, visited)
-    assert near is not None
     assert (near.kp, near.ki) == (2.0, 0.2)
     assert active.near(200.0, visited) is None
     with pytest.raises(ValueError, match="finite"):

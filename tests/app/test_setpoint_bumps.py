@@ -72,9 +72,7 @@ def ran(folder: Path, allowed: str) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_a_quiet_loop_learns_by_bumps_and_a_replay_decides_the_same(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_quiet_loop_learns_by_bumps_and_a_replay_decides_the_same(tmp_path, capsys):
     run = ran(tmp_path, "true")
     decisions = json.loads(capsys.readouterr().out)["decisions"]
     assert "commit" in [decision["action"] for decision in decisions]
@@ -91,9 +89,7 @@ def test_without_leave_the_setpoint_is_never_moved(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.slow
-def test_the_example_bumps_to_and_fro_within_its_budget_and_tells_it_beforehand(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_example_bumps_to_and_fro_within_its_budget_and_tells_it_beforehand(tmp_path, capsys):
     text = (Path(__file__).parents[2] / "examples" / "bumps.toml").read_text(encoding="utf-8")
     early = [line for line in text.splitlines() if "at_s" not in line or float(line.split()[3].strip(",")) < SHORT_S]
     short, run = tmp_path / "bumps.toml", tmp_path / "run"

@@ -96,7 +96,6 @@ def test_a_decision_shows_its_reason_and_its_page() -> None:
         if pid.decision is not None:
             break
     made = pid.last_decision
-    assert made is not None
     assert repr(made).startswith("Decision(1, 'loop', 'all', ")
     assert made.reason in str(made)
     assert "<svg" in made._repr_html_()

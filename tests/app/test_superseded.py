@@ -84,9 +84,7 @@ def test_the_next_session_refuses_it_as_well(copy: Path, tmp_path: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_the_running_session_refuses_it_as_well(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_running_session_refuses_it_as_well(tmp_path, monkeypatch, capsys):
     class Late(Run):
         """Somebody had looked before the second proposal, and orders after it."""
 

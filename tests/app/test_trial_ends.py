@@ -38,9 +38,7 @@ def alone(wire: Wire, samples: int = 100) -> None:
 
 
 @pytest.mark.parametrize("seen", [0, 3, 6, 10])
-def test_the_controller_does_not_go_back_to_the_tried_set_when_the_session_is_over(
-    make_wire: Callable[..., Wire], seen: int
-) -> None:
+def test_the_controller_does_not_go_back_to_the_tried_set_when_the_session_is_over(make_wire, seen):
     wire = on_trial(make_wire(trial_samples=20), seen)
     wire.end()
     assert wire.kinds[-1] == "restored"
@@ -140,9 +138,7 @@ def test_a_change_decided_while_an_order_is_written_does_not_take_its_place(make
 
 
 @pytest.mark.parametrize("share", [1.015, 1.05])
-def test_in_an_interpolated_table_a_small_change_is_taken_back_as_well(
-    make_wire: Callable[..., Wire], share: float
-) -> None:
+def test_in_an_interpolated_table_a_small_change_is_taken_back_as_well(make_wire, share):
     wire = make_wire(lookup=Lookup.INTERPOLATED)
     before = wire.runs
     wire.ask(PidGains(share * GOOD.kp, share * GOOD.ki))

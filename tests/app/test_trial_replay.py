@@ -47,9 +47,7 @@ def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_agai
 
 
 @pytest.mark.parametrize("back", [pytest.param(False, marks=[pytest.mark.slow, pytest.mark.uncounted]), True])
-def test_a_turned_action_is_an_alarm_in_the_run_and_is_decided_again_by_a_replay(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], back: bool
-) -> None:
+def test_a_turned_action_is_an_alarm_in_the_run_and_is_decided_again_by_a_replay(tmp_path, monkeypatch, capsys, back):
     """Someone turns the action at the controller in the middle of a trial; and back again, or not."""
     step = VirtualDevice.step
 

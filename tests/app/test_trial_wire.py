@@ -107,9 +107,7 @@ EDITED = {"operator edit", "one after the other"}
     pairs([p for p in TrialPhase if p not in {P.PAUSED, P.ENSURING}], CAUSES),
     ids=lambda one: getattr(one, "name", one),
 )
-def test_every_phase_under_every_abort_cause_ends_with_the_verified_set_running(
-    make_wire: Callable[..., Wire], phase: TrialPhase, cause: str
-) -> None:
+def test_every_phase_under_every_abort_cause_ends_with_the_verified_set_running(make_wire, phase, cause):
     wire = make_wire(lock_out_after=1 if phase is P.LOCKED else 20)
     into(wire, phase)
     CAUSES[cause](wire)
@@ -223,9 +221,7 @@ def test_in_an_interpolated_table_leaving_the_region_ends_the_trial(make_wire: C
     assert wire.session.retuner.table.gains == (GOOD, OTHER)
 
 
-def test_in_an_interpolated_table_the_mean_is_written_and_the_region_stores_its_set(
-    make_wire: Callable[..., Wire],
-) -> None:
+def test_in_an_interpolated_table_the_mean_is_written_and_the_region_stores_its_set(make_wire):
     wire = make_wire(lookup=Lookup.INTERPOLATED)
     before = wire.runs
     new = PidGains(1.2 * GOOD.kp, 1.2 * GOOD.ki)

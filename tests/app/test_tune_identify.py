@@ -197,8 +197,6 @@ def test_settings_for_a_loop_with_derivative_action_have_one_too() -> None:
         second += (first - second) / 30.0
     record = np.array(rows).T
     found, plain = (identify(*record, gains=given).settings for given in (gains, PidGains(gains.kp, gains.ki)))
-    assert found is not None
-    assert plain is not None
     assert (found.kind, plain.kind) == ("pid", "pi")
     assert found.to_dict()["gains"]["tau_d"] == pytest.approx(30.0, rel=0.2)  # type: ignore[index]
 

@@ -110,9 +110,7 @@ def test_everything_shown_of_a_loop_is_in_its_units() -> None:
     assert settings_text(one, "cooler") == "PB 25 % reset 2 repeats/min"
 
 
-def test_tuned_gains_go_back_in_the_units_in_which_they_came(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tuned_gains_go_back_in_the_units_in_which_they_came(tmp_path, capsys):
     config, gains = tmp_path / "loop.toml", tmp_path / "gains.toml"
     config.write_text(text(TRADE, 'action = "direct"'))
     table = load_config(config).gain_table().with_gains("all", PidGains(-4.0, -0.2))
@@ -136,9 +134,7 @@ def checked(path: Path, written: str, capsys: pytest.CaptureFixture[str]) -> tup
     return status, capsys.readouterr().out
 
 
-def test_check_compares_the_sign_of_the_gains_with_the_plant(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_compares_the_sign_of_the_gains_with_the_plant(tmp_path, capsys):
     path = tmp_path / "loop.toml"
     assert checked(path, text() + PLANT.format(k=0.5), capsys)[0] == 0
     status, said = checked(path, text() + PLANT.format(k=-0.5), capsys)

@@ -44,9 +44,7 @@ def asked(log: Path, config: Path, capsys: pytest.CaptureFixture[str], *more: st
 
 
 @pytest.mark.slow
-def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(recorded, tmp_path, capsys):
     run, config = recorded / "run", recorded / "short.toml"
     live = bodies(run, "decision")[0]
     before = sorted(path.name for path in run.iterdir())
@@ -103,9 +101,7 @@ def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.Captu
 
 
 @pytest.mark.slow
-def test_one_change_of_the_records_gains_is_told_as_once(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_change_of_the_records_gains_is_told_as_once(recorded, tmp_path, capsys):
     trend, config = recorded / "run" / "trend.csv", recorded / "short.toml"
     until_s = asked(trend, config, capsys)["gains_changed_s"][0] + 0.5
     head, *lines = trend.read_text().splitlines()
@@ -115,9 +111,7 @@ def test_one_change_of_the_records_gains_is_told_as_once(
     assert "the record's gains changed once; nothing was written" in capsys.readouterr().out
 
 
-def test_a_bare_table_with_other_names_is_enough(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bare_table_with_other_names_is_enough(recorded, tmp_path, capsys):
     lines = (recorded / "run" / "trend.csv").read_text().splitlines()
     bare = ["time;target;temp;out", *(";".join(line.split(",")[:4]) for line in lines[1:])]
     log = tmp_path / "bare.csv"
@@ -130,9 +124,7 @@ def test_a_bare_table_with_other_names_is_enough(
 
 
 @pytest.mark.slow
-def test_an_export_is_replayed_as_the_plain_record_of_it(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_export_is_replayed_as_the_plain_record_of_it(recorded, tmp_path, capsys):
     lines = (recorded / "run" / "trend.csv").read_text().splitlines()
     rows = [line.split(",")[:4] for line in lines[1:]]
     assert lines[0].split(",")[:4] == ["t", "sp", "pv", "co"]
@@ -171,9 +163,7 @@ def test_an_export_is_replayed_as_the_plain_record_of_it(
         ("empty.log", "", "no telemetry"),
     ],
 )
-def test_what_cannot_be_read_is_one_line(
-    recorded: Path, tmp_path: Path, name: str, text: str | None, told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_read_is_one_line(recorded, tmp_path, name, text, told, capsys):
     if text is not None:
         (tmp_path / name).write_text(text)
     capsys.readouterr()
@@ -183,9 +173,7 @@ def test_what_cannot_be_read_is_one_line(
     assert told in error
 
 
-def test_another_node_a_folder_and_columns_of_a_bus_log_are_one_line(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_node_a_folder_and_columns_of_a_bus_log_are_one_line(recorded, tmp_path, capsys):
     other = tmp_path / "other.toml"
     other.write_text(SHORT + "[bus]\nnode = 7\n")
     shutil.copy(recorded / "run" / "bus.blf", tmp_path / "bus.blf")

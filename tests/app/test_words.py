@@ -21,8 +21,6 @@ ROOT = Path(__file__).resolve().parents[2]
 def vocabulary() -> ModuleType:
     """The script that has the words and writes their page."""
     place = importlib.util.spec_from_file_location("document_vocabulary", ROOT / "scripts" / "document_vocabulary.py")
-    assert place is not None
-    assert place.loader is not None
     script = importlib.util.module_from_spec(place)
     place.loader.exec_module(script)
     return script

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 from unlike_ours.live import PlantLive
-from unlike_ours.process import Flow, Linear, exothermic, tank
+from unlike_ours.process import Linear, exothermic, tank
 from unlike_ours.run import oddities, promised, run, staying, table, tasks
 from unlike_ours.story import EVENTS, draw
 from unlike_ours.truth import Truth, Tuned
@@ -33,9 +33,7 @@ def test_simc_on_a_lag_has_the_ms_that_is_known_and_the_reference_is_near_it(lag
 
 
 @pytest.mark.parametrize(("plant", "pv"), [(tank(10.0), 30.0), (exothermic(10.0), 325.0)])
-def test_a_plant_by_its_equations_stays_where_it_rests_and_its_local_gain_is_that_of_two_rests(
-    plant: Flow, pv: float
-) -> None:
+def test_a_plant_by_its_equations_stays_where_it_rests_and_its_local_gain_is_that_of_two_rests(plant, pv):
     live = plant.live(pv, 0.5)
     assert live.move(plant.rest(pv)) == pytest.approx(pv, rel=1e-9)
     local = plant.local(pv)

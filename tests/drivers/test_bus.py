@@ -86,9 +86,7 @@ def test_state_is_the_age_of_the_last_frame(fakes: list[FakeBus]) -> None:
     assert link.state is LinkState.SILENT
 
 
-def test_a_receive_error_closes_the_bus_and_it_is_opened_anew_with_back_off(
-    fakes: list[FakeBus], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_receive_error_closes_the_bus_and_it_is_opened_anew_with_back_off(fakes, monkeypatch):
     clock = SimulatedClock()
     link = linked(clock, reopen_first_s=1.0, reopen_max_s=4.0)
     fakes[0].incoming = [FRAME, os_error(), FRAME]
@@ -325,9 +323,7 @@ def test_other_files_are_no_parts(tmp_path: Path) -> None:
     assert log_parts(tmp_path / "nowhere" / "bus.blf") == ((tmp_path / "nowhere" / "bus.blf",), 0)
 
 
-def test_a_rotation_that_fails_ends_the_log_and_the_link_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rotation_that_fails_ends_the_log_and_the_link_goes_on(tmp_path, monkeypatch):
     def refused(*_: object) -> None:
         raise OSError(30, "Read-only file system")
 

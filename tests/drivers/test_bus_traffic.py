@@ -118,9 +118,7 @@ def test_a_log_without_a_dbc_or_with_a_foreign_one_is_told(tmp_path: Path) -> No
         read_loop_record([path], RecordForm(dbc=(str(tmp_path / "broken.dbc"),)))
 
 
-def test_an_audit_takes_logs_and_tables_of_one_folder(
-    tmp_path: Path, form: RecordForm, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_audit_takes_logs_and_tables_of_one_folder(tmp_path, form, capsys):
     folder, out = tmp_path / "plant", tmp_path / "out"
     folder.mkdir()
     loop(folder / "bus.blf")

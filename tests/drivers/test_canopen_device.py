@@ -142,7 +142,6 @@ def stage() -> Stage:
 
 def test_it_is_started_read_and_heard(stage: Stage) -> None:
     assert stage.node.node.nmt.state == "OPERATIONAL"
-    assert stage.host.running is not None
     assert stage.host.running.gains == pytest.approx(PidGains(2.0, 2.0 / 120.0)) or stage.host.running.gains.kp == 2.0
     samples = stage.of(stage.run(20), LoopSample)
     assert [sample.t_s for sample in samples] == list(range(int(samples[0].t_s), int(samples[0].t_s) + 20))

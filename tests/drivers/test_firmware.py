@@ -309,15 +309,12 @@ class Piped:
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def stop(self) -> None:
-        assert self.process.stdin is not None
         self.process.stdin.close()
         assert self.process.wait(timeout=60) == 0
-        assert self.process.stdout is not None
         self.process.stdout.close()
 
     def say(self, line: str) -> None:
         stdin, stdout = self.process.stdin, self.process.stdout
-        assert stdin is not None
         assert stdout is not None
         stdin.write(line + "\n")
         stdin.flush()
@@ -373,7 +370,6 @@ def test_a_set_is_written_stored_and_outlasts_the_process(piped: Piped) -> None:
     (restarted,) = [event for event in events if isinstance(event, DeviceRestarted)]
     assert restarted.running.gains == SECOND
     assert isinstance(written(piped, host, PidGains(900.0, 0.125, 0.75)), WriteFailed)
-    assert host.running is not None
     assert host.running.gains == SECOND
 
 

@@ -95,9 +95,7 @@ def test_communication_steps_may_be_shorter_than_a_sample(heater: ModelSpec) -> 
         ({"source": __file__}, ("file",), "cannot be read as an FMU"),
     ],
 )
-def test_what_is_wrong_is_told_by_name(
-    lag: ModelSpec, change: dict[str, object], key: tuple[str, ...], text: str
-) -> None:
+def test_what_is_wrong_is_told_by_name(lag, change, key, text):
     with pytest.raises(PlantFaultError, match=text) as told:
         FmuModel(replace(lag, **change))  # type: ignore[arg-type]
     assert told.value.key == key

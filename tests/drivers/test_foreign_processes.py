@@ -27,7 +27,6 @@ def test_two_processes_speak_with_each_other(profile: str, tmp_path: Path) -> No
         config.write_text(config.read_text().replace("at_s = 200.0", "at_s = 20.0"))
     with subprocess.Popen([*RETUNER, "device", str(config), *where], stderr=subprocess.PIPE, text=True) as device:
         try:
-            assert device.stderr is not None
             assert "Ctrl-C ends it" in device.stderr.readline()
             out = tmp_path / "run"
             run = subprocess.run(

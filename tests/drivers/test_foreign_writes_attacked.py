@@ -105,7 +105,6 @@ class Attacked(Stage):
         self.run(90)
         assert self.host.connected
         assert not self.host.writing
-        assert self.host.running is not None
         assert self.host.running.gains == self.node.loop.gains
         assert len(self.ends) == self.begun
         self.write(OTHER if self.node.loop.gains == NEW else NEW)

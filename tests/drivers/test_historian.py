@@ -147,7 +147,6 @@ def test_a_real_export_is_read_as_it_is() -> None:
     assert len(read.recording.t_s) == 751
     assert np.all(np.diff(read.recording.t_s) == 10.0)
     assert (read.recording.pv[0], read.recording.co[0]) == (99.3204336, 24.016456452)
-    assert read.recording.sp is not None
     assert read.recording.sp[0] == 99.99994
 
 
@@ -357,9 +356,7 @@ def test_the_hour_that_comes_twice_needs_the_zone(written: Callable[..., Path]) 
         (text("t,pv,co", stamps("%H:%M"), PV, CO), RecordForm(time_format="%H.%M"), "is not of the form %H.%M"),
     ],
 )
-def test_what_is_no_record_or_may_be_two_is_refused_in_one_line(
-    written: Callable[..., Path], content: str, form: RecordForm, message: str
-) -> None:
+def test_what_is_no_record_or_may_be_two_is_refused_in_one_line(written, content, form, message):
     with pytest.raises(RecordingError, match=message) as told:
         read_loop_record([written(content)], form)
     assert "\n" not in str(told.value)
@@ -497,9 +494,7 @@ STAMPED = stamps("%Y-%m-%d %H:%M:%S")
         (text("Tag,t,Value", ["A.OP", "A.OUT", "A.PV"] * 20, T, PV), '"A.OP" and "A.OUT" may both be co of A'),
     ],
 )
-def test_what_would_be_read_wrong_in_silence_is_refused(
-    written: Callable[..., Path], content: str, message: str
-) -> None:
+def test_what_would_be_read_wrong_in_silence_is_refused(written, content, message):
     with pytest.raises(RecordingError) as refused:
         read_loop_record([written(content)])
 
@@ -544,9 +539,7 @@ def test_a_long_table_may_hold_text_of_other_tags(written: Callable[..., Path]) 
 
 @pytest.mark.parametrize("origin", [25569, 719529])
 @pytest.mark.parametrize("unit", ["", "d"])
-def test_days_of_a_spreadsheet_and_of_matlab_begin_on_their_day(
-    written: Callable[..., Path], origin: int, unit: str
-) -> None:
+def test_days_of_a_spreadsheet_and_of_matlab_begin_on_their_day(written, origin, unit):
     days = [f"{origin + e / 86400:.9f}" for e in EPOCH]
     read = read_loop_record([written(text("t,sp,pv,co", days, SP, PV, CO))], RecordForm(time_unit=unit))
 
@@ -582,9 +575,7 @@ def test_a_line_that_is_no_row_is_named(written: Callable[..., Path]) -> None:
             read_loop_record([path])
 
 
-def test_of_two_columns_that_may_be_a_signal_the_plain_one_is_taken_or_the_person_asked(
-    written: Callable[..., Path],
-) -> None:
+def test_of_two_columns_that_may_be_a_signal_the_plain_one_is_taken_or_the_person_asked(written):
     plain = read_loop_record([written(text("t,SP,PV,Actual,Valve Position,Output", T, SP, PV, PV + 5, CO - 9, CO))])
     is_the_loop(plain)
     assert 'co is "Output"' in in_a_line(plain.assumed)

@@ -118,9 +118,7 @@ def test_no_lease_is_longer_than_the_firmware_grants() -> None:
 
 
 @pytest.mark.parametrize(("sample_s", "longest"), [(2.0, 600), (0.05, 600), (0.01, 600), (0.001, 6000), (1e-4, 60000)])
-def test_a_lost_request_that_is_sent_again_locks_the_loop_for_the_longest_lease_only(
-    sample_s: float, longest: int
-) -> None:
+def test_a_lost_request_that_is_sent_again_locks_the_loop_for_the_longest_lease_only(sample_s, longest):
     """A repeater may send a request of 6,000 samples that never came through when its host is gone."""
     dev = device(sample_time_s=sample_s)
     lost = Lease(OTHER, lease_stamp(dev.epoch, dev.sample), 60000, 200)

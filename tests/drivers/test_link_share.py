@@ -94,9 +94,7 @@ def test_a_signal_that_schedules_is_heard_on_a_bus_too(loop: str) -> None:
     assert [message.is_extended_id for message in heard] == ([True, False] if loop == "aircraft" else [False])
 
 
-def test_a_host_that_is_not_polled_takes_no_memory_and_sees_the_gap(
-    plant: Plant, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_host_that_is_not_polled_takes_no_memory_and_sees_the_gap(plant, monkeypatch):
     monkeypatch.setattr(link_share, "WAITING_MAX", 20)
     plant.run(30)
     plant.run(18, watched=(1, 63))

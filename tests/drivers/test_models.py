@@ -249,9 +249,7 @@ def test_a_class_of_several_loops_takes_and_gives_dicts_by_name() -> None:
         (ModelSpec("python", "nothing", (), (), (0.0,)), ("model",), "names no object"),
     ],
 )
-def test_what_is_wrong_with_a_class_is_told_with_the_nearest_name(
-    which: ModelSpec, key: tuple[str, ...], text: str
-) -> None:
+def test_what_is_wrong_with_a_class_is_told_with_the_nearest_name(which, key, text):
     with pytest.raises(PlantFaultError, match=text) as told:
         PythonModel(which)
     assert told.value.key == key
@@ -366,9 +364,7 @@ def bench() -> Iterator[list[Bench]]:
         ("abort", "its process was killed by SIGABRT"),
     ],
 )
-def test_a_plant_that_dies_is_one_line_and_no_reading(
-    tmp_path: Path, bench: list[Bench], fault: str, text: str
-) -> None:
+def test_a_plant_that_dies_is_one_line_and_no_reading(tmp_path, bench, fault, text):
     bench.append(Bench(tmp_path, fault))
     got = bench[0].steps(5)
     assert got[:2] == [3.0, 3.0]
@@ -430,9 +426,7 @@ def test_a_model_that_cannot_begin_says_why(tmp_path: Path) -> None:
         Bench(tmp_path, "beginning")
 
 
-def test_a_hanging_plant_is_given_up_by_the_machine_s_clock_and_the_samples_go_on(
-    tmp_path: Path, bench: list[Bench]
-) -> None:
+def test_a_hanging_plant_is_given_up_by_the_machine_s_clock_and_the_samples_go_on(tmp_path, bench):
     bench.append(Bench(tmp_path, "hang", at=1, wait_s=0.0))
     one = bench[0]
     for later_s in (0.0, 59.0, 2.0):

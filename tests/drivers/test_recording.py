@@ -68,7 +68,6 @@ def test_usual_spellings_are_read(tmp_path: Path, text: str) -> None:
     record = read_recording(written(tmp_path, text))
 
     assert record.t_s.tolist() == [0.0, 1.0, 2.5]
-    assert record.sp is not None
     assert record.sp.tolist() == [1.0, 1.0, 1.0]
     assert record.pv.tolist() == [2.0, 2.5, -0.3]
     assert record.co.tolist() == [3.0, 3.0, 4.0]

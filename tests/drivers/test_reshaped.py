@@ -93,9 +93,7 @@ def test_a_pivoted_table_of_influx(written: Callable[[str], Path]) -> None:
         (HEAD + ",,0,1\n", ":5: 4 fields, the head of its table has 9"),
     ],
 )
-def test_annotated_text_that_is_none_is_refused_in_one_line(
-    written: Callable[[str], Path], content: str, message: str
-) -> None:
+def test_annotated_text_that_is_none_is_refused_in_one_line(written, content, message):
     with pytest.raises(RecordingError) as refused:
         read_loop_record([written(content)])
     assert message in str(refused.value)
@@ -141,9 +139,7 @@ def test_pairs_without_a_name_are_refused(written: Callable[[str], Path]) -> Non
 
 
 @pytest.mark.parametrize(("unit", "decimal"), [(" °C", "."), ("°C", ","), (" bar", ","), (" m³/h", "."), ("%", ".")])
-def test_a_unit_beside_each_value_is_taken_off_and_told(
-    written: Callable[[str], Path], unit: str, decimal: str
-) -> None:
+def test_a_unit_beside_each_value_is_taken_off_and_told(written, unit, decimal):
     def cell(value: float, its: str) -> str:
         return f"{value}".replace(".", decimal) + its
 

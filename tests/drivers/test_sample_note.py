@@ -53,5 +53,4 @@ def test_a_note_goes_through_a_log_and_not_over_the_bus(tmp_path: Path) -> None:
     with CanLink(settings, clock) as link:
         link.note(note_of(sample, note_id("a")))  # no log: nothing to do
     (read,) = (Notes("a").take(message) for message in read_frames(tmp_path / "bus.blf"))
-    assert read is not None
     assert read.sample == sample

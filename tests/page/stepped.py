@@ -49,7 +49,6 @@ class Stepped:
     @property
     def gains(self) -> PidGains:
         running = self.session.loops[0].device.running
-        assert running is not None
         return running.gains
 
     def step(self, turns: int) -> None:
@@ -91,7 +90,6 @@ def serving(folder: Path, port: int = 0) -> Server:
     """Start it; it is up when this returns."""
     command = [sys.executable, "-P", "-m", "retuner", "serve", str(folder), "--port", str(port)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    assert process.stdout is not None
     address = process.stdout.readline().split()[1]
     token = process.stdout.readline().split("#token=")[1].strip()
     return Server(process, address, token)

@@ -31,9 +31,7 @@ def server(session: Stepped) -> Iterator[Server]:
     made.end()
 
 
-def test_a_person_sees_a_proposal_approves_it_and_takes_it_back(
-    session: Stepped, server: Server, browsers: Callable[..., Seen]
-) -> None:
+def test_a_person_sees_a_proposal_approves_it_and_takes_it_back(session, server, browsers):
     before = session.gains
     one, other = browsers(), browsers(420, 900, dark=True)
     one.open(server.address)
@@ -55,7 +53,6 @@ def test_a_person_sees_a_proposal_approves_it_and_takes_it_back(
     one.confirms("Ada")
     session.step(100)
     proposed = session.session.loops[0].decisions[0].gains_after
-    assert proposed is not None
     assert session.gains.kp == pytest.approx(proposed.kp, rel=1e-6)
     one.sees("on trial")
     assert "[object" not in one.text()
@@ -76,9 +73,7 @@ def test_a_person_sees_a_proposal_approves_it_and_takes_it_back(
     assert one.errors() == other.errors() == []
 
 
-def test_a_decision_opens_with_its_whole_reasoning_and_the_ledger_is_filtered(
-    session: Stepped, server: Server, browsers: Callable[..., Seen]
-) -> None:
+def test_a_decision_opens_with_its_whole_reasoning_and_the_ledger_is_filtered(session, server, browsers):
     session.until_decided(1)
     seen = browsers()
     seen.open(f"{server.address}#token={server.token}")
@@ -108,9 +103,7 @@ def test_a_decision_opens_with_its_whole_reasoning_and_the_ledger_is_filtered(
     assert seen.errors() == []
 
 
-def test_a_page_that_loses_its_server_comes_back_and_has_missed_nothing(
-    session: Stepped, browsers: Callable[..., Seen]
-) -> None:
+def test_a_page_that_loses_its_server_comes_back_and_has_missed_nothing(session, browsers):
     first = serving(session.folder)
     seen = browsers()
     seen.open(f"{first.address}#/loop/demo/1")
@@ -129,9 +122,7 @@ def test_a_page_that_loses_its_server_comes_back_and_has_missed_nothing(
         second.end()
 
 
-def test_hold_everything_is_one_key_one_question_and_no_mode_is_left(
-    session: Stepped, server: Server, browsers: Callable[..., Seen]
-) -> None:
+def test_hold_everything_is_one_key_one_question_and_no_mode_is_left(session, server, browsers):
     seen = browsers()
     seen.open(f"{server.address}#token={server.token}")
     seen.sees("may act")

@@ -10,7 +10,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -70,11 +70,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, int]:
 
 
 @pytest.mark.parametrize("treated", [hung, killed, flooded])
-def test_the_session_is_the_same_whatever_becomes_of_its_page(
-    treated: Callable[[Server], contextlib.AbstractContextManager[None]],
-    alone: tuple[str, str, int],
-    tmp_path: Path,
-) -> None:
+def test_the_session_is_the_same_whatever_becomes_of_its_page(treated, alone, tmp_path):
     with stepped(tmp_path / "demo") as session:
         session.step(BEFORE)
         server = serving(session.folder)

@@ -176,9 +176,7 @@ def test_the_stream_tells_new_samples_once_and_catches_up_whoever_comes_back(ses
     assert gap.startswith("event: gap")
 
 
-def test_who_lags_longer_than_is_kept_is_told_of_the_gap(
-    session: Session, served: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_lags_longer_than_is_kept_is_told_of_the_gap(session, served, monkeypatch):
     monkeypatch.setattr(hubs, "KEPT", 5)
     served.hub._kept = type(served.hub._kept)(maxlen=5)
     seen = f"{served.hub.boot}-{served.hub._number}"
@@ -248,13 +246,7 @@ def test_an_act_goes_into_an_order_file_of_the_session(session: Session, served:
         (["demo", "--host", "203.0.113.9"], "cannot listen there"),
     ],
 )
-def test_what_cannot_be_served_is_one_line_and_status_2(
-    arguments: list[str],
-    told: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_cannot_be_served_is_one_line_and_status_2(arguments, told, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     if arguments[0] == "demo":
         Session(tmp_path / "demo").close()

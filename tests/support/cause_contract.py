@@ -48,7 +48,6 @@ def in_units(window: Window, pv: float, co: float, time: float) -> Window:
 def assert_keeps_contract(look: Look, own: Window) -> None:
     """A look finds its own record, in any units and offset, the same every time; and says nothing of any other."""
     found = look(own)
-    assert found is not None
     assert found == look(own)
     assert found.reason[0].islower()
     assert ": " in found.reason, "what is seen, a colon, what to do"

@@ -10,8 +10,6 @@ FOLDER = Path(__file__).resolve().parents[2] / "docs" / "templates"
 def template(name: str) -> ModuleType:
     """The module in docs/templates of this name."""
     spec = spec_from_file_location(f"template_{name}", FOLDER / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -58,8 +58,6 @@ def test_a_load_that_does_not_swing_is_not_taken_for_one() -> None:
 def test_a_swing_counts_against_load_steps_and_the_less_the_less_the_setpoint_moves() -> None:
     """Under a tone that setpoint steps moved by 26 % gains were cut by 85 %: from 30 % on a swing was asked for."""
     asked, less = (odds._walk([swung()], GAINS, 1, OddsSettings(swings_moved=share)) for share in (1e-3, 0.999))
-    assert asked is not None
-    assert less is not None
     assert 0.2 < asked.moved < 0.999
     assert asked.swung > less.swung > 1.0
     assert asked.swung - less.swung < -math.log(asked.moved) + 0.1

@@ -53,7 +53,6 @@ def of(model: ProcessModel, gains: PidGains) -> PidGains:
 def test_what_is_foreseen_is_what_the_other_controller_does(model: ProcessModel) -> None:
     before, after = (simulated(model, of(model, gains)) for gains in (SLOW, GOOD))
     found = foreseen([before], [(model, 1.0)], of(model, GOOD))
-    assert found is not None
     error, travel = (float(np.sum(np.abs(after.sp - after.pv))) * DT_S, float(np.sum(np.abs(np.diff(after.co)))))
     assert found.error[0] == pytest.approx(error, rel=1e-6)
     assert found.travel[0] == pytest.approx(travel, rel=1e-6)
@@ -64,11 +63,9 @@ def test_what_is_foreseen_is_what_the_other_controller_does(model: ProcessModel)
 def test_the_settings_in_force_change_nothing_and_uneven_times_little() -> None:
     record = simulated(MODELS[0], SLOW)
     same = foreseen([record], ONE, SLOW)
-    assert same is not None
     assert same.saved == pytest.approx(0, abs=1e-9)
     kept = np.sort(np.random.default_rng(5).permutation(len(record.t_s))[:500])
     some = foreseen([Window(record.t_s[kept], record.sp[kept], record.pv[kept], record.co[kept])], ONE, SLOW)
-    assert some is not None
     assert some.saved == pytest.approx(0, abs=0.1)
 
 
@@ -77,7 +74,6 @@ def test_settings_that_no_model_holds_are_told_by_none_and_doubtful_ones_by_thei
     assert foreseen([Window(record.t_s, record.pv, record.pv, record.co)], ONE, GOOD) is None
     other = ProcessModel(ProcessType.FOPDT, 1.5, 30.0, theta_s=14.0)
     found = foreseen([record, record], [(MODELS[0], 3.0), (other, 1.0)], of(MODELS[0], GOOD))
-    assert found is not None
     assert found.least <= found.saved <= found.most
     assert found.most - found.least > 0.01
     assert found.span_s == pytest.approx(2 * 600 * DT_S)
@@ -88,8 +84,6 @@ def test_settings_that_no_model_holds_are_told_by_none_and_doubtful_ones_by_thei
     wild = of(MODELS[0], PidGains.from_ideal(4.0, 30.0))
     held, swings = foreseen([record], ONE, wild), replace(other, theta_s=40.0)
     both = foreseen([record], [(MODELS[0], 1.0), (swings, 1.0)], wild)
-    assert held is not None
-    assert both is not None
     assert both.least < 2.0 * DOUBLED
     assert both.saved == pytest.approx(0.5 * held.saved + 0.5 * DOUBLED)
     assert "least" not in replace(both, least=-math.inf).to_dict()
@@ -99,13 +93,10 @@ def test_without_settings_it_is_what_the_best_save_and_never_less_than_nothing()
     best = robust_simc_on(MODELS[0], (), DT_S, RobustSettings()).tuning.gains
     slow, tight = simulated(MODELS[0], SLOW), simulated(MODELS[0], PidGains(1.2 * best.kp, 1.6 * best.ki))
     found, expected = foreseen([slow], ONE, None, SLOW), foreseen([slow], ONE, best)
-    assert found is not None
-    assert expected is not None
     assert found.saved == expected.saved
     assert found.due
     assert not found.given
     nothing = foreseen([tight], ONE, None)
-    assert nothing is not None
     assert nothing.saved == 0.0
     assert not nothing.due
     assert foreseen([slow], [], None) is None

@@ -29,7 +29,6 @@ KINDS = [MODEL, SOPDT, SWINGS, LEVEL, LAGGED]
 @pytest.mark.parametrize("model", KINDS)
 def test_between_a_process_and_itself_is_itself(model: ProcessModel) -> None:
     found = between_models(model, model, 0.3)
-    assert found is not None
     assert found.type == model.type
     for name in ("k", "tau1_s", "tau2_s", "theta_s", "zeta"):
         assert getattr(found, name) == pytest.approx(getattr(model, name))
@@ -50,11 +49,9 @@ def test_half_way_is_the_geometric_mean() -> None:
     found = between_models(
         replace(MODEL, k=1.0, tau1_s=20.0, theta_s=2.0), replace(MODEL, tau1_s=80.0, theta_s=8.0), 0.5
     )
-    assert found is not None
     assert (found.tau1_s, found.theta_s) == (pytest.approx(40.0), pytest.approx(4.0))
     assert found.k / found.tau1_s == pytest.approx(math.sqrt(1 / 20 * 2 / 80))
     negative = between_models(replace(MODEL, k=-1.0), replace(MODEL, k=-4.0), 0.5)
-    assert negative is not None
     assert negative.k == pytest.approx(-2.0)
 
 
@@ -142,7 +139,6 @@ def test_the_border_slows_the_change_before_it_refuses_it() -> None:
     asked = replace(request(times(0.6, 0.6)), borders=(border(warm, 0.6),))
     verdict = prove(asked, SETTINGS)
     assert verdict.ruling == Ruling.ACCEPTED
-    assert verdict.gains is not None
     assert verdict.gains.kp < GAINS.kp
     ms, passed = at_border(border(warm, 0.6), asked.models, verdict.gains, asked.in_force, SETTINGS.ms_border, 1.0)
     assert passed
@@ -184,9 +180,7 @@ def test_a_border_reaches_no_farther_than_the_neighbour() -> None:
 
 
 @pytest.mark.parametrize("neighbour", [20.0, 100.0])
-def test_more_action_is_not_proved_where_the_loop_is_unstable_between_the_knots_before_and_after(
-    neighbour: float,
-) -> None:
+def test_more_action_is_not_proved_where_the_loop_is_unstable_between_the_knots_before_and_after(neighbour):
     """Infinity is not less than infinity. Less of everything goes the right way for certain."""
     beside = border(replace(MODEL, k=1.2 * MODEL.k), 1.0, times(neighbour, neighbour), mixed=True)
     more = replace(request(times(0.5, 0.5)), borders=(beside,))

@@ -104,9 +104,7 @@ def test_within_the_limits_nothing_is_cut() -> None:
         ((1.0, 20.0, 0.5), SETTINGS, (1.0, 20.0, 0.0), "tau_D held at 0 (wanted 0.5): limit of the sampling time"),
     ],
 )
-def test_only_what_exceeds_is_cut_and_it_is_said(
-    wanted: tuple[float, float, float], limits: GuardSettings, result: tuple[float, float, float], note: str
-) -> None:
+def test_only_what_exceeds_is_cut_and_it_is_said(wanted, limits, result, note):
     goal = cut(IdealGains(*wanted).to_parallel(), limits)[0]
     assert times_of(goal.gains) == pytest.approx(result)
     assert goal.notes == (note,)
@@ -243,7 +241,6 @@ def test_a_cut_change_is_written_and_says_so() -> None:
     limits = GuardSettings(kc_max=0.9 * GAINS.kp)
     verdict = prove(request(times(0.6, 0.6)), limits)
     assert verdict.accepted
-    assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(0.9 * GAINS.kp)
     assert ": kc_max" in verdict.sentence
     assert verdict.step < 1.0
@@ -265,7 +262,6 @@ def test_where_kc_is_at_its_limit_tau_i_alone_helps() -> None:
     in_force = times(0.6, 0.6)
     verdict = prove(request(in_force, commissioned=times(0.15, 0.15)), SETTINGS)
     assert verdict.ruling == Ruling.ACCEPTED
-    assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(in_force.kp)
     assert verdict.gains.ki > 1.2 * in_force.ki
     assert "tau_I moved with Kc" in verdict.sentence

@@ -19,7 +19,6 @@ FACTOR = st.floats(0.01, 100)
 
 def moved(old: PidGains, new: PidGains, settings: GuardSettings = SETTINGS, **options: bool) -> PidGains:
     found = within_limits(old, new, 1.0, settings, **options)
-    assert found is not None
     return found[0]
 
 
@@ -84,7 +83,6 @@ def test_kc_and_tau_i_may_each_go_as_far_as_they_may_alone_and_kc_over_tau_i_wit
     assert moved(old, far, replace(SETTINGS, integral_up_max=2.0)).ki == pytest.approx(0.2)
     assert moved(old, far, replace(SETTINGS, kc_up_max=1.5)).kp == pytest.approx(1.5)
     only = within_limits(PidGains(0.0, 0.1), PidGains(0.0, 1.6), 1.0, SETTINGS)
-    assert only is not None
     assert only[0].ki == pytest.approx(0.2)
 
 
@@ -101,16 +99,13 @@ def test_only_what_points_to_less_action_is_free_for_an_urgent_step() -> None:
 
 def test_a_gain_that_comes_or_goes_takes_the_same_share() -> None:
     coming = within_limits(PidGains(1.0, 0.1), PidGains(4.0, 0.4, 8.0), 1.0, SETTINGS)
-    assert coming is not None
     assert coming[1] == pytest.approx(0.5)
     assert coming[0].kd == pytest.approx(4.0)
     going = within_limits(PidGains(1.0, 0.1, 8.0), PidGains(1.0, 0.1), 0.25, SETTINGS)
-    assert going is not None
     assert going[0].kd == pytest.approx(6.0)
     gone = within_limits(PidGains(1.0, 0.1, 8.0), PidGains(1.0, 0.1), 1.0, SETTINGS)
     assert gone == (PidGains(1.0, 0.1), 1.0)
     alone = within_limits(PidGains(0.0, 0.1), PidGains(1.0, 0.8), 1.0, SETTINGS)
-    assert alone is not None
     assert (alone[0].kp, alone[0].ki) == (pytest.approx(1 / 3), pytest.approx(0.2))
 
 

@@ -55,7 +55,6 @@ def test_a_good_step_passes_whole() -> None:
 
 def test_a_sluggish_loop_gets_twice_the_gain_and_no_more() -> None:
     verdict = prove(request(times(0.1, 0.1)), SETTINGS)
-    assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(0.2 * GAINS.kp)
     assert verdict.step == pytest.approx(math.log(2) / math.log(10))
 
@@ -82,7 +81,6 @@ def test_the_smallest_tau_c_that_is_robust_is_taken() -> None:
 def test_a_proposal_without_tau_c_has_half_steps_only() -> None:
     fixed = Tuning("pattern", "parallel", times(1.6, 1.6))
     verdict = prove(request(times(0.8, 0.8), fixed), SETTINGS)
-    assert verdict.gains is not None
     assert verdict.step == pytest.approx(0.5)
     assert verdict.gains.kp == pytest.approx(0.8 * 2**0.5 * GAINS.kp)
     assert ms_of(MODEL, fixed.gains) > SETTINGS.ms_nominal
@@ -102,7 +100,6 @@ def test_where_nothing_is_proved_the_safest_whole_step_is_taken() -> None:
     slowest = simc(SAMPLED, 1.3 * 5.5)
     assert verdict.ruling == Ruling.SAFER
     assert verdict.step == 1.0
-    assert verdict.gains is not None
     assert (verdict.gains.kp, verdict.gains.ki) == pytest.approx((slowest.gains.kp, slowest.gains.ki))
     assert verdict.tau_c_s == pytest.approx(slowest.tau_c_s)
     assert verdict.ms_worst > SETTINGS.ms_worst
@@ -123,7 +120,6 @@ def test_a_measured_oscillation_counts_where_the_model_does_not_see_it() -> None
     wide = GuardSettings(total_ratio_max=100.0)
     ordinary = prove(request(GAINS, calm), wide)
     urgent = prove(replace(request(GAINS, calm), urgent=True), wide)
-    assert ordinary.gains is not None
     assert urgent.gains is not None
     assert ordinary.gains.kp == pytest.approx(GAINS.kp / 4)
     assert urgent.gains == calm.gains
@@ -134,14 +130,12 @@ def test_without_a_model_small_steps_only_unless_an_oscillation_asks_for_less() 
     pattern = Evidence(records=0, support=Support.PATTERN)
     asked = replace(request(times(0.4, 0.4), models=()), evidence=pattern)
     verdict = prove(asked, SETTINGS)
-    assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(0.6 * GAINS.kp)
     assert math.isnan(verdict.ms_nominal)
     assert verdict.to_dict()["ms"] == {"nominal": None, "worst": None, "before": None}
     assert prove(replace(asked, urgent=True), SETTINGS).gains == verdict.gains  # more action is never hurried
     less = replace(request(times(3, 3), models=()), evidence=pattern)
     slowly, at_once = prove(less, SETTINGS), prove(replace(less, urgent=True), SETTINGS)
-    assert slowly.gains is not None
     assert slowly.gains.kp == pytest.approx(2 * GAINS.kp)
     assert not slowly.urgent
     assert at_once.gains == GAINS
@@ -153,7 +147,6 @@ def test_urgency_never_hurries_towards_more_action() -> None:
     verdict = prove(replace(request(times(0.1, 0.1)), urgent=True), SETTINGS)
     assert verdict.ruling == Ruling.ACCEPTED
     assert not verdict.urgent
-    assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(0.2 * GAINS.kp)
 
 
@@ -164,7 +157,6 @@ def test_an_urgent_step_is_held_by_the_limits_that_point_to_more_action() -> Non
     verdict = prove(request(swinging, good, known(0.02, slow), good.gains), SETTINGS)
     assert verdict.ruling == Ruling.SAFER
     assert verdict.urgent
-    assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(2 * swinging.kp)
 
 
@@ -175,7 +167,6 @@ def test_no_dead_band_for_a_loop_over_its_limit() -> None:
     assert prove(request(over), SETTINGS).ruling == Ruling.TOO_SMALL
     verdict = prove(request(over), tight)
     assert verdict.ruling == Ruling.ACCEPTED
-    assert verdict.gains is not None
     assert verdict.gains.kp < over.kp
 
 
@@ -194,7 +185,6 @@ def test_a_loop_over_its_limit_is_never_called_as_good_and_is_made_calmer_where_
 def test_only_tau_i_moves_where_that_is_all_that_is_free() -> None:
     same = Tuning("pattern", "parallel", times(1.0, 2.5))
     verdict = prove(replace(request(times(1.0, 2.5), same), locks=Locks(kc=True)), SETTINGS)
-    assert verdict.gains is not None
     assert verdict.gains.kp == GAINS.kp
     assert verdict.ms_nominal < verdict.ms_before
 
@@ -286,7 +276,6 @@ def test_doubtful_evidence_still_lets_a_loop_over_its_limit_have_less() -> None:
     doubted = Evidence(innovation=40.0, gate=20.0)
     verdict = prove(replace(request(times(3.0, 3.0)), evidence=doubted), SETTINGS)
     assert verdict.ruling == Ruling.SAFER
-    assert verdict.gains is not None
     assert verdict.gains.kp < 3 * GAINS.kp
     more = prove(replace(request(times(0.5, 3.0)), evidence=doubted), SETTINGS)
     assert more.ruling == Ruling.CONTRADICTED
@@ -298,7 +287,6 @@ def test_a_swinging_integrating_loop_gets_more_gain_as_the_safe_direction() -> N
     swinging = PidGains(good.gains.kp / 2, good.gains.ki * 2)
     verdict = prove(request(swinging, good, known(0.3, slow)), SETTINGS)
     assert verdict.accepted
-    assert verdict.gains is not None
     assert verdict.gains.kp > swinging.kp
     assert ms_of(slow, verdict.gains) < ms_of(slow, swinging)
 
@@ -369,7 +357,6 @@ def test_a_loop_that_is_too_hot_is_never_refused(kp: float, ki: float, std: floa
 
 def test_kc_only_changes_kc_only() -> None:
     verdict = prove(replace(request(times(0.5, 0.4)), locks=KC_ONLY), SETTINGS)
-    assert verdict.gains is not None
     assert verdict.gains.kp / verdict.gains.ki == pytest.approx(times(0.5, 0.4).kp / times(0.5, 0.4).ki)
     assert verdict.gains.kp > 0.5 * GAINS.kp
 

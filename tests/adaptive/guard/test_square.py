@@ -44,7 +44,6 @@ def truth(models: dict[int, tuple[Plausible, ...]], u: float, v: float) -> float
     assert near is not None
     assert far is not None
     process = between_models(near, far, u)
-    assert process is not None
     gains = table.at(0, 5.0 + 10.0 * u, 5.0 + 10.0 * v)
     return sensitivity_peak(replace(process, theta_s=process.theta_s + DT_S / 2).linear(), gains)
 

@@ -53,7 +53,6 @@ def test_running_mean_is_the_mean_of_what_is_there():
 def test_period_of_a_sine_even_under_noise_and_drift(rng, period, noise):
     i = np.arange(1000)
     found = regularity(np.sin(2 * np.pi * i / period) + noise * rng.normal(size=1000) + 0.01 * i)
-    assert found is not None
     assert found.lasting
     assert found.period == pytest.approx(period, rel=0.02)
     assert found.cycles == pytest.approx(1000 / period, rel=0.02)
@@ -62,7 +61,6 @@ def test_period_of_a_sine_even_under_noise_and_drift(rng, period, noise):
 def test_a_slow_drift_does_not_hide_an_oscillation(rng):
     drift = np.cumsum(rng.normal(size=1500))
     found = regularity(0.3 * np.std(drift) * np.sin(2 * np.pi * np.arange(1500) / 25) + drift)
-    assert found is not None
     assert found.lasting
     assert found.period == pytest.approx(25, rel=0.06)
 
@@ -133,7 +131,6 @@ def test_overshoot_and_damping_of_second_order_responses(zeta, size):
     sp = 7.0 + size * np.concatenate([np.zeros(100), np.ones(1200), np.zeros(1200)])
     pv = 7.0 + size * np.concatenate([np.zeros(100), y, 1 - y])
     found = setpoint_responses(sp, pv)
-    assert found is not None
     o = math.exp(-math.pi * zeta / wd)
     assert found.steps == 2
     assert found.overshoot == pytest.approx(o, abs=2e-3)
@@ -145,7 +142,6 @@ def test_a_first_order_response_has_no_overshoot_and_a_moving_setpoint_no_respon
     sp = np.where(t < 50, 0.0, 1.0)
     pv = np.where(t < 50, 0.0, 1 - np.exp(-(t - 50) / 20)) + 0.01 * rng.normal(size=300)
     found = setpoint_responses(sp, pv)
-    assert found is not None
     assert (found.overshoot, found.damping) == (0.0, None)
     assert setpoint_responses(rng.normal(size=300), pv) is None
     assert setpoint_responses(np.zeros(300), pv) is None

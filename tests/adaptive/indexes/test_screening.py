@@ -112,18 +112,14 @@ def test_no_step_where_there_is_none(rng):
 def test_compression_and_repetition(rng):
     corners = np.interp(np.arange(1001), np.arange(0, 1001, 10), rng.normal(size=101))
     found = recording_quality(corners)
-    assert found is not None
     assert found.compression == pytest.approx(10, rel=0.05)
     held = recording_quality(np.repeat(rng.normal(size=100), 10))
-    assert held is not None
     assert held.repeated == pytest.approx(0.9, abs=0.01)
     plain = recording_quality(rng.normal(size=1000))
-    assert plain is not None
     assert (plain.compression, plain.repeated) == (1, 0)
     assert plain.noise_share == pytest.approx(1, abs=0.15)
     assert recording_quality(np.ones(10)) is None
     rounded = recording_quality(np.round(5 * np.sin(np.arange(1000) / 50)))
-    assert rounded is not None
     assert (rounded.quantum, rounded.compression) == (pytest.approx(1), 1)  # standing still is the converter's doing
 
 
@@ -229,7 +225,6 @@ def test_gaps_that_were_filled_with_the_last_values():
     rows = np.arange(600)
     last = np.where(rows % 60 < 40, rows, rows - rows % 60 + 39)  # of every 60 samples the last 20 repeat the 40th
     found = held_together(pv[last], co[last])
-    assert found is not None
     assert found.share == pytest.approx(1 / 3, abs=0.01)
     assert found.samples == 20
     assert held_together(pv[last], co) is None  # a sensor that holds its value
@@ -264,7 +259,6 @@ W = 2 * math.pi / PERIOD
 )
 def test_fourier_series_of_the_waves(kind, third, distortion, even, share, peak, wave):
     found = tones(T, W, wave(kind))
-    assert found is not None
     assert found[0].third == pytest.approx(third, abs=0.01)
     assert found[0].distortion == pytest.approx(distortion, abs=0.02)
     assert found[0].even == pytest.approx(even, abs=0.01)
@@ -300,7 +294,6 @@ def test_tones_of_a_constant_are_none():
 )
 def test_triangle_index(kind, low, high, wave):
     found = half_wave_shape(wave(kind), 0.2)
-    assert found is not None
     assert low <= found.triangle_index <= high
     assert found.half_waves >= 20
     assert found.asymmetry == pytest.approx(0.4 if kind == "saw" else 0.0, abs=0.051 if kind != "square" else 0.5)
@@ -315,10 +308,8 @@ def test_relay_index_of_a_first_order_relay_cycle(tau, wave):
     half = np.where(s < switch, 1 - np.exp(-s / tau), -1 + (1 + peak) * np.exp(-(s - switch) / tau))
     x = half * np.where(np.arange(1000) / 20 % 2 < 1, 1, -1)
     found = half_wave_shape(x, 0.05)
-    assert found is not None
     assert found.relay_index > 0.6
     sine = half_wave_shape(wave("sine"), 0.2)
-    assert sine is not None
     assert sine.relay_index < -0.8
 
 
@@ -330,7 +321,6 @@ def test_half_waves_need_two_periods_and_four_samples(rng, wave):
 
 def test_horch_odd_and_even(wave):
     valve = cross_correlation(wave("square"), wave("triangle", phase=-0.25))  # co is the integral of pv
-    assert valve is not None
     assert valve.dtau > 0.9
     assert valve.drho > 0.75
     tone = cross_correlation(-wave("sine"), wave("sine"))
@@ -341,14 +331,11 @@ def test_horch_odd_and_even(wave):
 def test_ellipse_of_two_sines_and_of_a_square_wave_over_a_triangle(rng, wave):
     for phase in (30, 90, 150):
         found = ellipse(np.sin(W * T - math.radians(phase)), 2 * np.sin(W * T))
-        assert found is not None
         assert found.stick_band == pytest.approx(4 * abs(math.sin(math.radians(phase))), rel=0.01)
         assert found.roundness < 0.05
     found = ellipse(wave("square"), wave("triangle", phase=-0.25))
-    assert found is not None
     assert found.roundness == pytest.approx(math.sqrt(9 / 5 - 1) / 2, abs=0.03)  # std of 3 u^2, u even in -1..1, over 2
     noise = ellipse(rng.normal(size=20000), rng.normal(size=20000))
-    assert noise is not None
     assert noise.roundness == pytest.approx(1.0, abs=0.05)
     assert ellipse(T, T) is None
     assert ellipse(wave("sine"), wave("sine")) is None
@@ -362,7 +349,6 @@ def test_yamashita_by_hand_by_chance_and_with_a_stuck_valve(rng, wave):
     # IS followed by DD: pv goes with co's turn, no valve does that
     assert yamashita(np.array([0, 0, -1.0]), np.array([0, 1, 0.0])) == (pytest.approx(0.5), pytest.approx(0.0))
     by_chance = yamashita(rng.normal(size=20000), rng.normal(size=20000))
-    assert by_chance is not None
     assert by_chance[0] == pytest.approx(0.25, abs=0.02)
     stuck = yamashita(wave("square"), wave("triangle", phase=-0.25))
     assert stuck is not None

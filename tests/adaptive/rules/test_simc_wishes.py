@@ -38,7 +38,6 @@ def test_gain_margin_and_tau_c_say_the_same_for_a_first_order_process(tau1: floa
     # Grimholt & Skogestad 2012, equation 7: GM = (pi/2)(tau_c/theta + 1) while tau_I = tau1
     result = tune(ProcessModel(T.FOPDT, 2.0, tau1, 0.0, 1.0), gm=gm, c=1e6)
     assert result.tuning.tau_c_s == pytest.approx(gm * 2 / math.pi - 1, rel=1e-6)
-    assert result.margins is not None
     assert result.margins.gm == pytest.approx(gm, rel=1e-6)
     pm = math.pi / 2 - 1 / (result.tuning.tau_c_s + 1)  # and PM = pi/2 - theta/(tau_c + theta)
     assert result.margins.pm_deg == pytest.approx(math.degrees(pm), rel=1e-6)
@@ -58,7 +57,6 @@ def test_a_demanded_ms_is_met(rule: str, type_: ProcessType, ms: float) -> None:
         assert rule.startswith("haugen")
         assert "not reached" in str(error)  # noqa: PT017
         return
-    assert result.margins is not None
     assert result.margins.ms == pytest.approx(ms, abs=1e-6)
     assert result.tuning.tau_c_s is not None
     assert result.tuning.tau_c_s > 0

@@ -25,7 +25,6 @@ def over(factor: float, factor2: float) -> list[Place]:
 def test_every_place_is_served_in_the_way_that_is_asked_for(lookup: str) -> None:
     places = over(2.5, 2.0)
     found = cells(places, LIMITS, lookup, 16)
-    assert found is not None
     assert found.lookup is Lookup(lookup)
     assert all(p.keeps(found.gains_at(p.x, p.x2 or 0.0), LIMITS) for p in places)
     assert len(found.sets) == (len(found.edges) - 1) * (len(found.edges2) - 1)
@@ -34,11 +33,9 @@ def test_every_place_is_served_in_the_way_that_is_asked_for(lookup: str) -> None
 
 def test_a_variable_that_changes_nothing_needs_no_border() -> None:
     found = cells(over(1.0, 2.5), LIMITS, "hard", 16)
-    assert found is not None
     assert len(found.edges) == 2
     assert len(found.edges2) > 2
     only = cells(over(1.0, 1.0), LIMITS, "auto", 16)
-    assert only is not None
     assert len(only.sets) == 1
 
 

@@ -43,7 +43,6 @@ def kept(places: list[Place], layout: Layout) -> bool:
 def test_a_process_that_is_the_same_everywhere_needs_one_set() -> None:
     places = along(1.0)
     for found in (borders_of_fewest_sets(places, LIMITS, 8), knots_of_fewest_sets(places, LIMITS, 8)):
-        assert found is not None
         assert len(found.sets) == 1
         assert found.edges == (0.0, 100.0)
 
@@ -64,7 +63,6 @@ def test_every_place_is_served_and_no_set_less_would_do(factor: float, cover: ob
 
 def test_knots_lie_in_the_middle_of_their_parts() -> None:
     found = knots_of_fewest_sets(along(8.0), LIMITS, 8)
-    assert found is not None
     assert found.lookup is Lookup.INTERPOLATED
     for gains, (low, high) in zip(found.sets, pairwise(found.edges), strict=True):
         assert found.gains_at((low + high) / 2).kp == pytest.approx(gains.kp)
@@ -73,7 +71,6 @@ def test_knots_lie_in_the_middle_of_their_parts() -> None:
 def test_places_that_are_not_known_demand_nothing_and_give_no_set() -> None:
     places = [place(x, 1.0 if x < 50 else 9.0, known=x < 50) for x in range(0, 101, 10)]
     found = borders_of_fewest_sets(places, LIMITS, 8)
-    assert found is not None
     assert len(found.sets) == 1
 
 
@@ -96,7 +93,6 @@ def test_limits_outside_their_range_are_refused(name: str, value: float) -> None
 
 def test_outer_edges_stand_out_of_the_range_no_more_than_the_knots_ask_for() -> None:
     found = knots_of_fewest_sets(along(4.0), LIMITS, 8)
-    assert found is not None
     low, high = max(-found.edges[0], 0.0), max(found.edges[-1] - 100.0, 0.0)
     width = found.edges[-1] - found.edges[0]
     assert low + high == pytest.approx(max(width - 100.0, 0.0), abs=1.0)

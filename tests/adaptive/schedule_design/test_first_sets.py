@@ -65,6 +65,5 @@ def test_a_set_is_held_to_the_place_where_it_goes_farthest() -> None:
     weak, near = PidGains(OWN.kp / 20.0, OWN.ki / 20.0), PidGains(OWN.kp / 2.0, OWN.ki / 2.0)
     window, flow = record(1)
     found = first_sets(design(), [window], [flow], lambda x, _: weak if x == 30.0 else near)
-    assert found.layout is not None
     assert found.layout.sets[0].kp <= MOST_AT_ONCE * weak.kp * (1 + 1e-9)
     assert found.layout.sets[1] == OWN

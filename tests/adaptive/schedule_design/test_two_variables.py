@@ -56,7 +56,6 @@ def test_both_are_found_and_the_table_has_two_axes() -> None:
             model = found.model_at(y, w)
             assert model.k / (model.tau1_s + model.tau2_s) == pytest.approx(slope(y), rel=0.2)
             assert model.theta_s + model.tau2_s / 2 == pytest.approx(theta_s(w), rel=0.2, abs=0.6)
-    assert found.table is not None
     assert found.table.regions.second is not None
     assert found.to_dict()["second"] == "flow"
     with pytest.raises(ValueError, match="a value of each"):

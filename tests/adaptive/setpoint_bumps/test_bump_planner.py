@@ -183,7 +183,6 @@ def test_the_end_of_a_session_takes_a_bump_back() -> None:
     bench = Bench()
     bench.out()
     news = bench.planner.end(bench.t)
-    assert news is not None
     assert (news.cause, news.setpoint) == (BumpEvent.ENDED, 50.0)
     assert bench.planner.end(bench.t) is None
 
@@ -281,7 +280,6 @@ def test_to_and_fro_that_is_cut_off_on_its_way_to_the_other_side_comes_back() ->
         bench.run(1, around(at_rest=False), deaf=bench.causes[-1] is BumpEvent.NEXT)
     bench.sp = 51.0  # the controller has not taken 49 yet
     news = bench.planner.end(bench.t)
-    assert news is not None
     assert (news.setpoint, bench.planner.out) == (50.0, True)
     bench.run(1, around(wanted=""), deaf=True)
     assert bench.planner.out

@@ -264,9 +264,7 @@ def test_where_all_samples_hold_a_set_for_robust_loads_explain_what_speaks_again
 
 
 @pytest.mark.parametrize(("robust", "stays"), [(True, True), (False, False)])
-def test_a_set_that_is_robust_by_all_samples_outlives_models_where_no_response_answers(
-    *, robust: bool, stays: bool
-) -> None:
+def test_a_set_that_is_robust_by_all_samples_outlives_models_where_no_response_answers(*, robust, stays):
     weak, table = BAD["kc /4"], dict[int, PidGains]()
     fiction = StillAllowed((replace(MODEL, k=3.0 * MODEL.k).linear(),))
     trials = TrialSupervisor(S, 1.0, table.__setitem__, lambda _: fiction)

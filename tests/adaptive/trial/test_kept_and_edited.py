@@ -82,7 +82,6 @@ def test_manual_mode_and_gaps_say_nothing_of_a_cure(cause: TrialEvent) -> None:
 def test_the_end_leaves_it_running_and_the_next_session_goes_on_with_its_trial() -> None:
     stand = Stand(UNSTABLE).cure()
     decision = stand.retuner.abort(E.STOPPED)
-    assert decision is not None
     assert (decision.action, decision.code, decision.gains_after) == (Action.RESTORE, "kept_stopped", GOOD)
     assert stand.retuner.restored() == (0,)
     assert stand.retuner.abort(E.STOPPED) is None
@@ -117,7 +116,6 @@ def test_responses_that_say_nothing_end_a_trial_where_nothing_speaks_against_the
         if stand.retuner.trials.phase(0) is not P.TRIAL:
             break
     assert stand.retuner.trials.phase(0) is P.IDLE
-    assert judged[-1].judgement is not None
     assert "were inconclusive, the trial gains stay" in judged[-1].judgement.reason
     assert stand.retuner.table.gains == (GOOD,)
 
@@ -127,7 +125,6 @@ def test_an_edit_is_kept_said_and_only_proposed_upon_until_its_time_is_over() ->
     assert stand.retuner.edited(GOOD) is None
     decision = stand.retuner.edited(WEAK)
     stand.rig.change(WEAK)
-    assert decision is not None
     assert (decision.code, decision.action) == ("edited", Action.NONE)
     assert "held for 5,000 s" in decision.reason
     assert "Ms at most 1." in decision.reason
@@ -175,7 +172,6 @@ def test_what_nobody_of_ours_wrote_meanwhile_is_a_persons() -> None:
     for stand in (Stand(GOOD), Stand(UNSTABLE).cure()):
         after = again(stand)
         told = found_running(after, WEAK)
-        assert told is not None
         assert told.code == "edited"
         assert after.table.gains == (WEAK,)
     assert found_running(after, WEAK) is None
@@ -188,7 +184,6 @@ def test_a_rollback_in_which_a_session_died_is_asked_for_again() -> None:
     assert stand.retuner.rolled_back(0) is not None
     after = again(stand)
     told = found_running(after, UNSTABLE)
-    assert told is not None
     assert (told.action, told.gains_after) == (Action.RESTORE, GOOD)
     assert after.restored() == (0,)
     assert found_running(after, GOOD) is None

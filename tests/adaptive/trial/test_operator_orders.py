@@ -58,13 +58,11 @@ class Bench:
 def test_an_approved_proposal_is_written_as_it_was_and_on_trial() -> None:
     bench = Bench(taught=True)
     offered = Proposal.of(bench.decisions[0])
-    assert offered is not None
     assert offered.digest == bench.decisions[0].digest()
     again = Proposal.from_dict(offered.to_dict())
     decision = approve(bench.retuner, again, bench.t_s)
     assert (decision.action, decision.code) == (Action.WRITE, "approved")
     assert decision.gains_after == offered.after
-    assert decision.proof is not None
     assert decision.proof.accepted
     assert bench.retuner.trials.phase(0) is P.WRITING
     bench.retuner.committed(0, offered.after)
@@ -169,7 +167,6 @@ def test_what_is_no_proposal_is_refused(changed: dict[str, object], told: str) -
 def test_the_rollback_is_whole_and_not_on_trial() -> None:
     bench = Bench(GOOD)
     decision = revert(bench.retuner, 0, BAD["kc /4"], 60.0)
-    assert decision is not None
     assert (decision.action, decision.code) == (Action.WRITE, "ordered_back")
     assert decision.gains_after == BAD["kc /4"]
     bench.retuner.committed(0, BAD["kc /4"])
@@ -182,7 +179,6 @@ def test_the_rollback_from_a_change_that_is_not_decided_is_to_undo_it() -> None:
     bench.retuner.ordered(0, Outcome("injected", "for a test"), BAD["kc x4"], PROMISE)
     bench.retuner.committed(0, BAD["kc x4"])
     decision = revert(bench.retuner, 0, GOOD, 60.0)
-    assert decision is not None
     assert (decision.action, decision.code) == (Action.RESTORE, "undo_ordered_back")
     assert decision.gains_after == GOOD
     assert bench.retuner.table.gains == (GOOD,)
@@ -205,7 +201,6 @@ def test_a_rollback_that_leads_nowhere_is_refused(gains: PidGains, told: str) ->
     for sample in bench.rig.run(2):
         retuner.observe(sample)
     decision = revert(retuner, 0, gains, 62.0)
-    assert decision is not None
     assert decision.action is Action.NONE
     assert told in decision.reason
 
@@ -213,7 +208,6 @@ def test_a_rollback_that_leads_nowhere_is_refused(gains: PidGains, told: str) ->
 def test_a_rollback_that_would_be_unstable_now_is_refused() -> None:
     bench = Bench(taught=True)
     decision = revert(bench.retuner, 0, PidGains(GOOD.kp * 8, GOOD.ki * 8), bench.t_s)
-    assert decision is not None
     assert decision.action is Action.NONE
     assert "would be unstable" in decision.reason
 
@@ -230,7 +224,6 @@ def test_the_rollback_is_judged_on_a_swinging_process_with_its_damping(wanted: P
     bench.retuner.region_models[0] = RegionModel((StructureModel(log, 0.0),), 3, bench.t_s)
     assert math.isinf(sensitivity_peak(replace(swinging, theta_s=2.5).linear(), wanted)) is unstable
     decision = revert(bench.retuner, 0, wanted, bench.t_s)
-    assert decision is not None
     assert decision.code == ("revert_refused" if unstable else "ordered_back")
 
 
@@ -251,7 +244,6 @@ def test_a_lock_is_taken_off_and_a_change_that_waits_is_accepted() -> None:
     bench.retuner.trials.event(0, E.TOO_MANY_UNDOS, 62.0)
     assert bench.retuner.trials.phase(0) is P.LOCKED
     held = revert(bench.retuner, 0, SLOW, 63.0)
-    assert held is not None
     assert held.action is Action.WRITE  # a lock holds the retuner's changes, not the way back
     assert approve(bench.retuner, replace(OFFERED, before=BETTER, after=GOOD), 63.0).code == "held_locked"
     assert unlock(bench.retuner, 0, 64.0)

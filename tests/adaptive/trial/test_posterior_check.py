@@ -123,7 +123,6 @@ def test_a_promise_of_being_faster_is_not_held_against_a_set_that_is_not_slower(
     found = against(replace(SEEN, slower=1.4), fast, S)
     assert not found.words
     cost = found.numbers.cost
-    assert cost is not None
     assert cost.cost_promised is not None
     assert cost.cost_promised < 0.5
     assert cost.cost_limit == S.iae_slack
@@ -151,7 +150,6 @@ def test_a_promised_ms_is_no_ground_to_undo() -> None:
     found = PosteriorCheck(ms_tried=2.2, ms_most=2.3, ms_old=1.5, robuster=True, slower=0.7)
     assert against(found, lie(STRONG, 1 / 1.8), S).words
     prediction = predict([Plausible(MODEL, 0.0)], GOOD, STRONG, DT_S)
-    assert prediction.ms is not None
     assert prediction.ms.high > found.ms_tried
     assert not against(found, prediction, S).words
 
@@ -206,7 +204,6 @@ def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.Monke
         return posterior_of(case, now, trial, settings)
 
     usual, unsettled = with_(), with_(identifiable=False)
-    assert usual is not None
     assert unsettled == replace(usual, settled=False)
     assert (usual.settled, usual.slower > 3.0) == (True, True)
     assert with_(agreement=Agreement.SILENT) is None

@@ -68,7 +68,6 @@ def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teac
     assert (decision.gains_before, decision.gains_after) == (NEW, GOOD)
     assert decision.prediction == PROMISE
     assert stand.retuner.table.gains == (GOOD,)
-    assert decision.response is not None
     assert decision.response.ending.name == "UNDONE"
     assert 0 in stand.retuner.region_models
     assert stand.retuner.region_models[0].log.model().theta_s == pytest.approx(5.0, rel=0.2)
@@ -116,7 +115,6 @@ def test_an_undo_that_does_not_speak_against_the_gains_forgets_nothing() -> None
     known, stand = learned_by_a_runaway(), Stand()
     stand.retuner.region_models = {0: known}
     decision = stand.retuner.observe(next(stand.rig.run(1))._replace(mode=LoopMode.MANUAL))
-    assert decision is not None
     assert decision.code == "undo_manual"
     assert stand.retuner.region_models == {0: known}
 
@@ -125,11 +123,9 @@ def test_a_gap_or_manual_mode_ends_the_trial() -> None:
     stand = Stand()
     sample = next(stand.rig.run(1))
     decision = stand.retuner.observe(sample._replace(t_s=sample.t_s + 9.0))
-    assert decision is not None
     assert decision.code == "undo_gap"
     stand = Stand()
     decision = stand.retuner.observe(next(stand.rig.run(1))._replace(mode=LoopMode.MANUAL))
-    assert decision is not None
     assert decision.code == "undo_manual"
     assert stand.retuner.table.gains == (GOOD,)
 
@@ -137,7 +133,6 @@ def test_a_gap_or_manual_mode_ends_the_trial() -> None:
 def test_what_happens_outside_ends_the_trial_once() -> None:
     stand = Stand()
     decision = stand.retuner.abort(E.LINK_LOST)
-    assert decision is not None
     assert decision.action is Action.RESTORE
     assert "the link was lost" in decision.reason
     assert stand.retuner.abort(E.LINK_LOST) is None

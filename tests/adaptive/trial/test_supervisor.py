@@ -81,9 +81,7 @@ class Bench:
 
 @pytest.mark.parametrize("phase", [p for p in TrialPhase if p not in STAYS], ids=lambda p: p.name)
 @pytest.mark.parametrize("cause", [c for c in ABORTS if c is not E.TIMED_OUT], ids=lambda c: c.name)
-def test_with_nothing_known_every_cause_in_every_phase_ends_on_the_set_that_was_seen_to_work(
-    phase: TrialPhase, cause: TrialEvent
-) -> None:
+def test_with_nothing_known_every_cause_in_every_phase_ends_on_the_set_that_was_seen_to_work(phase, cause):
     bench = Bench()
     bench.into(phase)
     now = bench.table[0] if phase in {P.WAITING, P.HELD} else OLD
@@ -107,7 +105,6 @@ def test_with_nothing_known_responses_that_say_nothing_leave_the_set_that_they_r
     assert bench.table[0] == NEW
     assert bench.trials.phase(0) is P.IDLE
     back = bench.trials.of(0).back
-    assert back is not None
     assert back.reason == "no response spoke against the trial gains"
 
 
@@ -128,7 +125,6 @@ def test_a_safer_change_that_is_due_ends_a_trial_that_no_person_has_to_approve(a
     window = Window(*(np.arange(60.0) + shift for shift in (-5.0, 0.0, 0.0, 0.0)))
     seen = JudgedResponse(response, window, next_due=True)
     found = bench.trials.judge(0, seen, NEW, 60.0, ask=asks)
-    assert found is not None
     assert ("another change is due" in found.reason) is not asks
     assert bench.trials.phase(0) is phase
     assert bench.table[0] == NEW
@@ -214,7 +210,6 @@ def test_a_response_that_is_worse_takes_the_set_back() -> None:
     bench = Bench(table={0: GOOD})
     bench.write(new=bad)
     found = bench.trials.judge(0, seen, bad, 1.0, ask=False)
-    assert found is not None
     assert found.finding is TrialFinding.WORSE
     assert bench.trials.restoring == (0,)
     assert bench.table[0] == GOOD
@@ -364,9 +359,7 @@ def test_what_is_decided_is_not_told(event: TrialEvent) -> None:
 
 
 @pytest.mark.parametrize(("cause", "refuted"), [(E.ORDERED_BACK, False), (E.WORSE, True)])
-def test_a_region_is_idle_after_its_cool_down_but_not_for_gains_like_those_that_were_refuted(
-    cause: TrialEvent, refuted: bool
-) -> None:
+def test_a_region_is_idle_after_its_cool_down_but_not_for_gains_like_those_that_were_refuted(cause, refuted):
     bench = Bench()
     bench.into(P.TRIAL)
     bench.trials.event(0, cause, 0.0)
@@ -379,9 +372,7 @@ def test_a_region_is_idle_after_its_cool_down_but_not_for_gains_like_those_that_
 
 @pytest.mark.parametrize(("mode", "elapsed_s"), [(LoopMode.MANUAL, 1.0), (LoopMode.AUTO, 100.0)])
 @pytest.mark.parametrize(("region", "blended"), [(1, False), (1, True), (0, False), (None, False)])
-def test_manual_and_gaps_do_not_end_the_trial_of_a_set_that_does_not_run(
-    mode: LoopMode, elapsed_s: float, region: int | None, blended: bool
-) -> None:
+def test_manual_and_gaps_do_not_end_the_trial_of_a_set_that_does_not_run(mode, elapsed_s, region, blended):
     bench = Bench()
     bench.trials.watch(LoopSample(0.0, 1.0, 1.0, 1.0), 1, 0.1, 1.0, 3.0, blended=False)
     bench.into(P.AWAY)

@@ -70,9 +70,7 @@ def test_how_far_the_error_went_is_that_of_the_quieter_blocks_whatever_its_slope
     [(0.5, False, (0.2, 0.5), True), (0.5, True, (0.0, 0.0), True), (2.0, True, (0.0, 0.5), True),
      (2.0, True, (0.0, 0.7), False)],
 )  # fmt: skip
-def test_a_swing_is_the_loops_own_where_less_action_is_the_answer(
-    times: float, swings: bool, seen: tuple[float, float], known: bool
-) -> None:
+def test_a_swing_is_the_loops_own_where_less_action_is_the_answer(times, swings, seen, known):
     """Where gains have not run for long, what was known before them still holds."""
     now = PidGains(1.0, 0.1)
     table = GainTable("loop", Regions("sp", "-", ("all",), -1e6, (), 1e6), (now,))
@@ -83,7 +81,6 @@ def test_a_swing_is_the_loops_own_where_less_action_is_the_answer(
     rows = samples([0.5 * math.sin(i / 7) for i in range(2000 if known else 100)])
     last = Trial(new=now, prediction=replace(PROMISE, moved=0.7))
     found = prediction_of(proof, table, 0, (0.0, 0.0), response, RetunerSettings(1.0, 100.0), rows, last)
-    assert found is not None
     assert (found.wander > 0.0, found.moved) == (seen[0] > 0.0, pytest.approx(seen[1], rel=0.01))
 
 

@@ -120,11 +120,9 @@ def test_samples_begin_in_the_region_and_after_a_gap() -> None:
     whole = samples()
     columns = {"t": whole.t_s, "sp": whole.sp, "pv": whole.pv, "co": whole.co, "region": np.zeros(len(whole.t_s))}
     plain = samples_of(columns, RESPONSE, 1500.0)
-    assert plain is not None
     assert (plain.t_s[0], plain.t_s[-1]) == (1000.0, 1500.0)
     columns["region"] = np.where(whole.t_s < 1050, 1.0, 0.0)
     cut = samples_of(columns, RESPONSE, 1500.0)
-    assert cut is not None
     assert cut.t_s[0] == 1050.0
     assert samples_of(columns, {}, 1500.0) is None  # fewer than are shown without a response
     longer = {name: np.concatenate([values, values]) for name, values in columns.items()}
@@ -132,7 +130,6 @@ def test_samples_begin_in_the_region_and_after_a_gap() -> None:
     longer["region"] = np.zeros(len(longer["t"]))
     longer["sequence"] = np.where(longer["t"] < 2000.0, 1.0, 2.0)
     last = samples_of(longer, {}, 2198.0)
-    assert last is not None
     assert last.t_s[-1] == 2198.0
     assert len(last.t_s) >= 300
     assert last.changed_s == (2000.0,)

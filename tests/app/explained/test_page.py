@@ -121,7 +121,6 @@ def test_numbers_of_the_page_are_those_of_the_decision() -> None:
 
 def test_margins_in_the_page_are_those_of_the_model() -> None:
     shown = view(drawn=False)
-    assert shown.process is not None
     assert shown.before is not None
     assert shown.process.theta_s == 27.0  # half a sampling interval more than the model's
     found = margins(shown.process, shown.before)

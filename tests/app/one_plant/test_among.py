@@ -63,7 +63,6 @@ def test_half_of_a_change_that_the_other_loop_does_not_survive_is_made(monkeypat
     monkeypatch.setattr(deciding, "half_way", lambda question, refused: asked.append(refused) or question)
     monkeypatch.setattr(deciding, "decide", lambda _: half)
     found = among().answered(question(0, 1), whole)
-    assert whole.proof is not None
     assert asked == [whole.proof.gains]
     assert found.proof is half.proof
     assert found.reason.startswith("half of a change that was refused: with bottom on the same plant")
@@ -82,9 +81,7 @@ def test_half_the_way_holds_every_limit_of_one_change_to_the_root_of_the_factor(
     assert guard.total_ratio_max == settings.total_ratio_max
 
 
-def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_learned_stays(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_learned_stays(monkeypatch):
     monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
     monkeypatch.setattr(deciding, "decide", lambda _: times(3.0))
     found = among().answered(question(0, 1), times(4.0))
@@ -102,9 +99,7 @@ def test_a_change_that_all_survive_is_made() -> None:
 @pytest.mark.parametrize(
     ("most", "factor", "made"), [(1.75, 1.5, False), (2.1, 1.5, True), (1.4, 1.02, False), (1.4, 0.9, True)]
 )
-def test_the_loop_itself_holds_the_limit_of_an_identified_process(
-    monkeypatch: pytest.MonkeyPatch, most: float, factor: float, *, made: bool
-) -> None:
+def test_the_loop_itself_holds_the_limit_of_an_identified_process(monkeypatch, most, factor, *, made):
     """Its Ms is 1.48 now; where it is over the limit it does not grow, however little."""
     monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
     monkeypatch.setattr(deciding, "decide", lambda _: times(factor))
@@ -114,7 +109,6 @@ def test_the_loop_itself_holds_the_limit_of_an_identified_process(
 
 def test_the_limit_is_that_of_the_guard_for_an_identified_process() -> None:
     asked = pair(100.0, 5.0).among(0)
-    assert asked is not None
     assert asked.ms_most == GuardSettings().ms_nominal
 
 
@@ -124,9 +118,7 @@ def test_what_is_not_known_of_the_plant_counts_nothing() -> None:
 
 
 @pytest.mark.parametrize(("factor", "made"), [(1.2, False), (0.8, True)])
-def test_no_more_action_without_a_model_on_a_plant_that_is_not_known(
-    monkeypatch: pytest.MonkeyPatch, factor: float, *, made: bool
-) -> None:
+def test_no_more_action_without_a_model_on_a_plant_that_is_not_known(monkeypatch, factor, *, made):
     blind = replace(times(factor), basis=Basis.PATTERN)
     monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
     monkeypatch.setattr(deciding, "decide", lambda _: blind)
@@ -181,9 +173,7 @@ def question(start_s: float, end_s: float, *, setpoint: bool = False, phase: Tri
         (90, 150, True, True),
     ],
 )
-def test_a_response_to_another_loops_move_is_no_verdict(
-    start_s: float, end_s: float, setpoint: bool, said: bool
-) -> None:
+def test_a_response_to_another_loops_move_is_no_verdict(start_s, end_s, setpoint, said):
     found = pair(100.0, 15.0).moved_beside(0, question(start_s, end_s, setpoint=setpoint))
     assert ("two, on the same plant, moved its setpoint at 100 s" in found) == said
 
@@ -202,9 +192,7 @@ class Inner:
 
 
 @pytest.mark.parametrize("refused", [False, True])
-def test_what_stands_in_place_of_a_decision_comes_after_the_questions_row(
-    monkeypatch: pytest.MonkeyPatch, *, refused: bool
-) -> None:
+def test_what_stands_in_place_of_a_decision_comes_after_the_questions_row(monkeypatch, *, refused):
     result = wanted(BLT[0])
     inner = Inner(without_change(result, "refused: for once") if refused else result)
     plant = pair(100.0, 15.0)
@@ -214,15 +202,12 @@ def test_what_stands_in_place_of_a_decision_comes_after_the_questions_row(
     assert inner.spoilt.endswith(NO_VERDICT)
     assert decider.answer(200) is None
     answer = decider.answer(200)
-    assert answer is not None
     assert answer.trouble.startswith(inner.spoilt)
     assert answer.trouble.endswith("refused: for once" if refused else NO_VERDICT)
     assert (answer.result.proof is None) == refused
 
 
-def test_a_response_of_a_trial_that_another_loop_moved_says_nothing_and_all_samples_may(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_response_of_a_trial_that_another_loop_moved_says_nothing_and_all_samples_may(monkeypatch):
     change = wanted(BLT[0]).proof
 
     def speaks(_: Findings, own: Outcome) -> Outcome:
@@ -248,13 +233,11 @@ def test_a_change_proved_beside_gains_that_are_no_longer_in_force_is_not_made(mo
     monkeypatch.setattr(plant, "among", lambda _own: None)
     decider.ask(question(105, 150, phase=TrialPhase.IDLE))
     answer = decider.answer(200)
-    assert answer is not None
     assert answer.result.proof is not None
     decider.ask(question(105, 150, phase=TrialPhase.IDLE))
     plant.retuners[1].table.at = lambda *_: PidGains(-1.0, -0.1)
     assert decider.answer(200) is None
     answer = decider.answer(200)
-    assert answer is not None
     assert answer.result.proof is None
     assert "got other gains meanwhile" in answer.trouble
 

@@ -1,7 +1,6 @@
 """A session with a change that the other loop does not survive: half of it, or none, is made again by a replay."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -49,9 +48,7 @@ scenario = {{ duration_s = 120.0, steps = [{steps}] }}
     ("most", "code"),
     [(1.7, "accepted"), pytest.param(1.05, "not_survived", marks=[pytest.mark.slow, pytest.mark.uncounted])],
 )
-def test_a_session_with_a_refused_change_is_decided_again_byte_for_byte(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], most: float, code: str
-) -> None:
+def test_a_session_with_a_refused_change_is_decided_again_byte_for_byte(tmp_path, monkeypatch, capsys, most, code):
     before = PidGains.from_ideal(0.8, 10.0)
     monkeypatch.setattr(
         Among, "_against", lambda _, gains, _basis: REFUSED if change_factor(before, gains) > most else ""
