@@ -216,8 +216,9 @@ def call_mix(random: Random) -> list[Any]:
     cells = loads * rows * deads
     positive = [array("d", (10 ** random.uniform(-9, 3) for _ in range(cells))) for _ in range(2)]
     groups = array("d", (float(random.random() < 0.5) for _ in range(loads * random.randint(0, 3))))
-    return [numbers(random, cells), *positive, array("d", [60.0] * loads), numbers(random, rows * many), groups, 1.0,
-            rows, zeros(len(groups) // loads * rows * deads * many)]  # fmt: skip
+    spans = array("d", (float(random.randint(0, many)) for _ in range(2 * rows * deads)))
+    return [numbers(random, cells), *positive, array("d", [60.0] * loads), numbers(random, rows * many), groups, spans,
+            1.0, rows, zeros(len(groups) // loads * rows * deads * many)]  # fmt: skip
 
 
 def stepped(random: Random) -> list[Any]:

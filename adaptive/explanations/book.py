@@ -47,6 +47,7 @@ from retuner.adaptive.explanations.wandering_load import (
     T_SETPOINT,
     TEMPER,
     Prepared,
+    block_means,
     log_likelihoods,
     setpoint_share,
     temper,
@@ -107,7 +108,7 @@ class Book:
     def begun(cls, gains: PidGains, dt_s: float, t_s: float) -> "Book":
         """The book before any record. gains : in force. dt_s : interval of the condensed samples."""
         unit = gain_unit(gains, dt_s)
-        levels = _levels(_prior(*_possible(gains, dt_s, unit)))
+        levels = _prior(*_possible(gains, dt_s, unit))
         return cls(gains.direction, unit, dt_s, t_s, (t_s, t_s), 0, 0, 0.0, 0.0, levels, levels, levels)
 
     def under(self, gains: PidGains) -> "Book":
@@ -118,7 +119,7 @@ class Book:
         now = np.concatenate(_possible(gains, self.dt_s, self.unit))
         if not np.any(now & ~before):
             return self
-        prior = _levels(_prior(*np.split(now | before, [len(shapes())])))
+        prior = _prior(*np.split(now | before, [len(shapes())]))
         book, fresh = replace(self, prior=prior), _weights(prior).copy()
         if gain_unit(gains, self.dt_s) <= self.unit:
             return book
@@ -136,7 +137,7 @@ class Book:
     @property
     def tone(self) -> float:
         """Probability of a tone from outside; a window that still grows ends none that was found before it."""
-        now, before = (_tone(known) for known in (self.levels, self.whole))
+        now, before = (float(_weights(known)[1].sum()) for known in (self.levels, self.whole))
         return max(now, before) if before > TONE else now
 
     @property
@@ -196,12 +197,13 @@ def _those(at: tuple[npt.NDArray[np.intp], ...], weights: FloatArray, unit: floa
     return LikelyProcesses(tuple(zip(*(one.tolist() for one in at), strict=True)), weights, responses, dt_s)
 
 
-def _prior(possible: BoolArray, held: BoolArray) -> FloatArray:
-    """Logarithms of the weights before any record, shape PLANES."""
+def _prior(possible: BoolArray, held: BoolArray) -> bytes:
+    """Weights before any record, as levels."""
     rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
-    logs = np.concatenate([np.where(possible, 0.0, -math.inf), np.where(held, rare, -math.inf)])
-    tones = logs + np.log([1.0 - TONE, TONE])[:, None, None, None]
-    return np.concatenate([tones, np.tile(logs, (PLANES[0] - WEIGHED, 1, 1, 1))])
+    kept = np.concatenate([possible, held])
+    logs = np.where(np.nonzero(kept)[0] < len(possible), 0.0, rare)
+    of_plane = np.log([1.0 - TONE, TONE, *[1.0] * (PLANES[0] - WEIGHED)])
+    return _levels(logs + of_plane[:, None], kept)
 
 
 def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: bool = False) -> Book:
@@ -209,36 +211,37 @@ def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: boo
 
     hazard_s : mean time after which the process is another one. grows : the window will come again, with more samples.
     """
-    if len(window.t_s) < round(book.dt_s / window.sample_time_s):
+    n = max(round(book.dt_s / window.sample_time_s), 1)
+    if len(window.t_s) < n:
         return book
-    last_s = float(window.t_s[-1])
-    record, share, known = Prepared.at(window, book.dt_s), 0.0, faded(book, last_s, hazard_s)
-    logs = _logs(known.whole)
-    says = len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
+    last_s, share = float(window.t_s[-1]), 0.0
+    record, known = Prepared.at(window, book.dt_s), faded(book, last_s, hazard_s)
+    levels, says = known.whole, len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
     if says:
-        columns, taken, prices = likeliest_tone(Prepared.at(replace(window, pv=window.sp - window.pv), book.dt_s).pv)
-        each, by_order = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG)
-        alone, *toned = (one - price / TEMPER for one, price in zip(each, prices, strict=True))
+        logs, kept = _logs(levels)
+        error, setpoint = (one - one[0] for one in (block_means(x, n) for x in (window.sp - window.pv, window.sp)))
+        columns, taken, prices = likeliest_tone(error)
+        whole, orders = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG, kept)
+        alone, *toned = (one[kept] - price / TEMPER for one, price in zip(whole, prices, strict=True))
         beside = np.logaddexp.reduce(toned) - math.log(len(toned))
-        either = np.maximum(alone + math.log(1.0 - TONE), beside + math.log(TONE))
-        likeliest = np.where(np.isneginf(logs[0]), -math.inf, either)
-        share = _moved_by_setpoint(record, Prepared.at(replace(window, pv=window.sp), book.dt_s).pv, likeliest)
+        likeliest = np.argmax(np.maximum(alone + math.log(1.0 - TONE), beside + math.log(TONE)))
+        share = _moved_by_setpoint(record, setpoint, int(np.flatnonzero(kept)[likeliest]))
         power, by_steps = TEMPER / temper(share), share * TEMPER / T_SETPOINT
-        found = np.array([power * alone, power * beside, by_steps * beside, *(power * by_order)])
+        found = np.array([power * alone, power * beside, by_steps * beside, *(power * one[kept] for one in orders)])
         for one in WHOLE:
-            kept = ~np.isneginf(logs[one])
-            part = np.exp(found[one] - float(np.max(found[one][kept])))
-            logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part[kept])))
-    levels, moved = _levels(logs), min(known.moved_before + share, 1.0)
+            part = np.exp(found[one] - float(np.max(found[one])))
+            logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part)))
+        levels = _levels(logs, kept)
+    moved = min(known.moved_before + share, 1.0)
     if grows:
         return replace(book, levels=levels, moved=moved)
     entered = replace(known, t_s=last_s, records=book.records + bool(says))
     return replace(entered, levels=levels, whole=levels, moved=moved, moved_before=moved)
 
 
-def _moved_by_setpoint(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> float:
+def _moved_by_setpoint(record: Prepared, setpoint: FloatArray, likeliest: int) -> float:
     """The setpoint's share in what moves a window (setpoint_share), as far as the likeliest process has answered."""
-    row, dead, _ = np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)
+    row, dead, _ = np.unravel_index(likeliest, GRID)
     shape, n = shapes(EVERY_LAG)[row], len(setpoint)
     late = math.ceil(DEAD_TIMES[dead] + shape.second + 1.0)
     return setpoint_share(record, np.concatenate([np.zeros(late), setpoint])[:n], abs(shape.lag))[1]
@@ -271,49 +274,50 @@ def heard(book: Book, sure: float, *, tone: bool) -> Book:
     sure : share of first answers that are right; tempered, for the samples stand in windows as well.
     """
     lead = (math.log(sure / (1.0 - sure)) - math.log(TONE / (1.0 - TONE))) / TEMPER
-    more = np.array([0.0, lead if tone else -lead, *[0.0] * (PLANES[0] - WEIGHED)])[:, None, None, None]
-    levels, whole = (_levels(_logs(known) + more) for known in (book.levels, book.whole))
+    more = np.array([0.0, lead if tone else -lead, *[0.0] * (PLANES[0] - WEIGHED)])[:, None]
+    levels, whole = (_levels(logs + more, kept) for logs, kept in (_logs(book.levels), _logs(book.whole)))
     return replace(book, levels=levels, whole=whole)
 
 
 def _mixed(weights: FloatArray, fresh: FloatArray, change: float) -> bytes:
     """Where the process is another one with this probability, of these weights; a tone that is there stays."""
-    known, before = (np.sum(x[:WEIGHED], axis=(1, 2, 3), keepdims=True) for x in (weights, fresh))
+    kept = (1.0 - change) * weights[0] + change * fresh[0] > 0.0  # what was left out stays out
+    weights, fresh = weights[:, kept], fresh[:, kept]
+    known, before = (np.sum(x[:WEIGHED], axis=1, keepdims=True) for x in (weights, fresh))
     fresh = np.concatenate([fresh[:WEIGHED] * known / before, fresh[WEIGHED:]])
-    with np.errstate(divide="ignore"):  # what was left out stays out
-        return _levels(np.log((1.0 - change) * weights + change * fresh))
+    return _levels(np.log((1.0 - change) * weights + change * fresh), kept)
 
 
-def _array(levels: bytes) -> FloatArray:
-    return np.frombuffer(levels, dtype=np.uint8).reshape(PLANES).astype(np.float64)
+def _array(levels: bytes) -> npt.NDArray[np.uint8]:
+    return np.frombuffer(levels, dtype=np.uint8).reshape(PLANES)
 
 
-def _logs(levels: bytes) -> FloatArray:
-    return np.where(_array(levels) == DEEPEST, -math.inf, -STEP * _array(levels))
+def _logs(levels: bytes) -> tuple[FloatArray, BoolArray]:
+    """Logarithms of the weights of those that are not left out, and which these are, as _levels takes them."""
+    each = _array(levels)
+    kept = each[0] != DEEPEST
+    return -STEP * each[:, kept].astype(np.float64), kept
 
 
 @lru_cache(maxsize=4)  # a decision asks the same ones many times
 def _weights(levels: bytes) -> FloatArray:
-    weights: FloatArray = WEIGHT_AT[np.frombuffer(levels, dtype=np.uint8)].reshape(PLANES)
+    weights: FloatArray = WEIGHT_AT[_array(levels)]
     for one in WHOLE:
         weights[one] /= float(weights[one].sum())
     weights.flags.writeable = False
     return weights
 
 
-@lru_cache(maxsize=16)
-def _tone(levels: bytes) -> float:
-    return float(_weights(levels)[1].sum())
-
-
-def _levels(logs: FloatArray) -> bytes:
-    """Logarithms of weights as levels under the largest; only what was left out from the beginning stays out."""
-    kept = np.empty(PLANES, dtype=np.uint8)
+def _levels(logs: FloatArray, kept: BoolArray) -> bytes:
+    """Logarithms of weights as levels under the largest. kept : of shape GRID, those not left out from the beginning;
+    logs : of these, shape (PLANES[0], number).
+    """
+    levels = np.full(PLANES, DEEPEST, dtype=np.uint8)
     for one in WHOLE:
         top = float(np.max(logs[one]))
         under = np.round((top - np.maximum(logs[one], top - DEEPEST * STEP)) / STEP)
-        kept[one] = np.where(np.isneginf(logs[one]), DEEPEST, np.minimum(under, DEEPEST - 1))
-    return kept.tobytes()
+        levels[one, kept] = np.minimum(under, DEEPEST - 1)
+    return levels.tobytes()
 
 
 def _unpacked(text: str) -> bytes:

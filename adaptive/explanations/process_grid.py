@@ -169,15 +169,6 @@ def robustness(gains: PidGains, sample_time_s: float, unit: float | None = None)
     return LoopRobustness(ms.reshape(*size.shape[:2], len(GAINS)), ultimate, scale)
 
 
-def swings_at(
-    known: LoopRobustness, gains: PidGains, sample_time_s: float, at: tuple[npt.NDArray[np.intp], ...]
-) -> FloatArray:
-    """Where each loop comes nearest to -1, rad per sample. at : shapes, dead times and gains of the processes."""
-    loop = responses_of(at[0], at[1]) * (control_law(gains, sample_time_s) / gain_unit(gains, sample_time_s))
-    nearest = np.argmin(np.abs(1.0 + (GAINS[at[2]] * known.scale)[:, None] * loop), axis=1)
-    return np.asarray(FREQUENCIES[nearest], dtype=np.float64)
-
-
 def _ultimate(size: FloatArray, phase: FloatArray) -> FloatArray:
     """The loop gain at the stability limit, where the phase first passes -180 degrees.
 

@@ -15,11 +15,14 @@ import numpy as np
 
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
+    FREQUENCIES,
     GAINS,
     LoopRobustness,
+    control_law,
+    gain_unit,
+    responses_of,
     robustness,
     shapes,
-    swings_at,
     units,
 )
 from retuner.adaptive.signals.sample import FloatArray
@@ -126,7 +129,9 @@ def _shares_of(odds: TuningOdds, classes: FloatArray, limits: TuningLimits) -> d
     if gains.kp and gains.ki:
         tight = np.where(classes == CLASSES.index("aggressive"), weights, 0.0)
         at = np.nonzero(tight > LEAST_ODDS * float(tight.max()))
-        swing = swings_at(odds.robustness, gains, sample_time_s, at)
+        loop = responses_of(at[0], at[1]) * (control_law(gains, sample_time_s) / gain_unit(gains, sample_time_s))
+        away = np.abs(1.0 + (GAINS[at[2]] * odds.robustness.scale)[:, None] * loop)
+        swing = FREQUENCIES[np.argmin(away, axis=1)]  # where each loop comes nearest to -1, rad per sample
         moved = float(tight[at] @ (swing * abs(gains.kp / gains.ki) < limits.reset * sample_time_s))
         shares["aggressive"], shares["slow_integrating"] = (
             shares["aggressive"] - moved,

@@ -39,6 +39,7 @@ from collections.abc import Sequence
 from functools import cache, lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LAGS, ComplexArray, second_lags, units
 from retuner.adaptive.fit.engine import compiled
@@ -47,6 +48,7 @@ from retuner.adaptive.signals.noise import quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, replace
 
+BoolArray = npt.NDArray[np.bool_]
 MOST_SAMPLES = 1024
 """Longer records are condensed, or cut into windows, to this many; transforms of a power of two hold them."""
 BANDWIDTHS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, math.inf)
@@ -84,10 +86,7 @@ class LoadModel:
 
 
 def load_model(lag: float, bandwidth: float, order: int, second: float = 0.0) -> LoadModel:
-    """The filter that whitens a load behind a first lag and a second one (0: none), in samples. order : of the walk.
-
-    See the head.
-    """
+    """The filter that whitens a load behind a first lag and a second one (0: none), in samples. order : of the walk."""
     return load_models(lag, (bandwidth,), order, second)[0]
 
 
@@ -135,23 +134,26 @@ class Prepared:
     @classmethod
     def at(cls, window: Window, dt_s: float) -> "Prepared":
         """A window at an interval, by block means of pv and co alike: one filter on both leaves their relation."""
-        n = max(round(dt_s / window.sample_time_s), 1)
-        rows = len(window.t_s) // n
-        pv, co = (x[: rows * n].reshape(rows, n).mean(axis=1) for x in (window.pv, window.co))
-        spread = float(np.std(pv))
-        resolution = max(quantum_sigma(window.pv), hidden_sigma(window.pv)) / math.sqrt(n)
-        finest = max(resolution, LEAST_NOISE * spread)
-        return cls(pv - pv[0], co - co[0], finest, n * window.sample_time_s, float(pv[0]))
+        finest = max(quantum_sigma(window.pv), hidden_sigma(window.pv))
+        raw = cls(window.pv, window.co, finest, window.sample_time_s)
+        return raw.condensed(max(round(dt_s / window.sample_time_s), 1))
 
     def coarser(self, most: int) -> "Prepared":
         """The same in so many rows at the most."""
         n = -(-len(self.pv) // most)
-        if n == 1:
-            return self
-        rows = len(self.pv) // n
-        pv, co = (x[: rows * n].reshape(rows, n).mean(axis=1) for x in (self.pv, self.co))
+        return self if n == 1 else self.condensed(n)
+
+    def condensed(self, n: int) -> "Prepared":
+        """The same in rows of n."""
+        pv, co = (block_means(x, n) for x in (self.pv, self.co))
         finest = max(self.resolution / math.sqrt(n), LEAST_NOISE * float(np.std(pv)))
         return Prepared(pv - pv[0], co - co[0], finest, n * self.sample_time_s, self.first + float(pv[0]))
+
+
+def block_means(x: FloatArray, n: int) -> FloatArray:
+    """Means of n samples each, without those that are left at the end."""
+    rows = len(x) // n
+    return np.asarray(x[: rows * n].reshape(rows, n).mean(axis=1), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,19 +177,21 @@ class UnderLoads:
         half = self.freedom[:, None, None, None] / (2 * TEMPER)
         return np.asarray(-half * np.log((self.left[..., None] + more) / self.size))
 
-    def mixed(self, gains: FloatArray, groups: FloatArray | None = None) -> FloatArray:
+    def mixed(self, gains: FloatArray, groups: FloatArray | None = None, asked: BoolArray | bool = True) -> FloatArray:
         """ln of the mean over loads of exp(ln L / TEMPER), shape (groups, inputs, dead times, gains).
 
         gains : shape (inputs, 1, gains). groups : 1 for the loads that are in each, shape (groups, loads); None: all.
+        asked : shape (inputs, dead times, gains); before the first that is asked for and after the last it is -inf.
         """
         groups = np.ones((1, len(self.freedom))) if groups is None else groups
+        asked = np.broadcast_to(asked, (*self.gain.shape[1:], gains.shape[2]))
+        spans = np.stack([np.argmax(asked, axis=2), gains.shape[2] - np.argmax(asked[:, :, ::-1], axis=2)], axis=2)
         if (engine := compiled()) is not None:
-            half = self.freedom / (2 * TEMPER)
-            fits = (self.gain, self.information, self.left)
-            return np.asarray(engine.walks_mixed(fits, half, gains[:, 0, :], groups, self.size), dtype=np.float64)
-        each = [self.tempered(gains)[group > 0] for group in groups]
-        tops = [every.max(axis=0) for every in each]
-        return np.array([top + np.log(np.mean(np.exp(x - top), axis=0)) for x, top in zip(each, tops, strict=True)])
+            fits, half = (self.gain, self.information, self.left), self.freedom / (2 * TEMPER)
+            return np.asarray(engine.walks_mixed(fits, half, gains[:, 0], groups, spans.astype(np.float64), self.size))
+        each, at = (self.tempered(gains)[group > 0] for group in groups), np.arange(gains.shape[2])
+        whole = [np.logaddexp.reduce(one, axis=0) - math.log(len(one)) for one in each]
+        return np.where((at >= spans[..., :1]) & (at < spans[..., 1:]), whole, -math.inf)
 
 
 @lru_cache(maxsize=1024)
@@ -260,8 +264,7 @@ _DAMPED = 1e-8
 
 
 def _length(n: int) -> int:
-    """Length of the transforms of n samples that are not to wrap round."""
-    return 1 << (2 * n - 1).bit_length()
+    return 1 << (2 * n - 1).bit_length()  # of transforms of n samples that are not to wrap round
 
 
 def filtered(spectra: ComplexArray, n: int, response: FloatArray) -> FloatArray:
@@ -417,20 +420,24 @@ def log_likelihood(record: Prepared, direction: int, gain_unit: float, lags: tup
 
 def log_likelihoods(
     record: Prepared, direction: int, gain_unit: float, tones: FloatArray, ends: Sequence[int],
-    lags: tuple[float, ...] = LAGS,
+    lags: tuple[float, ...] = LAGS, asked: BoolArray | bool = True,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The log-likelihoods where the load holds so many of these tones besides (under_loads), of any size and phase.
 
+    asked : processes that are asked for, shape (shapes, dead times, gains); others may be -inf.
     Returns shape (ends, shapes, dead times, gains); and where it holds as many as the first of ends, with loads of each
     of ORDERS by themselves, shape (orders, shapes, dead times, gains).
     """
-    gains, found = direction * GAINS * units(lags) / gain_unit, []
+    gains, late = direction * GAINS * units(lags) / gain_unit, np.array(DEAD_TIMES)
+    asked = np.broadcast_to(asked, (len(gains), len(late), len(GAINS)))
+    whole = np.full((len(ends) + len(ORDERS), *asked.shape), -math.inf)
     each = ((lag, second) for lag in lags for second in range(len(second_lags(lag))))
     for at, (lag, second) in enumerate(each):
-        loads = LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS
-        fits = under_loads(record, record.co[None], lag, loads, DEAD_TIMES, through=second, tones=tones, ends=ends)
-        found.append(fits.mixed(gains[at : at + 1], _groups(loads, len(ends)))[:, 0])
-    whole = np.stack(found, axis=1)
+        loads, dead = LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS, asked[at].any(axis=1)
+        if dead.any():
+            deads, groups = late[dead].tolist(), _groups(loads, len(ends))
+            fits = under_loads(record, record.co[None], lag, loads, deads, through=second, tones=tones, ends=ends)
+            whole[:, at, dead] = fits.mixed(gains[at : at + 1], groups, asked[at : at + 1, dead])[:, 0]
     return whole[: len(ends)], whole[len(ends) :]
 
 

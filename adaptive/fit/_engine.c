@@ -31,7 +31,7 @@
 #include "engine_c/valves.h"
 #include "engine_c/walk.h"
 
-#define VERSION "10"
+#define VERSION "11"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -509,15 +509,15 @@ static PyObject *py_walk(View *v, Work *w, PyObject *const *from) {
     return failed ? PyErr_NoMemory() : Py_NewRef(Py_None);
 }
 
-/* mix(gain, information, left, half, gains, groups, size, rows, out): see Mixture. */
+/* mix(gain, information, left, half, gains, groups, spans, size, rows, out): see Mixture. */
 static PyObject *py_mix(View *v, Work *w, PyObject *const *from) {
     (void)w;
-    static const char *const NAMES[] = {"gain", "information", "left", "half", "gains", "groups"};
-    double size = PyFloat_AsDouble(from[6]);
-    Py_ssize_t rows = PyLong_AsSsize_t(from[7]);
+    static const char *const NAMES[] = {"gain", "information", "left", "half", "gains", "groups", "spans"};
+    double size = PyFloat_AsDouble(from[7]);
+    Py_ssize_t rows = PyLong_AsSsize_t(from[8]);
     if (PyErr_Occurred())
         return NULL;
-    for (int i = 0; i < 6; i++)
+    for (int i = 0; i < 7; i++)
         if (finite_view(from[i], &v[i], NAMES[i], 0))
             return NULL;
     Py_ssize_t loads = v[3].n, groups = loads ? v[5].n / loads : 0, deads = rows > 0 && loads ? v[0].n / loads / rows : 0, many = rows > 0 ? v[4].n / rows : 0;
@@ -526,10 +526,11 @@ static PyObject *py_mix(View *v, Work *w, PyObject *const *from) {
     for (int i = 0; i < 3; i++)
         if (v[0].n / loads / rows != deads || sized(&v[i], loads * rows * deads, NAMES[i]))
             return NULL;
-    if (sized(&v[4], rows * many, "gains") || sized(&v[5], groups * loads, "groups") || view(from[8], &v[6], "out", 1) ||
-        sized(&v[6], groups * rows * deads * many, "out"))
+    if (sized(&v[4], rows * many, "gains") || sized(&v[5], groups * loads, "groups") ||
+        sized(&v[6], 2 * rows * deads, "spans") || within(&v[6], 0, (double)many, "spans: gains of the grid") ||
+        view(from[9], &v[7], "out", 1) || sized(&v[7], groups * rows * deads * many, "out"))
         return NULL;
-    Mixture m = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, loads, rows, deads, many, groups, size, v[6].x};
+    Mixture m = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, v[6].x, loads, rows, deads, many, groups, size, v[7].x};
     Py_BEGIN_ALLOW_THREADS
     mix(&m);
     Py_END_ALLOW_THREADS
@@ -641,7 +642,7 @@ static PyObject *py_held(View *v, Work *w, PyObject *const *from) {
 /* Every function with how many arguments it has. */
 #define FUNCTIONS(M)                                                                                                  \
     M(refine, 13) M(costs, 6) M(project, 11) M(jacobian, 6) M(gains, 8) M(colour, 3) M(search, 11) M(position, 3)     \
-    M(scan, 14) M(valve_costs, 7) M(slip_costs, 8) M(screen, 9) M(walk, 12) M(mix, 9) M(steps, 6) M(move_steps, 7)    \
+    M(scan, 14) M(valve_costs, 7) M(slip_costs, 8) M(screen, 9) M(walk, 12) M(mix, 10) M(steps, 6) M(move_steps, 7)    \
     M(closed, 8) M(held, 2)
 #define DOOR(name, arguments)                                                                                         \
     static PyObject *door_##name(PyObject *self, PyObject *args) {                                                    \

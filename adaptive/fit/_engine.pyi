@@ -123,6 +123,7 @@ def mix(
     half: Numbers,
     gains: Numbers,
     groups: Numbers,
+    spans: Numbers,
     size: float,
     rows: int,
     out: Numbers,

@@ -211,16 +211,13 @@ def walks(
 
 
 def walks_mixed(
-    fits: tuple[FloatArray, FloatArray, FloatArray],
-    half: FloatArray,
-    gains: FloatArray,
-    groups: FloatArray,
-    size: float,
-) -> FloatArray:
+    fits: tuple[FloatArray, FloatArray, FloatArray], half: FloatArray, gains: FloatArray, groups: FloatArray,
+    spans: FloatArray, size: float,
+) -> FloatArray:  # fmt: skip
     """UnderLoads.mixed. fits : gain, information and left. half : exponents of the loads. gains : (inputs, gains)."""
     _, rows, deads = fits[0].shape
     out = np.empty((len(groups), rows, deads, gains.shape[1]))
-    _engine.mix(*fits, half, np.ascontiguousarray(gains), groups, size, rows, out)
+    _engine.mix(*fits, half, np.ascontiguousarray(gains), groups, spans, size, rows, out)
     return out
 
 
@@ -237,14 +234,9 @@ def steps_chosen(
 
 
 def steps_moved(
-    pv: FloatArray,
-    response: FloatArray,
-    rest: FloatArray,
-    unique: float,
-    chosen: Sequence[int],
-    reach: int,
+    pv: FloatArray, response: FloatArray, rest: FloatArray, unique: float, chosen: Sequence[int], reach: int,
     passes: int,
-) -> tuple[list[int], float]:
+) -> tuple[list[int], float]:  # fmt: skip
     """Every step at its best column within reach, so many times; and the sum of squares that is left."""
     rows = np.array(chosen, dtype=np.float64)
     pv, response, columns = (np.ascontiguousarray(x) for x in (pv, response, rest.T))

@@ -451,10 +451,11 @@ WIDE static void add_exps(const double *restrict x, const double *restrict top, 
 
 /* ln of the mean over some loads of exp(-half ln((left + information (K - gain)^2) / size)) at every gain K of a row's grid.
  * gain, information, left : (load_count, row_count, dead_count). gains : (row_count, gain_count). half : (load_count).
- * groups : (group_count, load_count), 1 for a load that is in one; one of none has no answer (NaN). out : (group_count,
+ * groups : (group_count, load_count), 1 for a load that is in one; one of none has no answer (NaN). spans : (row_count,
+ * dead_count, 2), the first gain that is asked for and the one after the last; ln 0 for the others. out : (group_count,
  * row_count, dead_count, gain_count). */
 typedef struct {
-    const double *gain, *information, *left, *half, *gains, *groups;
+    const double *gain, *information, *left, *half, *gains, *groups, *spans;
     Py_ssize_t load_count, row_count, dead_count, gain_count, group_count;
     double size, *out;
 } Mixture;
@@ -462,10 +463,13 @@ typedef struct {
 WIDE static void mix(const Mixture *m) {
     Py_ssize_t cells = m->row_count * m->dead_count, loads = m->load_count;
     double value[MOST_MIXED][STRETCH], top[STRETCH], sum[STRETCH];
+    for (Py_ssize_t i = 0; i < m->group_count * cells * m->gain_count; i++)
+        m->out[i] = -INFINITY;
     for (Py_ssize_t cell = 0; cell < cells; cell++)
-        for (Py_ssize_t start = 0, many; start < m->gain_count; start += many) {
+        for (Py_ssize_t start = (Py_ssize_t)m->spans[2 * cell], end = (Py_ssize_t)m->spans[2 * cell + 1], many; start < end;
+             start += many) {
             const double *gains = m->gains + cell / m->dead_count * m->gain_count + start;
-            many = m->gain_count - start < STRETCH ? m->gain_count - start : STRETCH;
+            many = end - start < STRETCH ? end - start : STRETCH;
             for (Py_ssize_t l = 0; l < loads; l++) {
                 double gain = m->gain[l * cells + cell], left = m->left[l * cells + cell];
                 double information = m->information[l * cells + cell];

@@ -144,8 +144,8 @@ def test_a_tone_may_be_likelier_where_the_setpoint_has_moved(
     planes[0][alone], planes[1][beside] = 50.0, 200.0
     monkeypatch.setattr(room, "log_likelihoods", lambda *_: (planes, np.array([likely] * (PLANES[0] - 3))))
 
-    def noted(_record: object, _setpoint: object, found: FloatArray) -> float:
-        asked.append(tuple(int(x) for x in np.unravel_index(int(np.argmax(found)), GRID)))
+    def noted(_record: object, _setpoint: object, found: int) -> float:
+        asked.append(tuple(int(x) for x in np.unravel_index(found, GRID)))
         return 0.0
 
     monkeypatch.setattr(room, "_moved_by_setpoint", noted)
