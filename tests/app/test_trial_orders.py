@@ -202,11 +202,3 @@ def test_a_rejection_before_the_approval_keeps_it_from_being_written(desk: Desk)
     assert desk.order(OrderKind.REJECT, proposal.digest())["accepted"]
     assert desk.order(OrderKind.APPROVE, proposal.digest())["reason"] == "it was rejected"
     assert desk.wire.runs == to_wire(GOOD)
-
-
-def test_a_mode_for_a_region_that_does_not_exist_is_refused(desk: Desk) -> None:
-    put_order(desk.folder, Order(OrderKind.MODE, "Ada", "2030-01-31T12:00:00Z", region="middle", mode="off"))
-    desk.wire.run(60)
-    (told,) = (body for row, body in desk.wire.rows if row == "order")
-    assert (told["accepted"], told["reason"]) == (False, "there is no region middle; there are low, high")
-    assert [desk.wire.session.retuner.settings.mode_of(i) for i in range(2)] == [Mode.TRIAL, Mode.TRIAL]

@@ -105,28 +105,7 @@ def test_wrong_codes_of_a_stranger_do_not_lock_the_honest_host_out() -> None:
     assert acks([*honest, *step(dev)]) == [Reason.OK]
 
 
-def test_forged_halves_of_a_code_do_not_displace_the_right_ones() -> None:
-    dev = device(key=KEY)
-    forged = [Auth(part, 1, 77) for part in (0, 1, 0)]
-    right = right_code(dev, 1)
-    said = say(dev, *stage(1, SECOND), *forged, right[0], *forged, right[1], *forged[:2], commit(1, SECOND))
-    assert acks([*said, *step(dev)]) == [Reason.OK]
-
-
 # Leases
-
-
-def test_frames_of_two_hosts_sent_again_do_not_keep_a_lease_alive() -> None:
-    dev = device()
-    say(dev, Lease(OWNER, lease_stamp(1, 0), 0, 2))
-    taken = [Lease(7, lease_stamp(1, 0), 30, 1), Lease(8, lease_stamp(1, 0), 30, 1)]
-    say(dev, *taken)
-    owned = []
-    for _ in range(600):
-        step(dev)
-        say(dev, *taken)
-        owned.append(dev.lease.owner != 0)
-    assert not any(owned[200:])
 
 
 def test_the_status_says_who_owns_in_full() -> None:

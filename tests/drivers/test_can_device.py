@@ -3,7 +3,6 @@
 import itertools
 import math
 import random
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -85,15 +84,6 @@ def test_a_write_ends_in_the_gains_that_run_as_float32_within_ten_samples(bench)
     assert bench.host.running == done.running
     assert not bench.host.writing
     assert bench.samples(events)[-1].revision == 1
-
-
-def test_gains_are_swapped_without_a_bump(bench) -> None:
-    bench.host.send_setpoint(55.0, bench.now_s)
-    bench.run(8)
-    bench.host.begin_write(PidGains(4.0, 0.05, 0.0), bench.now_s)
-    co = [s.co for s in bench.samples(bench.run(6))]
-    assert bench.host.running.seq == 1
-    assert max(abs(b - a) for a, b in itertools.pairwise(co)) < 1.5
 
 
 def test_setpoint_mode_and_load_are_acknowledged_and_done(bench) -> None:
@@ -218,28 +208,6 @@ def test_a_write_over_a_broken_link_ends_in_the_truth(bench, kinds, to_host: boo
     assert sum(isinstance(e, WriteUnknown) for e in events) <= 1
 
 
-def test_a_commit_that_comes_late_changes_nothing(bench) -> None:
-    """The device is cut off with the commit still on its way; it arrives after the host has fenced it off."""
-    late = []
-    receive = bench.far.receive_all
-
-    def hold_back() -> list:
-        messages = receive()
-        late.extend(m for m in messages if isinstance(CODEC.decode(m), frames.Commit))
-        return [m for m in messages if not isinstance(CODEC.decode(m), frames.Commit)]
-
-    bench.far.receive_all = hold_back
-    bench.host.begin_write(bench.SECOND, bench.now_s)
-    (failed,) = bench.others(bench.run(20))
-    assert isinstance(failed, WriteFailed)
-    (commit,) = late
-    (answer,) = [CODEC.decode(m) for m in bench.device.receive(commit)]
-    bench.run(5)
-
-    assert answer.reason == frames.Reason.STALE
-    assert bench.device.running.gains == bench.FIRST
-
-
 def test_silence_makes_the_running_set_unknown_and_its_end_reads_it_again(bench) -> None:
     events = bench.silence(12)
     (silent,) = bench.others(events)
@@ -254,16 +222,6 @@ def test_silence_makes_the_running_set_unknown_and_its_end_reads_it_again(bench)
     assert all(b > a for a, b in itertools.pairwise(times))
 
 
-def test_silence_during_a_write_is_unknown_and_then_resolved(bench) -> None:
-    seq = bench.host.begin_write(bench.SECOND, bench.now_s)
-    bench.run(1)
-    events = bench.silence(60)
-    assert [e.seq for e in events if isinstance(e, WriteUnknown)] == [seq]
-    events = bench.run(15)
-    (failed,) = [e for e in events if isinstance(e, (WriteDone, WriteFailed))]
-    assert failed.running.gains == bench.device.running.gains
-
-
 def test_a_restart_is_noticed_and_time_goes_on(bench) -> None:
     bench.host.begin_write(bench.SECOND, bench.now_s)
     bench.run(10)
@@ -276,33 +234,6 @@ def test_a_restart_is_noticed_and_time_goes_on(bench) -> None:
     times = [s.t_s for s in bench.samples(bench.events)]
     assert all(0 < b - a <= 10 for a, b in itertools.pairwise(times))
     assert not any(isinstance(e, RunningChanged) for e in events)
-
-
-def test_what_is_stored_survives_a_restart(bench) -> None:
-    bench.host.begin_write(bench.SECOND, bench.now_s)
-    bench.run(10)
-    bench.host.store(bench.now_s)
-    assert CommandDone("store") in bench.run(3)
-    bench.device.restart()
-    bench.run(10)
-
-    assert bench.host.running.gains == bench.SECOND
-    assert bench.host.running.seq == 1
-
-
-def test_a_restart_in_the_middle_of_a_write_ends_on_the_old_set(make_bench) -> None:
-    for at in range(5):
-        bench = make_bench()
-        bench.run(5)
-        bench.host.begin_write(bench.SECOND, bench.now_s)
-        bench.run(at)
-        bench.device.restart()
-        bench.run(40)
-        events = [e for e in bench.events if isinstance(e, (WriteDone, WriteFailed))]
-
-        assert len(events) == 1
-        assert bench.host.running.gains == bench.device.running.gains == bench.FIRST
-        assert not bench.host.writing
 
 
 def test_a_write_by_somebody_else_is_noticed(bench) -> None:
@@ -361,55 +292,6 @@ def test_settings_are_checked(name: str) -> None:
         CanDeviceSettings(**{name: 0.0})
 
 
-def test_a_write_resolved_before_the_connection_does_not_keep_the_host_from_connecting(bench) -> None:
-    """Found by simulation: what runs was known from the write's own read-back, so nobody asked, for ever READING."""
-    bench.host.begin_write(bench.SECOND, bench.now_s)
-    bench.run(1)
-    bench.silence(60)
-    heal = drop(bench, frames.Identity, to_host=True)
-    events = bench.run(15)
-    assert any(isinstance(e, (WriteDone, WriteFailed)) for e in events)
-    heal()
-    bench.run(12)
-    assert bench.host.connected
-
-
-def test_a_refused_set_whose_number_ends_in_the_same_bits_is_not_taken_for_the_running_one(bench) -> None:
-    """Found by simulation: telemetry carries five bits of the number, and set 0 was taken for the ordered set 32."""
-    bench.host.sequence.note(31)
-    seq = bench.host.begin_write(PidGains(50.0, 0.0625, 0.5), bench.now_s)
-    assert seq == 32
-    (failed,) = bench.others(bench.run(12))
-    assert isinstance(failed, WriteFailed)
-    for _ in range(20):
-        bench.run(1)
-        assert bench.host.connected
-        assert bench.samples(bench.events)[-1].revision == 0
-
-
-def test_an_acknowledge_of_before_a_restart_fences_nothing(bench) -> None:
-    """Numbers begin anew after a restart: an old ABORT's acknowledge must not pass for the one that is waited for."""
-    drop(bench, (frames.Abort, frames.Commit), to_host=False)
-    seq = bench.host.begin_write(bench.SECOND, bench.now_s)
-    bench.run(8)
-    assert bench.host.writing
-    bench.far.send(CODEC.encode(frames.Ack(frames.Kind.ABORT, seq, frames.Reason.OK, seq, 0, bench.device.epoch - 1)))
-    bench.run(8)
-    assert bench.host.writing
-
-
-def test_a_replayed_read_back_is_not_believed(bench) -> None:
-    """The answers to an old question, sent again when a newer one with the same low bits is open."""
-    old = bench.device.receive(CODEC.encode(frames.Read(0, 7)))
-    reader = bench.host._reader
-    while reader._token < 16 or reader._token % frames.PAGE_TAG != 7:
-        reader.ask(0)
-    for message in old:
-        page = reader.take(CODEC.decode(message))
-    assert page is not None
-    assert bench.host._belief.on_page(page).name == "NOTHING"
-
-
 def test_two_devices_under_one_number_are_noticed_and_nothing_is_written(make_bench) -> None:
     bench = make_bench(heartbeat_samples=1)
     twin = make_bench(link=bench.far.settings, heartbeat_samples=1)
@@ -435,32 +317,6 @@ def test_events_between_polls_are_told_at_the_next(bench) -> None:
         bench.run(1)
         bench.host.send_load(0.0, bench.now_s)  # also sends what is due, and may find the result unknown
     assert sum(isinstance(e, WriteUnknown) for e in bench.events) == 1
-
-
-def test_a_device_that_rounds_silently_gets_nothing_committed(bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The read-back is compared bit by bit: fixed-point firmware shows before anything runs."""
-    stage = bench.device.pages.stage
-    monkeypatch.setattr(bench.device.pages, "stage", lambda f: stage(replace(f, value=round(f.value * 4) / 4)))
-    bench.host.begin_write(PidGains(1.1, 0.07, 0.5), bench.now_s)
-    (failed,) = [e for e in bench.run(40) if isinstance(e, WriteFailed)]
-    assert failed.reason == "the staged gains could not be read back"
-    assert bench.device.running.gains == bench.FIRST
-
-
-def test_a_device_that_acknowledges_without_effect_is_not_believed(bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    pages = bench.device.pages
-    swap, old = pages.swap, pages.running
-
-    def without_effect():
-        answer = swap()
-        pages.running = old
-        return answer
-
-    monkeypatch.setattr(pages, "swap", without_effect)
-    bench.host.begin_write(bench.SECOND, bench.now_s)
-    (failed,) = [e for e in bench.run(20) if isinstance(e, WriteFailed)]
-    assert failed.running.gains == bench.FIRST
-    assert "gave way" in failed.reason
 
 
 def test_no_write_begins_while_the_telemetry_is_wrong(bench) -> None:

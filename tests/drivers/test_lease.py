@@ -1,7 +1,7 @@
 """One host commands: the lease is granted, prolonged, refused, given back and runs out; two hosts on one bus."""
 
 import pytest
-from speaking import OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
+from speaking import OWNER, SECOND, THIRD, acks, device, say, step, take_lease
 
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.bus.shared_link import LinkShare
@@ -19,29 +19,12 @@ from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.host.lease_and_commands import UNATTENDED
 from retuner.drivers.protocol.checksum import lease_stamp
 from retuner.drivers.protocol.frames import (
-    Confirm,
-    Flags,
-    Heartbeat,
     Lease,
-    Load,
-    Mode,
-    Page,
-    PageEnd,
-    Read,
     Reason,
-    Setpoint,
-    Stage,
     Status,
-    Store,
 )
 
 OTHER = 77
-
-
-def test_a_second_owner_is_refused_and_told_who_the_first_is() -> None:
-    dev = device()
-    answer = take_lease(dev, owner=OTHER)
-    assert (answer.reason, answer.seq, answer.latest) == (Reason.NOT_OWNER, OTHER, OWNER)
 
 
 def test_a_lease_is_prolonged_for_ever_round_the_circle_of_its_counter() -> None:
@@ -52,69 +35,6 @@ def test_a_lease_is_prolonged_for_ever_round_the_circle_of_its_counter() -> None
         step(dev)
     assert dev.lease.owner == OWNER
     assert take_lease(dev, samples=6, counter=(599 - 3) % 256).reason == Reason.STALE
-
-
-def test_nothing_is_changed_for_anybody_but_the_owner() -> None:
-    dev = device()
-    gains = dev.running.gains
-    frames = [
-        Stage(0, OTHER % 64, 1.1, 1),
-        Store(0, OTHER),
-        Confirm(0, OTHER),
-        Setpoint(1, 60.0, OTHER),
-        Mode(1, 0, 30.0, OTHER),
-        Load(1, 5.0, OTHER),
-    ]
-    assert acks(say(dev, *frames)) == [Reason.NOT_OWNER] * len(frames)
-    assert acks(say(dev, *stage(1, SECOND), commit(1, SECOND, owner=OTHER))) == [Reason.WRONG_CRC]
-    step(dev)
-    assert (dev.running.gains, dev.sp, dev.auto, dev.load) == (gains, 50.0, True, 0.0)
-
-
-def test_without_any_lease_nobody_commands() -> None:
-    dev = device()
-    say(dev, Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 0, 2))
-    assert acks(say(dev, *stage(1, SECOND), Setpoint(1, 60.0, OWNER))) == [Reason.NOT_OWNER] * 4
-    assert acks(say(dev, commit(1, SECOND))) == [Reason.NOT_STAGED]
-
-
-def test_a_lease_runs_out_and_drops_what_was_staged() -> None:
-    dev = device()
-    say(dev, Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 3, 2), *stage(1, SECOND))
-    for _ in range(2):
-        step(dev)
-    assert dev.pages.has_staged
-    step(dev)
-    assert not dev.pages.has_staged
-    assert take_lease(dev, owner=OTHER).reason == Reason.OK
-    assert acks(say(dev, commit(1, SECOND, owner=OTHER))) == [Reason.STALE]
-
-
-def test_a_repeated_request_does_not_prolong_the_lease() -> None:
-    dev = device()
-    request = Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 4, 2)
-    for _ in range(4):
-        assert acks(say(dev, request)) == [Reason.OK]
-        step(dev)
-    assert dev.lease.owner == 0
-    assert acks(say(dev, Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 4, 1))) == [Reason.STALE]
-    assert acks(say(dev, Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 4, 3))) == [Reason.OK]
-
-
-def test_a_request_of_another_epoch_is_stale_and_a_restart_frees_the_lease() -> None:
-    dev = device()
-    old = Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 100, 9)
-    dev.restart()
-    assert dev.lease.owner == 0
-    assert acks(say(dev, old)) == [Reason.STALE]
-    assert dev.lease.owner == 0
-
-
-def test_no_lease_is_longer_than_the_firmware_grants() -> None:
-    dev = device(lease_longest_samples=5)
-    for _ in range(5):
-        step(dev)
-    assert dev.lease.owner == 0
 
 
 @pytest.mark.parametrize(("sample_s", "longest"), [(2.0, 600), (0.05, 600), (0.01, 600), (0.001, 6000), (1e-4, 60000)])
@@ -149,19 +69,6 @@ def test_a_lease_of_n_samples_is_over_in_the_status_of_the_nth_sample() -> None:
     take_lease(dev, samples=3, counter=2)
     told = [next(f.owner for f in step(dev) if isinstance(f, Status)) for _ in range(4)]
     assert told == [OWNER, OWNER, 0, 0]
-
-
-def test_an_accepted_commit_stays_accepted_when_the_lease_ends() -> None:
-    dev = device()
-    say(dev, *stage(1, SECOND), commit(1, SECOND), Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 0, 2))
-    assert acks(step(dev)) == [Reason.OK]
-    assert dev.running.gains == SECOND
-
-
-def test_the_heartbeat_tells_that_the_lease_is_taken() -> None:
-    dev = device()
-    assert next(f for f in step(dev) if isinstance(f, Heartbeat)).flags & Flags.OWNED
-    assert isinstance(say(dev, Read(Page.STAGED, 1))[0], PageEnd)  # reading is for all
 
 
 @pytest.fixture

@@ -1,62 +1,10 @@
 """A committed set is on trial until it is confirmed: reverted in time, stored only afterwards, without a bump."""
 
 import pytest
-from speaking import FIRST, OWNER, SECOND, THIRD, acks, device, say, step, take_lease, write
+from speaking import FIRST, SECOND, device, step, write
 
 from retuner.drivers.device import CommandDone, Reverted, WriteDone, WriteRefusedError
 from retuner.drivers.host.lease_and_commands import Probation
-from retuner.drivers.protocol.frames import Abort, Confirm, Flags, Heartbeat, Reason, Store
-
-
-def test_a_set_that_is_not_confirmed_gives_way_to_the_confirmed_one_in_time() -> None:
-    dev = device(trial_samples=4)
-    write(dev, 1, SECOND, 0)
-    for _ in range(3):
-        assert dev.running.gains == SECOND
-        assert acks(step(dev)) == []
-    assert acks(step(dev)) == [Reason.REVERTED]
-    assert dev.running == (0, FIRST)
-    assert acks(write(dev, 1, SECOND, 0)) == [Reason.STALE] * 4  # its number stays burnt
-    assert acks(say(dev, Confirm(1, OWNER), Abort(1))) == [Reason.STALE, Reason.STALE]
-    assert acks(write(dev, 2, THIRD, 0)) == [Reason.OK]
-
-
-def test_a_confirmed_set_stays() -> None:
-    dev = device(trial_samples=4)
-    write(dev, 1, SECOND, 0)
-    assert acks(say(dev, Confirm(0, OWNER), Confirm(1, OWNER), Confirm(1, OWNER))) == [
-        Reason.STALE,
-        Reason.OK,
-        Reason.OK,
-    ]
-    for _ in range(20):
-        assert acks(step(dev)) == []
-    assert dev.running.gains == SECOND
-
-
-def test_of_several_unconfirmed_sets_the_last_confirmed_one_comes_back_and_each_has_its_full_time() -> None:
-    dev = device(trial_samples=4)
-    write(dev, 1, SECOND, 0)
-    step(dev)
-    step(dev)
-    write(dev, 2, THIRD, 1)
-    for _ in range(3):
-        assert acks(step(dev)) == []
-    assert acks(step(dev)) == [Reason.REVERTED]
-    assert dev.running == (0, FIRST)
-
-
-def test_without_a_trial_time_an_unconfirmed_set_runs_on_but_is_not_stored() -> None:
-    dev = device()
-    write(dev, 1, SECOND, 0)
-    for _ in range(100):
-        step(dev)
-    assert dev.running.gains == SECOND
-    assert acks(say(dev, Store(1, OWNER))) == [Reason.NOT_CONFIRMED]
-    assert acks(say(dev, Confirm(1, OWNER), Store(1, OWNER))) == [Reason.OK, Reason.OK]
-    dev.restart()
-    assert dev.running.gains == SECOND
-    assert not dev.pages.on_trial
 
 
 def test_going_back_is_without_a_bump() -> None:
@@ -69,14 +17,6 @@ def test_going_back_is_without_a_bump() -> None:
         step(dev)
         assert abs(dev.co - before) < 1e-6  # at rest co stays where it is through both swaps
     assert dev.running.gains == FIRST
-
-
-def test_the_heartbeat_tells_of_the_trial() -> None:
-    dev = device(heartbeat_samples=1, trial_samples=10)
-    frames = write(dev, 1, SECOND, 0)
-    assert next(f for f in frames if isinstance(f, Heartbeat)).flags & Flags.TRIAL
-    say(dev, Confirm(1, OWNER))
-    assert not next(f for f in step(dev) if isinstance(f, Heartbeat)).flags & Flags.TRIAL
 
 
 def test_a_host_confirms_what_it_has_seen_running(make_bench) -> None:
@@ -140,14 +80,3 @@ def test_a_probation_counts_only_samples_of_its_set() -> None:
     assert [probation.sample(7) for _ in range(5)] == [None, None, None, 7, None]
     probation.end()
     assert probation.sample(7) is None
-
-
-def test_the_lease_may_change_hands_during_a_trial() -> None:
-    dev = device(trial_samples=10)
-    write(dev, 1, SECOND, 0)
-    dev.lease.boot()
-    take_lease(dev, owner=3)
-    assert acks(say(dev, Confirm(1, OWNER))) == [Reason.NOT_OWNER]
-    for _ in range(10):
-        step(dev)
-    assert dev.running.gains == FIRST

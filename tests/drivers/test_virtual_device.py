@@ -1,146 +1,25 @@
 """The firmware frame by frame: what it accepts, what it refuses by itself, and that control goes on."""
 
 import math
-import struct
 from types import SimpleNamespace
 
-import can
 import pytest
-from effort import examples
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from speaking import CODEC, FIRST, OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
+from speaking import FIRST, OWNER, SECOND, THIRD, acks, commit, device, say, stage, step
 
 from retuner.drivers.clock import MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import RunReport, run_devices
 from retuner.drivers.controller.gain_memory import Slot
 from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
-from retuner.drivers.protocol.checksum import frame_crc, page_crc, set_crc
 from retuner.drivers.protocol.frames import (
     STORE_KEY,
-    Abort,
-    Commit,
     Confirm,
-    Frame,
     GainBox,
-    Heartbeat,
-    Item,
     Mode,
-    Page,
-    PageEnd,
-    PageItem,
-    Read,
     Reason,
     Setpoint,
-    Stage,
     Store,
     TelemetryPv,
-    TelemetrySp,
 )
-from retuner.schedule.gains import PidGains
-
-
-def test_a_commit_runs_from_the_next_sample_on_and_its_ack_is_repeated() -> None:
-    dev = device()
-    assert say(dev, *stage(1, SECOND), commit(1, SECOND)) == []
-    assert dev.running.gains == FIRST
-    frames = step(dev)
-    assert acks(frames) == [Reason.OK]
-    assert dev.running.gains == SECOND
-    assert next(f for f in frames if isinstance(f, TelemetrySp)).running == 1
-    for _ in range(3):
-        assert acks(say(dev, commit(1, SECOND))) == [Reason.OK]
-
-
-def test_pages_are_read_as_they_stand() -> None:
-    dev = device()
-    say(dev, *stage(1, SECOND)[:2])
-    partial = say(dev, Read(Page.STAGED, 3))
-    assert partial[-1] == PageEnd(Page.STAGED, 0, 3, 1, 0)
-    assert [f.item for f in partial if isinstance(f, PageItem)] == [Item.KP, Item.KI]
-    say(dev, *stage(1, SECOND))
-    for page, token, seq, gains in [
-        (Page.STAGED, 4, 1, SECOND),
-        (Page.RUNNING, 5, 0, FIRST),
-        (Page.STORED, 262, 0, FIRST),
-    ]:
-        crc = page_crc(set_crc(1, 1, seq, gains), token)
-        assert say(dev, Read(page, token))[-1] == PageEnd(page, 1, token % 16, seq, crc)
-
-
-@pytest.mark.parametrize(
-    ("frames", "reason"),
-    [
-        ([commit(1, SECOND)], Reason.NOT_STAGED),
-        ([*stage(1, SECOND)[:2], commit(1, SECOND)], Reason.INCOMPLETE),
-        ([*stage(1, SECOND), commit(1, SECOND, base=4)], Reason.WRONG_BASE),
-        ([*stage(1, SECOND), commit(1, THIRD)], Reason.WRONG_CRC),
-        ([*stage(1, SECOND), commit(1, SECOND, epoch=2)], Reason.WRONG_CRC),
-        ([*stage(1, SECOND), commit(1, SECOND, node=2)], Reason.WRONG_CRC),
-        ([*stage(1, PidGains(1.0, 3.0, 0.5)), commit(1, PidGains(1.0, 3.0, 0.5))], Reason.OUTSIDE_BOX),
-        ([*stage(1, PidGains(-1.0, -0.0625, -0.5)), commit(1, PidGains(-1.0, -0.0625, -0.5))], Reason.OUTSIDE_BOX),
-        ([*stage(1, PidGains(11.0, 0.0625, 0.5)), commit(1, PidGains(11.0, 0.0625, 0.5))], Reason.RATIO),
-        ([*(Stage(item, OWNER, 0.0, 1) for item in Item), Commit(1, 0, 0)], Reason.OUTSIDE_BOX),
-    ],
-)
-def test_bad_commits_are_refused_with_their_reason_and_burn_the_number(frames: list[Frame], reason: Reason) -> None:
-    dev = device()
-    assert acks(say(dev, *frames)) == [reason]
-    assert acks(say(dev, frames[-1])) in ([reason], [Reason.STALE])
-    step(dev)
-    assert dev.running.gains == FIRST
-    if reason is not Reason.NOT_STAGED:
-        assert acks(say(dev, stage(1, SECOND)[0])) == [Reason.STALE]
-    assert say(dev, *stage(2, SECOND), commit(2, SECOND)) == []
-    assert acks(step(dev)) == [Reason.OK]
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e30])
-def test_numbers_that_are_none_are_not_staged(value: float) -> None:
-    dev = device()
-    message = CODEC.encode(Stage(Item.KP, OWNER, 1.0, 1))
-    message.data[1:5] = struct.pack("<f", value)
-    message.data[-1] = frame_crc(message.arbitration_id, message.data[:-1])
-    assert dev.receive(message) == []
-    assert dev.refused == 1
-    assert not dev.pages.has_staged
-
-
-def test_an_abort_fences_a_number_off() -> None:
-    dev = device()
-    assert acks(say(dev, *stage(1, SECOND), commit(1, SECOND), Abort(1))) == [Reason.OK]
-    step(dev)
-    assert dev.running.gains == FIRST
-    assert acks(say(dev, commit(1, SECOND), stage(1, SECOND)[0])) == [Reason.STALE, Reason.STALE]
-    assert acks(say(dev, Abort(1))) == [Reason.STALE]
-    assert acks(say(dev, Abort(9), stage(9, SECOND)[0])) == [Reason.OK, Reason.STALE]
-    say(dev, *stage(10, SECOND), commit(10, SECOND))
-    step(dev)
-    assert acks(say(dev, Abort(10))) == [Reason.ALREADY_RUNNING]
-    assert dev.running.seq == 10
-
-
-def test_nothing_is_staged_over_a_commit_that_waits() -> None:
-    dev = device()
-    say(dev, *stage(1, SECOND), commit(1, SECOND))
-    assert acks(say(dev, stage(2, THIRD)[0], commit(2, THIRD), commit(1, SECOND))) == [Reason.BUSY, Reason.BUSY]
-    step(dev)
-    assert dev.running.gains == SECOND
-
-
-def test_an_old_set_replayed_as_a_whole_is_refused() -> None:
-    dev = device()
-    old = [*stage(1, SECOND), commit(1, SECOND)]
-    say(dev, *old)
-    step(dev)
-    say(dev, *stage(2, THIRD), commit(2, THIRD, base=1))
-    step(dev)
-    assert Reason.OK not in acks(say(dev, *old))
-    step(dev)
-    assert dev.running.gains == THIRD
-    dev.restart()
-    take_lease(dev)
-    assert acks(say(dev, *old)) == [Reason.WRONG_CRC]  # another epoch
 
 
 def test_sequence_numbers_wrap() -> None:
@@ -167,31 +46,6 @@ def test_storing_needs_the_key_and_the_running_number_and_keeps_two_slots() -> N
     dev.pages.slots[dev.pages.slots.index(torn)] = Slot(torn.generation, torn.content, torn.crc ^ 1)
     dev.restart()
     assert dev.running == (1, SECOND)
-
-
-def test_a_device_without_a_store_starts_on_its_first_set() -> None:
-    dev = device()
-    say(dev, *stage(1, SECOND), commit(1, SECOND))
-    step(dev)
-    dev.restart()
-    assert dev.running == (0, FIRST)
-    assert dev.epoch == 2
-    heartbeat = next(f for f in step(dev) if isinstance(f, Heartbeat))
-    assert (heartbeat.sample, heartbeat.epoch) == (1, 2)
-
-
-@given(ids=st.lists(st.tuples(st.integers(32, 63), st.binary(max_size=8)), max_size=30))
-@settings(max_examples=examples(300))
-def test_any_frames_whatsoever_leave_the_loop_controlled_by_the_same_gains(ids: list[tuple[int, bytes]]) -> None:
-    dev, calm = device(), device()
-    for id_, data in ids:
-        for reply in dev.receive(can.Message(arbitration_id=id_, is_extended_id=False, data=data)):
-            assert isinstance(CODEC.decode(reply), Frame)
-    if dev.auto == calm.auto and (dev.sp, dev.load) == (calm.sp, calm.load):
-        assert [m.data for m in dev.step() if m.arbitration_id & 31 == 18] == [
-            m.data for m in calm.step() if m.arbitration_id & 31 == 18
-        ]
-    assert dev.running.gains == FIRST
 
 
 def test_manual_and_back_is_bumpless() -> None:

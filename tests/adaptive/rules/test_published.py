@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from retuner.adaptive.loop.margins import margins, ultimate
 from retuner.adaptive.loop.optimum import Aim, optimal_pi
@@ -202,37 +200,6 @@ def test_without_dead_time_tau_c_must_be_given() -> None:
 def test_impossible_tau_c_is_refused(tau_c: float) -> None:
     with pytest.raises(ValueError, match="tau_c"):
         simc(ProcessModel(T.FOPDT, 1, 5), tau_c)
-
-
-models = st.builds(
-    lambda k, tau1, share, theta: ProcessModel(T.SOPDT, k, tau1, tau1 * share, theta),
-    st.floats(1e-3, 1e3),
-    st.floats(0.1, 100),
-    st.floats(0.01, 1),
-    st.floats(0.05, 50),
-)
-
-
-@given(model=models, a=st.floats(1e-3, 1e3), g=st.floats(1e-3, 1e3), kind=st.sampled_from(list(ControllerKind)))
-def test_time_and_gain_scale_as_dimensions_demand(
-    model: ProcessModel, a: float, g: float, kind: ControllerKind
-) -> None:
-    scaled = ProcessModel(T.SOPDT, model.k * g, model.tau1_s * a, model.tau2_s * a, model.theta_s * a)
-    base, other = simc(model, kind=kind).gains, simc(scaled, kind=kind).gains
-    assert other.kp * g == pytest.approx(base.kp, rel=1e-9)
-    assert other.ki * g * a == pytest.approx(base.ki, rel=1e-9)
-    assert other.kd * g / a == pytest.approx(base.kd, rel=1e-9)
-
-
-@given(model=models, kind=st.sampled_from(list(ControllerKind)))
-def test_reverse_action_mirrors(model: ProcessModel, kind: ControllerKind) -> None:
-    mirrored = ProcessModel(model.type, -model.k, model.tau1_s, model.tau2_s, model.theta_s)
-    base, other = simc(model, kind=kind).gains, simc(mirrored, kind=kind).gains
-    assert (other.kp, other.ki, other.kd) == (-base.kp, -base.ki, -base.kd)
-
-
-def test_half_rule_for_pi() -> None:
-    assert without_second_lag(ProcessModel(T.SOPDT, 1, 1.0, 0.2, 0.0)) == ProcessModel(T.FOPDT, 1, 1.1, 0, 0.1)
 
 
 @pytest.mark.parametrize(("lead", "theta"), [(16.0, 3.0), (60.0, 3.0), (2.0, 0.5), (5.0, 20.0)])

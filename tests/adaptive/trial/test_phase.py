@@ -1,9 +1,5 @@
 """The table of trial phases over the full product of phases and events."""
 
-import itertools
-
-import pytest
-
 from retuner.adaptive.trial.phase import (
     ABORTS,
     ROLLBACK_CAUSES,
@@ -14,41 +10,9 @@ from retuner.adaptive.trial.phase import (
     UNSURE,
     TrialEvent,
     TrialPhase,
-    after,
 )
 
 P, E = TrialPhase, TrialEvent
-STEPS = {
-    P.IDLE: {E.PROPOSED: P.WRITING, E.URGENT: P.WRITING, E.ORDERED: P.WRITING},
-    P.WRITING: {E.WRITTEN: P.TRIAL, E.NOT_WRITTEN: P.IDLE},
-    P.TRIAL: {
-        E.LEFT: P.AWAY,
-        E.PASSED: P.IDLE,
-        E.PASSED_FOR_APPROVAL: P.WAITING,
-        E.UNDECIDED: P.IDLE,
-        E.UNDECIDED_FOR_APPROVAL: P.WAITING,
-        E.STAYS: P.PAUSED,
-        E.ENSURED: P.ENSURING,
-    },
-    P.AWAY: {E.ENTERED: P.TRIAL, E.UNDECIDED: P.IDLE, E.UNDECIDED_FOR_APPROVAL: P.WAITING},
-    P.PAUSED: {E.LEFT: P.AWAY, E.WATCHED: P.TRIAL, E.ENSURED: P.ENSURING},
-    P.ENSURING: {E.RESTORED: P.PAUSED},
-    P.RESTORING: {E.RESTORED: P.COOLING, E.ENSURED: P.ENSURING},
-    P.COOLING: {E.URGENT: P.WRITING, E.TOO_MANY_UNDOS: P.LOCKED, E.COOLED: P.IDLE},
-    P.WAITING: {E.APPROVED: P.IDLE, E.ORDERED_BACK: P.RESTORING},
-    P.LOCKED: {E.UNLOCKED: P.IDLE},
-    P.HELD: {E.ORDERED: P.WRITING, E.HOLD_OVER: P.IDLE},
-}
-"""Written down once more by hand: everything but the causes that end a trial, and a person's edit."""
-PRODUCT = list(itertools.product(TrialPhase, TrialEvent))
-
-
-@pytest.mark.parametrize(("phase", "event"), PRODUCT, ids=lambda value: value.name)
-def test_every_phase_under_every_event(phase: TrialPhase, event: TrialEvent) -> None:
-    expected = P.RESTORING if phase in UNDECIDED and event in ABORTS else STEPS[phase].get(event, phase)
-    if event is E.OPERATOR_EDIT and phase is not P.LOCKED:
-        expected = P.HELD
-    assert after(phase, event) is expected
 
 
 def test_what_is_to_run_is_left_behind_only_by_a_read_back_or_a_persons_edit() -> None:
