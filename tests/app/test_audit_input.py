@@ -86,13 +86,6 @@ def test_signals_of_other_rates_are_held_between_their_rows(tmp_path: Path, caps
     assert sum("held between them" in told for told in rows["FIC1"]["assumed"]) == 2
 
 
-def test_an_empty_folder_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["audit", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err
-    assert f"{tmp_path}: no loop found, it has no files of records" in told
-    assert told.count("\n") == 1
-
-
 def test_an_audit_that_is_stopped_keeps_what_is_done_and_goes_on(tmp_path, capsys, monkeypatch):
     plant, out, done = tmp_path / "plant", tmp_path / "out", list[str]()
     for i in range(5):

@@ -5,9 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from effort import examples
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig, responses
 
 from retuner.adaptive.process.model import LinearProcess
@@ -270,80 +267,6 @@ def test_a_restart_of_the_host_goes_on_where_it_stood(phase: TrialPhase) -> None
     assert other.trials.to_dict() == bench.trials.to_dict()
     assert other.trials.of(0) == bench.trials.of(0)
     assert other.trials.busy == bench.trials.busy
-
-
-FREE = [event for event in TrialEvent if event not in {*WITH_GAINS, *DECIDED}]
-EVENTS = st.lists(
-    st.tuples(
-        st.sampled_from(["begin", "urgent", "edit", "written", "restored", "leave", "return", *FREE]),
-        st.integers(0, 1),
-        st.floats(0.5, 400.0),
-    ),
-    max_size=60,
-)
-
-
-GOOD_ENDS = (E.PASSED, E.PASSED_FOR_APPROVAL, E.UNDECIDED, E.UNDECIDED_FOR_APPROVAL)
-
-
-class Story(Bench):
-    """A bench that keeps its own books: the verified and the tried set of each region."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.verified, self.tried = {0: OLD, 1: OLD}, {0: OLD, 1: OLD}
-        self.number = 0
-
-    def ask(self, region: int, *, urgent: bool) -> None:
-        self.number += 1
-        if self.trials.may_change(region, self.t_s, urgent=urgent):
-            self.tried[region] = PidGains(1.0 + self.number, 0.1)
-            self.trials.begin(region, self.table[region], self.tried[region], PROMISE, self.t_s, urgent=urgent)
-
-    def happen(self, event: str, region: int) -> None:
-        if event in {"begin", "urgent"}:
-            self.ask(region, urgent=event == "urgent")
-        elif event == "edit":
-            self.number += 1
-            self.edit(PidGains(1.0 + self.number, 0.1))
-            self.verified[0] = self.table[0]
-        elif event == "written":
-            if self.trials.written(region, self.tried[region], self.t_s):
-                self.table[region] = self.tried[region]
-        elif event == "restored":
-            self.trials.restored(self.t_s)
-        elif event in {"leave", "return"}:
-            look(self, sample(self.t_s), region=1 - region if event == "leave" else region)
-        else:
-            self.tell(TrialEvent(event), region)
-
-    def tell(self, event: TrialEvent, region: int) -> None:
-        before = self.trials.of(region)
-        self.trials.event(region, event, self.t_s)
-        if before.phase is P.TRIAL and event in GOOD_ENDS:
-            self.verified[region] = self.table[region]
-        if before.phase is P.WAITING and event is E.ORDERED_BACK:
-            assert before.old is not None
-            self.verified[region] = before.old
-
-
-@settings(max_examples=examples(100), deadline=None)
-@given(EVENTS)
-def test_never_two_sets_and_always_an_end_on_verified_old_or_confirmed_new(
-    events: list[tuple[str, int, float]],
-) -> None:
-    story = Story()
-    for event, region, later_s in events:
-        story.t_s += later_s
-        story.happen(event, region)
-        for at in (0, 1):
-            on_trial = story.trials.phase(at) in {P.TRIAL, P.AWAY}
-            assert story.table[at] == (story.tried if on_trial else story.verified)[at], event
-        assert sum(story.trials.phase(at) is P.WRITING for at in (0, 1)) <= 1
-    story.trials.abort(E.STOPPED, story.t_s)
-    story.trials.restored(story.t_s)
-    assert story.table == story.verified
-    assert not story.trials.busy
 
 
 @pytest.mark.parametrize("event", WITH_GAINS)
