@@ -1,4 +1,4 @@
-"""The firmware in C regulates as the virtual device does, and a host works with it as a process under the sanitizers."""
+"""The firmware in C regulates as the virtual device does; a host works with it as a process under the sanitizers."""
 
 import struct
 import subprocess
