@@ -1,7 +1,6 @@
 """Every border of every kind of map is crossed without a bump: the co that the old gains would have given, to 1e-9."""
 
 import random
-from itertools import pairwise, product
 
 import pytest
 
@@ -47,25 +46,6 @@ def moving(rng, settings, sp):
 
 
 @pytest.mark.parametrize("name", MAPS)
-@pytest.mark.parametrize("rate", RATES)
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_every_pair_of_regions_both_ways(name, rate, sign):
-    """Hard lookup: neighbours and not (a jump may skip regions); each change would bump if nothing were done."""
-    regions, rng = MAPS[name], random.Random(4)
-    would_bump = 0
-    for a, b in product(range(len(regions)), repeat=2):
-        old, new = (made(PidGains(sign * g.kp, sign * g.ki, sign * g.kd), rate) for g in (GAINS[a], GAINS[b]))
-        for _ in range(20):
-            sp = rng.uniform(30.0, 200.0)
-            state, pv = moving(rng, old, sp), sp + rng.gauss(0.0, 0.5)
-            _, expected = step(old, state, sp, pv, DT_S)
-            _, co = step(new, change(old, new, state, sp, pv, DT_S), sp, pv, DT_S)
-            assert abs(co - expected) <= BUMP
-            would_bump += abs(step(new, state, sp, pv, DT_S)[1] - expected) > 1e3 * BUMP
-    assert would_bump > 10 * len(regions) * (len(regions) - 1)
-
-
-@pytest.mark.parametrize("name", MAPS)
 @pytest.mark.parametrize("lookup", list(Lookup))
 @pytest.mark.parametrize("rate", RATES)
 def test_a_sweep_over_all_borders(name, lookup, rate):
@@ -106,7 +86,3 @@ def lines(regions):
 def ramp(low, high, steps=150):
     up = [low + (high - low) * i / steps for i in range(steps + 1)]
     return [*up, *[high] * 20, *reversed(up), *[low] * 20]
-
-
-def test_the_ramps_are_continuous():
-    assert max(abs(b - a) for a, b in pairwise(ramp(0.0, 150.0))) == pytest.approx(1.0)

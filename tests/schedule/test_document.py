@@ -1,7 +1,6 @@
 """The gain table as TOML: exact round trip, readable, strict, and nothing but ValueError for garbage."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 from effort import examples
@@ -10,7 +9,7 @@ from hypothesis import strategies as st
 
 from retuner.schedule.document import SCHEMA, from_toml, to_toml
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import VARIABLES, Regions
+from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
 
 TABLE = GainTable(
@@ -21,38 +20,6 @@ TABLE = GainTable(
     3,
 )
 TEXT = to_toml(TABLE)
-
-printable = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=20)
-sizes = st.just(0.0) | st.floats(1e-300, 1e300)
-
-
-@st.composite
-def some_tables(draw):
-    edges = sorted(draw(st.lists(st.floats(-1e300, 1e300), min_size=2, max_size=7, unique=True)))
-    names = draw(st.lists(printable, min_size=len(edges) - 1, max_size=len(edges) - 1, unique=True))
-    sign = draw(st.sampled_from((1.0, -1.0)))
-    gains = [PidGains(*(sign * g for g in draw(st.tuples(sizes, sizes, sizes).filter(any)))) for _ in names]
-    widest = min(b - a for a, b in pairwise(edges)) / 2
-    regions = Regions(
-        draw(st.sampled_from(VARIABLES)),
-        draw(printable | st.just("")),
-        tuple(names),
-        edges[0],
-        tuple(edges[1:-1]),
-        edges[-1],
-        draw(st.floats(0.0, widest)),
-        draw(st.floats(0.0, 1e300)),
-    )
-    return GainTable(draw(printable), regions, tuple(gains), draw(st.sampled_from(Lookup)), draw(st.integers(0)))
-
-
-@settings(deadline=None)
-@given(some_tables())
-def test_round_trip_is_exact(table):
-    text = to_toml(table)
-
-    assert from_toml(text) == table
-    assert to_toml(from_toml(text)) == text
 
 
 def test_the_text_as_people_see_it():
@@ -89,19 +56,6 @@ form = "parallel"
 # ideal form: kc = 0.3, no integral action, tau_d = 3.333e-07 s
 """
     )
-
-
-def test_a_text_cut_at_any_place_is_refused_or_the_same_table():
-    """A file that was copied or saved by half must not be read as another schedule."""
-    same = 0
-    for kept in range(len(TEXT)):
-        try:
-            table = from_toml(TEXT[:kept])
-        except ValueError:
-            continue
-        assert table == TABLE, TEXT[:kept][-40:]
-        same += 1
-    assert same < 100, "only within the last comment"
 
 
 def test_a_change_of_one_set_is_a_small_diff():

@@ -23,6 +23,7 @@ TABLE = GainTable(
 TEXT = to_toml(TABLE)
 
 printable = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=20)
+sizes = st.just(0.0) | st.floats(1e-300, 1e300)
 
 
 @st.composite
@@ -45,11 +46,14 @@ def some_axes(draw):
 
 @st.composite
 def some_tables(draw):
+    """Along one axis or two; plain ones among them, which the text has a shorter form for."""
     axes = draw(st.lists(some_axes(), min_size=1, max_size=2))
     count = len(axes[0]) * len(axes[-1]) ** (len(axes) - 1)
     names = draw(st.lists(printable, min_size=count, max_size=count, unique=True))
-    gains = tuple(PidGains(draw(st.floats(1e-300, 1e300)), 0.0) for _ in names)
-    return GainTable("loop", Regions.along(tuple(names), *axes), gains, draw(st.sampled_from(Lookup)), 7)
+    sign = draw(st.sampled_from((1.0, -1.0)))
+    gains = tuple(PidGains(*(sign * g for g in draw(st.tuples(sizes, sizes, sizes).filter(any)))) for _ in names)
+    regions = Regions.along(tuple(names), *axes)
+    return GainTable(draw(printable), regions, gains, draw(st.sampled_from(Lookup)), draw(st.integers(0)))
 
 
 @settings(deadline=None)
