@@ -16,6 +16,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterator
@@ -118,7 +119,10 @@ def of_commands(base: float) -> Iterator[tuple[str, float]]:
 
 
 def on_line(base: float) -> Iterator[tuple[str, float]]:
-    """A decision of PidController on a loop of 10 s with a dead time of 3 s: median and worst, after the first."""
+    """A decision of PidController on a loop of 10 s with a dead time of 3 s: median and worst, after the first.
+
+    The loop waits for the thread that loads what a decision needs, as one in real time does between its samples.
+    """
     rng, dt, y = np.random.default_rng(SEED), 0.5, 50.0
     controller = PidController(PidGains(0.6, 0.12), dt_s=dt, pv_range=(0, 100))
     late, times = [50.0] * 6, []
@@ -127,6 +131,8 @@ def on_line(base: float) -> Iterator[tuple[str, float]]:
         begun = time.process_time()
         late.append(controller.step(setpoint, y + float(rng.normal(0, 0.05))))
         times.append(time.process_time() - begun)
+        for beside in threading.enumerate()[1:]:
+            beside.join()
         y += dt / 10.0 * (0.8 * (late.pop(0) - 50.0) + 50.0 - y)
     decided = [t for t in times if t > DECIDING_S][1:]
     yield "a decision on line, median", statistics.median(decided) / base

@@ -24,6 +24,7 @@ from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.background import BackgroundRetuner
 from retuner.decisions.decider import Decider
+from retuner.decisions.warm_up import warm_up_beside
 from retuner.drivers.closing import Closes
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -39,6 +40,7 @@ LOG = logging.getLogger("retuner")
 LOG.addHandler(logging.NullHandler())
 MEMORY = 1  # version of what `memory` gives
 HARD = Lookup.HARD
+WARMS_AT = 20  # sample at which what a decision needs is loaded: a program that runs a step or two starts without it
 LONGEST_S = 1e9
 """Longest time between two steps: 30 years, and less than the time of day counted from 1970."""
 
@@ -59,7 +61,8 @@ class _Place:
 class PidController(display_hook.Drawn, Closes):
     """A PID controller with scheduled gains, and the retuner that watches it.
 
-    Not thread-safe: guard calls with your own lock.
+    Not thread-safe: guard calls with your own lock. Once a process, beside a loop that has run for a while, a thread
+    loads what decisions need, so that no step waits for that.
 
     Parameters
     ----------
@@ -200,6 +203,8 @@ class PidController(display_hook.Drawn, Closes):
         sample = LoopSample(place.t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
         self._place = place  # before anybody may break off what follows: the time of the next sample goes on from here
         self._decision = (self._background or self._retuner).observe(sample)
+        if self._retuner.sample_number == WARMS_AT:
+            warm_up_beside()
         self._history.add((place.t_s, sp, pv, co, self._law.kp, self._law.ki, self._law.kd))
         if self._decision is not None:
             self._obey(self._decision)

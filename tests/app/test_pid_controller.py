@@ -3,6 +3,8 @@
 import json
 import logging
 import math
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -278,3 +280,13 @@ def test_a_memory_of_something_else_is_refused() -> None:
             PidController(WEAK, dt_s=1.0, pv_range=(0.0, 10.0), memory=wrong)
     with pytest.raises(ValueError, match="of loop 'loop'"):
         PidController(WEAK, dt_s=1.0, pv_range=(0.0, 10.0), memory=saved, name="other")
+
+
+def test_no_library_is_loaded_in_the_middle_of_the_loop() -> None:
+    code = (
+        "import sys, threading, test_pid_controller as t; pid, tank = t.controller(), t.Tank()\n"
+        "t.run(pid, tank, 25, 0.0)\nfor beside in threading.enumerate()[1:]: beside.join()\n"
+        "had = set(sys.modules); t.changed(pid, tank); t.run(pid, tank, 600, 0.5); assert 'filterpy.kalman' in had\n"
+        "assert not {name for name in set(sys.modules) - had if name.startswith(('scipy', 'filterpy', 'retuner'))}"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=__file__.rpartition("/")[0])

@@ -1,8 +1,10 @@
-"""What a process does before the first question of a loop: a decision on a record of nobody, so that the first real one
-does not wait for imports, nor the loop when it enters one.
+"""What a process does before the first question of a loop: two decisions on a record of nobody, so that no real one
+waits for imports, nor the loop when it enters one. Only the second has something to join its record with (filterpy).
 """
 
 from collections import deque
+from functools import cache
+from threading import Thread
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Decision, Mode
@@ -15,16 +17,17 @@ from retuner.schedule.table import GainTable
 GAINS = PidGains(0.6, 0.01)
 K, LAG, DEAD = 1.0, 60.0, 10
 """The process: gain, lag in samples, dead time in samples of a second."""
-STEP_AT, LONGEST = 40, 900  # sample of the setpoint step, and the last one
+STEPS_AT, LONGEST = (40, 500), 1200  # samples of the setpoint's steps to and fro, and the last one
+DECISIONS = 2
 
 
 def warm_up() -> Decision | None:
-    """Watch a sluggish loop of first order until there is a decision on its setpoint response; the decision."""
+    """Watch a sluggish loop of first order until there is a decision on its second setpoint response; that decision."""
     regions = Regions("sp", "%", ("all",), 0.0, (), 100.0, 0.0, 0.0)
     retuner = Retuner(GainTable("nobody", regions, (GAINS,)), RetunerSettings(1.0, 100.0, Mode.AUTO))
-    pv, integral, late = 50.0, 50.0, deque([50.0] * DEAD)
+    pv, integral, late, made = 50.0, 50.0, deque([50.0] * DEAD), 0
     for i in range(LONGEST):
-        sp = 50.0 if i < STEP_AT else 60.0
+        sp = 60.0 if STEPS_AT[0] <= i < STEPS_AT[1] else 50.0
         seen = pv + 0.02 * ((i * 7919 % 101) / 50.0 - 1.0)  # as good as noise, and the same every time
         integral += GAINS.ki * (sp - seen)
         co = integral + GAINS.kp * (sp - seen)
@@ -32,6 +35,15 @@ def warm_up() -> Decision | None:
         pv += (K * late.popleft() - pv) / LAG
         sample = LoopSample(float(i), sp, seen, co, LoopMode.AUTO, x=sp)
         decision = retuner.observe(sample)
-        if decision is not None:
+        made += decision is not None
+        if made == DECISIONS:
             return decision
     return None
+
+
+@cache
+def warm_up_beside() -> Thread:
+    """The thread that does it while a loop runs on; once a process."""
+    thread = Thread(target=warm_up, name="warm-up")
+    thread.start()
+    return thread
