@@ -99,7 +99,6 @@ def interactions(loops: Sequence[Swinging]) -> list[CommonSwing]:
 
 
 def _chance(a: Swinging, b: Swinging) -> float:
-    """Odds that two loops keep step by chance."""
     return by_chance(a.track, b.track) if a.track is not None and b.track is not None else 1.0
 
 

@@ -237,5 +237,4 @@ def _followed(slaves: _Clocked, masters: _Clocked) -> Iterator[tuple[str, tuple[
 
 
 def _moves(x: FloatArray) -> bool:
-    """Whether a signal changes from moment to moment."""
     return len(x) >= FEWEST_POINTS and float(np.mean(np.diff(x) != 0)) > STILL

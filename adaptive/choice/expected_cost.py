@@ -161,11 +161,12 @@ def outlooks(
         unknown = if_unknown(sets[0].gains, choosable.gains, decay, settings)
         lost = all(map(math.isinf, ms))
         made.append(Outlook(_mean(costs, weights) + between, unknown, row[0], ms[0], max(ms), spread, lost))
-    return without_privilege(made, settings)
+    # A set that is unstable on the likeliest model costs no less than every stable one there
+    stable = [one.cost + settings.out for one in made if one.stable]
+    return [one if one.stable else replace(one, cost=max([one.cost, *stable])) for one in made]
 
 
 def _mean(values: Sequence[float], weights: Sequence[float]) -> float:
-    """Weighted."""
     return sum(w * x for w, x in zip(weights, values, strict=True)) / sum(weights)
 
 
@@ -181,12 +182,6 @@ def _costs(
         for costs, stays in zip(table, ends, strict=True):
             costs[model] = costs[model] if stays[model] else most
     return table
-
-
-def without_privilege(found: Sequence[Outlook], settings: ChoiceSettings) -> list[Outlook]:
-    """The outlooks; a set that is unstable on the likeliest model costs no less than every stable one there."""
-    stable = [one.cost + settings.out for one in found if one.stable]
-    return [one if one.stable else replace(one, cost=max([one.cost, *stable])) for one in found]
 
 
 def _j(now: Sequence[float], rule: Sequence[float]) -> float:
@@ -317,7 +312,6 @@ def _gain(now: Outlook, then: Outlook, p: float) -> float:
 
 
 def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool, pays: bool) -> str:
-    """The choice for people."""
     iae = f"IAE {percent(numbers.iae)} of the present" if numbers.iae >= 0 else "IAE not comparable"
     then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
     chance = percent(numbers.doubt) if numbers.doubt >= LEAST_SAID else f"less than {percent(LEAST_SAID)}"
@@ -349,7 +343,6 @@ LEAST_SAID = 0.01  # probability below which its digits say nothing
 
 
 def _ms(ms: float) -> str:
-    """An Ms, or that the loop is unstable."""
     if ms > EDGE:
         return f"over {EDGE:g}"
     return f"{ms:.2f}" if ms >= 0 else "unstable"

@@ -45,7 +45,6 @@ def evidence_checks(request: ChangeRequest, settings: GuardSettings, *, less: bo
 
 
 def _on_terms(check: Check, met: bool, terms: str) -> Check:
-    """The check, passed on other terms where these are met."""
     if check.passed or not met:
         return check
     return replace(check, passed=True, words=f"{check.words} ({terms})")

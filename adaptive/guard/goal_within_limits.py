@@ -190,7 +190,6 @@ def without_short_derivative(gains: PidGains, request: ChangeRequest, settings: 
 
 
 def _cut(value: float, low: Bound, high: Bound) -> tuple[float, Bound | None]:
-    """The value within its bounds, and the bound that cut it."""
     if value > high.value:
         return high.value, high
     return (low.value, low) if value < low.value else (value, None)

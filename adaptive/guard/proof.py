@@ -15,7 +15,6 @@ Everything is deterministic, so that replay decides alike.
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import chain
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.guard.both_sides_of_border import at_border, no_worse
@@ -141,8 +140,6 @@ SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)  # shares of a step that are
 
 @dataclass(slots=True)
 class _Case:
-    """A request with what is worked out once."""
-
     request: ChangeRequest
     settings: GuardSettings
     loops: Loops
@@ -184,7 +181,6 @@ class _Case:
 
     @property
     def urgent(self) -> bool:
-        """The whole step may be taken at once, in the safe direction."""
         return self.request.urgent or self.oscillates
 
 
@@ -224,16 +220,6 @@ def _door(case: _Case) -> tuple[Ruling, Numbers] | None:
     return None
 
 
-def _goals(case: _Case) -> list[Goal]:
-    """The proposal and its slower versions, within the limits; the tightest first."""
-    wanted = (case.request.proposal, *slower_settings(case.request, case.settings))
-    return list(
-        chain.from_iterable(
-            goals(t.gains, t.tau_c_s or 0.0, case.request, case.settings, over_limit=case.over) for t in wanted
-        )
-    )
-
-
 def _open_goals(case: _Case) -> tuple[list[Goal], Proof | None]:
     """The goals that are worth a write, or why there is none.
 
@@ -241,7 +227,12 @@ def _open_goals(case: _Case) -> tuple[list[Goal], Proof | None]:
     tau_c is none by itself. For a loop over its Ms limit to which the rule gives nothing else there are calmer
     settings than those in force.
     """
-    wanted = _goals(case)
+    tunings = (case.request.proposal, *slower_settings(case.request, case.settings))
+    wanted = [
+        goal
+        for t in tunings
+        for goal in goals(t.gains, t.tau_c_s or 0.0, case.request, case.settings, over_limit=case.over)
+    ]
     room = [goal for goal in wanted if not goal.no_room]
     small = [_too_small(case, goal) for goal in room if goal.wanted == room[0].wanted]
     if None in small:
@@ -308,7 +299,6 @@ def _inside(case: _Case, candidate: Goal) -> Iterator[Goal]:
 
 
 def _between(old: PidGains, new: PidGains, share: float) -> PidGains:
-    """The point after this share of the way."""
     if share == 1.0:
         return new
     pairs = ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd))
@@ -355,7 +345,6 @@ def _borders_hold(case: _Case, gains: PidGains) -> bool:
 
 
 def _border_check(case: _Case, border: NeighbourBorder, gains: PidGains) -> Check | None:
-    """One border; None where nothing is known to ask."""
     limit, (ms, passed) = case.settings.ms_border, case.at(border, gains)
     if math.isnan(ms):
         return None
@@ -376,13 +365,11 @@ def _why_not(case: _Case, tried: list[Goal]) -> tuple[Ruling, Numbers]:
 
 
 def _not_robust(case: _Case, gains: PidGains) -> tuple[Ruling, Numbers]:
-    """Gains that are over the limits of Ms, with it."""
     s, tried_ms = case.settings, (case.loops.nominal(gains), case.loops.worst(gains))
     return Ruling.NOT_ROBUST, NotRobustNumbers(*tried_ms, s.ms_nominal, s.ms_worst)
 
 
 def _outside(case: _Case) -> tuple[Ruling, Numbers]:
-    """The refusal of a change that no limit lets through."""
     if case.outside is not None:
         return Ruling.OUTSIDE_LIMITS, LimitNumbers(case.outside.value, case.outside.limit)
     return Ruling.OUTSIDE_LIMITS, LimitNumbers(abs(case.request.proposal.gains.kp), case.settings.kc_max)
@@ -447,7 +434,6 @@ def _accepted(case: _Case, candidate: Goal, ruling: Ruling) -> Proof:
 
 
 def _refused(case: _Case, ruling: Ruling, numbers: Numbers, notes: tuple[str, ...] = ()) -> Proof:
-    """The ruling that nothing may be written: Ms as it stays."""
     request, s, loops = case.request, case.settings, case.loops
     nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
     checks = (*evidence_checks(request, s), *failed_checks(numbers))

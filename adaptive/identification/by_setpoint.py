@@ -114,10 +114,6 @@ class Fitting:
             found[gains] = noise_filter([v for _, v in same], MISFIT * max(size for size, _ in same))
         return [found[one.gains] for one in self.records]
 
-    def weigh_by(self, best: SetpointFit) -> None:
-        """Weigh anew by what the best model leaves of all samples, not only of those before the steps."""
-        self.filters = self._filters(self._left(best.type, best.x))
-
     def residuals(self, type_: ProcessType, x: FloatArray) -> FloatArray:
         """Whitened, in standard deviations of the noise; not finite where the loop would run away."""
         with np.errstate(all="ignore"):
@@ -166,7 +162,9 @@ class Fitting:
         """All structures, under weights by the loads before the steps, and then by all that the best one leaves."""
         found = self.found()
         if found:
-            self.weigh_by(min(found, key=lambda one: one.deviance + PRICE * len(one.x)))
+            # Weighed by what is left of all samples, not only of those before the steps
+            best = min(found, key=lambda one: one.deviance + PRICE * len(one.x))
+            self.filters = self._filters(self._left(best.type, best.x))
         return [one for one in map(self.again, found) if one.is_finite]
 
     def criterion(self, best: SetpointFit, likelihood: Likelihood) -> float:

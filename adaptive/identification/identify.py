@@ -332,7 +332,11 @@ def inflation_of(fit: Fit) -> float:
     floor = record.resolution / fit.misfit.sigma
     left = float(np.std(record.pv - fit.at.explained))
     whitened_away = left / (FITTED * max(record.noise_std, MODEL_ERROR * record.pv_range))
-    return max(_inflation(fit.at.r[: len(record.pv)], len(fit.p)) * math.sqrt(max(whitened_away, 1.0)), floor)
+    # What is left above sigma, and the information that correlated residuals do not hold
+    r = fit.at.r[: len(record.pv)]
+    dof = max(len(r) - len(fit.p) - 2, 1)
+    rho = min(max(float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-300), 0.0), LARGEST_RHO)
+    return max(math.sqrt(float(r @ r) / dof * ((1 + rho) / (1 - rho))) * math.sqrt(max(whitened_away, 1.0)), floor)
 
 
 FITTED = 2.0
@@ -343,13 +347,6 @@ estimate would pass for as sure as if it had been explained."""
 def broad(d: int) -> FloatArray:
     """Precision of what is known of any process before any record."""
     return np.diag([WIDEST_GAIN_STD**-2, *[WIDEST_STD**-2] * (d - 1)])
-
-
-def _inflation(r: FloatArray, parameters: int) -> float:
-    """Factor on sigma: what is left above it, and the information that correlated residuals do not hold."""
-    dof = max(len(r) - parameters - 2, 1)
-    rho = min(max(float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-300), 0.0), LARGEST_RHO)
-    return math.sqrt(float(r @ r) / dof * ((1 + rho) / (1 - rho)))  # first-order autocorrelation rho
 
 
 def _compress(jacobian: FloatArray, r: FloatArray, p: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:

@@ -81,7 +81,6 @@ def _whitened(at: Candidate) -> Proposal | None:
 
 
 def _with_ramp(at: Candidate) -> Proposal | None:
-    """The fit with a load that drifts along a ramp."""
     misfit = at.fit.misfit
     if misfit.ramp:
         return None
@@ -93,7 +92,6 @@ def _with_ramp(at: Candidate) -> Proposal | None:
 
 
 def _with_rounding(at: Candidate) -> Proposal | None:
-    """The fit with loads that come through a lag."""
     misfit, p = at.fit.misfit, at.fit.p
     if misfit.rounded or misfit.loads == misfit.corners:
         return None
@@ -103,12 +101,10 @@ def _with_rounding(at: Candidate) -> Proposal | None:
 
 
 def _without_ramp(at: Candidate) -> Proposal | None:
-    """Without the drift that something found since may have made needless."""
     return (replace(at.fit.misfit, ramp=False), at.fit.p) if at.fit.misfit.ramp else None
 
 
 def _without_rounding(at: Candidate) -> Proposal | None:
-    """The fit with loads that are steps again; a step comes as much later as the lag was long."""
     misfit, p, d = at.fit.misfit, at.fit.p, SIZE[at.fit.misfit.type]
     if not misfit.rounded:
         return None

@@ -89,7 +89,10 @@ def robust_simc_on(
     in_force: PidGains | None = None,
 ) -> RobustTuning:
     """Settings for the most likely model and all that are still allowed; PI, or PID as said at the head of the file."""
-    model = less_damped(process.seen_by_controller(sample_time_s))
+    # A damping at the least that is fitted may be anything less
+    model = process.seen_by_controller(sample_time_s)
+    at_wall = WALL[0] * LEAST_ZETA < model.zeta < WALL[1] * LEAST_ZETA
+    model = replace(model, zeta=model.zeta / BEYOND_WALL) if at_wall else model
     others = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, settings.believed)]
     if in_force is not None and in_force.kd and model.tau2_s:
         with_derivative, robust = _tightest(model, others, settings, PID)
@@ -132,12 +135,6 @@ def _tightest(
         else:
             low = middle
     return best, best.ms_worst <= settings.ms_worst and proper(best, high)
-
-
-def less_damped(model: ProcessModel) -> ProcessModel:
-    """The model; with a third of its damping where that lies at the least that is fitted, and may be anything less."""
-    at_wall = WALL[0] * LEAST_ZETA < model.zeta < WALL[1] * LEAST_ZETA
-    return replace(model, zeta=model.zeta / BEYOND_WALL) if at_wall else model
 
 
 def swings(model: ProcessModel) -> bool:

@@ -327,7 +327,9 @@ def with_corners(starts: Sequence[Candidate], most: int, seen: CandidateList) ->
 
 def _cornered(start: Candidate, most: int, seen: CandidateList) -> Candidate | None:
     """The best with one corner after another, None where there is room for none."""
-    at, best = _bare(start), None
+    kept = replace(start.fit.misfit, loads=0, corners=0, rounded=False, ramp=False, ar=())
+    kept = replace(kept, sigma=kept.record.noise_std)
+    at, best = judged(refine(kept, start.fit.x, evaluations=0)), None
     for _ in range(most):
         found = _with_corner(at)
         if found is None:
@@ -337,13 +339,6 @@ def _cornered(start: Candidate, most: int, seen: CandidateList) -> Candidate | N
         if best is None or at.criterion < best.criterion:
             best = at
     return best
-
-
-def _bare(start: Candidate) -> Candidate:
-    """The process of a fit, without any of its loads."""
-    kept = replace(start.fit.misfit, loads=0, corners=0, rounded=False, ramp=False, ar=())
-    kept = replace(kept, sigma=kept.record.noise_std)
-    return judged(refine(kept, start.fit.x, evaluations=0))
 
 
 def _with_corner(at: Candidate) -> Candidate | None:

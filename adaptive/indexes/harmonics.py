@@ -200,7 +200,6 @@ def _misfit(waves: FloatArray, power: FloatArray, shapes: FloatArray) -> FloatAr
 
 
 def _unit(shapes: FloatArray) -> FloatArray:
-    """Shapes as rows of unit length."""
     return np.asarray(shapes / np.linalg.norm(shapes, axis=1, keepdims=True), dtype=np.float64)
 
 

@@ -426,6 +426,5 @@ def flat_share(pv: FloatArray, co: FloatArray, width: int) -> float | None:
 
 
 def _means(x: FloatArray, width: int) -> FloatArray:
-    """Means of consecutive stretches of width samples."""
     kept = len(x) // width * width
     return np.asarray(x[:kept].reshape(-1, width).mean(axis=1), dtype=np.float64)

@@ -121,7 +121,6 @@ class _Data:
         return gains, np.asarray(self.rest - matrix @ gains)
 
     def left(self, z: FloatArray) -> FloatArray:
-        """What is left of pv with the best gains."""
         return self.fitted(z)[1]
 
     def _without_offsets(self, values: FloatArray) -> FloatArray:

@@ -291,11 +291,6 @@ def phase_crossovers(loop: OpenLoop, w: FloatArray) -> list[float]:
     return found
 
 
-def turns_at(loop: OpenLoop, w: float) -> int:
-    """Whole turns by which the unwrapped phase of L at w rad/s differs from its principal value."""
-    return math.ceil(loop.phase_at(w) / (2 * math.pi) - 0.5)
-
-
 # Stability of a closed loop by the argument principle, decided at the gain crossovers alone.
 #
 # L has no poles in the right half plane, so the loop is stable when arg(1 + L) grows by m pi/2 from w = 0+ to
@@ -324,7 +319,8 @@ def is_stable(loop: OpenLoop, crossovers: list[float]) -> bool:
     for w in crossovers:
         if abs(loop.at(w) + 1) < 1e-13:
             return False  # on the limit
-        turns += turns_at(loop, w) * (1 if above else -1)
+        # By whole turns the unwrapped phase of L differs from its principal value
+        turns += math.ceil(loop.phase_at(w) / (2 * math.pi) - 0.5) * (1 if above else -1)
         above = not above
     if not above:
         return turns == 0

@@ -273,7 +273,6 @@ def pretune(retuner: Retuner, region: int, window: Window) -> Decision:
 
 
 def _outcome(retuner: Retuner, region: int, window: Window) -> Outcome:
-    """What the record leads to; the model stays with the retuner."""
     settings, in_force = retuner.settings, retuner.table.gains_of(region)
     t_s = float(window.t_s[-1])
     try:

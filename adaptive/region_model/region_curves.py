@@ -125,7 +125,6 @@ def _through(regions: Regions, places: list[Place], logs: list[LogModel]) -> Reg
 
 
 def _kept(axes: tuple[CurveAxis, ...], d: int, shape: CurveShape) -> list[int]:
-    """Which coefficients curves of a shape have."""
     more, m = int(CurveShape.BENT) - 1, _size(axes)
     own = [0, *(1 + k * more + j for k in range(len(axes)) for j in range(int(shape) - 1))]
     return [i * m + j for i in range(d) for j in own]

@@ -125,15 +125,6 @@ def _going_on(values: FloatArray, before: FloatArray) -> FloatArray:
     return np.asarray(values + step, dtype=np.float64)
 
 
-def of_the_last(together: ModelEstimate, whole: Window, last: Window) -> ModelEstimate:
-    """An estimate of all records, told of the last one: its unit, its time, and the loads that are in it."""
-    unit, began_s = unit_of(last), float(whole.t_s[-1]) - float(last.t_s[-1] - last.t_s[0])
-    own = tuple(float(last.t_s[0]) + t - began_s for t in together.load_times_s if t > began_s)
-    return replace(
-        together, load_times_s=own, residual_std=together.residual_std * unit, noise_std=together.noise_std * unit
-    )
-
-
 class Agreement(StrEnum):
     """How a record stood to what was known."""
 
@@ -361,7 +352,12 @@ def _together(
     alone = record.alone.residual_std / unit_of(record.window)
     if not found.identifiable or found.residual_std > record.fit.hopeless * max(alone, 1.0):
         return None
-    estimate = of_the_last(found, whole, windows[-1])
+    last = windows[-1]
+    unit, began_s = unit_of(last), float(whole.t_s[-1]) - float(last.t_s[-1] - last.t_s[0])
+    own = tuple(float(last.t_s[0]) + t - began_s for t in found.load_times_s if t > began_s)
+    estimate = replace(
+        found, load_times_s=own, residual_std=found.residual_std * unit, noise_std=found.noise_std * unit
+    )
     known = _led([StructureModel(scattered(a.log, record.settings), a.evidence) for a in found.alternatives], record)
     now = _region_model(known, len(windows), record.t_s, points, estimate)
     now = replace(now, windows=windows if len(windows) < MOST_RECORDS else ())

@@ -47,7 +47,6 @@ def lambda_tuning(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes
 
 
 def _positive(lam: float) -> float:
-    """The given lambda, refused unless it is a positive finite time."""
     if not 0 < lam < float("inf"):
         raise ValueError(f"tau_c (lambda) = {lam} s must be positive and finite")
     return lam

@@ -39,26 +39,6 @@ SLOWEST = 1e4  # largest tau_c tried, in units of the process' own slowest time;
 TauCRule = Callable[[float], Tuning]  # SIMC settings at a given tau_c in seconds
 
 
-def tau_c_for_ms(rule: TauCRule, process: LinearProcess, ms: float) -> Tuning:
-    """Settings with the smallest tau_c >= 0 whose Ms is at most ms.
-
-    Raises ValueError: ms is not above 1, or no tau_c reaches it exactly.
-    """
-    if not 1 < ms < math.inf:
-        raise ValueError(f"ms = {ms} must be more than 1 and finite; 1.6 is a usual demand")
-    return _smallest(rule, process, lambda gains: sensitivity_peak(process, gains) <= ms, f"Ms = {ms:g}")
-
-
-def tau_c_for_gm(rule: TauCRule, process: LinearProcess, gm: float) -> Tuning:
-    """Settings with the smallest tau_c >= 0 whose gain margin is at least gm.
-
-    Raises ValueError: gm is not above 1, or no tau_c reaches it exactly.
-    """
-    if not 1 < gm < math.inf:
-        raise ValueError(f"gm = {gm} must be more than 1 and finite; 3 is a usual demand")
-    return _smallest(rule, process, lambda gains: gain_margin(process, gains) >= gm, f"GM = {gm:g}")
-
-
 def _smallest(rule: TauCRule, process: LinearProcess, keeps: Callable[[PidGains], bool], what: str) -> Tuning:
     """Bisection on log(tau_c) between values that do not keep the demand and ones that do."""
     times = [process.theta_s, *process.lags_s, *(abs(x) for x in process.leads_s)]
@@ -149,10 +129,15 @@ def _chosen(rule: TauCRule, default: Callable[[], Tuning], model: ProcessModel, 
         if wishes.tau_c_s < 0:
             raise ValueError(f"tau_c = {wishes.tau_c_s} s must not be negative")
         return rule(wishes.tau_c_s)
-    if wishes.ms is not None:
-        return tau_c_for_ms(rule, model.linear(), wishes.ms)
-    if wishes.gm is not None:
-        return tau_c_for_gm(rule, model.linear(), wishes.gm)
+    process, ms, gm = model.linear(), wishes.ms, wishes.gm
+    if ms is not None:
+        if not 1 < ms < math.inf:
+            raise ValueError(f"ms = {ms} must be more than 1 and finite; 1.6 is a usual demand")
+        return _smallest(rule, process, lambda gains: sensitivity_peak(process, gains) <= ms, f"Ms = {ms:g}")
+    if gm is not None:
+        if not 1 < gm < math.inf:
+            raise ValueError(f"gm = {gm} must be more than 1 and finite; 3 is a usual demand")
+        return _smallest(rule, process, lambda gains: gain_margin(process, gains) >= gm, f"GM = {gm:g}")
     return default()
 
 

@@ -106,7 +106,9 @@ def design(
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = _Chosen(next(c for c in able if c.name == best.variable), None, found[best.variable])
     dt = median([w.sample_time_s for w in windows])
-    settles = len(able) == 1 or _settles(chosen, _places(chosen, ends, dt, limits))
+    settles = len(able) == 1 or (
+        not _refused(chosen, _places(chosen, ends, dt, limits)) and max(chosen.curves.differences, default=0.0) < ASKS
+    )
     for both in _pairs(chosen.one, able, {e.variable for e in evidence if e.changes}, settles=settles):
         progress(f"{both[0].name} and {both[1].name}", len(able) / stages)
         pair = _Chosen(*both, curves_over_both(windows, both, [found[c.name] for c in both]))
@@ -167,12 +169,10 @@ class _Chosen:
 
     @property
     def name(self) -> str:
-        """The names of both variables."""
         return self.one.name if self.two is None else f"{self.one.name} and {self.two.name}"
 
     @property
     def both_matter(self) -> bool:
-        """Whether the process changes with each of two variables."""
         form = self.curves.form
         one, two = (any(shape > CurveShape.CONSTANT for shape in s) for s in (form.shapes, form.second_shapes))
         return one and two and self.curves.second_evidence > 0
@@ -189,11 +189,6 @@ def _pairs(
     others = [c for c in able if c is not best and (c.outside or best.outside)]
     others = [c for c in others if not settles or (c.name in changing and best.name in changing)][:MOST_PAIRS]
     return [(best, c) if not best.outside or c.outside else (c, best) for c in others]
-
-
-def _settles(chosen: _Chosen, places: Sequence[Place]) -> bool:
-    """Whether one variable leaves nothing to ask another for: enough is known, and the stretches agree."""
-    return not _refused(chosen, places) and max(chosen.curves.differences, default=0.0) < ASKS
 
 
 def _evidence(name: str, found: Curves) -> VariableEvidence:

@@ -261,11 +261,6 @@ class BumpPlanner:
         """Whether loads move the loop all the time."""
         return self._outside > RESTLESS * self._seen
 
-    @property
-    def _usual(self) -> float:
-        """Root mean square of the error since the last evidence, pv units: what loads do without any bump."""
-        return math.sqrt(self._squares / self._seen) if self._seen else 0.0
-
     def _aim(self, sp: float, around: LoopAround) -> float | None:
         """Where the setpoint would go: up and down in turn, as far as there is room; to and fro needs it on both."""
         sides = (sp + self.size, sp - self.size) if self._up else (sp - self.size, sp + self.size)
@@ -333,7 +328,8 @@ class BumpPlanner:
         if sample.limited:
             return BumpEvent.LIMITED
         middle = self._before if self._holds else sample.sp  # to and fro, a step has put pv two bumps off by itself
-        if abs(middle - sample.pv) > self.settings.excursion * math.hypot(self.size, self._usual):
+        usual = math.sqrt(self._squares / self._seen) if self._seen else 0.0  # what loads do without any bump
+        if abs(middle - sample.pv) > self.settings.excursion * math.hypot(self.size, usual):
             return BumpEvent.EXCURSION
         if sample.t_s - self.made[-1] > self.settings.longest_s:
             return BumpEvent.TOO_LONG

@@ -61,7 +61,6 @@ class LoopBumps:
         return abs(gains.kp / gains.ki) if gains is not None and gains.ki else 0.0
 
     def _may_write(self) -> bool:
-        """Whether the mode of the region allows retuner to write by itself."""
         retuner, region = self._retuner, self._retuner.region
         return region is not None and retuner.settings.mode_of(region) in WRITES
 

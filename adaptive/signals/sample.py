@@ -74,7 +74,6 @@ def all_finite(values: FloatArray) -> bool:
 
 
 def _first_bad(name: str, values: FloatArray) -> str:
-    """Which of some values cannot be used, and why."""
     bad = int(np.argmin(np.isfinite(values) & (np.abs(values) <= LARGEST)))
     if not math.isfinite(values[bad]):
         return f"{name}[{bad}] = {values[bad]} is not a finite number"

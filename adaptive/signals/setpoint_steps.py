@@ -83,7 +83,12 @@ def setpoint_steps(
     law : setpoint weight, and filter time of the derivative in seconds.
     """
     closed = found.closed if found.closed is not None else len(samples)
-    begin = _lead(samples, found.opened, closed - found.opened)
+    # From where the loop moved by its loads alone, at most as long as from the first step on
+    revision, base, begin = samples[found.opened].revision, samples[found.opened - 1].sp, found.opened
+    while begin > 0 and samples[begin - 1].revision == revision and samples[begin - 1].sp == base:
+        begin -= 1
+    settled = begin + math.ceil(SETTLED * (found.opened - begin)) if begin > 0 else begin
+    begin = max(settled, 2 * found.opened - closed)
     own = samples[begin:]
     if found.opened - begin < LEAST_LEAD or not _follows(own, gains, law):
         return None
@@ -95,15 +100,6 @@ def setpoint_steps(
     steps = tuple(SetpointMove(at, size) for at, size in moves if at < len(even))
     values = np.interp(even, t_s, pv) - found.base
     return SetpointSteps(gains, dt_s, steps, tuple(values.tolist()), float(t_s[-1]))
-
-
-def _lead(samples: Sequence[LoopSample], opened: int, most: int) -> int:
-    """Index from which the loop moved by its loads alone, before the first step; at most so many samples back."""
-    revision, base, begin = samples[opened].revision, samples[opened - 1].sp, opened
-    while begin > 0 and samples[begin - 1].revision == revision and samples[begin - 1].sp == base:
-        begin -= 1
-    settled = begin + math.ceil(SETTLED * (opened - begin)) if begin > 0 else begin
-    return max(settled, opened - most)
 
 
 def _follows(samples: Sequence[LoopSample], gains: PidGains, law: tuple[float, float]) -> bool:

@@ -232,7 +232,6 @@ class _JudgedWindow:
 
     @property
     def own(self) -> list[LoopSample]:
-        """The samples of the response itself."""
         return [sample for sample, own in zip(self.samples, self.during, strict=True) if own]
 
 

@@ -85,24 +85,20 @@ def confirmation(found: Findings, change: Outcome, proof: Proof, why: str, lost:
     if not (agrees or exempt_from_confirmation(found, proof, learned, model)) or stands(found):
         doubt = doubt_of(found, cause)
         if doubt is not None and not in_danger(found, doubt, lost):
-            return _not_confirmed(found, change, cause, doubt, lost)
+            # A record of something else is not kept, and counts as one of that
+            assert found.learned is not None
+            if doubt.cause in NOT_THE_LOOP:
+                change = replace(change, region_model=None, foreign=counted_cause(found, doubt))
+                if found.learned.agreement in ANEW:  # what was known before stays, and what that rested on
+                    before = found.record.excitation.with_response(found.record.response)
+                    change = replace(change, excitation=replace(before, lost=lost))
+            reason = f"by what is known of the region, {cause.reason}; {doubt.reason}"
+            return found.unconfirmed(change, replace(doubt, reason=reason))
         if found.record.response.sp_changed and found.excitation is not None and not learned.contested:
             # As good as a clear one: what agrees with it later needs no second confirmation
             clear = found.excitation.clear + 1
             change = replace(change, excitation=replace(found.excitation, clear=clear))
     return replace(change, code=proof.code, reason=found.words(f"{cause.reason}; {why}"))
-
-
-def _not_confirmed(found: Findings, change: Outcome, cause: Diagnosis, doubt: Diagnosis, lost: int) -> Outcome:
-    """The change is not made; a record of something else is not kept either, and counts as one of that."""
-    assert found.learned is not None
-    if doubt.cause in NOT_THE_LOOP:
-        change = replace(change, region_model=None, foreign=counted_cause(found, doubt))
-        if found.learned.agreement in ANEW:  # what was known before stays, and what that rested on
-            before = found.record.excitation.with_response(found.record.response)
-            change = replace(change, excitation=replace(before, lost=lost))
-    reason = f"by what is known of the region, {cause.reason}; {doubt.reason}"
-    return found.unconfirmed(change, replace(doubt, reason=reason))
 
 
 def is_known(found: Findings, learned: Learned) -> bool:

@@ -254,7 +254,6 @@ def _looked(
 
 
 def _steps(found: Findings, known: KnownProcesses, wanted: RobustProposal, proof: Proof) -> list[Proof]:
-    """Parts of a proved change that are proved as well."""
     now, accepted = found.record.table.gains_of(found.record.region), []
     assert proof.gains is not None
     for share in PARTS:

@@ -67,7 +67,6 @@ def _across(
 
 
 def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
-    """What the neighbours' models say of a region without a record."""
     now, sign = float(record.window.t_s[-1]), record.in_force.direction
     regions = record.table.regions
     return borrowed(record.region_models, record.region, regions, now, sign, settings.borrowing, settings.tracker)

@@ -202,7 +202,12 @@ class ResponseFinder:
             return self._interrupted(sample, region.region)
         total = sp + pv + co + x + x2
         if total - total != 0.0 and not self._is_placed(sample):
-            return self._unknown(sample)
+            # The region stays, and nothing is learned
+            self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
+            self._hear(sample.pv)
+            self._setpoint = noise_at_least(self._setpoint, sample.sp, self._clean)
+            self._forget(sample)
+            return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT)
         now = choose(self._regions, region, x, t_s, x2)
         if now is not region:
             self._region = now
@@ -276,17 +281,6 @@ class ResponseFinder:
                 return False
         return True
 
-    def _unknown(self, sample: LoopSample) -> Left:
-        """A scheduling variable is not known: the region stays, and nothing is learned."""
-        state, region = self._state, self._region
-        assert state is not None
-        assert region is not None
-        self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
-        self._hear(sample.pv)
-        self._setpoint = noise_at_least(self._setpoint, sample.sp, self._clean)
-        self._forget(sample)
-        return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT)
-
     def _hear(self, pv: float) -> float:
         """Follow the noise: the next median."""
         last = self._last
@@ -329,7 +323,6 @@ class ResponseFinder:
         self._law = RecogniserLaw(wait, quiet, longest_s=longest)
 
     def _complete(self, state: RecogniserState) -> Completed:
-        """A response is complete."""
         response = response_of(state, self.band)
         self._broken = 0
         assert response is not None

@@ -369,7 +369,6 @@ class Retuner:
             self._change(region, gains)
 
     def _gains_at(self, region: int, x: float, x2: float) -> PidGains:
-        """The gains in force there."""
         return self.table.at(region, x, x2)
 
     def _change(self, region: int, gains: PidGains) -> None:
@@ -424,7 +423,6 @@ class Retuner:
         return staying(decision, names[0], self.trials.of(region), names[1:])
 
     def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
-        """The decision to restore."""
         trial = self.trials.of(region)
         if predicted_wrongly(trial, decision):
             self._forget(region)
@@ -512,7 +510,6 @@ class Retuner:
         return replace(decision, trial=str(self.trials.phase(region)))
 
     def _forget(self, region: int) -> None:
-        """Forget all that is known of a region."""
         self.region_models.pop(region, None)
         self.excitation.pop(region, None)
 

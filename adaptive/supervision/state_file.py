@@ -117,7 +117,6 @@ def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[StructureModel, ...]
 
 
 def _drift_out(drift: Drift | None) -> dict[str, object] | None:
-    """How the parameters move."""
     return None if drift is None else {name: getattr(drift, name).tolist() for name in ("v", "p", "along")}
 
 
@@ -267,7 +266,6 @@ def _recogniser_in(values: Sequence[Any] | None) -> RecogniserState | None:
 
 
 def _samples_in(rows: Sequence[Sequence[Any]]) -> tuple[LoopSample, ...]:
-    """The samples of the response under way."""
     samples = tuple(_state_in(LoopSample, row) for row in rows)
     if not all(map(finite, samples)) or any(a.t_s >= b.t_s for a, b in pairwise(samples)):
         raise TypeError("samples whose time does not increase, or that are no numbers")

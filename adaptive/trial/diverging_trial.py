@@ -107,20 +107,16 @@ def divergence_step(
     e = sample.sp - sample.pv
     if abs(e) <= max(SEEN_BANDS * band, law.least):
         return state if math.isfinite(state.inside_s) else state._replace(inside_s=sample.t_s), None
-    state = _follow(law, _rested(state, sample), e, sample.t_s)
+    # After a rest, half waves are counted anew
+    rest_s, wave_s = sample.t_s - state.inside_s, state.inside_s - state.wave_s
+    if rest_s > wave_s:
+        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0, joined=False, held=False)
+    state = _follow(law, state._replace(inside_s=math.inf), e, sample.t_s)
     state = state._replace(held=True) if sample.limited and not state.held else state
     grows = state.last != 0 and not state.held and abs(state.extreme) >= law.grows * abs(state.last)
     growing = state.grown + grows
     runs = growing >= TWICE or state.stayed >= law.stays_for
     return state, TrialEvent.RUNAWAY if runs else None
-
-
-def _rested(state: DivergenceState, sample: LoopSample) -> DivergenceState:
-    """Out of the band again: after a rest, half waves are counted anew."""
-    rest_s, wave_s = sample.t_s - state.inside_s, state.inside_s - state.wave_s
-    if rest_s > wave_s:
-        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0, joined=False, held=False)
-    return state._replace(inside_s=math.inf)
 
 
 def _follow(law: DivergenceLimits, state: DivergenceState, e: float, t_s: float) -> DivergenceState:

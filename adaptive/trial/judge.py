@@ -278,7 +278,6 @@ def _unlike_a_step(seen: JudgedResponse, settings: TrialSettings) -> str:
 
 
 def _swings(response: Response, now: Expected, before: float, sigma: float, settings: TrialSettings) -> _Swings:
-    """What speaks against the swing, if anything."""
     peaks = [peak.e for peak in response.peaks]
     limit = max(now.decay.high + settings.decay_slack, settings.harmless_decay)
     sure = _surely(peaks, response.band, sigma, settings.level) if len(peaks) > 1 else None
@@ -305,7 +304,6 @@ def _surely(peaks: list[float], band: float, sigma: float, level: float) -> floa
 def _costs(
     seen: JudgedResponse, gains: PidGains, now: Expected, before: float, sigma: float, settings: TrialSettings
 ) -> _Costs:
-    """What speaks against the IAE, if anything."""
     response, window = seen.response, seen.window
     during = _during(seen)
     e, t = (window.sp - window.pv)[during], window.t_s[during]
@@ -351,7 +349,6 @@ def _unit(seen: JudgedResponse, gains: PidGains, e: FloatArray, t: FloatArray, l
 
 
 def _area(values: FloatArray, t: FloatArray) -> float:
-    """Integral by the trapezoidal rule."""
     return float(trapezoid(values, t))
 
 

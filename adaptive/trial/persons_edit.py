@@ -60,7 +60,6 @@ DAY_S, HOUR_S = 86400.0, 3600.0
 
 
 def _set(gains: PidGains) -> str:
-    """Kc and times, where it has them."""
     if not gains.kp:
         return f"ki {gains.ki:.4g}"
     words = [f"Kc {gains.kp:.4g}"]

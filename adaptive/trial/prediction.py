@@ -239,7 +239,6 @@ def predict_without_model(seen: Response, old: PidGains, new: PidGains) -> Predi
 
 
 def _setpoint(found: Sequence[Sequence[ResponseNumbers]]) -> Expected:
-    """What is expected over the models under a setpoint step."""
     return Expected.over([row[0] for row in found])
 
 

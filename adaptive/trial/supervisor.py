@@ -403,7 +403,6 @@ class TrialSupervisor:
 
     @staticmethod
     def _tau_i_s(gains: PidGains | None) -> float:
-        """Integral time, 0 without one."""
         return gains.kp / gains.ki if gains is not None and gains.ki else 0.0
 
     def _notice(self) -> None:

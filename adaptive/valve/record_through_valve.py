@@ -122,7 +122,6 @@ def _open(linear: Candidate) -> bool:
 
 
 def _moved_by(window: Window, valve: StuckValve) -> Window:
-    """The record with the valve's position for co."""
     return replace(window, co=valve.position(window.co))
 
 

@@ -146,7 +146,10 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
         return None
     rows = _thinned(window)
     tau_i = max(abs(gains.kp / gains.ki), window.sample_time_s) / rows.sample_time_s
-    if not _may_stand(rows, tau_i, settings):
+    # The error keeps its sign for about as long as a stand takes; else plateaus are looked for in vain
+    error = running_mean(rows.sp - rows.pv, max(len(rows.pv) // SMOOTHED, 1))
+    longest = max((end - first for sign in (1.0, -1.0) for first, end in runs(sign * error > 0)), default=0)
+    if longest < ABOUT * settings.dwell * tau_i:
         return None
     steps = as_steps(rows.pv)
     found = plateaus(rows.pv, steps)
@@ -188,16 +191,6 @@ def _up_to(value: float, bound: float) -> float:
 WAVE = 5.0  # lags of its slips that pv must stand at the longest: shorter, plateaus are what a slow swing leaves
 AGREEING, NO_LAG, SILENT = 2.0 / 3.0, 1e-9, 1e-300
 """Share of slips that go where co had gone, from which all do but for chance; a lag, and a remainder, that are none."""
-
-
-def _may_stand(rows: Window, tau_i: float, settings: StandStillSettings) -> bool:
-    """Whether the error keeps its sign for about as long as a stand takes; else plateaus are looked for in vain.
-
-    tau_i : in rows.
-    """
-    error = running_mean(rows.sp - rows.pv, max(len(rows.pv) // SMOOTHED, 1))
-    longest = max((end - first for sign in (1.0, -1.0) for first, end in runs(sign * error > 0)), default=0)
-    return longest >= ABOUT * settings.dwell * tau_i
 
 
 def _explained(pv: FloatArray, steps: Steps, settings: StandStillSettings) -> float:

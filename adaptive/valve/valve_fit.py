@@ -211,7 +211,6 @@ def _centred(valve: StuckValve, record: Record, period_s: float) -> Iterator[Stu
 
 
 def _travel(record: Record, period_s: float) -> float:
-    """Usual travel of co within a period."""
     n = max(int(period_s / record.sample_time_s), 3)
     pieces = [record.co[i : i + n] for i in range(0, max(len(record.co) - n, 1), n)]
     return max(median([np.ptp(piece) for piece in pieces]), LEAST_TRAVEL * record.co_range)

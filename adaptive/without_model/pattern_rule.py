@@ -121,7 +121,6 @@ def pattern_numbers(response: Response, window: Window) -> PatternNumbers:
 
 
 def _third_peak(response: Response) -> ThirdPeak | None:
-    """None without one."""
     damping = response.damping
     if damping is None:
         return None
@@ -417,7 +416,6 @@ def seen(shown: PatternNumbers) -> str:
 def _refusal(
     response: Response, diagnosis: Diagnosis | None, shown: PatternNumbers, settings: PatternSettings
 ) -> PatternReading | None:
-    """Why nothing may be concluded, if so."""
     if diagnosis is not None and diagnosis.cause not in MAY_BE_TUNING:
         return PatternReading.OTHER_CAUSE
     if response.ending == Ending.SETPOINT and (len(response.peaks) > 1 or not _is_long(shown, settings)):

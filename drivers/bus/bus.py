@@ -207,11 +207,6 @@ def is_garbage(error: BaseException) -> bool:
     return isinstance(error.__cause__, Exception) and not isinstance(error.__cause__, OSError)
 
 
-def is_well_formed(message: can.Message) -> bool:
-    """Whether a message that came as a datagram is one at all: python-can takes an identifier of 0.5, or true."""
-    return type(message.arbitration_id) is int and message.arbitration_id >= 0
-
-
 def is_full(error: BaseException) -> bool:
     """Whether a send failed because there was no room, which passes by itself.
 
@@ -349,7 +344,8 @@ class CanLink(Closes):
                 continue
             if message is None:
                 break
-            if self._datagrams and not is_well_formed(message):
+            # python-can takes a datagram with an identifier of 0.5, or true
+            if self._datagrams and not (type(message.arbitration_id) is int and message.arbitration_id >= 0):
                 garbage += 1
                 bus = self._after_garbage(garbage)
             elif message.is_error_frame:
@@ -401,7 +397,6 @@ class CanLink(Closes):
         return self._bus
 
     def _open(self) -> None:
-        """Open the bus; BusError when it does not."""
         settings = self.settings
         self._bus = open_bus(settings.interface, settings.channel, settings.hop_limit, settings.options)
         self._probe = SocketProbe(self._fileno(), settings.channel if settings.interface == SOCKETCAN else "")
@@ -421,7 +416,6 @@ class CanLink(Closes):
         self._pause_s = min(2 * self._pause_s, self.settings.reopen_max_s)
 
     def _shut(self) -> None:
-        """Close the bus whatever state it is in."""
         bus, self._bus = self._bus, None
         self._probe.close()
         if bus is not None:

@@ -189,7 +189,6 @@ class CanOpenAccess:
         return sorted(told, key=lambda one: isinstance(one, Heard) and one.name in {"pv", "co"})  # states first
 
     def _number(self, name: str, variable: Variable, data: bytes) -> Sequence[Told]:
-        """One number, or what a state tells."""
         try:
             value = variable.decode_raw(data)
         except (ObjectDictionaryError, ValueError):

@@ -122,17 +122,14 @@ class VirtualCanOpenNode:
             state = OPERATIONAL if operational else PRE_OPERATIONAL
             self._network.send_message(HEARTBEAT + self._file.node, bytes([state]))
         if operational:
-            self._transmit()
+            for pdo in self.node.tpdo.values():
+                if not pdo.enabled or not len(pdo):
+                    continue
+                for variable in pdo:
+                    with suppress(canopen.SdoAbortedError):  # nothing is known of an object that the loop has not
+                        variable.set_data(self.node.get_data(variable.index, variable.subindex))
+                pdo.transmit()
         return self._taken()
-
-    def _transmit(self) -> None:
-        for pdo in self.node.tpdo.values():
-            if not pdo.enabled or not len(pdo):
-                continue
-            for variable in pdo:
-                with suppress(canopen.SdoAbortedError):  # nothing is known of an object that the loop has not
-                    variable.set_data(self.node.get_data(variable.index, variable.subindex))
-            pdo.transmit()
 
     def receive(self, message: can.Message) -> list[can.Message]:
         """Take a frame; the frames that answer it. Anything whatsoever may come."""

@@ -105,8 +105,15 @@ class DbcAccess:
         self.on_request = frozenset(self._requests) & self.telemetry
         if mapping.setpoint is not None:
             self._written["setpoint"] = place = self._place(mapping.setpoint, ("setpoint",))
-            self._require_holds(place, ("setpoint",))
-        self._guards = self._take_guards()
+            try:
+                place.holds()
+            except ValueError as error:
+                raise ProfileError(f"{self._file.source}: {place.text}: {error}", ("setpoint",)) from None
+        self._guards: dict[int, FrameGuard] = {}  # by the identifier of their messages
+        for i, protection in enumerate(self._mapping.protected):
+            layout = self._file.layout(protection.message, ("protect", i, "message"))
+            guard = guard_of(layout, protection, self._file.source, ("protect", i))
+            self._guards[self._file.frame_id(layout)] = guard
         require_distinct(self._uses(), file.source)
 
     def _uses(self) -> Iterator[Use]:
@@ -127,7 +134,6 @@ class DbcAccess:
         return self._file.place(at.message, at.signal, key, at.scale, at.offset)
 
     def _hear(self, name: str, at: object, key: Key) -> None:
-        """Note that a signal is heard under a name."""
         assert isinstance(at, SignalOf)
         place = self._place(at, key)
         self._heard.setdefault((place.frame_id, place.layout.is_extended_frame), []).append((name, place))
@@ -180,20 +186,6 @@ class DbcAccess:
             return VendorGain(gain.quantity, gain.scale, place.holds(), message, gain.off)
         except ValueError as error:
             raise ProfileError(f"{self._file.source}: {place.text}: {error}", key) from None
-
-    def _require_holds(self, place: SignalPlace, key: Key) -> None:
-        try:
-            place.holds()
-        except ValueError as error:
-            raise ProfileError(f"{self._file.source}: {place.text}: {error}", key) from None
-
-    def _take_guards(self) -> dict[int, FrameGuard]:
-        """Counters and checksums by the identifier of their messages."""
-        found = {}
-        for i, protection in enumerate(self._mapping.protected):
-            layout = self._file.layout(protection.message, ("protect", i, "message"))
-            found[self._file.frame_id(layout)] = guard_of(layout, protection, self._file.source, ("protect", i))
-        return found
 
     def take(self, message: can.Message) -> Sequence[Told]:
         """What a frame tells: see Access."""

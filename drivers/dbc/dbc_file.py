@@ -116,19 +116,16 @@ class DbcFile:
         number = _identifier(name)
         found = [m for m in messages if (m.frame_id == number if number is not None else m.name == name)]
         if len(found) == 1:
-            return self._sound(found[0], key)
+            layout = found[0]
+            try:
+                layout.refresh(strict=True)
+            except PARSING_ERRORS as error:
+                raise ProfileError(f"{self.source}: {' '.join(str(error).split())[:200]}", key) from None
+            return layout
         if not found:
             raise ProfileError(f"{self.source}: no message {name!r}; {_there([m.name for m in messages], name)}", key)
         ids = ", ".join(f"{m.frame_id:#x}" for m in found)
         raise ProfileError(f"{self.source}: {len(found)} messages {name!r}; name one by its identifier: {ids}", key)
-
-    def _sound(self, layout: Layout, key: Key) -> Layout:
-        """The message, if its signals do not overlap or leave it."""
-        try:
-            layout.refresh(strict=True)
-        except PARSING_ERRORS as error:
-            raise ProfileError(f"{self.source}: {' '.join(str(error).split())[:200]}", key) from None
-        return layout
 
     def place(self, message: str, signal: str, key: Key, scale: float = 1.0, offset: float = 0.0) -> SignalPlace:
         """A signal that carries a number.

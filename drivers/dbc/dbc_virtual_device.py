@@ -57,11 +57,9 @@ class VirtualDbcDevice:
             self._guards[self._file.frame_id(layout)] = guard_of(layout, protection, self._file.source, ())
 
     def _state(self, good: float) -> float:
-        """A state as it should be, or another one."""
         return good if self.healthy else good + 1.0
 
     def _send(self, at: object, value: Callable[[], float]) -> None:
-        """Note that a signal carries a value, in our units."""
         assert isinstance(at, SignalOf)
         place = self._file.place(at.message, at.signal, (), at.scale, at.offset)
         slot = (place.frame_id, place.page)
@@ -127,7 +125,6 @@ class VirtualDbcDevice:
             self._take_gains(found)
 
     def _decoded(self, place: SignalPlace, message: can.Message) -> float | None:
-        """The signal's value, if the frame carries it."""
         try:
             values = place.layout.decode(bytes(message.data), decode_choices=False)
         except DECODING_ERRORS:
@@ -137,7 +134,6 @@ class VirtualDbcDevice:
         return float(value) if isinstance(value, int | float) else None
 
     def _take_gains(self, numbers: Mapping[str, float]) -> None:
-        """Run these numbers, if they are a controller."""
         new = {**self.numbers, **numbers}
         try:
             self.loop.take_gains(self.units.of(new))

@@ -85,7 +85,6 @@ def guard_of(layout: Layout, protection: Protection, source: str, key: tuple[str
 
 
 def _signal(layout: Layout, name: str, source: str, key: tuple[str | int, ...]) -> Signal | None:
-    """A signal of a message by its name; None for no name."""
     if not name:
         return None
     found = [signal for signal in layout.signals if signal.name == name]

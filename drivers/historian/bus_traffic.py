@@ -111,8 +111,6 @@ def _whole_frames(path: Path, told: list[Assumption]) -> Iterator["_CanFrame"]:
 
 @dataclass(frozen=True, slots=True)
 class _CanFrame:
-    """A frame of a log."""
-
     t_s: float
     arbitration_id: int
     is_extended_id: bool
@@ -161,7 +159,6 @@ def _places(signal: Signal) -> Sequence[int]:
 
 
 def _raw(signal: Signal, payload: np.ndarray) -> FloatArray:
-    """The numbers that frames carry, shape (n,)."""
     places = np.array(_places(signal))
     first, last = places.min() // 8, places.max() // 8 + 1
     bits = np.unpackbits(payload[:, first:last], axis=1, bitorder="little")[:, places - 8 * first]

@@ -217,7 +217,8 @@ def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[
     if path.suffix.lower() == ".parquet":
         return [table for tables in tables_of_parquet(path, form, tags) for table in tables]
     if path.suffix.lower() in TRAFFIC:
-        return traffic_tables(path, form)
+        tables: list[RawTable] = import_module("retuner.drivers.historian.bus_traffic").tables_of_traffic(path, form)
+        return tables
     return [_text_table(path, form)]
 
 
@@ -229,7 +230,9 @@ def _forms(tables: Sequence[RawTable], form: RecordForm) -> list[tuple[RawTable,
     if len(tables) < 2 or not form.columns:
         return [(table, form) for table in tables]
     for role, name in form.columns.items():
-        if not any(_holds(table, name) for table in tables):
+        if not any(
+            name in table.names or name in {Path(table.source).name, Path(table.source).stem} for table in tables
+        ):
             raise RecordingError(f'no column and no file is called "{name}"; {_to_be_named(tables, role)}')
     found = []
     for table in tables:
@@ -242,11 +245,6 @@ def _forms(tables: Sequence[RawTable], form: RecordForm) -> list[tuple[RawTable,
                 columns[role] = _only_signal(table, form)
         found.append((table, replace(form, columns=columns)))
     return found
-
-
-def _holds(table: RawTable, name: str) -> bool:
-    """Whether a table has a column, or is the file, of this name."""
-    return name in table.names or name in {Path(table.source).name, Path(table.source).stem}
 
 
 def _to_be_named(tables: Sequence[RawTable], role: str) -> str:
@@ -265,15 +263,6 @@ def _only_signal(table: RawTable, form: RecordForm) -> str:
     if len(free) != 1:
         raise RecordingError(f"{table.source}: holds {_listed(table.names)}; name its column as in --columns pv=NAME")
     return free[0]
-
-
-def traffic_tables(path: Path, form: RecordForm) -> list[RawTable]:
-    """The signals of a log of bus traffic; what reads it is loaded when it is needed.
-
-    Raises RecordingError: the log or a DBC cannot be read, or no DBC is given.
-    """
-    tables: list[RawTable] = import_module("retuner.drivers.historian.bus_traffic").tables_of_traffic(path, form)
-    return tables
 
 
 def traffic_names(path: Path, form: RecordForm) -> list[str]:
@@ -316,12 +305,10 @@ def _pieces(read: Sequence[TableSignals]) -> dict[str, Pieces]:
 
 
 def _put_together(roles: Pieces, source: str) -> dict[str, OneSignal]:
-    """A loop's signals, their pieces one after the other."""
     return {role: _one_after_the_other(role, found, source) for role, found in roles.items()}
 
 
 def _one_after_the_other(role: str, pieces: list[OneSignal], source: str) -> OneSignal:
-    """A signal that is recorded in pieces."""
     if len(pieces) == 1:
         return pieces[0]
     pieces = sorted((p for p in pieces if len(p.t_s)), key=lambda p: float(p.t_s[0]))

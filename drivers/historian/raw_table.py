@@ -201,7 +201,6 @@ def _without_empty_columns(rows: Rows) -> Rows:
 
 
 def _is_row(fields: Sequence[str]) -> bool:
-    """Whether a line is a row of values and not names."""
     values = [bool(VALUE.fullmatch(without_status(field))) for field in fields]
     return any(values) and sum(map(is_value, fields)) >= len(fields) / 2
 

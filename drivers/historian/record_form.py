@@ -173,7 +173,6 @@ KINDS = MappingProxyType(
 
 
 def _fits(name: str, value: object) -> bool:
-    """Whether a value is of the kind that a key takes."""
     match name:
         case "columns" | "scale" | "words" | "signals":
             return isinstance(value, dict) and all(isinstance(v, str) for v in value.values())

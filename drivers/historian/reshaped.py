@@ -96,7 +96,14 @@ def unpaired(table: RawTable) -> RawTable:
         return table
     times, values, tags, places = [], [], [], []
     for i in range(0, n, 2):
-        name = _name_of_pair(table, i)
+        over = [table.names[i + 1], table.names[i]]
+        telling = [name for name in over if not name.isdigit() and named(name).role not in {"t", "date", "value"}]
+        if not telling:
+            raise RecordingError(
+                f"{table.source}: columns {i + 1} and {i + 2} are a time and a value without a name; "
+                f"write the signal's name over them, as in {quoted('FIC101.PV')}"
+            )
+        name = telling[0]
         stamps, column = _text(table.columns[i]), _text(table.columns[i + 1])
         for stamp, value, place in zip(stamps, column, table.places, strict=True):
             if stamp.strip().lower() not in MISSING:
@@ -106,18 +113,6 @@ def unpaired(table: RawTable) -> RawTable:
                 places.append(place)
     told = Assumption(f"{n // 2} signals with times of their own, side by side")
     return replace(table, names=LONG, columns=(times, values, tags), places=places, assumed=(*table.assumed, told))
-
-
-def _name_of_pair(table: RawTable, place: int) -> str:
-    """The signal of a pair: the name over its value, else over its time."""
-    over = [table.names[place + 1], table.names[place]]
-    telling = [name for name in over if not name.isdigit() and named(name).role not in {"t", "date", "value"}]
-    if not telling:
-        raise RecordingError(
-            f"{table.source}: columns {place + 1} and {place + 2} are a time and a value without a name; "
-            f"write the signal's name over them, as in {quoted('FIC101.PV')}"
-        )
-    return telling[0]
 
 
 def _text(column: Column) -> list[str]:

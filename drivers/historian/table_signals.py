@@ -340,7 +340,6 @@ def _trends(
 
 
 def _tell_unit(table: RawTable, place: int, role: str, told: list[Assumption]) -> None:
-    """Tell the unit that stands beside the values of a signal."""
     unit = unit_beside(table, place)
     if unit and unit != "%":
         told.append(Assumption(f"{role} in {unit}, as its values say"))
@@ -364,7 +363,9 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
     assert value_at is not None
     tags = np.array([str(field).strip() for field in table.columns[tag_at]])
     decimal, mark = decimal_mark(table, [value_at], form)
-    stamps = _stamps(table, {"": plain}, form, decimal, _begins(tags))
+    changes = np.flatnonzero(tags[1:] != tags[:-1]) + 1
+    begins = changes.tolist() if len(changes) < len(set(tags)) else []  # one signal after the other
+    stamps = _stamps(table, {"": plain}, form, decimal, begins)
     good_rows = _good(table, plain.get("quality", []), form, told)
     known: dict[str, dict[str, OneSignal]] = {}
     own: dict[str, tuple[Assumption, ...]] = {}
@@ -379,12 +380,6 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
         known.setdefault(tag, {})[role] = OneSignal(t_s, values[fine][rows])
         own[tag] = (*own.get(tag, ()), *more, Assumption(f"{role} is {quoted(name)}"))
     return TableSignals(table.source, known, tuple(told), of_loop=own)
-
-
-def _begins(tags: np.ndarray) -> list[int]:
-    """Rows at which another signal begins, where a long table holds one signal after the other."""
-    changes = np.flatnonzero(tags[1:] != tags[:-1]) + 1
-    return changes.tolist() if len(changes) < len(set(tags)) else []
 
 
 def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> list[tuple[str, str, str]]:

@@ -30,8 +30,6 @@ class ReadBack(NamedTuple):
 
 
 class _Question(NamedTuple):
-    """What is being put together."""
-
     token: int
     items: dict[int, wire.PageItem]
     ends: list[wire.PageEnd]

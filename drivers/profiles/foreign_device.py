@@ -320,7 +320,6 @@ class ForeignDevice:
             )
 
     def _on_gains(self, numbers: Numbers) -> None:
-        """The whole set, as the controller tells it."""
         self._agreed += 1
         if self._agreed <= AGREED:
             return

@@ -172,7 +172,6 @@ def _read_csv(path: Path, names: list[str], wanted: list[str]) -> dict[str, Floa
 
 
 def _rows(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines that are not empty with their numbers."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             for number, line in enumerate(stream, start=1):

@@ -181,8 +181,6 @@ class SignalTap:
 
 
 class _Latest:
-    """The last value of one signal."""
-
     def __init__(self, source: SignalSource) -> None:
         self._source = source
         self._value, self._came = math.nan, False
@@ -225,6 +223,5 @@ class _Latest:
         )
 
     def news(self) -> list[VariableChanged]:
-        """Changes since the last call."""
         told, self._news = self._news, []
         return told

@@ -26,7 +26,6 @@ class _StopSignals:
         self.came = False
 
     def hear(self, number: int, frame: FrameType | None) -> None:
-        """The handler."""
         del number, frame
         if not self.waiting:
             raise KeyboardInterrupt

@@ -313,7 +313,6 @@ def _foreseen(cure: RecordDiagnosis, records: Sequence[Window]) -> Foreseen | No
 
 
 def _settings(cure: RecordDiagnosis | None) -> Row | None:
-    """The settings that would cure the loop, with their margins."""
     if cure is None or cure.settings is None:
         return None
     told = cure.settings.to_dict()

@@ -214,7 +214,6 @@ def _in_order(rows: Sequence[Row]) -> None:
 
 
 def _number(row: Row, name: str) -> float:
-    """A number of a row; 0 where it has none."""
     value = row.get(name)
     return float(value) if isinstance(value, (int, float)) else 0.0
 

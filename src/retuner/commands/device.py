@@ -53,7 +53,6 @@ def device(
 
 
 def _say(text: str) -> None:
-    """A line on a plant that does something wrong."""
     sys.stderr.write(f"{one_line(text)}\n")
     sys.stderr.flush()
 

@@ -104,7 +104,6 @@ def _write(table: GainTable, source: Path, form: str, out: Path | None, units: C
 
 
 def _put(path: Path, text: str) -> None:
-    """Write a file whole, or say why not."""
     try:
         write_whole(path, text)
     except OSError as error:

@@ -253,7 +253,6 @@ def export(options: ExportOptions) -> int:
 
 
 def _csv(rows: list[Row]) -> str:
-    """The rows in words, with the whole body and the hash beside them."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     names = [field.name for field in fields(LedgerLine)]

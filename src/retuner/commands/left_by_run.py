@@ -119,7 +119,10 @@ def _leave_loop(
     fixed_columns = fixed.trend.columns() if fixed is not None and fixed.trend.rows else None
     scores = scores_of(config, loop.table, loop.changes, columns, fixed_columns, job.config.loops, say)
     job.unwritten.write(folder / GAINS, to_toml(loop.table))
-    advice, kind = advice_of(loop, other), config.output.trend
+    retuner = loop.retuner
+    regions, models, dt_s = retuner.table.regions, retuner.region_models, retuner.settings.sample_time_s
+    advice = (*region_advice(regions, models, dt_s, AdviceSettings()), *([other] if other is not None else ()))
+    kind = config.output.trend
     with job.unwritten.trying():
         write_trend(folder / TREND, loop.trend, kind)
     # the proposed schedule as files that a person may take up. loop : its name where it is one of several
@@ -179,14 +182,6 @@ def _tell_what_next(job: RunJob, ledger: Ledger, left: Sequence[_Left], screen: 
             screen.say(told.why)
             if told.command:
                 screen.command(f"  {told.command}")
-
-
-def advice_of(loop: LoopSession, other: Refinement | None) -> tuple[RegionAdvice | Refinement, ...]:
-    """Whether regions should be split or merged, or the schedule be another, by what their records say."""
-    retuner = loop.retuner
-    regions, models, dt_s = retuner.table.regions, retuner.region_models, retuner.settings.sample_time_s
-    advice = region_advice(regions, models, dt_s, AdviceSettings())
-    return (*advice, other) if other is not None else advice
 
 
 def _facts(job: RunJob, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:

@@ -238,7 +238,6 @@ def _start(port: PlantPort, config: Config, first: float) -> Iterator[str]:
 
 
 def _shares(config: Config, name: str) -> bool:
-    """Whether a loop acts on the shared plant of this name."""
     plant = config.device.plant if config.device else None
     return isinstance(plant, ModelConfig) and plant.shared == name
 
@@ -291,7 +290,6 @@ class _Model:
         self.plant = SharedPlant(model, start, say)
 
     def port(self, config: Config, plant: ModelConfig) -> PlantPort:
-        """A loop's place."""
         assert config.device is not None
         places: dict[str, int | None] = {
             key: names.index(name) if (name := getattr(plant, key)) else None
@@ -317,7 +315,6 @@ class _Model:
         return self.plant.port(settings, _loads(plant.loads))
 
     def close(self) -> None:
-        """End it."""
         self.plant.close()
 
 

@@ -201,7 +201,6 @@ class _GainsSection(Section, Generic[Gain]):
                 yield Problem((), "has no proportional gain; give kp or xp")
 
     def gains(self) -> tuple[GainAt, ...]:
-        """The gains as the drivers take them."""
         given = [(quantity, getattr(self, quantity)) for quantities in ACTIONS.values() for quantity in quantities]
         return tuple(one.gain(quantity, self.scale) for quantity, one in given if one is not None)
 

@@ -158,7 +158,6 @@ def _pairs(rows: Sequence[tuple[str, object]]) -> tuple[Pairs, ...]:
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[object]], fold: str = "") -> tuple[Table, ...]:
-    """A table, nothing without rows."""
     return (Table(heads, rows, fold),) if rows else ()
 
 
@@ -357,7 +356,6 @@ def _proof(view: DecisionView) -> Sequence[Block]:
 
 
 def _value(value: object, none: str) -> str:
-    """A number, or what its absence means."""
     known = finite(value)
     return none if known is None else in_full(known)
 
@@ -404,7 +402,6 @@ FINDINGS = {
 
 
 def _promise(view: DecisionView) -> PageSection:
-    """The promise that later responses are judged against."""
     promise = part(view.document, "promise")
     rows = [
         (label, *(cell for upset in UPSETS for cell in _promised(promise, upset, name, factor, unit)))
@@ -446,9 +443,14 @@ def _in(value: float | None, factor: float = 1.0, unit: str = "") -> str:
 
 
 def _judged_by(view: DecisionView) -> Sequence[Block]:
-    """The response against the promise of the settings that it ran under."""
     judgement = part(view.document, "judgement")
-    rows = judged_rows(part(judgement, "numbers"))
+    found = part(judgement, "numbers")
+    rows = []
+    for name, (label, factor, unit) in MEASURES.items():
+        if number(found, name) is None:
+            continue
+        beside = (number(found, f"{name}{which}") for which in ("", "_promised", "_limit", "_before"))
+        rows.append((label, *("" if one is None else _judged(name, one, factor, unit) for one in beside)))
     heads = ("", "measured", "predicted", "limit", "previous settings")
     return (Text(_told(judgement)), *_table(heads, rows)) if judgement else ()
 
@@ -458,17 +460,6 @@ def _told(judgement: Document) -> str:
     finding, reason = FINDINGS.get(words(judgement, "finding"), ""), words(judgement, "reason")
     told = reason if reason.lower().startswith(finding.lower()) else f"{finding}: {reason}"
     return f"{told[:1].upper()}{told[1:]}." if told else ""
-
-
-def judged_rows(found: Document) -> list[tuple[str, ...]]:
-    """Measured, promised, limit and before, a row for each number that was weighed."""
-    rows = []
-    for name, (label, factor, unit) in MEASURES.items():
-        if number(found, name) is None:
-            continue
-        beside = (number(found, f"{name}{which}") for which in ("", "_promised", "_limit", "_before"))
-        rows.append((label, *("" if one is None else _judged(name, one, factor, unit) for one in beside)))
-    return rows
 
 
 def _judged(name: str, value: float, factor: float, unit: str) -> str:

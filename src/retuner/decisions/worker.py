@@ -51,7 +51,6 @@ class _Worker:
         self._courier.start()
 
     def ask(self, question: Question) -> None:
-        """Hand a question to the courier."""
         self._questions.put(question)
 
     def _carry(self) -> None:
@@ -193,8 +192,6 @@ class DecideInWorker(Closes):
 
 
 class _Asked(NamedTuple):
-    """A question and the loop that asks it."""
-
     by: "LoopDecider"
     question: Question
 

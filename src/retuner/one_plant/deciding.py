@@ -182,7 +182,6 @@ class OnePlant:
 
     @property
     def _dt_s(self) -> float:
-        """The longest sample time of the loops."""
         return max(one.settings.sample_time_s for one in self.retuners)
 
 

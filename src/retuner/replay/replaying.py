@@ -221,7 +221,6 @@ class Replay:
             self._decided(feed(self._retuner, row.kind, row.body, row.clock_s))
 
     def _at(self, samples: int) -> Iterator[Row]:
-        """Rows of this place, in their order."""
         while self._next < len(self._rows) and self._rows[self._next].body.get("samples") == samples:
             self._next += 1
             yield self._rows[self._next - 1]

@@ -97,7 +97,10 @@ class Teller:
         body: Document = row.body
         where, kind = (words(body, "loop") if self._several else "", words(body, "region")), row.kind
         if kind == "session":
-            self._begin(part(body, "config"))
+            config = part(body, "config")
+            loops = [part(one, "loop") for one in (parts(config, "loops") or [config])]
+            self._several = len(loops) > 1
+            self._units = {words(one, "name"): words(one, "pv_unit") or "pv" for one in loops}
         elif kind == "decision":
             self._said[where] = f"decision {int(number(body, 'number') or 0)}", words(body, "reason")
         if kind == "decision" and words(body, "action") != "none":
@@ -126,12 +129,6 @@ class Teller:
             self._open.pop(where, None)
         head = kind, _who(kind, body), words(body, "loop"), words(body, "region")
         return LedgerLine(row.seq, row.clock_s, *map(one_line, (*head, *texts)))
-
-    def _begin(self, config: Document) -> None:
-        """Take note of the loops that the rows will be about, and of the units of their pv."""
-        loops = [part(one, "loop") for one in (parts(config, "loops") or [config])]
-        self._several = len(loops) > 1
-        self._units = {words(one, "name"): words(one, "pv_unit") or "pv" for one in loops}
 
     def _decision(self, digest: str, where: tuple[str, str]) -> str:
         """The decision of that hash by its number, where it is the region's newest one."""

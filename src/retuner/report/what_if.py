@@ -138,7 +138,6 @@ def what_if(asked: WhatIfQuestion) -> dict[str, object]:
 
 
 def _parallel(gains: PidGains | None) -> list[float] | None:
-    """A set as the page has it."""
     return None if gains is None else [_short(value) for value in (gains.kp, gains.ki, gains.kd)]
 
 

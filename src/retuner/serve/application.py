@@ -298,7 +298,6 @@ async def _body(request: Request) -> dict[str, Any]:
 
 
 def _text(body: dict[str, Any], name: str) -> str:
-    """A text, empty where there is none."""
     value = body.get(name, "")
     if not isinstance(value, str):
         raise NotTakenError(400, f"{name} must be text")
@@ -306,7 +305,6 @@ def _text(body: dict[str, Any], name: str) -> str:
 
 
 def _number(text: str | None, otherwise: float = 0.0) -> float:
-    """A finite number of an address."""
     if text is None:
         return otherwise
     try:

@@ -52,6 +52,7 @@ def _short(session: WatchedSession, loop: WatchedLoop) -> Document:
     newest = loop.reader.since(loop.reader.counts()[0] - 1).table
     state, head = loop.reader.state(), loop.reader.head
     decided = next((one for one in reversed(session.ledger.decisions) if _is_of(one, loop)), None)
+    age, sample_time_s = loop.age_s(), float(loop.reader.head.get("sample_time_s", 0.0))
     return {
         "key": loop.key,
         "session": session.name,
@@ -61,7 +62,7 @@ def _short(session: WatchedSession, loop: WatchedLoop) -> Document:
         "cause": cause_text(decided.document) if decided else "",
         "waiting": needs_a_person(session, loop),
         "ended": session.ledger.ended,
-        "silent_s": _silent(loop),
+        "silent_s": age if age > max(SILENT_S, SILENT_SAMPLES * sample_time_s) else None,
     }
 
 
@@ -83,12 +84,6 @@ def outcome(session: WatchedSession) -> Document | None:
     words_ = f"ended: {changes} {'change' if changes == 1 else 'changes'}"
     less = f", error {100.0 * (after / before - 1.0):+.0f} % against the same run with fixed gains" if before else ""
     return {"text": words_ + less, "report": f"/report/{session.name}"}
-
-
-def _silent(loop: WatchedLoop) -> float | None:
-    """How long no sample has come, by the machine's clock; None while they come."""
-    age = loop.age_s()
-    return age if age > max(SILENT_S, SILENT_SAMPLES * float(loop.reader.head.get("sample_time_s", 0.0))) else None
 
 
 def _is_of(decided: Decided, loop: WatchedLoop) -> bool:

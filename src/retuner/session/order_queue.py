@@ -257,7 +257,6 @@ class OrderDesk:
         return decision
 
     def _is_here(self, order: Waiting) -> bool:
-        """Whether the loop is in the order's region."""
         region = self._retuner.region
         return region is not None and self._retuner.table.regions.names[region] == order.region
 
@@ -354,7 +353,6 @@ class OrderDesk:
         return f"region {region} is off: nothing is written there" if off else ""
 
     def _no_such(self, region: str) -> str:
-        """Words that there is no such region, empty when there is."""
         names = self._retuner.table.regions.names
         known = region in names
         return "" if known else f"there is no region {region or 'without a name'}; there are {', '.join(names)}"

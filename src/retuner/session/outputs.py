@@ -110,7 +110,12 @@ def give_back(fresh: FreshFolder) -> None:
                 if ours or path.name.startswith(f"{LEDGER}-"):
                     path.unlink()
             if (fresh.path / LOOPS).is_dir():
-                _clear_loops(fresh.path / LOOPS)
+                folder = fresh.path / LOOPS
+                for loop in folder.iterdir():
+                    for name in (MEMORY, MEMORY_BEFORE, MEMORY_START):
+                        (loop / name).unlink(missing_ok=True)
+                    loop.rmdir()
+                folder.rmdir()
         finally:
             lock.close()
         fresh.path.rmdir()
@@ -119,15 +124,6 @@ def give_back(fresh: FreshFolder) -> None:
             return
         for path in fresh.made[1:]:
             path.rmdir()
-
-
-def _clear_loops(folder: Path) -> None:
-    """Take away what a run that came to nothing had begun in the folders of its loops."""
-    for loop in folder.iterdir():
-        for name in (MEMORY, MEMORY_BEFORE, MEMORY_START):
-            (loop / name).unlink(missing_ok=True)
-        loop.rmdir()
-    folder.rmdir()
 
 
 # ---- A session's folder, read again: its configuration as run, and the rows of its ledger, believed before they

@@ -137,7 +137,14 @@ class _RunningLoop:
             memory.begin(remembered, why_not)
             session.remember = lambda t_s: memory.save(session.retuner, t_s)
         if self._folder is not None:
-            session.orders = self._desk(session, self._folder).take
+            session.orders = OrderDesk(
+                OrderBox(self._folder),
+                session.retuner,
+                self.record,
+                session.decisions,
+                self.config.adaptation.approval_s,
+                left_before(self._before, self._name, self._known),
+            ).take
         if self.pretuning is not None:
             session.orders = self.pretuning.decisions(retuner, session.orders)
         return session
@@ -163,16 +170,6 @@ class _RunningLoop:
             self.pretuning.conduct(device, settings.silent_s, turned)
         finally:
             device.release(clock.now_s())
-
-    def _desk(self, session: LoopSession, folder: Path) -> OrderDesk:
-        return OrderDesk(
-            OrderBox(folder),
-            session.retuner,
-            self.record,
-            session.decisions,
-            self.config.adaptation.approval_s,
-            left_before(self._before, self._name, self._known),
-        )
 
     def _recalled(self) -> tuple[Remembered | None, str]:
         """What the session before this one has learned, if it can be trusted; why not is said in a line."""
@@ -338,7 +335,6 @@ class Run:
 
     @property
     def _pretunes(self) -> bool:
-        """Whether a loop begins with a commanded step."""
         return any(loop.pretuning for loop in self._loops)
 
     def _faults(self, buses: HostBuses) -> None:

@@ -59,7 +59,6 @@ def audit(options: AuditOptions) -> int:
 
 
 def _refuse_pattern(option: str, text: str) -> None:
-    """Refuse what is no regular expression."""
     try:
         re.compile(text)
     except re.error as error:

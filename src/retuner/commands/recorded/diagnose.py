@@ -163,7 +163,6 @@ def document(found: DiagnosedRecord) -> dict[str, object]:
 
 
 def _in_force(found: DiagnosedRecord) -> dict[str, object] | None:
-    """The settings in force and where they come from."""
     if found.read_off is not None:
         return {"source": "record", **found.read_off.to_dict()}
     if found.gains is None:
@@ -209,7 +208,6 @@ SUREST = 0.99  # no probability is told larger
 
 
 def _recommended_lines(found: DiagnosedRecord) -> list[str]:
-    """The settings, and what they do."""
     result = found.result
     assert result.settings is not None
     tuning = result.settings.tuning
@@ -318,7 +316,6 @@ def _by_eye(found: DiagnosedRecord) -> list[str]:
 
 
 def _controller_lines(found: DiagnosedRecord) -> list[str]:
-    """The settings in force in a line."""
     if found.gains is None:
         why = found.read_off.reason if found.read_off is not None else ""
         why = "" if why == found.result.diagnosis.reason else f": {why}; give them with --kc and --tau-i"

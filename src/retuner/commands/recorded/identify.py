@@ -125,7 +125,6 @@ def described(found: Identification) -> list[str]:
 
 
 def _picture(recording: Recording, found: Identification, options: RecordOptions) -> bytes:
-    """The record with the model's pv."""
     from retuner.adaptive.identification.fitted_curve import fitted_pv
     from retuner.decision_page.svg import drawn
     from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure
