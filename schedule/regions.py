@@ -213,6 +213,8 @@ class RegionLaw:
     cells: tuple[tuple[float, float, float, float, float, float], ...] = ()
 
 
+OF_AXIS = ("variable", "unit", "low", "bounds", "high", "hysteresis", "min_stay_s", "filter_s", "signal")
+"""What regions along one variable have of their axis."""
 _LARGEST = sys.float_info.max
 _NO_AXIS = (math.inf, -_LARGEST, _LARGEST)
 """What stands for a second axis where there is none: a filter that never moves, and no border."""
@@ -248,19 +250,8 @@ class Regions:
     axes: tuple[Axis, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        parts = self.names if self.second is None else ()
-        first = Axis(
-            self.variable,
-            self.unit,
-            self.low,
-            self.bounds,
-            self.high,
-            self.hysteresis,
-            self.min_stay_s,
-            self.filter_s,
-            self.signal,
-            parts,
-        )
+        own = {name: getattr(self, name) for name in OF_AXIS}
+        first = Axis(**own, names=self.names if self.second is None else ())
         axes = (first,) if self.second is None else (first, self.second)
         object.__setattr__(self, "axes", axes)
         # One printable name a region, all different
@@ -276,19 +267,7 @@ class Regions:
     @classmethod
     def along(cls, names: tuple[str, ...], first: Axis, second: Axis | None = None) -> "Regions":
         """Regions along one or two axes; errors as the class."""
-        return cls(
-            first.variable,
-            first.unit,
-            names,
-            first.low,
-            first.bounds,
-            first.high,
-            first.hysteresis,
-            first.min_stay_s,
-            first.filter_s,
-            first.signal,
-            second,
-        )
+        return cls(names=names, second=second, **{name: getattr(first, name) for name in OF_AXIS})
 
     def __len__(self) -> int:
         return len(self.names)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.indexes.autocovariance import DRIFT_WINDOWS, LEAST_STRENGTH, Regularity, regularity
 from retuner.adaptive.signals.sample import FloatArray, distinct
-from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.late_dataclass import replace
 
 WINDOW = 2_048  # points of a window: some ten cycles of a period of two hundred, and fifty of one of forty
 PARTS = 8  # windows at one pace
@@ -26,16 +26,10 @@ STANDS_OUT = LEAST_STRENGTH  # share of the power above its lower edge from whic
 PEAK = 2.0  # ratio to the bands beside it from which that is done: drift has no peak
 
 
-@dataclass(frozen=True, slots=True)
-class LastingSwing:
-    """The strongest lasting swing, its period in samples; in which share of the windows one lasts."""
-
-    wave: Regularity
-    share: float
-
-
-def lasting_swing(error: FloatArray, co: FloatArray) -> LastingSwing | None:
-    """The strongest lasting swing of the error, else of co; None where there is none. Shapes (n,), n at least 3."""
+def lasting_swing(error: FloatArray, co: FloatArray) -> tuple[Regularity, float] | None:
+    """The strongest lasting swing of the error, else of co, its period in samples, and in which share of the windows
+    one lasts; None where there is none. Shapes (n,), n at least 3.
+    """
     found, last = [], 1
     for pace in _paces(len(error)):
         error, co, last = _means(error, pace // last), _means(co, pace // last), pace
@@ -50,9 +44,9 @@ def lasting_swing(error: FloatArray, co: FloatArray) -> LastingSwing | None:
             if wave is not None and wave.cycles >= FEWEST_CYCLES:
                 waves.append(replace(wave, period=wave.period * pace))
         best = max(waves, key=lambda w: w.strength, default=None)
-        if (swing := LastingSwing(best, len(waves) / parts) if best is not None else None) is not None:
-            found.append(swing)
-    return max(found, key=lambda swing: swing.wave.strength * swing.share, default=None)
+        if best is not None:
+            found.append((best, len(waves) / parts))
+    return max(found, key=lambda swing: swing[0].strength * swing[1], default=None)
 
 
 def _paces(samples: int) -> Iterator[int]:

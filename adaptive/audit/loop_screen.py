@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from retuner.adaptive.audit.lasting_swing import LastingSwing, lasting_swing
+from retuner.adaptive.audit.lasting_swing import lasting_swing
 from retuner.adaptive.audit.record_sums import LAGS, AtExtreme, Measure, RecordSums, record_sums
 from retuner.adaptive.indexes.autocovariance import Regularity
 from retuner.adaptive.indexes.condition import (
@@ -109,7 +109,7 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
     by = measure(n, usual_s, noise[1])
     sums = record_sums(record, by)
     limits, days = [side for side in (sums.low, sums.high) if sums.limit(n, side)], sums.held_s / DAY_S
-    swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
+    wave, swinging = lasting_swing(record.sp - record.pv, record.co) or (NO_WAVE, 0.0)
     traits = _traits(record, sums, noise, limits)
     # how far the error at a limit is all of one sign: a limit that binds leaves it on one side
     size = sum(side.size for side in limits)
@@ -131,11 +131,11 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
         noise_share=min(noise[0] ** 2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
         quantum=step,
         compression=1.0 if step or traits.dead_pv else n / (n - min(sums.straight, n - 1)),
-        period_s=swing.wave.period * usual_s or None,
-        regularity=swing.wave.regularity,
-        strength=swing.wave.strength,
-        swinging=swing.share,
-        condition=condition_of(traits, oscillates=swing.share > 0).condition,
+        period_s=wave.period * usual_s or None,
+        regularity=wave.regularity,
+        strength=wave.strength,
+        swinging=swinging,
+        condition=condition_of(traits, oscillates=swinging > 0).condition,
         setpoint=setpoint,
         idle=_idle(parts),
     )

@@ -71,7 +71,7 @@ def over_time(
             continue
         ends = ((sums.low, sums.co_low == lowest), (sums.high, sums.co_high == highest))
         limits = [side for side, whole in ends if whole and sums.limit(end - begin, side)]
-        wave = lasting_swing(window.sp - window.pv, window.co) if swings else None
+        swing = lasting_swing(window.sp - window.pv, window.co) if swings else None
         days = sums.held_s / DAY_S
         yield PartOfTime(
             first_s + float(at[begin]) * period_s,
@@ -80,7 +80,7 @@ def over_time(
             sum(side.samples for side in limits) / (end - begin),
             sums.travel / days,
             sums.turns / days,
-            wave.share if wave is not None else 0.0,
+            swing[1] if swing is not None else 0.0,
             sums.size / sums.held_s if setpoint else math.nan,
         )
 

@@ -10,30 +10,19 @@ enough to say that pv stands while co travels, and not enough for settings.
 import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import LawSettings, settings_in_force
-from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass
+
+EXPLAINED = 0.98  # share of co's variance that the law must explain
+DISAGREEMENT = 1.5  # largest ratio of ki in the two halves of the record
 
 
-@dataclass(frozen=True, slots=True)
-class SummedSettings:
-    """Settings of the summed law. Raises ValueError: one is outside its range."""
-
-    explained: float = setting(0.98, "Share of co's variance that the law must explain", 0.9, 0.999)
-    disagreement: float = setting(1.5, "Largest ratio of ki in the two halves of the record", 1.1, 3)
-
-    def __post_init__(self) -> None:
-        require_in_range(self, "summed law")
-
-
-def summed_law(window: Window, settings: SummedSettings | None = None) -> PidGains | None:
+def summed_law(window: Window) -> PidGains | None:
     """Direction and rough gains, in parallel form and the record's units; None where the law does not hold.
 
     window : closed-loop record. The gain kp is left out where it comes out against the integral's direction: then the
     record shows the integral alone.
     """
-    settings = settings or SummedSettings()
     error = window.sp - window.pv
     steps = (error[1:] + error[:-1]) / 2 * np.diff(window.t_s)
     summed = np.concatenate([[0.0], np.cumsum(steps)])
@@ -43,11 +32,11 @@ def summed_law(window: Window, settings: SummedSettings | None = None) -> PidGai
     found = both if both[0] * both[1] > 0 else _fitted(window.co, summed[:, None])
     columns = np.stack([summed, error], axis=1)[:, : len(found)]
     left = window.co - columns @ found
-    if float(np.var(left)) > (1 - settings.explained) * float(np.var(window.co)):
+    if float(np.var(left)) > (1 - EXPLAINED) * float(np.var(window.co)):
         return None
     half = len(error) // 2
     first, second = (float(_fitted(window.co[p], columns[p])[0]) for p in (slice(half), slice(half, None)))
-    if first * second <= 0 or max(first / second, second / first) > settings.disagreement:
+    if first * second <= 0 or max(first / second, second / first) > DISAGREEMENT:
         return None
     return PidGains(kp=float(found[1]) if len(found) > 1 else 0.0, ki=float(found[0]), kd=0.0)
 

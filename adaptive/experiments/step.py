@@ -190,8 +190,8 @@ def _steepest(response: RecordedStep, fewest: int = 3) -> tuple[float, float, fl
 #     A = 1.152 D^2 - 1.607 D + 1
 # in two steps, a model:   r = 2 A/B,  k = 1/(Kc0 B),  theta = t_p (0.309 + 0.209 e^(-0.61 r)),  tau1 = r theta
 # directly, PI settings:   Kc = Kc0 A/F,  tau_I = min(0.86 A |b/(1 - b)| t_p, 2.44 t_p F),  |b/(1 - b)| = 1/B
-# (two-step: Skogestad & Grimholt 2012, section 5.3.2; direct: Shamsuzzoha & Skogestad 2010, eqs. 15 and 22.) F = 1 is
-# about SIMC at tau_c = theta, F > 1 is slower. Fitted to overshoots D of 0.1 to 0.6; 0.3 is recommended. Where pv
+# (two-step: Skogestad & Grimholt 2012, section 5.3.2; direct: Shamsuzzoha & Skogestad 2010, eqs. 15 and 22.) F is 1
+# here, which is about SIMC at tau_c = theta. Fitted to overshoots D of 0.1 to 0.6; 0.3 is recommended. Where pv
 # reaches the setpoint (B near 0) the process integrates; the limits are theta = 0.309 t_p and
 # k' = k/tau1 = 1/(2 A Kc0 theta).
 
@@ -325,18 +325,15 @@ def two_step_model(overshoot: Overshoot, kc0: float) -> ProcessModel:
     return ProcessModel(ProcessType.FOPDT, 1 / (kc0 * b), r * theta, 0.0, theta)
 
 
-def direct_settings(overshoot: Overshoot, kc0: float, detuning: float = 1.0) -> Tuning:
-    """PI settings without a model; detuning is F.
+def direct_settings(overshoot: Overshoot, kc0: float) -> Tuning:
+    """PI settings without a model, as those of SIMC at tau_c = theta (a detuning F of 1).
 
-    Raises ValueError: kc0 is 0 or not finite, F is not positive, or the overshoot is outside the range of the
-    correlations.
+    Raises ValueError: kc0 is 0 or not finite, or the overshoot is outside the range of the correlations.
     """
     _check(overshoot, kc0)
-    if not 0 < detuning < math.inf:
-        raise ValueError(f"detuning F = {detuning}: give a positive number, 1 for SIMC's tau_c = theta")
-    t_p, longest = overshoot.t_p_s, 2.44 * overshoot.t_p_s * detuning
+    t_p, longest = overshoot.t_p_s, 2.44 * overshoot.t_p_s
     tau_i = min(0.86 * overshoot.a / overshoot.b * t_p, longest) if overshoot.b else longest
-    return tuning("setpoint-overshoot", "series", kc0 * overshoot.a / detuning, tau_i, 0.0, None)
+    return tuning("setpoint-overshoot", "series", kc0 * overshoot.a, tau_i, 0.0, None)
 
 
 def _check(overshoot: Overshoot, kc0: float) -> None:

@@ -24,7 +24,6 @@ parallelogram (even speed along its sides, or one signal a square wave), 1 for G
 
 import math
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
@@ -54,16 +53,10 @@ STEADY = 0.4307
 LEAST_SPREAD = 1e-9  # determinant of the correlation matrix below which the curve is a straight line
 
 
-@dataclass(frozen=True, slots=True)
-class Ellipse:
-    """Ellipse of pv over co. stick_band : its width along co, co units. roundness : see the head of this file."""
-
-    stick_band: float
-    roundness: float
-
-
-def ellipse(pv: FloatArray, co: FloatArray) -> Ellipse | None:
-    """Ellipse of the curve; None when pv or co stands still or the curve is a straight line. Shapes (n,)."""
+def ellipse(pv: FloatArray, co: FloatArray) -> tuple[float, float] | None:
+    """Stick band (the ellipse's width along co, co units) and roundness of the curve, shapes (n,); None when pv or co
+    stands still or the curve is a straight line.
+    """
     x, y = detrended(co), detrended(pv)
     s_x, s_y = float(np.std(x)), float(np.std(y))
     if s_x <= 0 or s_y <= 0:
@@ -73,7 +66,7 @@ def ellipse(pv: FloatArray, co: FloatArray) -> Ellipse | None:
     if 1 - c * c < LEAST_SPREAD:
         return None
     radius2 = (x * x - 2 * c * x * y + y * y) / (1 - c * c)
-    return Ellipse(2 * (2 * (1 - c * c)) ** 0.5 * s_x, float(np.std(radius2)) / 2)
+    return 2 * (2 * (1 - c * c)) ** 0.5 * s_x, float(np.std(radius2)) / 2
 
 
 def yamashita(pv: FloatArray, co: FloatArray) -> tuple[float, float] | None:
@@ -112,15 +105,8 @@ def _symbols(x: FloatArray) -> FloatArray:
 # alike.
 
 
-class CrossCorrelation(NamedTuple):
-    """Horch's two measures, 0 even to 1 odd."""
-
-    dtau: float
-    drho: float
-
-
-def cross_correlation(pv: FloatArray, co: FloatArray, band: float = 0.02) -> CrossCorrelation | None:
-    """Horch's measures; None where the correlation does not cross zero on both sides of lag 0.
+def cross_correlation(pv: FloatArray, co: FloatArray, band: float = 0.02) -> tuple[float, float] | None:
+    """Horch's dtau and drho, 0 even to 1 odd; None where the correlation does not cross zero on both sides of lag 0.
 
     pv, co : an oscillating record, shape (n,). band : correlations within +-band of the largest one count as zero.
 
@@ -145,7 +131,7 @@ def cross_correlation(pv: FloatArray, co: FloatArray, band: float = 0.02) -> Cro
     sign = 1.0 if r0 >= 0 else -1.0
     r_opt = sign * float(np.max(np.abs(part), initial=abs(r0)))
     drho = abs(r0 - r_opt) / abs(r0 + r_opt) if r0 + r_opt else 1.0
-    return CrossCorrelation(abs(t_l - t_r) / (t_l + t_r), drho)
+    return abs(t_l - t_r) / (t_l + t_r), drho
 
 
 # Kurtosis of a signal: how its values are spread.
@@ -344,10 +330,10 @@ def _pictures(pv: FloatArray, co: FloatArray, n: float) -> dict[str, float | Non
             }
     pair = cross_correlation(waves["pv"], waves["co"])
     if pair is not None:
-        found |= {"horch_dtau": pair.dtau, "horch_drho": pair.drho}
+        found |= {"horch_dtau": pair[0], "horch_drho": pair[1]}
     curve = ellipse(waves["pv"], waves["co"])
     if curve is not None:
-        found |= {"stick_band": curve.stick_band, "roundness": curve.roundness}
+        found |= {"stick_band": curve[0], "roundness": curve[1]}
     symbols = yamashita(pv[::width], co[::width])
     if symbols is not None:
         found |= {"yamashita_rho1": symbols[0], "yamashita_rho3": symbols[1]}

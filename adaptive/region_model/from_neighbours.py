@@ -12,10 +12,9 @@ import numpy as np
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.fit.structure import model_at
-from retuner.adaptive.identification.estimate import LogModel, proper_covariance
+from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import OUT, Plausible
-from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.region_curves import RegionCurves, centre_of, curves, lenders
+from retuner.adaptive.region_model.region_curves import centre_of, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -71,7 +70,7 @@ def borrowed(
     shown = {region: own} if own is not None and own.log.sign == sign else {}
     through = curves({**near, **shown}, regions, t_s, tracker)
     place = centre_of(regions, region)
-    known = [StructureModel(_log(curve, place, sign, t), behind[t]) for t, curve in through.items() if t in behind]
+    known = [StructureModel(curve.log(place, sign, t), behind[t]) for t, curve in through.items() if t in behind]
     if not known:
         return None
     ranked = sorted(known, key=lambda k: k.evidence)
@@ -80,11 +79,6 @@ def borrowed(
     return RegionModel(
         tuple(ranked), 0, t_s, None, (), spread(log), identifiable=True, reason=f"estimated from other regions: {names}"
     )
-
-
-def _log(curve: RegionCurves, place: tuple[float, ...], sign: int, type_: ProcessType) -> LogModel:
-    x, p = curve.at(place)
-    return LogModel(x, proper_covariance(p), sign, type_)
 
 
 def spread(log: LogModel) -> tuple[Plausible, ...]:

@@ -16,10 +16,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from retuner.adaptive.fit.structure import model_at
-from retuner.adaptive.identification.estimate import LogModel, proper_covariance
+from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.region_curves import RegionCurves, curves, lenders
+from retuner.adaptive.region_model.region_curves import curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.split_or_merge import features
 from retuner.adaptive.region_model.update import TrackerSettings
@@ -163,14 +162,13 @@ def proposed_borders(
     t_s: float,
     sample_time_s: float,
     tracker: TrackerSettings,
-    limits: DesignLimits | None = None,
 ) -> Refinement | None:
     """The proposal; None where every region is served, or too little is known.
 
     table : in force, steps along one variable. region_models : what is known, by region. t_s : now. sample_time_s : of
-        the controller. limits : of Ms and J, those of a schedule's design where nothing is said.
+        the controller.
     """
-    wanted = limits or DesignLimits()
+    wanted = DesignLimits()
     places = _known_places(table, region_models, t_s, sample_time_s, tracker, wanted)
     now = {region: best_of(row, wanted) for region, row in places.items()}
     wide = [region for region, row in places.items() if now[region].kept <= TOO_WIDE * len(row)]
@@ -214,7 +212,7 @@ def _known_places(
     found = {}
     for region in own:
         xs = np.linspace(*regions.span(region), PLACES).tolist()
-        row = [place_by(x, _log(through[type_], x, sign, type_), sample_time_s, limits) for x in xs]
+        row = [place_by(x, through[type_].log((x,), sign, type_), sample_time_s, limits) for x in xs]
         known = [place for place in row if place is not None]
         found.update({region: known} if len(known) >= LEAST_KNOWN and row[PLACES // 2] is not None else {})
     return found
@@ -232,11 +230,6 @@ def in_force(table: GainTable, x: float) -> PidGains:
     """The gains at a place that the loop has come to slowly from below."""
     law = table.regions.law()
     return table.at(choose(law, enter(law, x, 0.0), x, 0.0).region, x)
-
-
-def _log(curve: RegionCurves, x: float, sign: int, type_: ProcessType) -> LogModel:
-    mean, p = curve.at((x,))
-    return LogModel(mean, proper_covariance(p), sign, type_)
 
 
 @dataclass(frozen=True, slots=True)

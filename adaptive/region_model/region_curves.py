@@ -16,7 +16,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings, predicted_all
@@ -50,6 +50,11 @@ class RegionCurves:
         """The change of the logarithms from one place to another, and the covariance of that; shapes as `at`."""
         rows = _rows(self.axes, there, len(self.centre)) - _rows(self.axes, here, len(self.centre))
         return rows @ self.z, rows @ self.p @ rows.T
+
+    def log(self, place: Place, sign: int, type_: ProcessType) -> LogModel:
+        """The process at a place. sign : of its gain. type_ : the structure that these curves are of."""
+        x, p = self.at(place)
+        return LogModel(x, proper_covariance(p), sign, type_)
 
 
 def centre_of(regions: Regions, region: int) -> Place:

@@ -12,33 +12,19 @@ tau_I) needs LESS gain.
 
 import math
 
-from retuner.schedule.late_dataclass import dataclass
-
 FACTOR = 0.1  # the printed coefficient; 1/pi^2 = 0.1013 by derivation
 SHORTEST_PERIOD = 3.0  # smallest P0/tau_I for which the rule holds: f is 0.9 there, so it asks for nothing anyway
 
 
-@dataclass(frozen=True, slots=True)
-class SlowOscillation:
-    """What the rule says of a swing.
-
-    factor : f, by which the product Kc tau_I is to be multiplied. valid : the period is long enough for the rule.
-    """
-
-    factor: float
-    valid: bool
-
-
-def slow_oscillation(period_s: float, tau_i_s: float) -> SlowOscillation:
-    """The rule for an integrating loop that swings with this period under this integral time (same unit).
+def slow_oscillation(period_s: float, tau_i_s: float) -> float:
+    """The factor f on Kc tau_I for an integrating loop that swings with this period under this integral time.
 
     Raises ValueError: a time is not positive and finite.
     """
     for name, value in (("period", period_s), ("tau_I", tau_i_s)):
         if not 0 < value < math.inf:
             raise ValueError(f"{name} = {value} must be positive and finite")
-    ratio = period_s / tau_i_s
-    return SlowOscillation(FACTOR * ratio**2, ratio > SHORTEST_PERIOD)
+    return FACTOR * (period_s / tau_i_s) ** 2
 
 
 def damping(slope: float, kc: float, tau_i_s: float) -> float:

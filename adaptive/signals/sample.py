@@ -228,15 +228,9 @@ STOOD = 20
 OVER_OTHERS = 5
 
 
-class StoodStill(NamedTuple):
-    """samples : how many in a row were alike. pv : what they were."""
-
-    samples: int
-    pv: float
-
-
-def stood_still(pv: FloatArray, recorded: int) -> StoodStill | None:
-    """The longest time for which the sensor stood still in a record; None where it did not.
+def stood_still(pv: FloatArray, recorded: int) -> tuple[int, float] | None:
+    """How many samples in a row were alike where the sensor stood still the longest in a record, and what they were;
+    None where it did not.
 
     pv : all that is kept, the newest last. recorded : how many of them are the record.
     """
@@ -249,7 +243,7 @@ def stood_still(pv: FloatArray, recorded: int) -> StoodStill | None:
     if longest < max(STOOD, OVER_OTHERS * others):
         return None
     rest = (before, pv[: stuck.start], pv[stuck.stop :])
-    return StoodStill(longest, float(pv[first])) if _noisy(rest) else None
+    return (longest, float(pv[first])) if _noisy(rest) else None
 
 
 def _noisy(rest: tuple[FloatArray, ...]) -> bool:

@@ -303,10 +303,12 @@ def _sensor_lives(seen: _JudgedWindow) -> _Counted:
     found = stood_still(seen.kept, len(seen.window.t_s))
     if found is None:
         return _Counted(AdmissionNumbers())
+    samples, pv = found
     room = AT_END * (seen.pv_range[1] - seen.pv_range[0])
-    clipped = any(abs(found.pv - end) <= room for end in seen.pv_range if math.isfinite(end))
-    numbers = AdmissionNumbers(stuck=float(found.samples), stuck_at=found.pv)
-    return _Counted(numbers, Ground.PV_CLIPPED if clipped else Ground.PV_STUCK)
+    clipped = any(abs(pv - end) <= room for end in seen.pv_range if math.isfinite(end))
+    return _Counted(
+        AdmissionNumbers(stuck=float(samples), stuck_at=pv), Ground.PV_CLIPPED if clipped else Ground.PV_STUCK
+    )
 
 
 def _telemetry(seen: _JudgedWindow) -> _Counted:

@@ -160,7 +160,7 @@ def _reading(
         return _Read(SlowReading.NOT_ALIKE, SlowNumbers(swing, damping))
     if zeta >= settings.damped:
         return _Read(SlowReading.DAMPED, SlowNumbers(swing, damping))
-    printed = slow_oscillation(swing.period_s, gains.kp / gains.ki).factor
+    printed = slow_oscillation(swing.period_s, gains.kp / gains.ki)
     # How Kc and tau_I share the factor on their product
     factor = 1 / zeta**2
     kc = 1.0 if locks.kc else factor if locks.tau_i else math.sqrt(factor)

@@ -10,7 +10,7 @@ import can
 from canopen.emcy import EmcyError
 from canopen.objectdictionary import ObjectDictionaryError, datatypes
 
-from retuner.drivers.canopen.eds_file import TPDO, EdsFile, Key, PdoEntry, Variable, holds, text_of
+from retuner.drivers.canopen.eds_file import EdsFile, Key, PdoEntry, Variable, holds, text_of
 from retuner.drivers.canopen.sdo_queue import SdoQueue, pace_s
 from retuner.drivers.profiles.controller_access import (
     Acknowledged,
@@ -139,7 +139,7 @@ class CanOpenAccess:
         for name, place in self._read.items():
             if name not in self.units.names:
                 wanted.setdefault((place.variable.index, place.variable.subindex), []).append(name)
-        for cob, entries in self._file.pdos(TPDO):
+        for cob, entries in self._file.tpdos():
             found = [
                 (name, entry)
                 for entry in entries

@@ -25,7 +25,7 @@ Dictionary = canopen.objectdictionary.ObjectDictionary
 LARGEST = 16 << 20  # bytes
 WIDEST = 8  # bytes of a number
 EXACT_BITS = 53  # whole numbers of more bits are no longer told apart as floats
-TPDO, RPDO = (0x1800, 0x1A00), (0x1400, 0x1600)
+COMMUNICATION, MAPPING = 0x1800, 0x1A00
 PDOS = 512
 DISABLED = 1 << 31  # bit of a PDO's COB-ID
 PARSING_ERRORS = (
@@ -128,12 +128,12 @@ class EdsFile:
             known.sort(key=lambda index: abs(index - number))
         return "there is " + ", ".join(f"{index:04X}" for index in sorted(known[:6]))
 
-    def pdos(self, kind: tuple[int, int]) -> Iterator[tuple[int, list[PdoEntry]]]:
-        """COB-ID and content of each PDO that the EDS has in force; kind : TPDO or RPDO."""
+    def tpdos(self) -> Iterator[tuple[int, list[PdoEntry]]]:
+        """COB-ID and content of each PDO that the device sends, by the EDS."""
         for i in range(PDOS):
-            if kind[0] + i not in self.dictionary or kind[1] + i not in self.dictionary:
+            if COMMUNICATION + i not in self.dictionary or MAPPING + i not in self.dictionary:
                 continue
-            communication, mapping = self.dictionary[kind[0] + i], self.dictionary[kind[1] + i]
+            communication, mapping = self.dictionary[COMMUNICATION + i], self.dictionary[MAPPING + i]
             cob, count = self._value(communication, 1), self._value(mapping, 0)
             if cob is None or cob & DISABLED or not count:
                 continue

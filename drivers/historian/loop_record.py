@@ -82,9 +82,7 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
     return _record(loop, read, form)
 
 
-def read_records(
-    sources: Iterable[object], form: RecordForm = WHOLE, *, in_automatic: bool = False
-) -> list[LoopRecord]:
+def read_records(sources: Iterable[object], form: RecordForm = WHOLE) -> list[LoopRecord]:
     """Records of one loop: of several sources each one that holds pv and co, where all do; else all as one record.
 
     Raises RecordingError: as read_loop_record; or the records are of several loops.
@@ -92,7 +90,7 @@ def read_records(
     asked = [*sources]
     tables = [_tables(source, form) for source in asked]
     own = iter(_forms([*chain(*tables)], form))
-    read = [[signals_of(*next(own), in_automatic=in_automatic) for _ in each] for each in tables]
+    read = [[signals_of(*next(own), in_automatic=True) for _ in each] for each in tables]
     if not all(any({"pv", "co"} <= roles.keys() for roles in _pieces(each).values()) for each in read):
         tables, read = [list(chain(*tables))], [list(chain(*read))]
     if not all(tables):

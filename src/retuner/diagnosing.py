@@ -160,13 +160,6 @@ def diagnose(
     return replace(found, record=windows[found.on])
 
 
-def diagnose_record(
-    window: Window, *, gains: PidGains | None = None, co_min: float | None = None, co_max: float | None = None
-) -> RecordDiagnosis:
-    """The diagnosis of a record that is a Window already."""
-    return diagnose_windows([window], gains=gains, co_min=co_min, co_max=co_max)
-
-
 def diagnose_windows(
     windows: Sequence[Window],
     *,

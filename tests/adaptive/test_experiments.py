@@ -210,13 +210,6 @@ def test_direct_settings_are_about_those_of_simc(case: str) -> None:
     assert direct["tau_i"] == pytest.approx(best["tau_i"], rel=0.4)
 
 
-def test_detuning_slows_both_settings() -> None:
-    seen = step.Overshoot(1.0, 1.3, 0.91, 3.29)
-    tight, slow = (step.direct_settings(seen, 0.8, f).gains for f in (1.0, 2.0))
-    assert slow.kp == pytest.approx(tight.kp / 2)
-    assert slow.kp / slow.ki == pytest.approx(2 * tight.kp / tight.ki)
-
-
 @given(scale=st.floats(0.01, 100), gain=st.floats(0.01, 100), sign=st.sampled_from([-1, 1]))
 def test_setpoint_method_scales_with_time_and_gain(scale: float, gain: float, sign: int) -> None:
     plain = step.two_step_model(step.Overshoot(1.0, 0.79, 0.54, 4.4), 1.5)

@@ -50,11 +50,11 @@ def test_identify_joins_days_and_leaves_the_nights_out(off: bool) -> None:
 def test_an_audit_diagnoses_days(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Window] = []
 
-    def seen(window: Window) -> Any:
-        asked.append(window)
+    def seen(windows: list[Window]) -> Any:
+        asked.extend(windows)
         raise StopIteration
 
-    monkeypatch.setattr("retuner.audit.loop_row.diagnose_record", seen)
+    monkeypatch.setattr("retuner.audit.loop_row.diagnose_windows", seen)
     whole = several(2)
     record = LoopRecord(Recording("days.csv", whole.t_s, whole.pv, whole.co, whole.sp), ())
     with pytest.raises(StopIteration):

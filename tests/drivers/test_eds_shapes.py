@@ -200,7 +200,7 @@ def test_damaged_files_are_one_line_or_work(seed: int, tmp_path: Path) -> None:
     told = ""
     try:
         file = EdsFile(read_eds(path, 5), path.name, 5)
-        list(file.pdos((0x1800, 0x1A00)))
+        list(file.tpdos())
         file.variable("6130:1", ())
     except ProfileError as error:
         told = str(error)

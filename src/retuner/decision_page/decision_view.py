@@ -33,6 +33,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
 LAST_SAMPLES = 300  # samples shown of a decision that no response led to
+LEAD_SHARE = 0.25  # of a response's length that is shown before it
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,9 +166,7 @@ class DecisionView:
         return model.seen_by_controller(self.sample_time_s).linear()
 
 
-def samples_of(
-    columns: Mapping[str, FloatArray], response: Document, end_s: float, lead_share: float = 0.25
-) -> Samples | None:
+def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: float) -> Samples | None:
     """The samples of a response out of a trend: with a quarter of its length before it, in one region, without a gap.
 
     Without a response the last samples before the decision: what was seen when a trial was ended in mid-response.
@@ -180,7 +179,7 @@ def samples_of(
     start, end = number(response, "t_start_s"), number(response, "t_end_s")
     if start is None or end is None or end <= start:
         return None
-    first = int(np.searchsorted(t, start - lead_share * (end - start)))
+    first = int(np.searchsorted(t, start - LEAD_SHARE * (end - start)))
     last = int(np.searchsorted(t, max(end_s, end), side="right"))
     if last - first < 3:
         return None

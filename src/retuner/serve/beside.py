@@ -20,16 +20,16 @@ ENDS_WITHIN_S = 3.0
 """Time after which a server that was told to end is ended."""
 
 
-def require_page(*, wanted: bool = True) -> None:
-    """Refuse to serve, if that is wanted, where what it takes is not installed. Raises UserError: it is not."""
-    if wanted and not all(importlib.util.find_spec(name) for name in NEEDED):
+def require_page() -> None:
+    """Refuse to serve where what it takes is not installed. Raises UserError: it is not."""
+    if not all(importlib.util.find_spec(name) for name in NEEDED):
         raise UserError(MISSING)
 
 
 class PageBesideRun:
-    """The page beside a run. say : is told what a person should know. server : None where no page is wanted."""
+    """The page beside a run. say : is told what a person should know."""
 
-    def __init__(self, say: Callable[[str], None], server: "subprocess.Popen[bytes] | None" = None) -> None:
+    def __init__(self, say: Callable[[str], None], server: "subprocess.Popen[bytes]") -> None:
         self._say, self._server = say, server
 
     def stay(self, *, watched: bool) -> None:
@@ -37,7 +37,7 @@ class PageBesideRun:
 
         watched : whether a person sits at the terminal.
         """
-        if self._server is None or not watched or self._server.poll() is not None:
+        if not watched or self._server.poll() is not None:
             return
         self._say("the page stays up; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
@@ -45,11 +45,8 @@ class PageBesideRun:
 
 
 @contextmanager
-def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = True) -> Iterator[PageBesideRun]:
-    """While inside, the page of a session's folder is served; say : is told where. Nothing happens unless wanted."""
-    if not wanted:
-        yield PageBesideRun(say)
-        return
+def served_beside(folder: Path, say: Callable[[str], None]) -> Iterator[PageBesideRun]:
+    """While inside, the page of a session's folder is served; say : is told where."""
     options, token = ServeOptions(), secrets.token_urlsafe(24)
     with listening(options) as ours:
         for line in lines(options, int(ours.getsockname()[1]), token):

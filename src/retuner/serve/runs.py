@@ -51,10 +51,14 @@ class WatchedLoop:
     @property
     def there(self) -> bool:
         """Whether the file still has its name."""
-        try:
-            return self.path.stat().st_ino == self._inode
-        except OSError:
-            return False
+        return _is_still(self.path, self._inode)
+
+
+def _is_still(path: Path, inode: int) -> bool:
+    try:
+        return path.stat().st_ino == inode
+    except OSError:
+        return False
 
 
 class WatchedSession:
@@ -69,10 +73,7 @@ class WatchedSession:
     @property
     def there(self) -> bool:
         """Whether the same session is still in its folder."""
-        try:
-            return (self.folder / LEDGER).stat().st_ino == self._inode
-        except OSError:
-            return False
+        return _is_still(self.folder / LEDGER, self._inode)
 
     def look(self) -> None:
         """Find the loops that have appeared."""

@@ -5,7 +5,6 @@ without them nothing can be said of the tuning.
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -100,11 +99,11 @@ def diagnose(options: DiagnoseOptions) -> int:
     assumed = tuple(dict.fromkeys(one for read in records for one in read.assumed))
     assumed += days_told(len(windows), len(records))
     tell_assumed(assumed, options)
-    aimed = _aimed(found, options)
+    aims, aimed = _aimed(found, options)
     read_as = {"records": len(records), "assumed": [a.what for a in assumed]}
-    lines = [*described(found), *(f"  {line}" for line in aimed.lines)]
+    lines = [*described(found), *(f"  {line}" for line in aims)]
     lines += evidence_of(found) if options.with_evidence else []
-    tell({**document(found), "aimed": aimed.document, **read_as}, lines, as_json=options.as_json)
+    tell({**document(found), "aimed": aimed, **read_as}, lines, as_json=options.as_json)
     return 1 if found.result.diagnosis.cause == Cause.UNKNOWN else 0
 
 
@@ -113,23 +112,16 @@ AIMS = {"tight": None, "smooth": "simc-smooth", "averaging": "averaging"}
 USUAL = (5.0, 95.0)  # percentiles of co between which it moves because of loads
 
 
-class Aimed(NamedTuple):
-    """Settings for another aim than tight control: in lines, and as JSON."""
-
-    lines: tuple[str, ...] = ()
-    document: dict[str, object] | None = None
-
-
-def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> Aimed:
-    """Settings for the aim on the process that was identified.
+def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> tuple[list[str], dict[str, object] | None]:
+    """Settings for another aim than tight control on the process that was identified: in lines, and as JSON.
 
     Raises UserError: the rule has no settings for this process, or --ymax leaves no room.
     """
     rule, model = AIMS[options.aim], found.result.model
     if rule is None:
-        return Aimed()
+        return [], None
     if model is None:
-        return Aimed((f"{options.aim:<{NAME}}none: the record does not tell the process",))
+        return [f"{options.aim:<{NAME}}none: the record does not tell the process"], None
     low, high = np.percentile(found.window.co, USUAL).tolist()
     u0 = options.u0 if options.u0 is not None else high - low
     with user_input(f"--aim {options.aim}"):
@@ -137,7 +129,7 @@ def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> Aimed:
     what = f"for a step of the load by {u0:.3g} of co pv goes {abs(options.ymax or 0.0):.3g} at most"
     note = "".join(f"; {one}" for one in settings.tuning.notes)
     line = f"{options.aim:<{NAME}}{settings_text(settings.gains)}: {what}{note}"
-    return Aimed((line,), {"aim": options.aim, "u0": u0, "ymax": options.ymax, **settings.to_dict()})
+    return [line], {"aim": options.aim, "u0": u0, "ymax": options.ymax, **settings.to_dict()}
 
 
 def document(found: DiagnosedRecord) -> dict[str, object]:

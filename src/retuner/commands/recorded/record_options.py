@@ -70,7 +70,7 @@ def read_record(
 def read_several(files: Sequence[Path], options: FormOptions) -> list[LoopRecord]:
     """The records in automatic of one loop: a file each, or one in several files; errors as read_record."""
     with busy(f"reading {', '.join(map(str, files))}"):
-        found = read_records(files, record_form(options), in_automatic=True)
+        found = read_records(files, record_form(options))
     for read in found:
         LOGGER.info("read %d samples from %s", len(read.recording.t_s), read.recording.source)
     return found
