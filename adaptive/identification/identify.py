@@ -246,17 +246,15 @@ class Fits:
         found = estimate_of(self.free, float(self._window.t_s[0]), {}, self._settings, rival)
         if not found.identifiable or not found.coloured or not self._settings.choice.most_loads:
             return found
-        between = self._apart_from_white(self.free[0])
-        if between <= self._settings.apart_limit:
-            return found
-        return replace(found, identifiable=False, reason=TWO_WAYS.format(factor_text(between)))
-
-    def _apart_from_white(self, best: Candidate) -> float:
-        """How far the model lies that takes what is left for white noise beside more load steps; see apart."""
+        # A model that takes what is left for white noise beside more load steps
+        best = self.free[0]
         choice = replace(self._settings.choice, most_order=0, most_loads=WHITE_LOADS)
         other = candidates(self._window, (best.fit.misfit.sign,), choice, self._samples)[0]
         own, white = (model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in (best, other))
-        return apart(own, white, self._window.sample_time_s)
+        between = apart(own, white, self._window.sample_time_s)
+        if between <= self._settings.apart_limit:
+            return found
+        return replace(found, identifiable=False, reason=TWO_WAYS.format(factor_text(between)))
 
     def _coincident(self, found: Candidate) -> list[float]:
         """The setpoint changes at which an explanation has a load step."""

@@ -188,7 +188,13 @@ class BumpPlanner:
         self._since_s = min(self._since_s, sample.t_s)
         moved = sample.sp != self._sp
         self._sp = sample.sp
-        self._count_outside(sample, around)
+        # What the evidence itself has left is passed over
+        half_s = self.settings.after_h * SECONDS_PER_HOUR / 2
+        self._rested = self._rested or around.at_rest or self._quiet_s(sample) > half_s
+        if self._rested:
+            self._seen += 1
+            self._outside += abs(sample.sp - sample.pv) > around.band
+            self._squares += (sample.sp - sample.pv) ** 2
         if self.phase is BumpPhase.WATCHING:
             if moved:
                 self.evidence(sample.t_s)
@@ -201,15 +207,6 @@ class BumpPlanner:
     def _quiet_s(self, sample: LoopSample) -> float:
         """Time since the process was shown last."""
         return sample.t_s - (self._quiet_since_s if self._quiet_since_s is not None else sample.t_s)
-
-    def _count_outside(self, sample: LoopSample, around: LoopAround) -> None:
-        """Count samples outside the noise band; what the evidence itself has left is passed over."""
-        half_s = self.settings.after_h * SECONDS_PER_HOUR / 2
-        self._rested = self._rested or around.at_rest or self._quiet_s(sample) > half_s
-        if self._rested:
-            self._seen += 1
-            self._outside += abs(sample.sp - sample.pv) > around.band
-            self._squares += (sample.sp - sample.pv) ** 2
 
     def left_out(self, before: float, to: float) -> None:
         """A session before this one ended without putting its setpoint back: that is what comes first."""

@@ -160,7 +160,14 @@ class CanOpenAccess:
         if cob == HEARTBEAT + node and message.data:
             return self._on_state(message.data[0] & 0x7F)
         if cob == EMERGENCY + node and len(message.data) == 8:
-            return self._on_emergency(bytes(message.data))
+            # An emergency object; error code 0 says that it is over
+            data = bytes(message.data)
+            code, register = int.from_bytes(data[:2], "little"), data[2]
+            if not code:
+                return (Alive(), NoFault("emergency"))
+            described = EmcyError(code, register, data[3:], 0.0).get_desc()
+            words = f", {described.lower()}" if described else ""
+            return (Alive(), Stopped(f"emergency {code:#06x}{words}", "emergency"))
         return ()
 
     def _answered(self, message: can.Message) -> Sequence[Told]:
@@ -216,15 +223,6 @@ class CanOpenAccess:
         if state == STOPPED:
             return (Alive(), Stopped("the node was stopped (NMT)", "nmt"))
         return (Alive(), NoFault("nmt")) if state == OPERATIONAL else (Alive(),)
-
-    def _on_emergency(self, data: bytes) -> Sequence[Told]:
-        """An emergency object; error code 0 says that it is over."""
-        code, register = int.from_bytes(data[:2], "little"), data[2]
-        if not code:
-            return (Alive(), NoFault("emergency"))
-        described = EmcyError(code, register, data[3:], 0.0).get_desc()
-        words = f", {described.lower()}" if described else ""
-        return (Alive(), Stopped(f"emergency {code:#06x}{words}", "emergency"))
 
     @property
     def takes_setpoint(self) -> bool:

@@ -374,7 +374,9 @@ class GainWriter:
             return None
         if self._pending is not None:
             held = self.t_s < self._hold_until_s
-            if self._unwatched(self._pending):
+            # A change that was to be on trial and no longer is would be watched by nobody
+            predicted = self._pending.decision is not None and self._pending.decision.prediction is not None
+            if predicted and self.retuner.trials.phase(self._pending.region) != TrialPhase.WRITING:
                 self._drop("it was dropped before it could be written")
             elif self._pending.region == region and not held and not self.frozen:
                 return self._here(self._pending)
@@ -387,11 +389,6 @@ class GainWriter:
         gains = self._in_table()
         far = gains is not None and change_factor(running, gains) > self._tolerance
         return WantedSet(Why.SCHEDULE, region, gains) if gains is not None and far else None
-
-    def _unwatched(self, wanted: WantedSet) -> bool:
-        """Whether a change that was to be on trial no longer is: nothing is written that nobody would watch."""
-        predicted = wanted.decision is not None and wanted.decision.prediction is not None
-        return predicted and self.retuner.trials.phase(wanted.region) != TrialPhase.WRITING
 
     def _here(self, wanted: WantedSet) -> WantedSet:
         """What a decision means here and now: in an interpolated table the region's new set is a part of a mean."""
