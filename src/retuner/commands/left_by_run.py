@@ -23,7 +23,7 @@ from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.what_next import Changed, narrow_scores, what_next
 from retuner.products import product
 from retuner.report.console import counted, scores_table
-from retuner.report.loops_index import LoopLine, loop_line, render_index
+from retuner.report.loops_index import LoopLine, render_index
 from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
 from retuner.schedule.config_section import schedule_section
@@ -155,7 +155,7 @@ def _index_lines(session: Session, left: Sequence[_Left]) -> list[LoopLine]:
     reports = {one.loop.name: str(one.report) for one in left}
     scores = {one.loop.name: one.scores for one in left}
     return [
-        loop_line(
+        LoopLine(
             loop.name,
             reports.get(loop.name),
             [decision.to_dict() for decision in loop.decisions],

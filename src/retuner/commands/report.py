@@ -23,9 +23,9 @@ from retuner.files import write_whole
 from retuner.ledger import Row
 from retuner.ledger.chain import without_place
 from retuner.replay.replaying import recorded_columns
-from retuner.report.loops_index import loop_line, render_index
+from retuner.report.loops_index import LoopLine, render_index
 from retuner.report.report import ReportData, render
-from retuner.report.scores import Columns, RegionScore, region_scores
+from retuner.report.scores import Columns, Linearise, RegionScore, region_scores
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
 from retuner.session.outputs import GAINS, REPORT, SUMMARY, RecordedSession, read_loops
@@ -71,12 +71,12 @@ def _all_loops(recorded: Sequence[RecordedSession]) -> dict[str, object]:
         absent = next((str(row.body["reason"]) for row in one.rows if row.kind == "absent"), "")
         documents = [without_place(row.body) for row in _decided(one)]
         if absent:
-            lines.append(loop_line(one.name, None, documents, [], absent))
+            lines.append(LoopLine(one.name, None, documents, [], absent))
             continue
         data, path = _data(one, _decided(one), recorded_columns(one)), one.folder / REPORT
         write_whole(path, render(data))
         files.append(str(path))
-        lines.append(loop_line(one.name, str(path.relative_to(session)), documents, data.scores, ""))
+        lines.append(LoopLine(one.name, str(path.relative_to(session)), documents, data.scores, ""))
     last = recorded[0].rows[-1]
     facts = {"session": str(session), "ledger": f"{last.seq} rows, head {last.hash}"}
     write_whole(session / REPORT, render_index(lines, facts))
@@ -153,32 +153,16 @@ def scores_of(
     known: KnownPlant | SteppedPlant | None = None
     if config.device and config.device.plant:
         known = known_plant(config) or (stepped_plant(config, bench, columns["sp"], columns["co"]) if bench else None)
+    before, loads, loop = config.gain_table(), loads_at(config.scenario, columns["t"]), config.loop
+
+    def scores(true: Linearise | None) -> list[RegionScore]:
+        return region_scores(before, after, changed, columns, fixed, true, loop.sample_time_s, loop.tau_f_s, loads)
+
     try:
-        return _scores(config, after, changed, columns, fixed, known)
+        return scores(known.linearise if known is not None else None)
     except PlantFaultError as fault:  # a copy that tells nothing takes nothing from the report
-        say(f"{config.loop.name}: no Ms on the simulated process: {fault}")
-        return _scores(config, after, changed, columns, fixed, None)
-
-
-def _scores(
-    config: Config,
-    after: GainTable,
-    changed: list[tuple[float, int]],
-    columns: Columns,
-    fixed: Columns | None,
-    known: KnownPlant | SteppedPlant | None,
-) -> list[RegionScore]:
-    return region_scores(
-        config.gain_table(),
-        after,
-        changed,
-        columns,
-        fixed,
-        known.linearise if known is not None else None,
-        config.loop.sample_time_s,
-        config.loop.tau_f_s,
-        loads_at(config.scenario, columns["t"]),
-    )
+        say(f"{loop.name}: no Ms on the simulated process: {fault}")
+        return scores(None)
 
 
 def _final_table(recorded: RecordedSession, table: GainTable, changes: list[Row]) -> GainTable:

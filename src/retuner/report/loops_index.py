@@ -13,32 +13,29 @@ from retuner.templates import rendered
 class LoopLine(NamedTuple):
     """One loop in the index.
 
-    report : path of its report, None without one. decisions, changes, undone, advised : how many. iae : of the run over
-    that of the same run with fixed gains, in the worst region and in the best; None where there is none to compare.
-    trouble : what a person should look after, may be empty.
+    report : path of its report, None without one. decisions : their documents. trouble : what a person should look
+    after, may be empty.
     """
 
     name: str
     report: str | None
-    decisions: int
-    changes: int
-    rolled_back: int
-    advised: int
-    iae: tuple[float, float] | None
+    decisions: Sequence[Document]
+    scores: Sequence[RegionScore]
     trouble: str
 
+    @property
+    def changes(self) -> int:
+        """How many were written."""
+        return sum(score.changes for score in self.scores)
 
-def loop_line(
-    name: str, report: str | None, decisions: Sequence[Document], scores: Sequence[RegionScore], trouble: str
-) -> LoopLine:
-    """What the index says of a loop. decisions : their documents."""
-    done = [words(one, "action") for one in decisions]
-    ratios = [s.iae / s.iae_fixed for s in scores if s.iae_fixed]
-    iae = (max(ratios), min(ratios)) if ratios else None
-    changes = sum(score.changes for score in scores)
-    return LoopLine(
-        name, report, len(done), changes, sum(map(rolls_back, decisions)), done.count("advise"), iae, trouble
-    )
+    @property
+    def iae(self) -> str:
+        """IAE of the run over that of the same run with fixed gains, from the best region to the worst."""
+        ratios = [score.iae / score.iae_fixed for score in self.scores if score.iae_fixed]
+        if not ratios:
+            return "-"
+        best, worst = min(ratios), max(ratios)
+        return f"{worst:.2f}" if worst == best else f"{best:.2f} to {worst:.2f}"
 
 
 def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
@@ -50,9 +47,9 @@ def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
     rows = [
         (
             Linked(one.name, one.report or ""),
-            *(one.decisions, one.changes, one.rolled_back, one.advised),
-            _iae(one.iae),
-            one.trouble,
+            *(len(one.decisions), one.changes, sum(map(rolls_back, one.decisions))),
+            sum(words(decision, "action") == "advise" for decision in one.decisions),
+            *(one.iae, one.trouble),
         )
         for one in loops
     ]
@@ -61,10 +58,3 @@ def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
     classes = ["bad" if one.trouble else "" for one in loops]
     page = {"title": "Retuning report", "lead": lead, "heads": heads, "rows": rows, "classes": classes, "facts": facts}
     return rendered("loops.html.jinja", **page)
-
-
-def _iae(ratios: tuple[float, float] | None) -> str:
-    if ratios is None:
-        return "-"
-    worst, best = ratios
-    return f"{worst:.2f}" if worst == best else f"{best:.2f} to {worst:.2f}"
