@@ -1,8 +1,6 @@
 """Distillation columns as published transfer functions, with the gains that are published for them; nothing to install.
 
-Wood & Berry (1973)        methanol and water, 2 x 2, and what the feed does to it
-Vinante & Luyben (1972)    2 x 2
-Ogunnaike & Ray (1979)     ethanol and water, 3 x 3, with its two disturbances
+Wood & Berry (1973): methanol and water, 2 x 2, and what the feed does to it.
 
 Gains: BLT of Luyben (1986), detuned until the multivariable loop keeps a log modulus of 2 dB a loop. Minutes in the
 papers, seconds here. All loops of a column act on each other; compositions in percent, noise of NOISE of a usual step.
@@ -50,30 +48,6 @@ COLUMNS = {
         (0.34,),
         ((0.375, 8.29), (-0.075, 23.6)),
         "Wood & Berry 1973; BLT of Luyben 1986",
-    ),
-    "vinante-luyben": Column(
-        ((_lag(-2.2, 1.0, 7.0), _lag(1.3, 0.3, 7.0)), (_lag(-2.8, 1.8, 9.5), _lag(4.3, 0.35, 9.2))),
-        ((_lag(-2.2, 1.0, 7.0),), (_lag(4.3, 0.35, 9.2),)),
-        (1.0, 1.0),
-        (0.5,),
-        ((-1.07, 7.1), (1.97, 2.58)),
-        "Vinante & Luyben 1972; BLT of Luyben 1986",
-    ),
-    "ogunnaike-ray": Column(
-        (
-            (_lag(0.66, 2.6, 6.7), _lag(-0.61, 3.5, 8.64), _lag(-0.0049, 1.0, 9.06)),
-            (_lag(1.11, 6.5, 3.25), _lag(-2.36, 3.0, 5.0), _lag(-0.012, 1.2, 7.09)),
-            (_lag(-34.68, 9.2, 8.15), _lag(46.2, 9.4, 10.9), _lag(0.87, 1.0, 3.89, 18.8, lead=11.61)),
-        ),
-        (
-            (_lag(0.14, 12.0, 6.2), _lag(-0.0011, 2.66, 7.85, 14.63, lead=26.32)),
-            (_lag(0.53, 10.5, 6.9), _lag(-0.0032, 3.44, 7.29, 8.94, lead=19.62)),
-            (_lag(-11.54, 0.6, 7.01), _lag(0.32, 2.6, 7.76)),
-        ),
-        (0.05, 0.1, 2.0),
-        (0.2, 4.0),
-        ((1.51, 16.4), (-0.295, 18.0), (2.63, 6.61)),
-        "Ogunnaike & Ray 1979; BLT of Luyben 1986",
     ),
 }
 

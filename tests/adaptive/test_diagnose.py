@@ -63,8 +63,7 @@ def times(kp: float, ki: float) -> PidGains:
 
 
 @pytest.mark.parametrize(
-    ("gains", "cause"),
-    [(GOOD, Cause.OK), (times(2.2, 2.2), Cause.AGGRESSIVE), (times(0.25, 0.2), Cause.SLUGGISH)],
+    ("gains", "cause"), [(GOOD, Cause.OK), (times(2.2, 2.2), Cause.AGGRESSIVE), (times(0.25, 0.2), Cause.SLUGGISH)]
 )
 def test_tuning_is_told_from_setpoint_steps(gains: PidGains, cause: Cause) -> None:
     found = diagnose_window(loop(gains, sp=to_and_fro), gains)

@@ -79,8 +79,7 @@ def test_a_drift_is_foreseen_remembered_and_fades() -> None:
 
 
 @pytest.mark.parametrize(
-    "broken",
-    [(np.zeros(3), np.eye(2), np.zeros((3, 3))), (np.array([np.nan, 0, 0]), np.eye(3), np.zeros((3, 3)))],
+    "broken", [(np.zeros(3), np.eye(2), np.zeros((3, 3))), (np.array([np.nan, 0, 0]), np.eye(3), np.zeros((3, 3)))]
 )
 def test_a_broken_drift_is_refused(broken: tuple[FloatArray, FloatArray, FloatArray]) -> None:
     with pytest.raises(ValueError, match="drift"):

@@ -235,14 +235,7 @@ def processes(draw: st.DrawFn) -> tuple[Plausible, ...]:
     return Plausible(ProcessModel(kind, k, tau, 0.0, theta), 0.0), *near
 
 
-SEEN = st.builds(
-    ModelEvidence,
-    st.integers(2, 9),
-    st.integers(0, 2),
-    st.integers(0, 4),
-    st.booleans(),
-    st.booleans(),
-)
+SEEN = st.builds(ModelEvidence, st.integers(2, 9), st.integers(0, 2), st.integers(0, 4), st.booleans(), st.booleans())
 
 
 @settings(max_examples=60, deadline=None)

@@ -12,11 +12,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard.request import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, Locks
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.without_model.proposal_without_model import (
-    Proposed,
-    WithoutModelSettings,
-    step_without_model,
-)
+from retuner.adaptive.without_model.proposal_without_model import Proposed, WithoutModelSettings, step_without_model
 from retuner.schedule.gains import PidGains
 
 PERIOD, N, AT = 60.0, 600, 100
@@ -85,11 +81,7 @@ def test_locked_parameters_are_those_in_force_and_the_others_as_wanted(
     wanted: PidGains, in_force: PidGains, kc: bool, tau_i: bool, tau_d: bool
 ) -> None:
     kept = Locks(kc, tau_i, tau_d).keep(wanted, in_force)
-    for lock, value in (
-        (kc, lambda g: g.kp),
-        (tau_i, lambda g: g.kp / g.ki),
-        (tau_d, lambda g: g.kd / g.kp),
-    ):
+    for lock, value in ((kc, lambda g: g.kp), (tau_i, lambda g: g.kp / g.ki), (tau_d, lambda g: g.kd / g.kp)):
         assert value(kept) == pytest.approx(value(in_force if lock else wanted))
 
 

@@ -18,14 +18,7 @@ from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.sticking_valve import pv_stands, pv_stands_verdict
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import _Responses, as_steps, plateaus, rough_sigma
-from retuner.adaptive.valve.stand_still import (
-    Leg,
-    StandStill,
-    StandStillSettings,
-    _agreed,
-    _ends,
-    stand_still,
-)
+from retuner.adaptive.valve.stand_still import Leg, StandStill, StandStillSettings, _agreed, _ends, stand_still
 from retuner.schedule.gains import PidGains
 
 GAINS = PidGains(0.2, 0.2 / 5.0)

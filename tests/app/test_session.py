@@ -122,16 +122,7 @@ class DecidingRetuner(Retuner):
         at = self.region if self.wished_in is None else self.wished_in
         name = self.table.regions.names[at]
         wished = Decision(
-            1,
-            sample.t_s,
-            "loop",
-            name,
-            Mode.AUTO,
-            Action.WRITE,
-            "accepted",
-            "because",
-            self.table.gains_of(at),
-            wish,
+            1, sample.t_s, "loop", name, Mode.AUTO, Action.WRITE, "accepted", "because", self.table.gains_of(at), wish
         )
         return Step(wished)
 

@@ -13,12 +13,7 @@ from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.ledger import LedgerReader
 from retuner.schedule.gains import PidGains
 
-SHORT = two_regions(
-    "auto",
-    50.0,
-    "at_s = 0.0, sp = 2.0",
-    "at_s = 20.0, sp = 3.0",
-)
+SHORT = two_regions("auto", 50.0, "at_s = 0.0, sp = 2.0", "at_s = 20.0, sp = 3.0")
 """A sluggish loop: its first response ends three seconds before the run does."""
 
 

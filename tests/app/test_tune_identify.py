@@ -31,18 +31,6 @@ def refused(capsys: Capture, *arguments: str) -> str:
     return found.err
 
 
-def test_tune_gives_simc_with_margins(capsys: Capture) -> None:
-    found = answer(
-        capsys, "tune", "--type", "fopdt", "--k", "0.361", "--tau1", "138", "--theta", "14.2", "--rule", "simc"
-    )
-    assert found["rule"] == "simc"
-    assert found["form"] == "series"
-    assert found["gains"] == pytest.approx({"kc": 138 / (0.361 * 28.4), "tau_i": 113.6, "tau_d": 0.0})
-    assert found["parallel"]["ki"] == pytest.approx(found["gains"]["kc"] / 113.6)
-    assert set(found["margins"]) >= {"ms", "mt", "gm", "pm_deg", "delay_margin", "w180", "wc"}
-    assert found["margins"]["ms"] == pytest.approx(1.607, abs=1e-3)
-
-
 def test_tune_has_null_for_no_integral_time_and_for_infinite_margins(capsys: Capture) -> None:
     delay = answer(capsys, "tune", "--type", "delay", "--k", "2", "--theta", "3")
     assert delay["gains"] == {"kc": 0.0, "tau_i": None, "tau_d": 0.0}

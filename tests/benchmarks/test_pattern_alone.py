@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -48,8 +49,10 @@ class Noted(PatternAlone):
         return wish
 
 
-def story(process: LinearProcess, start: tuple[float, float]) -> Story:
+@cache
+def story(name: str, start: tuple[float, float]) -> Story:
     """Setpoint and load steps in turn, from gains off by factors on Kc and tau_I."""
+    process = PROCESSES[name]
     dt_s = perfect(process, 0.0)[1] / 8
     best, theta_s = perfect(process, dt_s)
     first = PidGains(best.kp * start[0], best.ki * start[0] / start[1])
@@ -75,7 +78,7 @@ def story(process: LinearProcess, start: tuple[float, float]) -> Story:
 @pytest.mark.parametrize("name", PROCESSES)
 @pytest.mark.parametrize("start", [(4.0, 1.0), (0.25, 1.0), (1.0, 4.0), (1.0, 0.25)], ids=str)
 def test_from_gains_far_off_to_calm_ones_and_no_loop_is_made_unstable(name: str, start: tuple[float, float]) -> None:
-    told = story(PROCESSES[name], start)
+    told = story(name, start)
     ms = told.ms()
     assert not told.lost
     assert all(math.isfinite(after) for before, after in pairwise(ms) if math.isfinite(before))
@@ -88,7 +91,7 @@ def test_from_gains_far_off_to_calm_ones_and_no_loop_is_made_unstable(name: str,
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PROCESSES)
 def test_a_loop_that_is_right_keeps_its_neighbourhood(name: str) -> None:
-    told = story(PROCESSES[name], (1.0, 1.0))
+    told = story(name, (1.0, 1.0))
     assert told.ms()[-1] <= 2.3
     least = 0.3 if PROCESSES[name].integrators else 0.5  # an integrating loop overshoots a setpoint by itself
     assert least <= told.gains[-1].kp / told.best.kp <= 2.5
@@ -98,5 +101,5 @@ def test_a_loop_that_is_right_keeps_its_neighbourhood(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PROCESSES if name != "P6 L=0.9"])
 def test_a_sluggish_loop_rejects_loads_faster_in_the_end(name: str) -> None:
-    told = story(PROCESSES[name], (0.25, 1.0))
+    told = story(name, (0.25, 1.0))
     assert told.gains[-1].ki > 1.5 * told.gains[0].ki

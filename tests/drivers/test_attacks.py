@@ -17,17 +17,7 @@ from retuner.drivers.device import (
 from retuner.drivers.host.can_settings import fresh_owner
 from retuner.drivers.protocol.authentication import code_frames, commit_code
 from retuner.drivers.protocol.checksum import lease_stamp
-from retuner.drivers.protocol.frames import (
-    Auth,
-    Heartbeat,
-    Identity,
-    Kind,
-    Lease,
-    Page,
-    Read,
-    Reason,
-    Status,
-)
+from retuner.drivers.protocol.frames import Auth, Heartbeat, Identity, Kind, Lease, Page, Read, Reason, Status
 
 KEY = bytes(range(16))
 

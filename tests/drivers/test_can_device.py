@@ -3,6 +3,7 @@
 import itertools
 import math
 import random
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -267,8 +268,7 @@ def test_nobody_there_is_one_clear_line(make_bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
-    [(CanDeviceSettings(sample_time_s=1.0), "its sample time is 2 s, configured are 1 s")],
+    ("settings", "message"), [(CanDeviceSettings(sample_time_s=1.0), "its sample time is 2 s, configured are 1 s")]
 )
 def test_a_device_that_is_not_the_expected_one_is_refused(make_bench, settings, message: str) -> None:
     with pytest.raises(DeviceMismatchError, match=message):
@@ -317,6 +317,16 @@ def test_events_between_polls_are_told_at_the_next(bench) -> None:
         bench.run(1)
         bench.host.send_load(0.0, bench.now_s)  # also sends what is due, and may find the result unknown
     assert sum(isinstance(e, WriteUnknown) for e in bench.events) == 1
+
+
+def test_a_device_that_rounds_silently_gets_nothing_committed(bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The read-back is compared bit by bit: fixed-point firmware shows before anything runs."""
+    stage = bench.device.pages.stage
+    monkeypatch.setattr(bench.device.pages, "stage", lambda f: stage(replace(f, value=round(f.value * 4) / 4)))
+    bench.host.begin_write(PidGains(1.1, 0.07, 0.5), bench.now_s)
+    (failed,) = [e for e in bench.run(40) if isinstance(e, WriteFailed)]
+    assert failed.reason == "the staged gains could not be read back"
+    assert bench.device.running.gains == bench.FIRST
 
 
 def test_no_write_begins_while_the_telemetry_is_wrong(bench) -> None:

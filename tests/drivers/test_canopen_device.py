@@ -231,9 +231,7 @@ def test_a_boot_up_makes_it_read_again_what_runs(stage: Stage) -> None:
 def test_what_somebody_else_writes_is_seen(stage: Stage) -> None:
     stage.node.receive(
         can.Message(
-            arbitration_id=0x605,
-            is_extended_id=False,
-            data=bytes([0x23, 0x52, 0x64, 1]) + struct.pack("<f", 77.0),
+            arbitration_id=0x605, is_extended_id=False, data=bytes([0x23, 0x52, 0x64, 1]) + struct.pack("<f", 77.0)
         )
     )
     (changed,) = stage.of(stage.run(70), RunningChanged)

@@ -46,7 +46,7 @@ def test_nothing_is_wrong_with_what_keeps_the_protocol(make, key: bytes | None, 
     assert found.tried > 150
 
 
-@pytest.mark.parametrize("mutant", MUTANTS[:: sized(6, 2, 1)], ids=lambda mutant: mutant.name)
+@pytest.mark.parametrize("mutant", MUTANTS[:: sized(6, 4, 1)], ids=lambda mutant: mutant.name)
 def test_every_mutant_is_found(mutant: Mutant) -> None:
     found = examined(changes=((mutant.old, mutant.new),))
     assert found.findings != []
@@ -67,10 +67,10 @@ MISSED = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MISSED)
-@pytest.mark.parametrize("key", [None, KEY])
-def test_what_an_examination_had_missed_is_found(name: str, key: bytes | None) -> None:
+def test_what_an_examination_had_missed_is_found(name: str) -> None:
+    """Without a key; every mutant is examined with one."""
     mutant = next(one for one in MUTANTS if one.name == name)
-    assert examined(key=key, changes=((mutant.old, mutant.new),)).findings != []
+    assert examined(key=None, changes=((mutant.old, mutant.new),)).findings != []
 
 
 class Wire:

@@ -19,16 +19,7 @@ from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, set_crc
 from retuner.drivers.protocol.codec import Codec
-from retuner.drivers.protocol.frames import (
-    Commit,
-    Frame,
-    GainBox,
-    Item,
-    Lease,
-    Mode,
-    Setpoint,
-    Stage,
-)
+from retuner.drivers.protocol.frames import Commit, Frame, GainBox, Item, Lease, Mode, Setpoint, Stage
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

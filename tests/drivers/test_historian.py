@@ -129,8 +129,7 @@ def test_a_form_is_found_and_told(written: Callable[..., Path], name: str) -> No
 
 
 @pytest.mark.parametrize(
-    ("encoding", "told"),
-    [("utf-8-sig", ""), ("latin-1", "Latin-1"), ("utf-16", "UTF-16"), ("utf-16-le", "UTF-16")],
+    ("encoding", "told"), [("utf-8-sig", ""), ("latin-1", "Latin-1"), ("utf-16", "UTF-16"), ("utf-16-le", "UTF-16")]
 )
 def test_encodings_are_found(written: Callable[..., Path], encoding: str, told: str) -> None:
     content = text("t\tsp\tpv\tco\tÖl °C", T, SP, PV, CO, T, sep="\t")

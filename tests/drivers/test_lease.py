@@ -18,11 +18,7 @@ from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.host.lease_and_commands import UNATTENDED
 from retuner.drivers.protocol.checksum import lease_stamp
-from retuner.drivers.protocol.frames import (
-    Lease,
-    Reason,
-    Status,
-)
+from retuner.drivers.protocol.frames import Lease, Reason, Status
 
 OTHER = 77
 

@@ -53,10 +53,7 @@ PAIRS = [pytest.param(a, b, id=f"{a} and {b}") for a, b in combinations(ROLES, 2
 MAPPING = DeviceMapping(
     signal("Pv"),
     signal("Co"),
-    (
-        GainAt(Quantity.KP, signal("Kp"), signal("Kp")),
-        GainAt(Quantity.KI, signal("Ki"), signal("Ki")),
-    ),
+    (GainAt(Quantity.KP, signal("Kp"), signal("Kp")), GainAt(Quantity.KI, signal("Ki"), signal("Ki"))),
     sp=signal("Sp"),
     mode=States(signal("Mode"), (1,)),
     stops=(States(signal("Stop"), (0,)),),

@@ -23,12 +23,7 @@ from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.protocol.checksum import sample_crc
 from retuner.drivers.protocol.frames import Heartbeat, TelemetryPv, TelemetrySp
-from retuner.drivers.recorded.recording import (
-    Recording,
-    RecordingError,
-    require_excitation,
-    require_setpoint,
-)
+from retuner.drivers.recorded.recording import Recording, RecordingError, require_excitation, require_setpoint
 from retuner.drivers.telemetry.sample_assembly import SampleJoiner
 
 HEATER = Path(__file__).parent.parent / "data" / "heater" / "open_loop_step.csv"

@@ -10,16 +10,7 @@ from retuner.drivers.clock import MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import RunReport, run_devices
 from retuner.drivers.controller.gain_memory import Slot
 from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
-from retuner.drivers.protocol.frames import (
-    STORE_KEY,
-    Confirm,
-    GainBox,
-    Mode,
-    Reason,
-    Setpoint,
-    Store,
-    TelemetryPv,
-)
+from retuner.drivers.protocol.frames import STORE_KEY, Confirm, GainBox, Mode, Reason, Setpoint, Store, TelemetryPv
 
 
 def test_sequence_numbers_wrap() -> None:

@@ -18,12 +18,7 @@ from retuner.schedule.gains import PidGains
 from retuner.session.running import Run
 
 QUICK = two_regions(
-    "advise",
-    600.0,
-    "at_s = 0.0, sp = 2.0",
-    "at_s = 20.0, sp = 3.0",
-    "at_s = 50.0, sp = 2.0",
-    "at_s = 80.0, sp = 3.0",
+    "advise", 600.0, "at_s = 0.0, sp = 2.0", "at_s = 20.0, sp = 3.0", "at_s = 50.0, sp = 2.0", "at_s = 80.0, sp = 3.0"
 )
 
 

@@ -39,10 +39,7 @@ def summary(folder: Path, fixed: float | None) -> None:
 
 @pytest.mark.parametrize(
     ("fixed", "text"),
-    [
-        (120.0, "ended: 2 changes, error -75 % against the same run with fixed gains"),
-        (None, "ended: 2 changes"),
-    ],
+    [(120.0, "ended: 2 changes, error -75 % against the same run with fixed gains"), (None, "ended: 2 changes")],
 )
 def test_a_session_that_ended_says_what_came_of_it(tmp_path: Path, fixed: float | None, text: str) -> None:
     session = Session(tmp_path / "demo")

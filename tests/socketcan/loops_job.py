@@ -91,10 +91,7 @@ def run_together(made: dict[str, Loop], out: Path) -> dict[str, object]:
 def main() -> int:
     firmware, out, groups = sys.argv[1], Path(sys.argv[2]), [group.split("+") for group in sys.argv[3:]]
     known = loops(firmware, out / "store")
-    with (
-        can.Bus(interface="socketcan", channel=CHANNEL) as ear,
-        can.CanutilsLogWriter(out / "capture.log") as capture,
-    ):
+    with can.Bus(interface="socketcan", channel=CHANNEL) as ear, can.CanutilsLogWriter(out / "capture.log") as capture:
         notifier = can.Notifier(ear, [capture])
         outcome = [run_together({name: known[name] for name in group}, out) for group in groups]
         notifier.stop()

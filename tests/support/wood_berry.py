@@ -9,10 +9,7 @@ from retuner.adaptive.interaction.common_windows import OneLoopRecord
 from retuner.schedule.gains import PidGains
 
 MINUTE = 60.0
-WOOD_BERRY = (
-    ((12.8, 16.7, 1.0), (-18.9, 21.0, 3.0)),
-    ((6.6, 10.9, 7.0), (-19.4, 14.4, 3.0)),
-)
+WOOD_BERRY = (((12.8, 16.7, 1.0), (-18.9, 21.0, 3.0)), ((6.6, 10.9, 7.0), (-19.4, 14.4, 3.0)))
 """Wood & Berry, Chem. Eng. Sci. 28 (1973) 1707-1717: k, lag and dead time in minutes."""
 BLT = (PidGains.from_ideal(0.375, 8.29 * MINUTE), PidGains.from_ideal(-0.075, 23.6 * MINUTE))
 """Luyben, Ind. Eng. Chem. Process Des. Dev. 25 (1986) 654-660, table II."""

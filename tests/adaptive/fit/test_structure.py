@@ -6,14 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.fit.dynamics import Dynamics
-from retuner.adaptive.fit.structure import (
-    LEAST_ZETA,
-    SIZE,
-    dynamics_at,
-    model_at,
-    parameters_of,
-    swing_excess,
-)
+from retuner.adaptive.fit.structure import LEAST_ZETA, SIZE, dynamics_at, model_at, parameters_of, swing_excess
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 
 LOGS = st.floats(-5, 5)

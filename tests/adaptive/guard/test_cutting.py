@@ -83,24 +83,14 @@ def test_within_the_limits_nothing_is_cut() -> None:
             (1.0, 5.0, 0.0),
             "tau_I held at 5 (wanted 3): at most 4x baseline. Raise total_ratio_max or accept the new baseline.",
         ),
-        (
-            (1.0, 8.0, 0.0),
-            GuardSettings(tau_i_min_s=9.0),
-            (1.0, 9.0, 0.0),
-            "tau_I held at 9 (wanted 8): tau_i_min",
-        ),
+        ((1.0, 8.0, 0.0), GuardSettings(tau_i_min_s=9.0), (1.0, 9.0, 0.0), "tau_I held at 9 (wanted 8): tau_i_min"),
         (
             (1.0, 40.0, 0.0),
             GuardSettings(tau_i_max_s=30.0),
             (1.0, 30.0, 0.0),
             "tau_I held at 30 (wanted 40): tau_i_max",
         ),
-        (
-            (1.0, 20.0, 6.0),
-            GuardSettings(tau_d_max_s=4.0),
-            (1.0, 20.0, 4.0),
-            "tau_D held at 4 (wanted 6): tau_d_max",
-        ),
+        ((1.0, 20.0, 6.0), GuardSettings(tau_d_max_s=4.0), (1.0, 20.0, 4.0), "tau_D held at 4 (wanted 6): tau_d_max"),
         ((1.0, 20.0, 0.5), SETTINGS, (1.0, 20.0, 0.0), "tau_D held at 0 (wanted 0.5): limit of the sampling time"),
     ],
 )

@@ -227,13 +227,7 @@ REACHED: dict[Ruling, tuple[ChangeRequest, GuardSettings]] = {
 }
 
 
-ACCEPTING = {
-    Ruling.ACCEPTED,
-    Ruling.URGENT,
-    Ruling.SAFER,
-    Ruling.UNPROVED_STEP,
-    Ruling.UNPROVED_WAY_OUT,
-}
+ACCEPTING = {Ruling.ACCEPTED, Ruling.URGENT, Ruling.SAFER, Ruling.UNPROVED_STEP, Ruling.UNPROVED_WAY_OUT}
 """Rulings that let gains through."""
 
 

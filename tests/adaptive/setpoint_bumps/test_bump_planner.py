@@ -99,14 +99,7 @@ def test_bumps_go_up_and_down_in_turn_and_keep_to_their_budgets() -> None:
     assert len(bench.planner.made) == 3
 
 
-@pytest.mark.parametrize(
-    "unfit",
-    [
-        {"wanted": ""},
-        {"at_rest": False},
-        {"low": 49.5, "high": 50.5},
-    ],
-)
+@pytest.mark.parametrize("unfit", [{"wanted": ""}, {"at_rest": False}, {"low": 49.5, "high": 50.5}])
 def test_no_bump_is_announced_to_a_loop_that_is_not_fit_for_it(unfit: dict[str, object]) -> None:
     bench = Bench()
     bench.run(5000, around(**unfit))

@@ -153,11 +153,7 @@ HAPPENS: dict[str, Callable[[World], None]] = {
 }
 ASKED = {cause.name for cause in SILENT}
 """After these it is asked which of the two sets is the more robust."""
-KNOWN = {
-    "one model": Known(PROCESSES[:1]),
-    "two models": Known(PROCESSES),
-    "none": Known(()),
-}
+KNOWN = {"one model": Known(PROCESSES[:1]), "two models": Known(PROCESSES), "none": Known(())}
 
 
 def robustness(gains: PidGains, models: list[LinearProcess]) -> tuple[int, float]:

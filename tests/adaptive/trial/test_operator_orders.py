@@ -213,8 +213,7 @@ def test_a_rollback_that_would_be_unstable_now_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "unstable"),
-    [(PidGains(0.1, 0.1), True), (PidGains(1.5, 0.02), False), (PidGains(0.2, 0.01), False)],
+    ("wanted", "unstable"), [(PidGains(0.1, 0.1), True), (PidGains(1.5, 0.02), False), (PidGains(0.2, 0.01), False)]
 )
 def test_the_rollback_is_judged_on_a_swinging_process_with_its_damping(wanted: PidGains, unstable: bool) -> None:
     # without its poles it would be a gain with dead time: the first set is stable there, the second is not
