@@ -220,24 +220,3 @@ def test_many_things_in_any_order(
     world = World(phase, *pair, KNOWN[known], asks=asks)
     for name in names:
         do(world, name)
-
-
-@pytest.mark.parametrize("phase", UNDECIDED, ids=lambda p: p.name)
-def test_an_undecided_trial_without_a_word_against_it_stays_or_waits(phase: TrialPhase) -> None:
-    for cause in SILENT:
-        world = World(phase, SWINGING, RIGHT, KNOWN["one model"], asks=True)
-        if phase is P.WRITING:
-            world.written(0)
-        do(world, cause.name)
-        world.restored()
-        do(world, "sample")
-        assert world.table[0] == RIGHT
-        assert world.trials.phase(0) in {P.TRIAL, P.WAITING}, (phase, cause)
-
-
-@pytest.mark.parametrize("known", KNOWN)
-def test_a_write_that_is_heard_of_late_is_asked_about_only_while_it_is_taken_back(known: str) -> None:
-    for pair, cause, between in itertools.product(PAIRS, ABORTS, ("sample", "restored", "session restarts")):
-        world = World(P.WRITING, *pair, KNOWN[known], asks=False)
-        for name in (cause.name, between, "written"):
-            do(world, name)
