@@ -91,6 +91,13 @@ MORE, SHORTER = (1.0, 1.25, 1.6, 2.0), (1.0, 0.7, 0.5)  # factors on gain and in
 SHORTEST = (0.35, 0.25)  # factors on the integral time with less gain
 AT_ONCE, PROVED_ON = 2.5, 12
 """Times the integral action that a change may make of it; processes on which one is proved, spread over the odds."""
+Kind = tuple[tuple[float, ...], tuple[float, ...], float, float]
+"""Candidates: factors on all actions and on the integral time; integral action grows by more than, and to at most."""
+MORE_OF_ALL: Kind = (MORE, SHORTER, 1.0, AT_ONCE)
+LESS_OF_ALL: Kind = (LESS, (*LONGER, *SHORTER[1:]), 0.0, 1.0)
+MORE_GAIN: Kind = (MORE[1:], LONGER[1:], 0.0, 1.0)
+MORE_INTEGRAL: Kind = (LESS, (*SHORTER[1:], *SHORTEST), 1.0, AT_ONCE)
+"""A loop may have too much of gain or integral action for the other: the integral time falls with the gain, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,14 +159,15 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
     needed = settings.borne_out if told and book.tone < settings.tone else settings.more_odds
     if max(room, high) >= needed:  # also where Ms is too high, if more action makes it less
-        tried += _more(gains, integral_times, settings)
+        tried += _sets(gains, MORE_OF_ALL, integral_times, settings)
     if told:
-        tried += _other_ratios(gains, integral_times, settings, shorter=high >= settings.less_odds)
+        for kind in (MORE_GAIN, MORE_INTEGRAL) if high >= settings.less_odds else (MORE_GAIN,):
+            tried += _sets(gains, kind, integral_times, settings)
     leans, best = 0, _best(drawn, gains, tried, settings, more=True)
     if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:
-        less = _less(gains, integral_times, settings)
+        less = _sets(gains, LESS_OF_ALL, integral_times, settings)
         leans, best = -1, _best(drawn, gains, less, settings, more=False)
     leans = 0 if book.tone * (1.0 - book.moved) >= settings.tone else leans
     odds = high if leans < 0 else room if told else 0.0
@@ -230,42 +238,16 @@ def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGain
     return series_kept(PidGains(*times), gains)
 
 
-def _more(gains: PidGains, integral_times: Sequence[FloatArray], settings: BookSettings) -> Iterator[PidGains]:
-    """Candidates with more action. integral_times : of the rule, seconds, on each process as likely as the others; by
-    the whole, then under each order of load by itself.
-    """
-    for times in MORE:
-        for shorter in _bearable(gains, SHORTER, integral_times, settings):
-            if 1.0 < times / shorter <= AT_ONCE:
-                yield _times(gains, times, shorter)
-
-
-def _less(gains: PidGains, integral_times: Sequence[FloatArray], settings: BookSettings) -> Iterator[PidGains]:
-    """Candidates with less gain and no more integral action. A loop may have too much of the one and too little of the
-    other for it: then the integral time falls with the gain. integral_times : as in `_more`.
-    """
-    for times in LESS:
-        for other in _bearable(gains, (*LONGER, *SHORTER[1:]), integral_times, settings):
-            if times <= other:
-                yield _times(gains, times, other)
-
-
-def _other_ratios(
-    gains: PidGains, integral_times: Sequence[FloatArray], settings: BookSettings, *, shorter: bool
+def _sets(
+    gains: PidGains, kind: Kind, integral_times: Sequence[FloatArray], settings: BookSettings
 ) -> Iterator[PidGains]:
-    """Candidates with more gain and no more integral action: a loop may have too much of this for its gain. shorter :
-    and those with less gain and more integral action, whose shorter integral time rests on how long a lag is, which
-    loads that come back by themselves make look short. integral_times : as in `_more`.
+    """Candidates of a kind. integral_times : of the rule, seconds, on each process as likely as the others; by the
+    whole, then under each order of load by itself.
     """
-    if not (gains.kp and gains.ki):
-        return
-    for times in MORE[1:]:
-        for longer in LONGER[1:]:
-            if times <= longer:
-                yield _times(gains, times, longer)
-    for times in LESS if shorter else ():
-        for other in _bearable(gains, (*SHORTER[1:], *SHORTEST), integral_times, settings):
-            if 1.0 < times / other <= AT_ONCE:
+    all_of_them, longer, least, most = kind
+    for times in all_of_them:
+        for other in _bearable(gains, longer, integral_times, settings):
+            if least < times / other <= most:
                 yield _times(gains, times, other)
 
 

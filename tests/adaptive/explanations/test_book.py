@@ -102,7 +102,7 @@ def test_less_gain_may_go_with_a_shorter_integral_time_down_to_that_of_the_rule(
 ) -> None:
     """Kc x 2 and tau_I x 4: with less of all actions alone, J went from 1.5 to 2.3; with a shorter tau_I, to 1.7."""
     now = PidGains.from_ideal(1.0, 20.0)
-    sets = list(settings_by_book._less(now, [np.array([rule_s])], SETTINGS))
+    sets = list(settings_by_book._sets(now, settings_by_book.LESS_OF_ALL, [np.array([rule_s])], SETTINGS))
     assert min(one.kp / one.ki for one in sets) == pytest.approx(shortest_s)
     assert all(one.kp < now.kp and one.ki <= now.ki * (1.0 + 1e-12) for one in sets)
 
@@ -114,8 +114,10 @@ def test_no_shorter_integral_time_where_one_order_of_the_load_has_the_rules_long
     """Under real loads the whole was as good as sure of a lag of a third, and tau_I was halved though it was right."""
     now = PidGains.from_ideal(1.0, 20.0)
     times = [np.array([1.0]), *(np.array([one]) for one in by_order)]
-    for candidates in (settings_by_book._more, settings_by_book._less):
-        assert min(one.kp / one.ki for one in candidates(now, times, SETTINGS)) == pytest.approx(shortest)
+    for kind in (settings_by_book.MORE_OF_ALL, settings_by_book.LESS_OF_ALL):
+        assert min(one.kp / one.ki for one in settings_by_book._sets(now, kind, times, SETTINGS)) == pytest.approx(
+            shortest
+        )
 
 
 def test_too_much_gain_is_told_from_room_for_more() -> None:
@@ -149,7 +151,7 @@ def test_less_action_follows_at_once_and_more_at_the_second_look_or_where_steps_
 @pytest.mark.parametrize(("tau_d_s", "ratio"), [(3.0, 0.25), (9.0, 0.45)])
 def test_more_integral_action_keeps_a_set_that_a_series_controller_can_hold(tau_d_s: float, ratio: float) -> None:
     now = PidGains.from_ideal(1.0, 20.0, tau_d_s)  # the second has no series form, and its ratio gets no larger
-    sets = list(settings_by_book._more(now, [np.array([1.0])], SETTINGS))
+    sets = list(settings_by_book._sets(now, settings_by_book.MORE_OF_ALL, [np.array([1.0])], SETTINGS))
     assert min(one.kp / one.ki for one in sets) == 10.0
     assert all(one.kd * one.ki / one.kp**2 <= ratio + 1e-12 for one in sets)
     assert any(one.kd / one.kp == pytest.approx(tau_d_s) for one in sets if one.kp / one.ki == pytest.approx(20.0))
@@ -393,15 +395,29 @@ def test_a_loop_with_too_much_integral_action_for_its_gain_gets_more_gain(moved:
         assert told.tuning.gains.ki <= 1.001 * now.ki
 
 
-@pytest.mark.parametrize("shorter", [False, True])
-def test_a_shorter_integral_time_with_less_gain_is_for_loops_with_too_high_an_ms(shorter: bool) -> None:
+@pytest.mark.parametrize(
+    ("kind", "more"), [(settings_by_book.MORE_GAIN, True), (settings_by_book.MORE_INTEGRAL, False)]
+)
+def test_other_ratios_have_more_gain_or_more_integral_action_and_less_of_the_other(
+    kind: settings_by_book.Kind, more: bool
+) -> None:
     now = PidGains.from_ideal(1.0, 20.0)
-    sets = list(settings_by_book._other_ratios(now, [np.array([1.0])], SETTINGS, shorter=shorter))
-    assert all(one.kp > now.kp and one.ki <= 1.001 * now.ki for one in sets if one.kp >= now.kp)
-    less = [one for one in sets if one.kp < now.kp]
-    assert bool(less) is shorter
-    assert all(one.ki > now.ki for one in less)
-    assert not list(settings_by_book._other_ratios(PidGains(0.0, 1.0), [np.array([1.0])], SETTINGS, shorter=True))
+    sets = list(settings_by_book._sets(now, kind, [np.array([1.0])], SETTINGS))
+    assert sets
+    assert all((one.kp > now.kp) is more and (one.ki <= 1.001 * now.ki) is more for one in sets)
+    assert not list(settings_by_book._sets(PidGains(0.0, 1.0), kind, [np.array([1.0])], SETTINGS))
+
+
+@pytest.mark.parametrize("high", [0.1, 0.9])
+def test_a_shorter_integral_time_with_less_gain_is_for_loops_with_too_high_an_ms(
+    monkeypatch: pytest.MonkeyPatch, high: float
+) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr(settings_by_book, "shares", lambda *_: (high, 0.1))
+    monkeypatch.setattr(settings_by_book, "_sets", lambda _, kind, *__: asked.append(kind) or ())
+    by_book(replace(after(scaled(2.6), 3), moved=1.0), scaled(2.6), SETTINGS)
+    assert settings_by_book.MORE_GAIN in asked
+    assert (settings_by_book.MORE_INTEGRAL in asked) is (high > 0.85)
 
 
 @pytest.mark.parametrize(
@@ -743,7 +759,7 @@ def test_more_action_needs_room_and_more_of_it_by_loads_alone_and_under_a_tone(
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1, moved=moved)
     monkeypatch.setattr(settings_by_book, "shares", lambda *_: (0.1, room))
-    monkeypatch.setattr(settings_by_book, "_other_ratios", lambda *_, **__: ())
+    monkeypatch.setattr(settings_by_book, "MORE_GAIN", ((), (), 0.0, 1.0))
     monkeypatch.setattr(Book, "tone", tone)
     told = by_book(book, now, SETTINGS)
     assert (told.leans == 1, told.tuning is not None) == (enough, enough)
