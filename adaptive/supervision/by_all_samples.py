@@ -14,6 +14,7 @@ The book proposes nothing where the output stands at a limit, and where a valve 
 book's. Nor where clear steps have shown the process and the loop mostly rests.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 
@@ -97,12 +98,26 @@ def look_of(
     fewest = FEWEST_SAMPLES_ON_TRIAL if on_trial else max(FEWEST_SAMPLES, math.ceil(after_s / dt_s))
     if len(rows) < fewest:
         return None
-    whole, rest = divmod(len(rows), most)
-    rows = rows[: whole * most] if whole and rest < fewest else rows  # too few by themselves: they come with the next
-    *earlier, last = (rows[at : at + most] for at in range(0, len(rows), most))
+    *earlier, last = _in_windows(rows, most)
+    if earlier and len(last) < fewest:  # too few by themselves: they come with the next
+        *earlier, last = earlier
+    grows = last[-1] is rows[-1] and len(last) < ROUNDED * most
     limited = sum(1 for sample in rows if sample.limited) / len(rows)
     windows = tuple(Window.of(part) for part in earlier)
-    return Look(book, Window.of(last), grows=len(last) < ROUNDED * most, limited=limited, due=due, earlier=windows)
+    return Look(book, Window.of(last), grows=grows, limited=limited, due=due, earlier=windows)
+
+
+def _in_windows(rows: list[LoopSample], most: int) -> list[list[LoopSample]]:
+    """Samples in windows of so many at the most. Where the setpoint moves in the later half of one, after it has stood,
+    the next begins: half an answer tells little, and the other half nothing without what co did before.
+    """
+    before, ends = round(most * PER_TAU_I / WHOLE), [0]
+    moved = [0, *(at for at in range(1, len(rows)) if rows[at].sp != rows[at - 1].sp)]
+    begun = [at - before for last, at in itertools.pairwise(moved) if at - last >= before]
+    while ends[-1] < len(rows):
+        nearest = (at for at in begun if most // 2 - before <= at - ends[-1] <= most)
+        ends.append(min(next(nearest, ends[-1] + most), len(rows)))
+    return [rows[first:end] for first, end in itertools.pairwise(ends)]
 
 
 FEWEST_SAMPLES, FEWEST_SAMPLES_ON_TRIAL = 300, 50  # samples of a look

@@ -356,6 +356,36 @@ def test_no_sample_since_the_last_look_is_left_out(
     assert found.grows is grows
 
 
+@pytest.mark.parametrize(
+    ("moves", "count", "windows", "grows"),
+    [([999], 1000, [899], False), ([999], 1500, [899, 601], True), ([999, 1999], 2400, [899, 1000, 501], True),
+     ([1050], 1600, [950, 650], True), ([300], 1000, [1000], False), ([300, 350, 999], 1500, [899, 601], True),
+     ([*range(0, 1500, 7)], 1500, [1000, 500], True), ([540, 900], 1500, [440, 1000], False)],
+)  # fmt: skip
+def test_a_setpoint_step_and_its_answer_stand_in_one_window(
+    moves: list[int], count: int, windows: list[int], *, grows: bool
+) -> None:
+    """Where the setpoint moved every 1,000 samples each step was the last sample of a window: none told anything."""
+    sp = np.cumsum(np.isin(np.arange(count), moves))
+    rows = [LoopSample(float(i), float(sp[i]), float(i % 7), float(i % 5)) for i in range(count)]
+    found = look_of(rows, None, GOOD, -math.inf, 500.0, 1.0, on_trial=False)
+    assert found is not None
+    assert [len(one.t_s) for one in (*found.earlier, found.window)] == windows
+    assert found.grows is grows
+
+
+@pytest.mark.usefixtures("by_itself")
+def test_the_setpoint_tells_the_process_though_it_moves_where_a_window_would_end() -> None:
+    pid = controller(0.3)
+    load, noise = walk(4, 2900) * 2.0, np.random.default_rng(4).normal(size=2900) * 0.05
+    plant, pv = Plant(), 50.0
+    for i in range(2900):
+        co = pid.step(50.0 + 8.0 * (i // 1000 % 2), pv + float(noise[i]))
+        pv = 50.0 + plant.move(co + float(load[i]))
+    assert all(book.told_by_setpoint for book in pid.retuner.books.values())
+    assert pid.retuner.books
+
+
 def test_the_windows_of_a_look_are_entered_one_after_the_other() -> None:
     book, first, second = begun(), recorded(GOOD, 5), recorded(GOOD, 6)
     moved_on = replace_times(second, 1000.0)
