@@ -220,12 +220,12 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
         return None
     worth, better = gain(drawn, now, new, settings)
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
+    sure = not rests or better < 1.0 - settings.less_odds
     if less:
-        against = away or better < (1.0 - settings.less_odds if rests else settings.borne_out)
-    elif rests:
-        against = False
+        against = away or (sure and better < settings.borne_out)
     else:
-        against = by_models + worth < 0.0 or (not shown and shares(drawn, new, settings)[0] >= settings.less_odds)
+        high = shares(drawn, new, settings)[0]
+        against = (sure and by_models + worth < 0.0) or (not shown and high >= settings.less_odds)
     if not against:
         return None
     by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
