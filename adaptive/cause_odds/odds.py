@@ -420,11 +420,12 @@ def _verdict(
     # an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it
     alone = not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
     alone = alone and _less(causes) < settings.loads_odds
-    wanted = odds if open_to_odds and not alone else None
-    worth = _settings(causes, wanted, walk.moved, settings) if wanted is not None else None
     overshoots = any(f.diagnosis.evidence.get("overshoot", 0.0) > OVERSHOOTS for _, f in open_ones)
-    if wanted is not None and worth is not None and not _calmer(worth, wanted) and overshoots:
-        worth = None  # more action is no answer, whatever a load does beside the responses
+    worth, none = None, UNKNOWN_GAINS if not sure else SWINGS_ALONE if alone else ""
+    if odds is not None and open_to_odds and not alone:
+        worth, none = _settings(causes, odds, walk.moved, settings)
+        if worth is not None and not _calmer(worth, odds) and overshoots:
+            worth, none = None, "more action is no answer to setpoint responses that overshoot"
     if by_steps and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
@@ -447,6 +448,7 @@ def _verdict(
         evidence |= _follows(window)
         reason += FOLLOWS.format(**evidence)
     settled = cause not in TUNING_CAUSES or worth is not None
+    reason += "" if settled else f". No settings: {none}"
     verdict = Diagnosis(cause, p, evidence, reason, settled, shares, test)
     kept = replace(told, diagnosis=verdict, tuning=None, aim=None)
     return OddsFound(kept, odds, worth)
@@ -481,29 +483,36 @@ IN_QUESTION = 0.05
 
 def _settings(
     causes: Mapping[Cause, float], odds: TuningOdds, moved: float, settings: OddsSettings
-) -> Worthwhile | None:
-    """Settings worth having, where tuning is the cause and the odds that they are asked for are large enough.
+) -> tuple[Worthwhile | None, str]:
+    """Settings worth having, where tuning is the cause and the odds that they are asked for are large enough; else why
+    there are none.
 
     moved : of Walk. Loads alone may pass for the loop's own doing: then the test comes first, but where less action is
     as good as sure.
     """
     if next(iter(causes)) not in TUNING_CAUSES:
-        return None
+        return None, ""
     less, most = _less(causes), next(iter(causes.values()))
     if moved < settings.moved and less < settings.loads_less and most < settings.loads_odds:
-        return None
+        return None, "the setpoint hardly moves, and loads alone do not show the tuning surely enough"
     more = causes.get(Cause.SLUGGISH, 0.0)
     found = worthwhile(odds, settings.worth)
     if less >= settings.less_odds and (found is None or _calmer(found, odds) is False):
         found = halved(odds, settings.worth)
     if found is None:
-        return None
+        return None, "none is better on enough of the processes that the record allows"
     if _calmer(found, odds):  # more gain under less integral action answers a sluggish loop as well
         asked = less + more * (abs(found.tuning.gains.kp) > abs(odds.gains.kp))
-        return found if asked >= settings.less_odds else None
+        return (found, "") if asked >= settings.less_odds else (None, UNSURE)
     bends = causes.get(Cause.NONLINEAR, 0.0) > settings.nonlinear  # then more is too much elsewhere
-    unseen = bends or causes.get(Cause.STICTION, 0.0) > settings.most_valve  # behind a valve no process is seen
-    return found if more >= settings.more_odds and not unseen else None
+    if bends or causes.get(Cause.STICTION, 0.0) > settings.most_valve:  # behind a valve no process is seen
+        return None, "the process gain may change along pv" if bends else "the valve may stick, which hides the process"
+    return (found, "") if more >= settings.more_odds else (None, UNSURE)
+
+
+UNSURE = "the cause is not sure enough for a change"
+UNKNOWN_GAINS = "the active settings are only known roughly"
+SWINGS_ALONE = "an oscillation lasts, no setpoint step was made, and a load that oscillates may be all of it"
 
 
 def _less(causes: Mapping[Cause, float]) -> float:

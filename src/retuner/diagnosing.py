@@ -222,9 +222,9 @@ def with_gain(told: Diagnosis, saved: Foreseen | None) -> Diagnosis:
     little = saved is not None and not saved.due and told.cause is Cause.SLUGGISH
     if saved is None or told.cause not in {Cause.OK, Cause.SLUGGISH} or (saved.given and not little):
         return told
-    which = "these" if saved.given else "with the process known, better"
+    which = "these settings would" if saved.given else "if the process were known, the best settings would"
     band = " only: nothing is due" if little else f" ({100.0 * saved.least:.0f} to {100.0 * saved.most:.0f} %)"
-    reason = f"{told.reason}; {which} settings would take away {100.0 * saved.saved:.0f} % of the error{band}"
+    reason = f"{told.reason}; {which} take away {100.0 * saved.saved:.0f} % of the error{band}"
     return replace(told, reason=reason, settled=told.settled and not little)
 
 

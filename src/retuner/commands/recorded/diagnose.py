@@ -10,6 +10,7 @@ import numpy as np
 
 from retuner import diagnosing
 from retuner.adaptive.audit.loop_screen import LoopScreen, screen_loop
+from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.enough_data import shortcomings
@@ -170,8 +171,7 @@ def described(found: DiagnosedRecord) -> list[str]:
     if told.retune and result.settings is not None:
         lines += _recommended_lines(found)
     elif not told.retune:
-        unsure = "; no set is certainly better" if told.cause in TUNING_CAUSES else ""
-        lines.append(f"{'recommended':<{NAME}}no change of settings{unsure}")
+        lines.append(f"{'recommended':<{NAME}}no change of settings")
     lines += _process_lines(found)
     lines.append(f"{'the loop':<{NAME}}{loop_words(found.loop)}")
     lines += [f"{'note':<{NAME}}{note}" for note in found.notes if note != told.reason]
@@ -243,8 +243,11 @@ def _next(found: DiagnosedRecord) -> list[str]:
     if told.next is not None:
         return [f"{test_words(told.next)}; diagnose its record together with this one"]
     saved = found.result.foreseen
-    nothing = told.cause is Cause.SLUGGISH and saved is not None and not saved.due
-    cure = WHAT_TO_DO.get(Cause.OK if nothing else told.cause)
+    due = saved is not None and saved.due
+    # what tuning could gain says whether the odds between in order and sluggish matter
+    open_still = told.cause is Cause.OK and due and told.confidence < OddsSettings().undecided
+    nothing = told.cause is Cause.SLUGGISH and saved is not None and not due
+    cure = WHAT_TO_DO.get(Cause.SLUGGISH if open_still else Cause.OK if nothing else told.cause)
     return _by_eye(found) or ([cure] if cure is not None else [])
 
 
@@ -311,7 +314,9 @@ def _controller_lines(found: DiagnosedRecord) -> list[str]:
     if found.gains is None:
         why = found.read_off.reason if found.read_off is not None else ""
         why = "" if why == found.result.diagnosis.reason else f": {why}; give them with --kc and --tau-i"
-        return [f"{'active':<{NAME}}not known{why}"] if found.read_off is not None else []
+        rough = found.read_off.rough if found.read_off is not None else None
+        known = f"about {settings_text(rough)}, too rough for new settings" if rough is not None else "not known"
+        return [f"{'active':<{NAME}}{known}{why}"] if found.read_off is not None else []
     shown = ", as the record shows" if found.read_off is not None else ""
     return [f"{'active':<{NAME}}{settings_text(found.gains)}{shown}"]
 
