@@ -251,12 +251,16 @@ def test_a_damaged_book_is_refused(wrong: dict[str, object]) -> None:
         Book.from_dict(begun().to_dict() | wrong)
 
 
-def watched(pid: PidController, seed: int, n: int, memory_at: int = 0) -> tuple[list[bytes], PidController]:
-    """Decisions on a loop under a load that wanders; at one sample it goes on from its memory."""
+def watched(
+    pid: PidController, seed: int, n: int, memory_at: int = 0, step: float = 0.0
+) -> tuple[list[bytes], PidController]:
+    """Decisions on a loop under a load that wanders; at one sample it goes on from its memory. step : of the setpoint
+    after each 1,000 samples, to and fro.
+    """
     load, noise = walk(seed, n) * 2.0, np.random.default_rng([seed, 1]).normal(size=n) * 0.05
     plant, pv, told = Plant(), 50.0, []
     for i in range(n):
-        co = pid.step(50.0, pv + float(noise[i]))
+        co = pid.step(50.0 + step * (i // 1000 % 2), pv + float(noise[i]))
         if pid.decision is not None:
             told.append(pid.decision.canonical())
         pv = 50.0 + plant.move(co + float(load[i]))
@@ -376,12 +380,7 @@ def test_a_setpoint_step_and_its_answer_stand_in_one_window(
 
 @pytest.mark.usefixtures("by_itself")
 def test_the_setpoint_tells_the_process_though_it_moves_where_a_window_would_end() -> None:
-    pid = controller(0.3)
-    load, noise = walk(4, 2900) * 2.0, np.random.default_rng(4).normal(size=2900) * 0.05
-    plant, pv = Plant(), 50.0
-    for i in range(2900):
-        co = pid.step(50.0 + 8.0 * (i // 1000 % 2), pv + float(noise[i]))
-        pv = 50.0 + plant.move(co + float(load[i]))
+    _, pid = watched(controller(0.3), 4, 2900, step=8.0)
     assert all(book.told_by_setpoint for book in pid.retuner.books.values())
     assert pid.retuner.books
 
